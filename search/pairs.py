@@ -112,8 +112,8 @@ class Steps:
             return None
         for _ in range(_ORDERS if len(units) > 1 else 0):
             order = [units[place] for place in rng.permutation(len(units))]
-            covered = np.cumsum(self.lengths(safe, unsafe, order))[:-1]
-            cut = int(np.argmin(np.abs(covered - 0.5 * self.lengths(safe, unsafe, order).sum()))) + 1
+            lengths = self.lengths(safe, unsafe, order)
+            cut = int(np.argmin(np.abs(np.cumsum(lengths)[:-1] - 0.5 * lengths.sum()))) + 1
             columns = [column for unit in order[:cut] for column in unit]
             row = np.array(safe)
             row[columns] = unsafe[columns]

@@ -194,7 +194,7 @@ def _context(
         monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
         outcomes=Outcomes(engines=engines),
-        pairs=Pairs(threads=drawing),
+        pairs=Pairs(engines=engines, threads=drawing),
         experiment_pairs=PairCache(engines=engines, archives=archives, threads=drawing),
         films=Films(engines=engines),
         seeds=seeds,

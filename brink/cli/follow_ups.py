@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from brink.api.client import Api, CoordinatorError
 from brink.server.api.pair_views import FollowUpView
+from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.states import CampaignStatus
 
@@ -19,7 +20,12 @@ SIMULATED: Final = {
 
 
 def follow_up_requests(
-    settings: Mapping[str, float], confirm: int | None, *, component: bool, minimise: bool = False
+    settings: Mapping[str, float],
+    confirm: int | None,
+    *,
+    component: bool,
+    minimise: bool = False,
+    limit: int | None = None,
 ) -> list[dict[str, Any]]:
     """Return the follow-ups to ask for, as bodies of requests.
 
@@ -27,15 +33,19 @@ def follow_up_requests(
         settings: ``eps`` and ``d_th``, where they are not the campaign's own.
         confirm: Simulations of each side with other seeds; None or 0 for none.
         component: Whether to ask if the component is to blame.
-        minimise: Whether to take differences back.
+        minimise: Whether to revert differences.
+        limit: Most pairs to ask about, first ones first; None for as many as a follow-up takes.
     """
+    shared: dict[str, Any] = dict(settings)
+    if limit is not None:
+        shared["limit"] = min(limit, MOST_PAIRS_FOLLOWED)
     requests: list[dict[str, Any]] = []
     if confirm:
-        requests.append({"kind": FollowUpKind.CONFIRM.value, "repeats": confirm, **settings})
+        requests.append({"kind": FollowUpKind.CONFIRM.value, "repeats": confirm, **shared})
     if component:
-        requests.append({"kind": FollowUpKind.COMPONENT.value, **settings})
+        requests.append({"kind": FollowUpKind.COMPONENT.value, **shared})
     if minimise:
-        requests.append({"kind": FollowUpKind.MINIMISE.value, **settings})
+        requests.append({"kind": FollowUpKind.MINIMISE.value, **shared})
     return requests
 
 
@@ -43,7 +53,9 @@ def follow_up_options(requests: Sequence[dict[str, Any]]) -> str:
     """Return the options that ask for follow-ups, for hints."""
     words = [f"--{one['kind']}" + (f" {one['repeats']}" if "repeats" in one else "") for one in requests]
     words += [
-        f"--{name.replace('_', '-')} {requests[0][name]:g}" for name in ("eps", "d_th") if name in requests[0]
+        f"--{name.replace('_', '-')} {requests[0][name]:g}"
+        for name in ("eps", "d_th", "limit")
+        if name in requests[0]
     ]
     return " ".join(words)
 

@@ -20,6 +20,7 @@ from brink.cli.draw import (
 from brink.cli.options import console
 from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView, ShareView
 from brink.server.errors import InvalidInput
+from brink.server.problems.changes import as_sentence
 from brink.sim.replay import DrivePair, Side, render_pair
 
 PICTURES: Final = (".png",)
@@ -136,7 +137,7 @@ async def _drives(api: Api, view: PairsView, pair: PairView, *, workers: bool) -
 def headline(pair: PairView) -> str:
     """Return the change and what it did, or the change alone if that is long."""
     words = pair.words if len(pair.words) <= _MOST_LETTERS else pair.change
-    return f"{words[:1].upper()}{words[1:]}"
+    return as_sentence(words)
 
 
 def facts(view: PairsView, pair: PairView) -> list[str]:
@@ -144,7 +145,7 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
     found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
     if not view.computed:
         found.append(
-            "Both verdicts held in a further simulation of the search."
+            "Both verdicts held with another seed in the search."
             if pair.checked
             else "Each side was simulated once by the search."
         )
@@ -153,8 +154,10 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
             f"With ground truth in place of the component, the unsafe drive: {pair.component.outcome}."
         )
     less = pair.minimality
-    if less.state is Minimality.MINIMAL:
-        found.append("No difference can be taken back without losing the opposite verdicts.")
+    if less.state is Minimality.DIFFERENT_SEEDS:
+        found.append("The two had different episode seeds, so chance may be the reason for the verdicts.")
+    elif less.state is Minimality.MINIMAL:
+        found.append("No difference can be reverted without losing the opposite verdicts.")
     elif less.unsafe is not None:
         enough, differing = len(less.unsafe.changes), len(pair.changes)
         found.append(f"{enough} of the {differing} differences {'is' if enough == 1 else 'are'} enough.")

@@ -45,9 +45,11 @@ from brink.server.api.pair_views import (
     PairView,
 )
 from brink.server.api.schemas import CampaignView
+from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.errors import InvalidInput
+from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus
 
 PAIRS_SHOWN = 20
@@ -89,7 +91,8 @@ def pairs(
             min=1,
             max=MOST_PAIRS,
             show_default=False,
-            help=f"Most pairs to show (default: {PAIRS_SHOWN} in a table, {MOST_PAIRS} in a file).",
+            help=f"Most pairs to show (default: {PAIRS_SHOWN} in a table, {MOST_PAIRS} in a file), and to simulate "
+            f"again (default: {MOST_PAIRS_FOLLOWED}).",
         ),
     ] = None,
     form: Annotated[
@@ -132,7 +135,7 @@ def pairs(
     ] = False,
     minimise: Annotated[
         bool,
-        typer.Option("--minimise", help="Take differences back one by one first, to find those that matter."),
+        typer.Option("--minimise", help="Revert differences one by one first, to find those that matter."),
     ] = False,
     workers: Workers = 2,
     database: Database = None,
@@ -164,7 +167,20 @@ def pairs(
         check_file(option, path, endings)
 
     given = {name: value for name, value in settings.items() if value is not None}
-    asked = follow_up_requests(given, confirm, component=component, minimise=minimise)
+    asked = follow_up_requests(given, confirm, component=component, minimise=minimise, limit=limit)
+    if drawn:
+        ignored = [
+            name
+            for name, chosen in (
+                ("--out", out is not None), ("--format", form is not None), ("--json", as_json),
+                ("--limit", limit is not None and not asked),
+            )
+            if chosen
+        ]  # fmt: skip
+        if ignored:
+            raise InvalidInput.at(
+                drawn[0][0], f"expected it without {' and '.join(ignored)}: draw the pair alone"
+            )
     complete = True
     if asked:
         screen = console(stderr=as_json or (wanted is not Format.TABLE and out is None))
@@ -231,14 +247,27 @@ def _follow_up(
 async def _ask(api: Api, campaign: str, request: dict[str, Any], screen: Console) -> FollowUpView | None:
     """Ask for a follow-up, or for an equal one that exists; return None if there is nothing to do, and say why."""
     given = {name: request[name] for name in ("eps", "d_th") if name in request}
-    view = await fetch_pairs(api, campaign, limit=MOST_PAIRS, **given)
+    view = await fetch_pairs(api, campaign, limit=request.get("limit", MOST_PAIRS_FOLLOWED), **given)
     if view.complete and not view.pairs:
         return None  # the note says why
-    minimal = all(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs)
-    if view.pairs and minimal and request["kind"] == FollowUpKind.MINIMISE:
-        screen.print(f"none of the differences of the {len(view.pairs)} pairs can go: they are minimal")
+    if view.pairs and request["kind"] == FollowUpKind.MINIMISE and not _can_be_minimised(view, screen):
         return None
     return await api.send(FollowUpView, f"/campaigns/{campaign}/pairs/follow-ups", request)
+
+
+def _can_be_minimised(view: PairsView, screen: Console) -> bool:
+    """Return whether a difference of any pair may be reverted, and say which pairs are left out."""
+    states = [pair.minimality.state for pair in view.pairs]
+    if left_out := states.count(Minimality.DIFFERENT_SEEDS):
+        screen.print(
+            f"{left_out} of {len(states)} pairs cannot be minimised: their sides were simulated with different "
+            "seeds, so chance may decide rather than a difference",
+            soft_wrap=True,
+        )
+    one_seed = len(states) - left_out
+    if one_seed and states.count(Minimality.MINIMAL) == one_seed:
+        screen.print(f"none of the differences of {one_seed} pairs can go: they are minimal")
+    return states.count(Minimality.MINIMAL) < one_seed
 
 
 async def _run(session: Session, campaign: str, requests: Sequence[dict[str, Any]], workers: int) -> bool:
@@ -336,7 +365,7 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     )
     for pair in view.pairs[:shown]:
         lines = [
-            f"{pair.change[:1].upper()}{pair.change[1:]}",
+            as_sentence(pair.change),
             *_common_words(pair),
             f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
             f"safe, solution {pair.safe.number}: {pair.safe.outcome}",
@@ -382,7 +411,12 @@ def legend(view: PairsView) -> list[str]:
     if view.tried:
         found.append(
             "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations and the unsafe "
-            "side in 9 of 10; confirmed means at most 20% and at least 80%"
+            f"side in 9 of 10; confirmed means at most 20% and at least 80%, with at least {LEAST_DRIVES} each"
+        )
+    if any(pair.minimality.state is Minimality.DIFFERENT_SEEDS for pair in view.pairs):
+        found.append(
+            "different seeds: the sides also differ in their episode seeds, so chance may be the reason rather than "
+            "the change"
         )
     if view.component or view.scenario:
         found.append(
@@ -401,13 +435,16 @@ def evidence_words(view: PairsView, pair: PairView) -> str:
     again = pair.confirmation
     if again.state is not Confirmation.NOT_TRIED:
         counts = " ".join(f"{one.unsafe}/{one.evaluated}" for one in (again.safe, again.unsafe))
-        words.append(f"{again.state} {counts}")
+        state = "confirmation pending" if again.state is Confirmation.PENDING else again.state
+        words.append(f"{state} {counts}")
     if pair.component.state is not ComponentPart.NOT_TRIED:
         words.append(_PARTS[pair.component.state])
     less = pair.minimality
     if less.unsafe is not None:
         enough, differing = len(less.unsafe.changes), len(pair.changes)
         words.append(f"{enough} of {differing} differences {'is' if enough == 1 else 'are'} enough")
+    elif less.state is Minimality.DIFFERENT_SEEDS and not view.computed:
+        words.append("different seeds")
     elif less.state is not Minimality.NOT_TRIED:
         words.append(_REDUCED.get(less.state, str(less.state)))
     return ", ".join(words)

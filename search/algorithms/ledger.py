@@ -15,7 +15,7 @@ import numpy as np
 from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.document import Document
-from brink.search.errors import ConfigError, DocumentError, OrderError
+from brink.search.errors import ConfigError, DocumentError, OrderError, SpaceError
 from brink.search.settings import check_settings, setting
 from brink.search.space import FloatArray, SearchSpace, frozen_array
 
@@ -346,6 +346,31 @@ def stored_rows(document: Document, name: str, width: int) -> FloatArray:
         got = "nothing" if rows is None else f"{rows.dtype} of shape {rows.shape}"
         raise DocumentError(f"{name}: expected float64 rows of {width} numbers, got {got}")
     return frozen_array(rows)
+
+
+def check_given_rows(space: SearchSpace, name: str, rows: Sequence[Sequence[float]]) -> None:
+    """Check that the rows of a setting are complete solutions.
+
+    Raises:
+        ConfigError: With the number of the first row that is not.
+    """
+    for place, row in enumerate(rows):
+        try:
+            space.check(space.split(np.asarray(row, np.float64)))
+        except SpaceError as error:
+            raise ConfigError(name, f"row {place}: {error}") from None
+
+
+def check_seed_numbers(numbers: Sequence[int], count: int, what: str) -> None:
+    """Check the setting ``seed_numbers``: one number for each of `count` given solutions or pairs, or none.
+
+    Raises:
+        ConfigError: There are too few or too many, or one is negative.
+    """
+    if len(numbers) not in (0, count) or min(numbers, default=0) < 0:
+        raise ConfigError(
+            "seed_numbers", f"expected a number >= 0 for each of {count} {what}, or none, got {list(numbers)}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

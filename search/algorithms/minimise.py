@@ -1,13 +1,13 @@
-"""`minimise@1`: takes the differences between the two sides of a pair back one by one, as long as the verdict stays.
+"""`minimise@1`: reverts the differences between the two sides of a pair one by one, as long as the verdict stays.
 
 A trial is the unsafe side of a pair with one unit set to the value of the safe side, simulated under the episode seed
 of the pair. If it is unsafe, it replaces the unsafe side, and all other differences are tried again. A pair is
-*minimal* when none of its differences can be taken back: every trial was safe, or no valid solution lies there.
+*minimal* when none of its differences can be reverted: every trial was safe, or no valid solution lies there.
 
 All pairs are worked on at the same time, each generation holds one trial of each. Nothing is drawn at random, so the
 trials follow from the verdicts alone: `Reductions` can be replayed from a stored campaign.
 
-Source: ours; docs/explanation/pairs.md. Taking differences back one by one is the last stage of delta debugging
+Source: ours; docs/explanation/pairs.md. Reverting differences one by one is the last stage of delta debugging
 (Zeller and Hildebrandt 2002, "Simplifying and isolating failure-inducing input").
 """
 
@@ -18,9 +18,17 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from brink.search.algorithm import Evaluation, Scored
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState, stored_rows
+from brink.search.algorithms.ledger import (
+    BoundaryConfig,
+    Ledger,
+    LedgerAlgorithm,
+    LedgerState,
+    check_given_rows,
+    check_seed_numbers,
+    stored_rows,
+)
 from brink.search.document import Document
-from brink.search.errors import ConfigError, DocumentError, SpaceError
+from brink.search.errors import ConfigError, DocumentError
 from brink.search.features import Unit
 from brink.search.pairs import Steps
 from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
@@ -61,13 +69,13 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reductions:
-    """n pairs while their differences are taken back.
+    """n pairs while their differences are reverted.
 
     Attributes:
         steps: The geometry of pairs in their space.
         safe: Safe sides, shape ``(n, d)``.
         unsafe: Unsafe sides as reduced so far, shape ``(n, d)``.
-        needed: Whether the verdict is lost when a unit is taken back, shape ``(n, units)``.
+        needed: Whether the verdict is lost when a unit is reverted, shape ``(n, units)``.
         failed: Whether the simulation that would tell failed, shape ``(n, units)``.
     """
 
@@ -79,7 +87,7 @@ class Reductions:
 
     @classmethod
     def of(cls, space: SearchSpace, safe: FloatArray, unsafe: FloatArray) -> Self:
-        """Return pairs of which nothing was taken back yet, from their sides of shape ``(n, d)``."""
+        """Return pairs of which nothing was reverted yet, from their sides of shape ``(n, d)``."""
         steps = Steps(space)
         nothing = frozen_array(np.zeros((len(safe), len(steps.units)), np.bool_), np.bool_)
         return cls(
@@ -108,7 +116,7 @@ class Reductions:
         return None
 
     def is_minimal(self, pair: int) -> bool:
-        """Return whether none of the differences of a pair can be taken back."""
+        """Return whether none of the differences of a pair can be reverted."""
         units = self.steps.differing(self.safe[pair], self.unsafe[pair])
         open_units = [self.steps.units.index(unit) for unit in units]
         return self.trial(pair) is None and not self.failed[pair, open_units].any()
@@ -117,7 +125,7 @@ class Reductions:
         """Return whether nothing is left to try, but a simulation that would have told failed."""
         return self.trial(pair) is None and not self.is_minimal(pair)
 
-    def told(self, trials: Sequence[Trial], unsafe: Sequence[bool | None]) -> Self:
+    def after(self, trials: Sequence[Trial], unsafe: Sequence[bool | None]) -> Self:
         """Return the pairs after trials.
 
         Args:
@@ -181,11 +189,11 @@ class Reduced:
     tried: tuple[int, ...]
 
 
-def replayed(reductions: Reductions, verdicts: Mapping[int, bool | None], budget: int) -> Reduced:
+def replay(reductions: Reductions, verdicts: Mapping[int, bool | None], budget: int) -> Reduced:
     """Return how far a campaign is, from the verdicts of its candidates.
 
     Args:
-        reductions: The pairs before anything was taken back.
+        reductions: The pairs before anything was reverted.
         verdicts: Whether each evaluated candidate was unsafe, by number; None for one that failed.
         budget: The campaign's budget.
     """
@@ -196,12 +204,12 @@ def replayed(reductions: Reductions, verdicts: Mapping[int, bool | None], budget
         numbers = range(number, number + len(trials))
         if any(one not in verdicts for one in numbers):
             break
-        told = [verdicts[one] for one in numbers]
-        for trial, one, unsafe in zip(trials, numbers, told, strict=True):
+        known = [verdicts[one] for one in numbers]
+        for trial, one, unsafe in zip(trials, numbers, known, strict=True):
             tried[trial.pair] += 1
             if unsafe:
                 latest[trial.pair] = one
-        reductions = reductions.told(trials, told)
+        reductions = reductions.after(trials, known)
         number += len(trials)
     return Reduced(reductions=reductions, latest=tuple(latest), tried=tuple(tried))
 
@@ -228,7 +236,9 @@ class Minimise(LedgerAlgorithm[MinimiseConfig, MinimiseState]):
     """The reduction of pairs to the differences that matter."""
 
     id = "minimise@1"
-    summary = "No search: takes the differences of given pairs back one by one, as long as the unsafe side is unsafe."
+    summary = (
+        "No search: reverts the differences of given pairs one by one, as long as the unsafe side is unsafe."
+    )
     config_type = MinimiseConfig
 
     def _min_budget(self, space: SearchSpace, config: MinimiseConfig) -> int:
@@ -237,17 +247,9 @@ class Minimise(LedgerAlgorithm[MinimiseConfig, MinimiseState]):
                 "unsafe",
                 f"expected as many as safe ones and at least one, got {len(config.unsafe)} for {len(config.safe)}",
             )
-        if len(config.seed_numbers) not in (0, len(config.safe)) or min(config.seed_numbers, default=0) < 0:
-            raise ConfigError(
-                "seed_numbers",
-                f"expected a number >= 0 for each of {len(config.safe)} pairs, or none, got {config.seed_numbers}",
-            )
-        for name, rows in (("safe", config.safe), ("unsafe", config.unsafe)):
-            for place, row in enumerate(rows):
-                try:
-                    space.check(space.split(np.asarray(row, np.float64)))
-                except SpaceError as error:
-                    raise ConfigError(name, f"row {place}: {error}") from None
+        check_seed_numbers(config.seed_numbers, len(config.safe), "pairs")
+        check_given_rows(space, "safe", config.safe)
+        check_given_rows(space, "unsafe", config.unsafe)
         if not _given(space, config).trials():
             raise ConfigError(
                 "unsafe", "expected a pair that differs in more than one unit: these are minimal"
@@ -266,7 +268,7 @@ class Minimise(LedgerAlgorithm[MinimiseConfig, MinimiseState]):
             for candidate in pending
         ]
         trials = state.reductions.trials()[: len(pending)]
-        reductions = state.reductions.told(trials, verdicts)
+        reductions = state.reductions.after(trials, verdicts)
         return _planned(replace(state, ledger=ledger, reductions=reductions))
 
     def _content(self, state: MinimiseState) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -16,9 +16,16 @@ from enum import StrEnum
 import numpy as np
 
 from brink.search.algorithm import Evaluation
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState
+from brink.search.algorithms.ledger import (
+    BoundaryConfig,
+    Ledger,
+    LedgerAlgorithm,
+    LedgerState,
+    check_given_rows,
+    check_seed_numbers,
+)
 from brink.search.document import Document
-from brink.search.errors import ConfigError, SpaceError
+from brink.search.errors import ConfigError
 from brink.search.fitness import Z_95, fitness_of_interval, wilson_interval
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, SearchSpace
@@ -66,18 +73,9 @@ class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):
     def _min_budget(self, space: SearchSpace, config: RepeatsConfig) -> int:
         if not config.solutions:
             raise ConfigError("solutions", "expected at least one solution, as a row of its numbers")
-        for place, row in enumerate(config.solutions):
-            try:
-                space.check(space.split(np.asarray(row, np.float64)))
-            except SpaceError as error:
-                raise ConfigError("solutions", f"row {place}: {error}") from None
-        count = len(config.solutions)
-        if len(config.seed_numbers) not in (0, count) or min(config.seed_numbers, default=0) < 0:
-            raise ConfigError(
-                "seed_numbers",
-                f"expected a number >= 0 for each of {count} solutions, or none, got {config.seed_numbers}",
-            )
-        return count
+        check_given_rows(space, "solutions", config.solutions)
+        check_seed_numbers(config.seed_numbers, len(config.solutions), "solutions")
+        return len(config.solutions)
 
     def check(self, space: SearchSpace, config: RepeatsConfig, *, budget: int) -> None:
         """Check that the algorithm can run with these arguments; see `LedgerAlgorithm.check`."""

@@ -16,16 +16,21 @@ SAFE_AT_MOST: Final = 0.2
 """Largest unsafe share of the safe side of a confirmed pair."""
 UNSAFE_AT_LEAST: Final = 0.8
 """Smallest unsafe share of the unsafe side of a confirmed pair."""
-LEAST_DRIVES: Final = 5
+LEAST_DRIVES: Final = 10
 """Simulations of each side without which nothing is said."""
 
 
 class Confirmation(StrEnum):
-    """What simulations with other seeds say of a pair."""
+    """What simulations with other seeds say of a pair.
+
+    One that is not confirmed is not refuted: with few drives, the interval of a side may well reach the limit.
+    """
 
     CONFIRMED = "confirmed"
     NOT_CONFIRMED = "not confirmed"
     TOO_FEW = "too few drives"
+    PENDING = "pending"
+    """Too few drives so far, but more are being simulated."""
     NOT_TRIED = "not tried"
 
 
@@ -57,8 +62,16 @@ class Share:
         return self.unsafe / self.evaluated if self.evaluated else None
 
 
-def confirmation_of(safe: Share, unsafe: Share) -> Confirmation:
-    """Return what the simulations of both sides of a pair with other seeds say of it."""
+def confirmation_of(safe: Share, unsafe: Share, *, pending: bool = False) -> Confirmation:
+    """Return what the simulations of both sides of a pair with other seeds say of it.
+
+    Args:
+        safe: How often the safe side was unsafe.
+        unsafe: How often the unsafe side was.
+        pending: Whether the sides that have too few drives are being simulated again.
+    """
+    if pending and min(safe.evaluated, unsafe.evaluated) < LEAST_DRIVES:
+        return Confirmation.PENDING
     if not safe.evaluated and not unsafe.evaluated:
         return Confirmation.NOT_TRIED
     if min(safe.evaluated, unsafe.evaluated) < LEAST_DRIVES:

@@ -34,7 +34,7 @@ class ConfirmationView(View):
         Confirmation,
         Field(
             description="Confirmed if the safe side was unsafe in at most 20% and the unsafe side in at least 80% of "
-            "the simulations with other seeds, at least five each."
+            f"the simulations with other seeds, at least {LEAST_DRIVES} each. Pending while follow-ups simulate more."
         ),
     ]
     safe: ShareView
@@ -83,15 +83,18 @@ class Minimality(StrEnum):
 
     MINIMAL = "minimal"
     NOT_MINIMAL = "not minimal"
-    """Some of the differences can be taken back."""
+    """Some of the differences can be reverted."""
     UNDECIDED = "undecided"
     """Some simulations failed."""
+    DIFFERENT_SEEDS = "different seeds"
+    """The sides were simulated with different episode seeds, so chance may decide rather than a difference."""
     PENDING = "pending"
     NOT_TRIED = "not tried"
+    """Not tried, or not to the end."""
 
 
 class MinimisedView(View):
-    """The unsafe side after differences were taken back, simulated with the episode seed of the unsafe side."""
+    """The unsafe side after differences were reverted, simulated with the episode seed of the unsafe side."""
 
     number: Annotated[int, Field(description="Number of the solution in the campaign of the follow-up.")]
     robustness: float | None
@@ -149,8 +152,7 @@ class PairView(View):
     change: Annotated[str, Field(description="The change, in words.")]
     distance: float
     checked: Annotated[
-        bool,
-        Field(description="Whether both sides kept their verdicts in a further simulation of the search."),
+        bool, Field(description="Whether both sides kept their verdicts with another seed during the search.")
     ]
     same_seed: Annotated[
         bool,
@@ -193,6 +195,12 @@ class FollowUpOffer(View):
         int, Field(description="Simulations that it takes: to confirm, in each repeat; to minimise, at most.")
     ]
     reason: Annotated[str, Field(description="Why it cannot be asked; empty if it can.")]
+    left_out: Annotated[
+        int,
+        Field(
+            description="Pairs that are not asked about, because their sides were simulated with different seeds."
+        ),
+    ] = 0
 
 
 class FollowUpBody(Body):
@@ -202,7 +210,7 @@ class FollowUpBody(Body):
         Literal["confirm", "component", "minimise"],
         Field(
             description="confirm: simulate both sides with other seeds. component: simulate the unsafe side with "
-            "ground truth in place of the component. minimise: take differences back one by one."
+            "ground truth in place of the component. minimise: revert differences one by one."
         ),
     ]
     repeats: Annotated[
@@ -256,11 +264,18 @@ class PairsView(View):
     distinct: Annotated[int, Field(description="Distinct pairs.")]
     checked: Annotated[int, Field(description="Distinct pairs that are checked.")]
     tried: Annotated[
-        int, Field(description="Distinct pairs of which a side was simulated again with other seeds.")
+        int,
+        Field(
+            description="Distinct pairs of which a side was simulated again with other seeds, without pending ones."
+        ),
+    ]
+    pending: Annotated[
+        int,
+        Field(description="Distinct pairs that are being simulated again and have too few drives so far."),
     ]
     confirmed: Annotated[int, Field(description="Distinct pairs that are confirmed.")]
     not_confirmed: Annotated[
-        int, Field(description="Distinct pairs that simulations with other seeds refuted.")
+        int, Field(description="Distinct pairs that simulations with other seeds did not confirm.")
     ]
     component: Annotated[
         int,

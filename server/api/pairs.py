@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -10,8 +10,8 @@ import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection, Row
 
-from brink.search.algorithms.minimise import Reduced, Reductions, most_trials
-from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
+from brink.search.algorithms.minimise import Reduced, Reductions
+from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
 from brink.search.analysis.pairs import Pair, Side
 from brink.search.features import Unit
 from brink.server.api.boundary_table import Cell, table_bytes
@@ -41,11 +41,11 @@ from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups import (
     MOST_PAIRS_FOLLOWED,
+    has_one_seed,
     plan_component,
     plan_minimisation,
     read_reduced,
     read_seeds,
-    reducible,
     sides_of,
 )
 from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
@@ -64,7 +64,7 @@ from brink.server.problems.base import (
     activity_of,
     describe_candidate,
 )
-from brink.server.problems.changes import Change, change_words, changes_between
+from brink.server.problems.changes import Change, as_sentence, change_words, changes_between
 from brink.server.states import CampaignStatus, SolutionVerdict
 from brink.sim.verdict import drives_held, unsafe_words
 
@@ -128,10 +128,13 @@ async def follow_up_pairs(
 ) -> FollowUpView:
     """Simulate sides of the distinct pairs again, as a new campaign, to find out more about them."""
     campaign = await services.campaigns.get(campaign_id)
-    found = await services.archives.get(campaign)
-    pairs = await services.pairs.get(campaign, found, PairSettings.of(found.plan, body.eps, body.d_th))
     if campaign.status not in ENDED:
         raise Conflict(f"campaign {campaign.id} is {campaign.status}: wait until it has ended")
+    found = await services.archives.get(campaign)
+    try:
+        pairs = await services.pairs.get(campaign, found, PairSettings.of(found.plan, body.eps, body.d_th))
+    except InvalidInput as error:  # it points at the parameter of the other route
+        raise InvalidInput.at("/eps", error.errors[0].message) from None
     chosen = pairs.found.pairs[: body.limit]
     if not chosen:
         raise Conflict(
@@ -180,12 +183,13 @@ def pairs_view(
     numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
     some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers | some)}
-    evidence = _Evidence.read(connection, found, stored)
-    states = [evidence.confirmation(pair).state for pair in pairs.found.pairs]
+    evidence = _Evidence.read(connection, found, pairs, stored)
+    states = [evidence.confirmation_state(pair) for pair in pairs.found.pairs]
     parts = [evidence.component(pair).state for pair in pairs.found.pairs]
     deciding = _deciding(problem, next(iter(rows.values()), None))
     counts = {
-        "tried": len(states) - states.count(Confirmation.NOT_TRIED),
+        "tried": sum(state not in (Confirmation.NOT_TRIED, Confirmation.PENDING) for state in states),
+        "pending": states.count(Confirmation.PENDING),
         "confirmed": states.count(Confirmation.CONFIRMED),
         "not_confirmed": states.count(Confirmation.NOT_CONFIRMED),
         "component": parts.count(ComponentPart.COMPONENT),
@@ -205,8 +209,8 @@ def pairs_view(
         ),
         follow_ups=[_follow_up(one) for one in stored],
         offers=[
-            FollowUpOffer(kind=kind, simulations=simulations, reason=reason)
-            for kind, (simulations, reason) in _offers(campaign, found, pairs, stored).items()
+            FollowUpOffer(kind=kind, simulations=simulations, reason=reason, left_out=left_out)
+            for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
         ],
         pairs=[
             _pair(place, pair, problem, rows, evidence) for place, pair in enumerate(shown, start=1)
@@ -224,13 +228,15 @@ def _follow_up(stored: StoredRepeats) -> FollowUpView:
 
 def _offers(
     campaign: Campaign, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredRepeats]
-) -> dict[FollowUpKind, tuple[int, str]]:
-    """Return how many simulations each kind of follow-up takes, and why it cannot be asked, if it cannot."""
+) -> dict[FollowUpKind, tuple[int, str, int]]:
+    """Return how many simulations each kind of follow-up takes, why it cannot be asked, and how many are left out."""
     chosen = pairs.found.pairs[:MOST_PAIRS_FOLLOWED]
     if campaign.status not in ENDED:
-        return dict.fromkeys(FollowUpKind, (0, f"the campaign is {campaign.status}: wait until it has ended"))
+        return dict.fromkeys(
+            FollowUpKind, (0, f"the campaign is {campaign.status}: wait until it has ended", 0)
+        )
     if not chosen:
-        return dict.fromkeys(FollowUpKind, (0, "there is no pair"))
+        return dict.fromkeys(FollowUpKind, (0, "there is no pair", 0))
     answered: dict[FollowUpKind, set[tuple[int, ...]]] = {kind: set() for kind in FollowUpKind}
     for one in stored:
         if one.campaign.status is CampaignStatus.FINISHED:
@@ -238,24 +244,28 @@ def _offers(
             single = ((number,) for number in one.numbers)
             answered[one.kind].update(paired if one.kind is FollowUpKind.MINIMISE else single)
     unsafe = {(pair.unsafe.number,) for pair in chosen}
-    open_pairs, reductions = reducible(found.plan, found.archive, chosen)
+    open_pairs = {(pair.safe.number, pair.unsafe.number) for pair in chosen} & pairs.reducible
     truth, less = "", ""
     if unsafe <= answered[FollowUpKind.COMPONENT]:
         truth = "all unsafe sides have been simulated with ground truth"
-    if not open_pairs:
-        less = "no difference can be taken back alone: all pairs are minimal"
-    elif {(pair.safe.number, pair.unsafe.number) for pair in open_pairs} <= answered[FollowUpKind.MINIMISE]:
-        less = "the differences of all pairs have been taken back one by one"
+    same_seed = [pair for pair in chosen if has_one_seed(found.plan, pair)]
+    if not same_seed:
+        less = "both sides of every pair were simulated with different seeds: chance may decide between them"
+    elif not open_pairs:
+        less = "no difference can be reverted alone: all pairs are minimal"
+    elif open_pairs <= answered[FollowUpKind.MINIMISE]:
+        less = "the differences of all pairs have been reverted one by one"
     offers = {
-        FollowUpKind.CONFIRM: (len(sides_of(chosen)), _refusal(lambda: check_repeatable(found.plan))),
-        FollowUpKind.COMPONENT: (len(unsafe), _refusal(lambda: with_truth(found.plan.problem)) or truth),
-        FollowUpKind.MINIMISE: (most_trials(reductions), less),
+        FollowUpKind.CONFIRM: (len(sides_of(chosen)), _refusal(lambda: check_repeatable(found.plan)), 0),
+        FollowUpKind.COMPONENT: (len(unsafe), _refusal(lambda: with_truth(found.plan.problem)) or truth, 0),
+        FollowUpKind.MINIMISE: (pairs.most_trials, less, len(chosen) - len(same_seed)),
     }
     for one in stored:
-        if one.campaign.status not in ENDED:
+        if one.campaign.status not in ENDED and not one.boundary:
             offers[one.kind] = (
                 0,
                 f"this has been requested: campaign {one.campaign.id} is {one.campaign.status}",
+                0,
             )
     return offers
 
@@ -279,10 +289,10 @@ def _pair(
         for side, solution in ((pair.safe, safe), (pair.unsafe, unsafe))
     ]
     return PairView(
-        place=place, words=f"{_sentence(change)}: {sides[1].outcome}", change=change, distance=pair.distance,
-        checked=pair.checked, same_seed=sides[0].seed == sides[1].seed,
+        place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change, distance=pair.distance,
+        checked=pair.checked, same_seed=pair.same_seed,
         confirmation=evidence.confirmation(pair), component=evidence.component(pair),
-        minimality=evidence.minimality(pair, safe, unsafe), changes=changes, safe=sides[0], unsafe=sides[1],
+        minimality=evidence.minimality(pair, safe), changes=changes, safe=sides[0], unsafe=sides[1],
     )  # fmt: skip
 
 
@@ -296,7 +306,7 @@ def _changes(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Reduction:
-    """A follow-up that takes differences back.
+    """A follow-up that reverts differences.
 
     Attributes:
         stored: The follow-up.
@@ -320,23 +330,30 @@ class _Evidence:
 
     Attributes:
         plan: The campaign's plan.
+        pairs: The campaign's pairs.
         shares: How often each repeated solution was unsafe with other seeds, by number.
+        repeated: Numbers of the solutions that are being simulated again.
         truths: The drive of each solution with ground truth, by number.
-        reductions: The follow-up that takes the differences of a pair back, and its place there, by its two numbers.
+        reductions: The follow-up that reverts the differences of a pair, and its place there, by its two numbers.
     """
 
     plan: Plan
+    pairs: CampaignPairs
     shares: Mapping[int, Share]
+    repeated: Collection[int]
     truths: Mapping[int, ComponentView]
     reductions: Mapping[tuple[int, int], tuple[_Reduction, int]]
 
     @classmethod
-    def read(cls, connection: Connection, found: ReadArchive, stored: Sequence[StoredRepeats]) -> Self:
+    def read(
+        cls, connection: Connection, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredRepeats]
+    ) -> Self:
         """Read what follow-ups have shown.
 
         Args:
             connection: Read connection.
             found: The campaign's archive.
+            pairs: The campaign's pairs.
             stored: Its follow-ups, oldest first.
         """
         of_kind = {kind: [one for one in stored if one.kind is kind] for kind in FollowUpKind}
@@ -357,29 +374,49 @@ class _Evidence:
                     reductions[pair] = reduction, place
         return cls(
             plan=found.plan,
-            shares=shares_of(of_kind[FollowUpKind.CONFIRM], found.plan.neighbourhood.z),
+            pairs=pairs,
+            shares=shares_of(of_kind[FollowUpKind.CONFIRM]),
+            repeated={
+                number
+                for one in of_kind[FollowUpKind.CONFIRM]
+                if one.campaign.status not in ENDED
+                for number in one.numbers
+            },
             truths=truths, reductions=reductions,
         )  # fmt: skip
 
     def confirmation(self, pair: Pair) -> ConfirmationView:
         """Return whether both sides of a pair keep their verdicts with other seeds."""
-        none = Share.of(0, 0)
-        safe, unsafe = (self.shares.get(side.number, none) for side in (pair.safe, pair.unsafe))
+        safe, unsafe = self._shares_of(pair)
         return ConfirmationView(
-            state=confirmation_of(safe, unsafe), safe=_share(safe), unsafe=_share(unsafe)
+            state=self.confirmation_state(pair), safe=_share(safe), unsafe=_share(unsafe)
         )  # fmt: skip
+
+    def confirmation_state(self, pair: Pair) -> Confirmation:
+        """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
+        shares = self._shares_of(pair)
+        numbers = (pair.safe.number, pair.unsafe.number)
+        pending = all(
+            number in self.repeated or share.evaluated >= LEAST_DRIVES
+            for number, share in zip(numbers, shares, strict=True)
+        )
+        return confirmation_of(*shares, pending=pending)
+
+    def _shares_of(self, pair: Pair) -> tuple[Share, Share]:
+        none = Share.of(0, 0)
+        return self.shares.get(pair.safe.number, none), self.shares.get(pair.unsafe.number, none)
 
     def component(self, pair: Pair) -> ComponentView:
         """Return whether the scenario alone is to blame for the unsafe side of a pair."""
         return self.truths.get(pair.unsafe.number) or ComponentView(state=ComponentPart.NOT_TRIED)
 
-    def minimality(self, pair: Pair, safe: SimulatedSolution, unsafe: SimulatedSolution) -> MinimalityView:
+    def minimality(self, pair: Pair, safe: SimulatedSolution) -> MinimalityView:
         """Return whether every difference between the sides of a pair matters."""
+        if not has_one_seed(self.plan, pair):
+            return MinimalityView(state=Minimality.DIFFERENT_SEEDS)
         known = self.reductions.get((pair.safe.number, pair.unsafe.number))
         if known is None:
-            space = self.plan.problem.space
-            sides = (space.join(tuple(side.vectors))[None] for side in (safe, unsafe))
-            untried = not Reductions.of(space, *sides).is_minimal(0)
+            untried = (pair.safe.number, pair.unsafe.number) in self.pairs.reducible
             return MinimalityView(state=Minimality.NOT_TRIED if untried else Minimality.MINIMAL)
         reduction, place = known
         reduced, ended = reduction.reduced, reduction.stored.campaign.status in ENDED
@@ -389,8 +426,10 @@ class _Evidence:
             state = Minimality.NOT_MINIMAL
         elif minimal:
             state = Minimality.MINIMAL
+        elif pairs.is_undecided(place):
+            state = Minimality.UNDECIDED
         else:
-            state = Minimality.UNDECIDED if ended or pairs.is_undecided(place) else Minimality.PENDING
+            state = Minimality.NOT_TRIED if ended else Minimality.PENDING
         return MinimalityView(
             state=state, campaign=reduction.stored.campaign.id, tried=reduced.tried[place],
             unsafe=None if latest is None else self._minimised(reduction.rows[latest], pairs, place, safe),
@@ -414,7 +453,10 @@ _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
 
 
 def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, ComponentView]:
-    """Return what the drives of a follow-up with ground truth showed, by number of the solution in the campaign."""
+    """Return what the drives of a follow-up with ground truth showed, by number of the solution in the campaign.
+
+    Those that were never simulated, because the follow-up was cancelled, are left out.
+    """
     problem = make_plan(stored.campaign.body).problem
     rows = {
         row.number: row
@@ -431,17 +473,13 @@ def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, Componen
                 campaign=stored.campaign.id, number=place, robustness=row.robustness,
                 outcome=_outcome(problem, row).words(),
             )  # fmt: skip
-        else:
-            open_still = verdict != SolutionVerdict.FAILED and stored.campaign.status not in ENDED
+        elif verdict == SolutionVerdict.FAILED or stored.campaign.status not in ENDED:
+            failed = verdict == SolutionVerdict.FAILED
             found[number] = ComponentView(
-                state=ComponentPart.PENDING if open_still else ComponentPart.FAILED,
+                state=ComponentPart.FAILED if failed else ComponentPart.PENDING,
                 campaign=stored.campaign.id, number=place,
             )  # fmt: skip
     return found
-
-
-def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _change(change: Change) -> ChangeView:
@@ -526,6 +564,8 @@ def _result_words(
                 f"; of {counts['tried']:,} simulated again with other seeds, {counts['confirmed']:,} confirmed and "
                 f"{counts['not_confirmed']:,} not confirmed"
             )
+        if counts["pending"]:
+            words += f"; {counts['pending']:,} being simulated again"
         if blamed := counts["component"] + counts["scenario"]:
             held, violated = (
                 (drives_held(deciding), unsafe_words(deciding)) if deciding else ("is safe", "is unsafe")

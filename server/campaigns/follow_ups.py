@@ -5,7 +5,6 @@ each candidate the number of the solution whose episode seed it shares.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
@@ -16,7 +15,7 @@ from brink.search.algorithms.minimise import (
     Reduced,
     Reductions,
     most_trials,
-    replayed,
+    replay,
 )
 from brink.search.algorithms.repeats import Repeats
 from brink.search.analysis.pairs import Pair
@@ -24,7 +23,6 @@ from brink.search.archive import Archive
 from brink.search.space import FloatArray
 from brink.search.streams import episode_seed
 from brink.server.campaigns import view_store
-from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
 from brink.server.campaigns.plan import Plan, prepare_campaign, with_truth
 from brink.server.campaigns.repeats import (
     EVERY_D_TH,
@@ -34,13 +32,14 @@ from brink.server.campaigns.repeats import (
     SINGLE,
     PlannedRepeats,
     StoredRepeats,
+    follow_up_body,
 )
 from brink.server.campaigns.store import Campaign
 from brink.server.errors import Conflict
+from brink.server.problems.base import InProcessProblem
 
 MOST_PAIRS_FOLLOWED = MOST // 2
 """Maximum number of pairs in a follow-up, checked ones first."""
-_NAME_LENGTH = 200
 
 
 def sides_of(pairs: Sequence[Pair]) -> list[int]:
@@ -70,7 +69,7 @@ def plan_component(
     return PlannedRepeats(
         of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=SINGLE, numbers=tuple(numbers),
         campaign=prepare_campaign(
-            _body(
+            follow_up_body(
                 campaign, plan, f"{len(numbers)} unsafe drives with ground truth", Repeats.id, len(numbers),
                 {"solutions": rows.tolist(), "seed_numbers": _seed_numbers(campaign, numbers, seeds)},
             ).model_copy(update={"ground_truth": True}),
@@ -91,14 +90,21 @@ def plan_minimisation(
         pairs: At least one pair.
         seeds: Episode seed of each unsafe side, by number.
 
+    Pairs whose sides were simulated with different seeds are left out: if the safe side is unsafe under the seed of
+    the unsafe side, chance decides, and no difference matters.
+
     Raises:
-        Conflict: All pairs differ in one unit, or an episode seed is not one of the campaign.
+        Conflict: No difference can be reverted, or an episode seed is not one of the campaign.
     """
+    if not any(has_one_seed(plan, pair) for pair in pairs):
+        raise Conflict(
+            f"campaign {campaign.id}: both sides of each of its {len(pairs)} pairs were simulated with different "
+            "seeds, so chance may decide between them: differences are reverted only where both sides had one seed"
+        )
     open_pairs, reduced = reducible(plan, archive, pairs)
     if not open_pairs:
         raise Conflict(
-            f"campaign {campaign.id}: none of the differences of its {len(pairs)} pairs can be taken back alone: "
-            "they are minimal"
+            f"campaign {campaign.id}: none of the differences of its pairs can be reverted alone: they are minimal"
         )
     numbers = [number for pair in open_pairs for number in (pair.safe.number, pair.unsafe.number)]
     params = {
@@ -109,7 +115,7 @@ def plan_minimisation(
     return PlannedRepeats(
         of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=REDUCTION, numbers=tuple(numbers),
         campaign=prepare_campaign(
-            _body(
+            follow_up_body(
                 campaign, plan, f"{len(open_pairs)} pairs minimised", Minimise.id, most_trials(reduced), params
             ),
             llm_endpoints="",
@@ -117,9 +123,17 @@ def plan_minimisation(
     )  # fmt: skip
 
 
+def has_one_seed(plan: Plan, pair: Pair) -> bool:
+    """Return whether only the differences between the sides of a pair can explain their verdicts, not the seeds."""
+    return pair.same_seed or isinstance(plan.problem, InProcessProblem)
+
+
 def reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> tuple[list[Pair], Reductions]:
-    """Return the pairs of which a difference can be taken back, and their reductions before the first trial."""
-    space = plan.problem.space
+    """Return the pairs of which a difference can be reverted, and their reductions before the first trial.
+
+    The sides of these pairs were simulated with one seed.
+    """
+    space, pairs = plan.problem.space, [pair for pair in pairs if has_one_seed(plan, pair)]
     safe, unsafe = (
         _rows(archive, numbers)
         for numbers in ([pair.safe.number for pair in pairs], [pair.unsafe.number for pair in pairs])
@@ -132,24 +146,6 @@ def _rows(archive: Archive, numbers: Sequence[int]) -> FloatArray:
     places = {number: place for place, number in enumerate(archive.numbers.tolist())}
     rows: FloatArray = archive.vectors[[places[number] for number in numbers]]
     return rows
-
-
-def _body(
-    campaign: Campaign, plan: Plan, what: str, algorithm: str, simulations: int, params: Mapping[str, Any]
-) -> CampaignBody:
-    body, near = campaign.body, plan.neighbourhood
-    return CampaignBody(
-        name=f"{body.name[: _NAME_LENGTH - len(what) - 2]}: {what}",
-        problem=body.problem,
-        algorithm=PluginChoice(
-            id=algorithm, params={**params, "radius": near.radius, "p_th": near.p_th, "z": near.z}
-        ),
-        budget=Budget(simulations=simulations),
-        seed=body.seed,
-        priority=body.priority,
-        ground_truth=body.ground_truth,
-        execution=body.execution.model_copy(update={"keep_traces": 0}),
-    )
 
 
 def _seed_numbers(campaign: Campaign, numbers: Sequence[int], seeds: Mapping[int, int]) -> list[int]:
@@ -191,4 +187,4 @@ def read_reduced(connection: Connection, plan: Plan, stored: StoredRepeats) -> R
     )
     verdicts: dict[int, bool | None] = dict(zip(stored.evaluated, stored.unsafe, strict=True))
     failed = view_store.read_failed(connection, stored.campaign.id)
-    return replayed(given, verdicts | dict.fromkeys(failed), stored.campaign.budget)
+    return replay(given, verdicts | dict.fromkeys(failed), stored.campaign.budget)

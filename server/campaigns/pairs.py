@@ -9,22 +9,32 @@ from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 from typing import Final
 
+import numpy as np
+
+from brink.search.algorithms.edge import Edge
+from brink.search.algorithms.minimise import most_trials
 from brink.search.analysis.confirmation import Share
 from brink.search.analysis.pairs import FoundPairs, Opposites, find_pairs, nearest_opposites
-from brink.search.fitness import Z_95
+from brink.search.archive import Archive
+from brink.search.errors import TooManyPairs
+from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import CACHED, ReadArchive
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
+from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, reducible
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.repeats import StoredRepeats
+from brink.server.campaigns.repeats import MOST, StoredRepeats
 from brink.server.campaigns.store import Campaign
+from brink.server.db.engine import Engines
+from brink.server.errors import InvalidInput
 from brink.server.single_flight import SingleFlightCache
 
-_SEARCHES_FOR_PAIRS: Final = "edge@1"
+MOST_PENDING: Final = 4
+"""Maximum number of archives that are searched for pairs at a time, queued ones included; each takes a while."""
 
 
 def searches_for_pairs(algorithm_id: str) -> bool:
     """Return whether an algorithm searches for pairs; others may find some."""
-    return algorithm_id == _SEARCHES_FOR_PAIRS
+    return algorithm_id == Edge.id
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,11 +67,16 @@ class CampaignPairs:
         settings: Which solutions are a pair, and which pairs are distinct.
         found: The pairs.
         nearest: The nearest solutions with opposite verdicts, if there is no pair.
+        reducible: Of the first `MOST` pairs, those of which a difference can be reverted, by their two numbers.
+        most_trials: Largest number of simulations that reverting the differences of the first `MOST_PAIRS_FOLLOWED`
+            pairs can take.
     """
 
     settings: PairSettings
     found: FoundPairs
     nearest: Opposites | None
+    reducible: frozenset[tuple[int, int]]
+    most_trials: int
 
 
 @dataclass(slots=True)
@@ -69,14 +84,16 @@ class Pairs:
     """A cache of the pairs of campaigns.
 
     Attributes:
+        engines: The database.
         threads: Where pairs are searched for, so that other requests do not wait.
     """
 
+    engines: Engines
     threads: InitVar[Executor]
     _cache: SingleFlightCache[CampaignPairs] = field(init=False)
 
     def __post_init__(self, threads: Executor) -> None:
-        self._cache = SingleFlightCache(CACHED, threads)
+        self._cache = SingleFlightCache(CACHED, threads, MOST_PENDING)
 
     async def get(self, campaign: Campaign, read: ReadArchive, settings: PairSettings) -> CampaignPairs:
         """Return the pairs of a campaign.
@@ -85,25 +102,53 @@ class Pairs:
             campaign: The campaign.
             read: Its archive.
             settings: Which solutions are a pair, and which pairs are distinct.
+
+        Raises:
+            InvalidInput: There are too many pairs.
+            Unavailable: Too many archives are being searched.
         """
         key = (campaign.id, settings)
-        return await self._cache.get(key, read.generation, lambda: _look(read, settings))
+        return await self._cache.get(key, read.generation, lambda: self._find(campaign, read, settings))
+
+    def _find(self, campaign: Campaign, read: ReadArchive, settings: PairSettings) -> CampaignPairs:
+        found = find_stored_pairs(self.engines, campaign.id, read.plan, read.archive, settings)
+        nearest = None if found.tight else nearest_opposites(read.archive, read.plan.problem.space)
+        pairs = found.pairs[:MOST]
+        open_pairs, _ = reducible(read.plan, read.archive, pairs)
+        _, reductions = reducible(read.plan, read.archive, pairs[:MOST_PAIRS_FOLLOWED])
+        return CampaignPairs(
+            settings=settings, found=found, nearest=nearest,
+            reducible=frozenset((pair.safe.number, pair.unsafe.number) for pair in open_pairs),
+            most_trials=most_trials(reductions),
+        )  # fmt: skip
 
 
-def _look(read: ReadArchive, settings: PairSettings) -> CampaignPairs:
-    space = read.plan.problem.space
-    found = find_pairs(read.archive, space, eps=settings.eps, d_th=settings.d_th)
-    nearest = None if found.tight else nearest_opposites(read.archive, space)
-    return CampaignPairs(settings=settings, found=found, nearest=nearest)
-
-
-def shares_of(stored: Sequence[StoredRepeats], z: float = Z_95) -> Mapping[int, Share]:
-    """Return how often each repeated solution was unsafe, over all repeats, by number.
+def find_stored_pairs(
+    engines: Engines, campaign_id: str, plan: Plan, archive: Archive, settings: PairSettings
+) -> FoundPairs:
+    """Find the distinct pairs of a campaign, with the episode seeds of its simulations.
 
     Args:
-        stored: The repeats of a campaign.
-        z: Quantile of the standard normal for the intervals.
+        engines: The database.
+        campaign_id: Id of the campaign.
+        plan: Its plan.
+        archive: Its archive.
+        settings: Which solutions are a pair, and which pairs are distinct.
+
+    Raises:
+        InvalidInput: There are too many pairs.
     """
+    with engines.reader.connect() as connection:
+        stored = view_store.read_seeds(connection, campaign_id)
+    seeds = np.array([stored[number] for number in archive.numbers.tolist()], np.int64)
+    try:
+        return find_pairs(archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th, seeds=seeds)
+    except TooManyPairs as error:
+        raise InvalidInput.at("/query/eps", f"campaign {campaign_id}: {error}") from None
+
+
+def shares_of(stored: Sequence[StoredRepeats]) -> Mapping[int, Share]:
+    """Return how often each repeated solution was unsafe, over all repeats of a campaign, by number."""
     evaluated: Counter[int] = Counter()
     unsafe: Counter[int] = Counter()
     for repeats in stored:
@@ -112,7 +157,7 @@ def shares_of(stored: Sequence[StoredRepeats], z: float = Z_95) -> Mapping[int, 
             number = repeats.numbers[candidate % count]
             evaluated[number] += 1
             unsafe[number] += verdict
-    return {number: Share.of(unsafe[number], evaluated[number], z) for number in evaluated}
+    return {number: Share.of(unsafe[number], evaluated[number]) for number in evaluated}
 
 
 def blames_scenario(stored: Sequence[StoredRepeats]) -> Mapping[int, bool]:

@@ -10,10 +10,10 @@ Other follow-ups ask about pairs of solutions (`brink.server.campaigns.follow_up
 with the number of repeats that `FollowUpKind` states.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,27 +198,36 @@ def _prepare(
     again: str,
 ) -> PreparedCampaign:
     """Prepare the campaign that repeats solutions, given as positions in the archive."""
+    params = {"solutions": archive.vectors[chosen].tolist()}
+    body = follow_up_body(campaign, plan, again, Repeats.id, repeats * len(chosen), params)
+    return prepare_campaign(body.model_copy(update={"seed": seed}), llm_endpoints="")
+
+
+def follow_up_body(
+    campaign: Campaign, plan: Plan, what: str, algorithm: str, simulations: int, params: Mapping[str, Any]
+) -> CampaignBody:
+    """Return the body of a follow-up, with the problem and the seed of its campaign.
+
+    Args:
+        campaign: The campaign.
+        plan: Its plan.
+        what: What the follow-up simulates, in a few words; ends its name.
+        algorithm: Id of its algorithm.
+        simulations: Its budget.
+        params: Settings of its algorithm beside the neighbourhood, which is that of the campaign.
+    """
     body, near = campaign.body, plan.neighbourhood
-    return prepare_campaign(
-        CampaignBody(
-            name=f"{body.name[: _NAME_LENGTH - len(again) - 2]}: {again}",
-            problem=body.problem,
-            algorithm=PluginChoice(
-                id=Repeats.id,
-                params={
-                    "solutions": archive.vectors[chosen].tolist(),
-                    "radius": near.radius,
-                    "p_th": near.p_th,
-                    "z": near.z,
-                },
-            ),
-            budget=Budget(simulations=repeats * len(chosen)),
-            seed=seed,
-            priority=body.priority,
-            ground_truth=body.ground_truth,
-            execution=body.execution.model_copy(update={"keep_traces": 0}),
+    return CampaignBody(
+        name=f"{body.name[: _NAME_LENGTH - len(what) - 2]}: {what}",
+        problem=body.problem,
+        algorithm=PluginChoice(
+            id=algorithm, params={**params, "radius": near.radius, "p_th": near.p_th, "z": near.z}
         ),
-        llm_endpoints="",
+        budget=Budget(simulations=simulations),
+        seed=body.seed,
+        priority=body.priority,
+        ground_truth=body.ground_truth,
+        execution=body.execution.model_copy(update={"keep_traces": 0}),
     )
 
 

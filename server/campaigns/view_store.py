@@ -168,6 +168,12 @@ def read_results(connection: Connection, campaign_id: str) -> dict[int, str | No
     return {row.number: row.result for row in connection.execute(query)}
 
 
+def read_seeds(connection: Connection, campaign_id: str) -> dict[int, int]:
+    """Return the episode seeds of all solutions of a campaign, by number."""
+    query = select(SolutionRow.number, SolutionRow.seed).where(SolutionRow.campaign_id == campaign_id)
+    return {row.number: row.seed for row in connection.execute(query)}
+
+
 def read_failed(connection: Connection, campaign_id: str) -> list[int]:
     """Return the numbers of the solutions of a campaign that have no verdict because their simulations failed."""
     query = select(SolutionRow.number).where(

@@ -66,7 +66,7 @@ class PairsChoice(Body):
         int,
         Field(
             ge=0, le=10_000,
-            description="Simulations of each side of each distinct pair with other seeds: none, or at least 5.",
+            description="Simulations of each side of each distinct pair with other seeds: none, or at least 10.",
         ),
     ] = 0  # fmt: skip
     component: Annotated[

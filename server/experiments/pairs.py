@@ -13,9 +13,8 @@ from sqlalchemy import Connection
 
 from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.search.analysis.pair_comparison import DistinctPair, PairCounts, PairRepeat
-from brink.search.analysis.pairs import find_pairs
 from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.pairs import PairSettings, blames_scenario, shares_of
+from brink.server.campaigns.pairs import PairSettings, blames_scenario, find_stored_pairs, shares_of
 from brink.server.campaigns.plan import check_repeatable, make_plan, with_truth
 from brink.server.campaigns.repeats import FollowUpKind, read_follow_ups
 from brink.server.campaigns.store import ENDED, Campaign
@@ -126,7 +125,7 @@ class PairCache:
 
     def _find(self, campaign: Campaign, settings: PairSettings) -> _Found:
         plan, _, archive = self.archives.stored(campaign)
-        found = find_pairs(archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th)
+        found = find_stored_pairs(self.engines, campaign.id, plan, archive, settings)
         return _Found(
             pairs=tuple(
                 DistinctPair(safe=pair.safe.number, unsafe=pair.unsafe.number, checked=pair.checked)

@@ -264,7 +264,8 @@ def activity_of(problem: Problem, vectors: Vectors, result: Mapping[str, Any] | 
     """Return which parameters of a solution had a part in its episode, and the values that they had there.
 
     This is the only place that decides so. Words, tables, plots, rules and the differences between two drives use
-    it; compare two drives by their `Activity.effective` values where either is active.
+    it. Where a parameter is active in either of two drives, compare its values as chosen, not `Activity.effective`:
+    two boxes that the end of the drive cuts off end at the same step, but move at different speeds.
 
     Args:
         problem: The solution's problem.

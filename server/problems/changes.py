@@ -103,6 +103,11 @@ def change_words(
     return words or ", ".join(change.words for change in shown)
 
 
+def as_sentence(words: str) -> str:
+    """Return words with a capital letter at the beginning."""
+    return words[:1].upper() + words[1:]
+
+
 def _values(safe: Value, unsafe: Value, unit: str) -> str:
     old, new = different(safe, unsafe)
     suffix = f" {unit}" if unit else ""

@@ -18,7 +18,7 @@ from brink.server.problems.urban_injected import SIMULATOR
 API = "/api/v1/experiments"
 FINDS = {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE]}}
 FINDS_NOTHING = {"id": "repeat@1", "params": {"solutions": [SAFE, ICY_SAFE, SAFE, ICY_SAFE]}}
-PAIRS = {"d_th": 0.01, "confirm": 5, "component": True}
+PAIRS = {"d_th": 0.01, "confirm": 10, "component": True}
 
 
 def experiment(**changes: Any) -> dict[str, Any]:
@@ -80,15 +80,15 @@ def test_pairs_are_counted_and_compared_once_they_are_tried(client: httpx.Client
     assert duel["measure"] == "distinct"
     assert "none of them was simulated again" in before["problems"][0]["says"]
 
-    follow_up(client, before, kind="confirm", repeats=5)
+    follow_up(client, before, kind="confirm", repeats=10)
     follow_up(client, before, kind="component")
     progress = expect(client.get(f"{API}/{name}/follow-ups"))
-    assert (progress["status"], progress["campaigns"], progress["budget"]) == ("running", 8, 4 * (20 + 2))
+    assert (progress["status"], progress["campaigns"], progress["budget"]) == ("running", 8, 4 * (40 + 2))
     running = pairs_of(client, name)
     assert {repeat["tried"] for repeat in running["repeats"]} == {0}, "only what has ended counts"
     work(client)
     progress = expect(client.get(f"{API}/{name}/follow-ups"))
-    assert (progress["status"], progress["finished"], progress["simulations"]) == ("finished", 8, 88)
+    assert (progress["status"], progress["finished"], progress["simulations"]) == ("finished", 8, 168)
     after = results_of(client, name)["pairs"]
     assert after == pairs_of(client, name)
     [finds, other] = after["standings"]
@@ -103,7 +103,7 @@ def test_pairs_are_counted_and_compared_once_they_are_tried(client: httpx.Client
     assert after["problems"][0]["says"] == "Compared on confirmed distinct pairs."
     first = after["repeats"][0]
     assert {key: first[key] for key in ("distinct", "checked", "tried", "decided", "confirmed", "drives")} == {
-        "distinct": 2, "checked": 0, "tried": 2, "decided": 2, "confirmed": 2, "drives": 5,
+        "distinct": 2, "checked": 0, "tried": 2, "decided": 2, "confirmed": 2, "drives": 10,
     }  # fmt: skip
     one = expect(client.get(f"/api/v1/campaigns/{first['campaign']}/pairs", params={"d_th": 0.01}))
     assert (one["distinct"], one["confirmed"], one["component"], one["scenario"]) == (2, 2, 1, 1)
@@ -122,7 +122,7 @@ def test_experiments_without_the_section_compute_no_pairs_unless_asked(client: h
 @pytest.mark.parametrize(
     ("problem", "pairs", "pointer"),
     [
-        ("urban-injected@1", {"confirm": 4}, "/pairs/confirm"),
+        ("urban-injected@1", {"confirm": 9}, "/pairs/confirm"),
         ("mtq@1", {"confirm": 10}, "/pairs/confirm"),
         ("mtq@1", {"component": True}, "/pairs/component"),
     ],
@@ -154,10 +154,10 @@ def test_the_command_follows_up_all_campaigns_and_the_report_begins_with_pairs(
     before = said("pairs", name)
     assert "not tried" in before
     assert "0 confirmed" not in before
-    asked = said("pairs", name, "--confirm", "5", "--component")
-    assert "8 campaigns simulate them, 88 simulations" in asked
+    asked = said("pairs", name, "--confirm", "10", "--component")
+    assert "8 campaigns simulate them, 168 simulations" in asked
     work(listening_client)
-    after = said("pairs", name, "--confirm", "5", "--component")
+    after = said("pairs", name, "--confirm", "10", "--component")
     assert "simulate them" not in after, "nothing is asked twice"
     assert "finds and other: 2.0 confirmed distinct pairs against 0.0, A12 1.00 (large)" in after
     assert "50% [22%, 78%], 4 of 8" in after
@@ -180,7 +180,7 @@ def test_what_cannot_be_asked_is_said_once(listening_client: httpx.Client) -> No
     )  # fmt: skip
     name = expect(listening_client.post(API, json=mtq), 201)["id"]
     work(listening_client)
-    arguments = ["experiment", "pairs", name, "--eps", "0.1", "--confirm", "5", "--server"]
+    arguments = ["experiment", "pairs", name, "--eps", "0.1", "--confirm", "10", "--server"]
     result = CliRunner(env={"COLUMNS": "300"}).invoke(app, [*arguments, str(listening_client.base_url)])
     assert result.exit_code == 1
     assert result.output.count("other seeds give the same verdicts") == 1

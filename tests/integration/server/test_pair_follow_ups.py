@@ -48,7 +48,9 @@ def worked(client: httpx.Client, campaign: str, judge: Any = judged) -> str:
 
 
 def finished(client: httpx.Client) -> str:
-    return worked(client, submit(client, body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE)))
+    """Return a campaign with two pairs, each simulated with one episode seed on both sides."""
+    given = body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 0, 2, 2])
+    return worked(client, submit(client, given))
 
 
 def ask(client: httpx.Client, campaign: str, status: int = 201, **wanted: Any) -> dict[str, Any]:
@@ -73,7 +75,10 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     asked = ask(client, campaign, kind="confirm", d_th=0.01)
     assert (asked["kind"], asked["budget"]) == ("confirm", 40)
     assert ask(client, campaign, 200, kind="confirm", d_th=0.01)["campaign"] == asked["campaign"]
-    assert {pair["confirmation"]["state"] for pair in pairs_of(client, campaign)["pairs"]} == {"not tried"}
+    waiting = pairs_of(client, campaign)
+    assert {pair["confirmation"]["state"] for pair in waiting["pairs"]} == {"pending"}
+    assert (waiting["tried"], waiting["pending"]) == (0, 2)
+    assert waiting["note"].endswith("; 2 being simulated again")
     worked(client, asked["campaign"], by_chance)
     view = pairs_of(client, campaign)
     by_weather = {pair["safe"]["parameters"]["scenario"]["weather"]: pair for pair in view["pairs"]}
@@ -86,15 +91,96 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     assert rain["confirmation"]["state"] == "not confirmed"
     assert (view["tried"], view["confirmed"], view["not_confirmed"]) == (2, 1, 1)
     assert "of 2 simulated again with other seeds, 1 confirmed and 1 not confirmed" in view["note"]
-    seeds = [one["seed"] for name in (campaign, asked["campaign"]) for one in solutions(client, name)]
-    assert len(set(seeds)) == len(seeds), "each with seeds of its own"
+    before, after = (
+        [one["seed"] for one in solutions(client, name)] for name in (campaign, asked["campaign"])
+    )
+    assert len(set(after)) == len(after), "each with a seed of its own"
+    assert not set(before) & set(after)
 
-    more = ask(client, campaign, kind="confirm", repeats=5, d_th=0.01)
+    more = ask(client, campaign, kind="confirm", repeats=15, d_th=0.01)
     worked(client, more["campaign"])
-    after = pairs_of(client, campaign)
-    [clear] = [pair for pair in after["pairs"] if pair["confirmation"]["state"] == "confirmed"]
-    assert clear["confirmation"]["safe"]["evaluated"] == 15, "follow-ups of the same sides add up"
-    assert [one["kind"] for one in after["follow_ups"]] == ["confirm", "confirm"]
+    last = pairs_of(client, campaign)
+    clear = next(pair for pair in last["pairs"] if pair["confirmation"]["state"] == "confirmed")
+    assert clear["confirmation"]["safe"]["evaluated"] == 25, "follow-ups of the same sides add up"
+    assert [one["kind"] for one in last["follow_ups"]] == ["confirm", "confirm"]
+
+
+def test_a_pair_is_pending_until_ten_drives_of_each_side_are_in(client: httpx.Client) -> None:
+    campaign = finished(client)
+    few = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [0, 1, 2, 3], "repeats": 5}), 201)
+    worked(client, few["campaign"])
+
+    def states() -> set[tuple[str, int]]:
+        found = [pair["confirmation"] for pair in pairs_of(client, campaign)["pairs"]]
+        return {(one["state"], one["safe"]["evaluated"]) for one in found}
+
+    assert states() == {("too few drives", 5)}
+    one_side = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [0, 2], "repeats": 10}), 201)
+    assert states() == {("too few drives", 5)}, "nothing more is coming for the other side"
+    asked = ask(client, campaign, kind="confirm", d_th=0.01)["campaign"]
+    assert states() == {("pending", 5)}
+    expect(client.post(f"{API}/{asked}/cancel"))
+    assert states() == {("too few drives", 5)}
+    worked(client, one_side["campaign"])
+    worked(client, ask(client, campaign, kind="confirm", d_th=0.01)["campaign"])
+    assert states() == {("confirmed", 25)}
+
+
+def test_intervals_of_pairs_are_those_of_95_percent(client: httpx.Client) -> None:
+    given = body(SAFE, UNSAFE, seed_numbers=[0, 0], z=1.0)
+    campaign = worked(client, submit(client, given))
+    worked(client, ask(client, campaign, kind="confirm")["campaign"])
+    [pair] = pairs_of(client, campaign)["pairs"]
+    low, high = wilson_interval(10, 10, 1.96)
+    unsafe = pair["confirmation"]["unsafe"]
+    assert (unsafe["low"], unsafe["high"]) == pytest.approx((float(low), float(high)))
+
+
+@on_sqlite
+def test_differences_between_sides_with_different_seeds_are_not_called_minimal(client: httpx.Client) -> None:
+    given = body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 1, 2, 2])
+    campaign = worked(client, submit(client, given))
+    view = pairs_of(client, campaign)
+    states = {pair["safe"]["number"]: pair["minimality"]["state"] for pair in view["pairs"]}
+    assert states == {0: "different seeds", 2: "minimal"}
+    offer = next(one for one in view["offers"] if one["kind"] == "minimise")
+    assert (offer["reason"], offer["left_out"]) == (
+        "no difference can be reverted alone: all pairs are minimal",
+        1,
+    )
+    apart = worked(client, submit(client, body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE)))
+    assert "were simulated with different seeds" in ask(client, apart, 409, kind="minimise")["detail"]
+    reasons = {one["kind"]: one["reason"] for one in pairs_of(client, apart)["offers"]}
+    assert reasons["minimise"].startswith("both sides of every pair were simulated with different seeds")
+
+    some = worked(client, submit(client, body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 0, 2, 3])))
+    asked = ask(client, some, kind="minimise", d_th=0.01)
+    worked(client, asked["campaign"])
+    states = {pair["safe"]["number"]: pair["minimality"]["state"] for pair in pairs_of(client, some)["pairs"]}
+    assert states == {0: "not minimal", 2: "different seeds"}
+
+
+@on_sqlite
+def test_repeats_of_the_boundary_do_not_stand_in_the_way(client: httpx.Client) -> None:
+    campaign = finish(client, ball(simulations=200))
+    assert expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 2}), 201)["status"] == "running"
+    view = expect(client.get(f"{API}/{campaign}/pairs", params={"eps": 0.2}))
+    assert view["pairs"]
+    assert next(one["reason"] for one in view["offers"] if one["kind"] == "confirm") == ""
+
+
+@on_sqlite
+def test_what_a_cancelled_follow_up_did_not_simulate_was_not_tried(client: httpx.Client) -> None:
+    campaign = finished(client)
+    for kind in ("component", "minimise"):
+        asked = ask(client, campaign, kind=kind, d_th=0.01)["campaign"]
+        expect(client.post(f"{API}/{asked}/cancel"))
+    view = pairs_of(client, campaign)
+    assert {pair["component"]["state"] for pair in view["pairs"]} == {"not tried"}
+    assert sorted(pair["minimality"]["state"] for pair in view["pairs"]) == ["minimal", "not tried"]
+    assert {one["kind"]: one["reason"] for one in view["offers"]} == dict.fromkeys(
+        ("confirm", "component", "minimise"), ""
+    )
 
 
 def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx.Client) -> None:
@@ -121,7 +207,7 @@ def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx
     assert expect(client.get(f"{API}/{campaign}/repeats")) == [], "these are no repeats"
 
 
-def test_differences_that_do_not_matter_are_taken_back(client: httpx.Client) -> None:
+def test_differences_that_do_not_matter_are_reverted(client: httpx.Client) -> None:
     campaign = finished(client)
     before = pairs_of(client, campaign)
     states = {len(pair["changes"]): pair["minimality"]["state"] for pair in before["pairs"]}
@@ -168,10 +254,10 @@ def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client)
     assert offers(campaign) == {
         "confirm": (4, ""),
         "component": (2, "all unsafe sides have been simulated with ground truth"),
-        "minimise": (6, "the differences of all pairs have been taken back one by one"),
+        "minimise": (6, "the differences of all pairs have been reverted one by one"),
     }
-    minimal = worked(client, submit(client, body(ICY_SAFE, ICY_UNSAFE)))
-    assert offers(minimal)["minimise"][1] == "no difference can be taken back alone: all pairs are minimal"
+    minimal = worked(client, submit(client, body(ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 0])))
+    assert offers(minimal)["minimise"][1] == "no difference can be reverted alone: all pairs are minimal"
 
 
 @on_sqlite
@@ -224,7 +310,7 @@ def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> N
     ("wanted", "message"),
     [
         ({"kind": "improve"}, "'confirm', 'component' or 'minimise'"),
-        ({"kind": "confirm", "repeats": 4}, "greater than or equal to 5"),
+        ({"kind": "confirm", "repeats": 9}, "greater than or equal to 10"),
         ({"kind": "component", "repeats": 10}, "expected repeats only to confirm pairs"),
         ({"kind": "minimise", "eps": 2}, "less than or equal to 1"),
     ],
@@ -262,7 +348,7 @@ def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines
 @on_sqlite
 def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Client) -> None:
     campaign = finished(listening_client)
-    options = ["--d-th", "0.01", "--confirm", "5", "--component", "--minimise"]
+    options = ["--d-th", "0.01", "--confirm", "10", "--component", "--minimise"]
 
     def shown(*more: str) -> str:
         arguments = ["pairs", campaign, *options, *more, "--server", str(listening_client.base_url)]
@@ -277,9 +363,13 @@ def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Clien
     assert "minimal change:" in text
     view = PairsView.model_validate(json.loads(shown("--json")))
     assert [one.status for one in view.follow_ups] == ["finished"] * 3
+    limited = shown("--limit", "1", "--confirm", "11")
+    assert "simulates them" in limited
+    confirms = [one for one in pairs_of(listening_client, campaign)["follow_ups"] if one["kind"] == "confirm"]
+    assert confirms[-1]["budget"] == 22, "both sides of the first pair"
     assert {evidence_words(view, pair) for pair in view.pairs} == {
-        "found once, confirmed 0/5 5/5, component's hazard, 1 of 3 differences is enough",
-        "found once, confirmed 0/5 5/5, scenario's hazard, minimal",
+        "found once, confirmed 0/10 10/10, component's hazard, 1 of 3 differences is enough",
+        "found once, confirmed 0/10 10/10, scenario's hazard, minimal",
     }
 
 

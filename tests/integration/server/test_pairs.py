@@ -73,7 +73,7 @@ def test_pairs_are_close_have_opposite_verdicts_and_lie_apart(client: httpx.Clie
         assert pair["words"].endswith(": violated distance")
         assert (pair["checked"], pair["same_seed"]) == (False, False)
         assert pair["confirmation"]["state"] == "not tried"
-        assert (pair["component"]["state"], pair["minimality"]["state"]) == ("not tried", "not tried")
+        assert (pair["component"]["state"], pair["minimality"]["state"]) == ("not tried", "different seeds")
         middles.append((0.5 * (x + u), 0.5 * (y + v)))
     apart = [0.125 * (abs(a - c) + abs(b - d)) for a, b in middles for c, d in middles]
     assert min(gap for gap in apart if gap) >= 0.1
@@ -168,9 +168,26 @@ def test_a_pair_is_checked_if_both_sides_kept_their_verdicts(client: httpx.Clien
     assert sides == [(True, 1, 0), (False, 3, 2)]
     assert [pair["safe"]["evaluated"] for pair in view["pairs"]] == [2, 1]
     assert view["note"] == "2 distinct pairs across the boundary, 1 checked"
-    assert [pair["minimality"]["state"] for pair in view["pairs"]] == ["minimal", "minimal"], (
-        "one number differs"
-    )
+    assert [pair["minimality"]["state"] for pair in view["pairs"]] == ["different seeds"] * 2
+
+
+@on_sqlite
+def test_a_side_that_was_simulated_twice_with_one_seed_is_not_checked(client: httpx.Client) -> None:
+    params = {"solutions": [[0.98, 0.0], [1.02, 0.0]] * 2, "seed_numbers": [0, 0, 0, 0]}
+    campaign = finish(client, body(4, algorithm={"id": "repeat@1", "params": params}))
+    [pair] = pairs_of(client, campaign)["pairs"]
+    assert (pair["safe"]["evaluated"], pair["checked"], pair["same_seed"]) == (2, False, True)
+    assert pair["minimality"]["state"] == "minimal", "one number differs"
+
+
+@on_sqlite
+def test_too_many_pairs_are_refused(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign = finish(client, body())
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_TIGHT", 100)
+    [error] = expect(client.get(f"{API}/{campaign}/pairs", params={"eps": 1.0}), 422)["errors"]
+    assert error["pointer"] == "/query/eps"
+    assert "more than 100 pairs of solutions are within eps 1: choose a smaller eps" in error["message"]
+    assert expect(client.get(f"{API}/{campaign}/pairs", params={"eps": 0.001})) is not None
 
 
 @on_sqlite
@@ -254,6 +271,8 @@ def test_the_command_shows_and_writes_pairs_that_a_monitor_is_judged_on(
         (["--format", "parquet"], "expected a file to write Parquet to"),
         (["--format", "csv", "--json"], "--json without --format"),
         (["--format", "table", "--out", "pairs.csv"], "for a file, got table"),
+        (["--picture", "1", "a.png", "--out", "pairs.csv"], "expected it without --out: draw the pair alone"),
+        (["--film", "1", "a.gif", "--json", "--limit", "3"], "expected it without --json and --limit"),
     ],
 )
 def test_options_that_contradict_each_other_are_refused(options: list[str], message: str) -> None:

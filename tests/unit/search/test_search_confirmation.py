@@ -15,13 +15,23 @@ from brink.search.fitness import wilson_interval
         ((2, 10), (8, 10), Confirmation.CONFIRMED),
         ((3, 10), (10, 10), Confirmation.NOT_CONFIRMED),
         ((0, 10), (7, 10), Confirmation.NOT_CONFIRMED),
-        ((1, 5), (4, 5), Confirmation.CONFIRMED),
+        ((0, 9), (9, 9), Confirmation.TOO_FEW),
     ],
 )
 def test_a_pair_is_confirmed_by_clear_shares_of_both_sides(
     safe: tuple[int, int], unsafe: tuple[int, int], expected: Confirmation
 ) -> None:
     assert confirmation_of(Share.of(*safe), Share.of(*unsafe)) is expected
+
+
+def test_a_pair_is_pending_until_enough_drives_are_in() -> None:
+    def state(safe: tuple[int, int], unsafe: tuple[int, int]) -> Confirmation:
+        return confirmation_of(Share.of(*safe), Share.of(*unsafe), pending=True)
+
+    assert state((0, 0), (0, 0)) is Confirmation.PENDING
+    assert state((0, 9), (10, 10)) is Confirmation.PENDING
+    assert state((0, 10), (10, 10)) is Confirmation.CONFIRMED
+    assert state((9, 10), (10, 10)) is Confirmation.NOT_CONFIRMED
 
 
 def test_a_share_has_a_wilson_interval() -> None:

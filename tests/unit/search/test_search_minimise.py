@@ -1,4 +1,4 @@
-"""`minimise@1` takes the differences of pairs back as long as the unsafe side stays unsafe."""
+"""`minimise@1` reverts the differences of pairs as long as the unsafe side stays unsafe."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ from brink.search.algorithms.minimise import (
     MinimiseState,
     Reductions,
     most_trials,
-    replayed,
+    replay,
 )
 from brink.search.errors import ConfigError
 from brink.search.space import FloatArray
@@ -102,14 +102,14 @@ def test_every_pair_is_minimal_one_by_one() -> None:
     assert sizes == list(range(len(asked)))
 
 
-def test_a_label_is_taken_back_with_the_numbers_that_it_wakes() -> None:
+def test_a_label_is_reverted_with_the_numbers_that_it_wakes() -> None:
     silent = row("wet", 2, "none", 0, 0, 0.0, 0.0, 0.7)
     for safe, unsafe in ((SAFE, silent), (silent, SAFE)):
         reductions = Reductions.of(SPACE, safe[None], unsafe[None])
         trials = []
         while (trial := reductions.trial(0)) is not None:
             trials.append(trial)
-            reductions = reductions.told([trial], [False])
+            reductions = reductions.after([trial], [False])
         for trial in trials:
             SPACE.check(SPACE.split(trial.row))
             kept = trial.row == safe
@@ -143,7 +143,7 @@ def test_the_state_follows_from_the_stored_verdicts(told: int) -> None:
         c.number: by_cars_and_delay(SPACE.decode(c.vectors)) for c in asked[:told]
     }
     given = Reductions.of(SPACE, np.array([SAFE, SAFE]), np.array([unsafe for _, unsafe in pairs]))
-    found = replayed(given, verdicts, 200)
+    found = replay(given, verdicts, 200)
     assert sum(found.tried) <= min(told, len(asked))
     if told >= len(asked):
         assert np.array_equal(found.reductions.unsafe, state.reductions.unsafe)

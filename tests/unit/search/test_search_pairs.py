@@ -110,11 +110,11 @@ def test_the_pairs_are_those_of_a_plain_search() -> None:
     assert set(numbers(archive)) == expected
 
     tight = find_pairs(archive, SPACE, eps=0.02, d_th=0.0).pairs
-    rows = {10 + place: row[None] for place, row in enumerate(archive.vectors)}
+    by_number = {10 + place: row[None] for place, row in enumerate(archive.vectors)}
     taken: list[tuple[int, int]] = []
     centres: list[FloatArray] = []
     for pair in tight:
-        centre = midpoints(rows[pair.safe.number], rows[pair.unsafe.number], SPACE)[0]
+        centre = midpoints(by_number[pair.safe.number], by_number[pair.unsafe.number], SPACE)[0]
         if all(steps.distance(centre, other) >= 0.05 for other in centres):
             taken.append((pair.safe.number, pair.unsafe.number))
             centres.append(centre)

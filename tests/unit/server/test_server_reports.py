@@ -216,7 +216,7 @@ def test_pairs_come_first_and_say_what_they_are(tmp_path: Path) -> None:
         r"\*\*MLCSHE\*\* and \*\*GA\*\*: [\d.]+ confirmed distinct pairs against [\d.]+, A12", text
     )
     assert "not tried" not in text
-    assert "at least 5 such drives of each side" in text
+    assert "at least 10 such drives of each side" in text
     assert "at most 20% of the safe side's and at least 80% of the unsafe side's" in text
     assert (tmp_path / "pairs.png").read_bytes().startswith(b"\x89PNG")
 

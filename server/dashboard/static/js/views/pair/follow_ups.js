@@ -8,13 +8,13 @@ import { badge, meter } from "../../parts/elements.js";
 import { said } from "./words.js";
 
 const USUAL_REPEATS = 10;
-const LEAST_REPEATS = 5;
+const LEAST_REPEATS = 10;
 const MOST_REPEATS = 10_000;
 
 const QUESTIONS = {
   confirm: { title: "Do they hold?", go: "Confirm", what: "Simulates both sides of each pair with other seeds. It shows how often each is unsafe." },
   component: { title: "Is the component to blame?", go: "Ask", what: "Simulates each unsafe side once more, in the same episode, with ground truth in place of the component." },
-  minimise: { title: "Which differences matter?", go: "Minimise", what: "Takes the differences of each pair back one by one, in the unsafe side's episode, as long as it stays unsafe." },
+  minimise: { title: "Which differences matter?", go: "Minimise", what: "Reverts the differences of each pair one by one, in the unsafe side's episode, as long as it stays unsafe." },
 };
 
 /**
@@ -58,7 +58,7 @@ export function followUps(context, id, asked, news) {
     for (const { kind, button, cost, told } of rows) {
       const offer = read.offers.find((one) => one.kind === kind);
       attribute(button, "disabled", offer.reason ? "" : null);
-      text(cost, offer.reason ? said(offer.reason) : costWords(kind, offer.simulations, Number(repeats.value)));
+      text(cost, offer.reason ? said(offer.reason) : costWords(offer, Number(repeats.value)));
       keyed(told, read.follow_ups.filter((one) => one.kind === kind).reverse(), (one) => `${one.campaign} ${one.status}`, follower);
     }
   }
@@ -67,8 +67,9 @@ export function followUps(context, id, asked, news) {
   return card;
 }
 
-function costWords(kind, simulations, repeats) {
-  if (kind === "minimise") return `At most ${plural(simulations, "simulation")}.`;
+function costWords({ kind, simulations, left_out }, repeats) {
+  const others = left_out ? ` Leaves out ${plural(left_out, "pair")} with different seeds on the two sides.` : "";
+  if (kind === "minimise") return `At most ${plural(simulations, "simulation")}.${others}`;
   return `${plural(kind === "confirm" ? simulations * repeats : simulations, "simulation")}.`;
 }
 

@@ -5,7 +5,7 @@ import { capital, count, figure, percent, plural, sentence } from "../../format.
 import { link } from "../../router.js";
 import { badge } from "../../parts/elements.js";
 
-const STATES = { confirmed: "confirmed", "not confirmed": "not-confirmed", "too few drives": "found", "not tried": "found" };
+const STATES = { confirmed: "confirmed", "not confirmed": "not-confirmed", "too few drives": "found", pending: "found", "not tried": "found" };
 
 /** Return a badge of how well a pair is established. */
 export function evidence(pair, computed) {
@@ -20,8 +20,9 @@ export function evidenceWords(pair, computed) {
   if (computed) return "Verdicts of this problem are computed, so both sides always keep theirs.";
   const { state } = pair.confirmation;
   if (state === "confirmed") return "Confirmed: with other seeds, the safe side was unsafe in at most 20% of the simulations and the unsafe side in at least 80%.";
-  if (state === "not confirmed") return "Not confirmed: with other seeds, a side does not keep its verdict.";
-  const search = pair.checked ? "Checked: both sides kept their verdicts in a further simulation of the search." : "Found once: each side was simulated once.";
+  if (state === "not confirmed") return "Not confirmed: with other seeds, the safe side was unsafe in more than 20% of the simulations, or the unsafe side in less than 80%.";
+  const search = pair.checked ? "Checked: both sides kept their verdicts with another seed in the search." : "Found once: each side was simulated once.";
+  if (state === "pending") return `${search} Both sides are being simulated again with other seeds.`;
   return state === "too few drives" ? `${search} There are too few simulations with other seeds to confirm it.` : `${search} Not simulated again with other seeds.`;
 }
 
@@ -59,9 +60,10 @@ function minimalityAtLength(pair, { state, unsafe, campaign }) {
       unsafe.change === pair.change ? "In words, the change is the same. " : `${said(unsafe.change)} ${capital(unsafe.outcome)}. `,
       h("a", { href: link("campaigns", campaign, "solutions", unsafe.number) }, "That drive"));
   }
-  if (state === "minimal") return h("p", null, "Minimal: no difference can be taken back without losing the opposite verdicts.");
+  if (state === "minimal") return h("p", null, "Minimal: no difference can be reverted without losing the opposite verdicts.");
+  if (state === "different seeds") return h("p", null, "Not minimised: the two had different seeds, so chance may decide rather than a difference.");
   if (state === "undecided") return h("p", null, "Whether every difference matters is undecided: some simulations failed.");
-  return state === "pending" ? h("p", null, "Differences are being taken back one by one.") : null;
+  return state === "pending" ? h("p", null, "Differences are being reverted one by one.") : null;
 }
 
 /** Return the unsafe share of a side with its interval: ``0 of 10: 0%, 0% to 28%``; a dash if it was not tried. */
