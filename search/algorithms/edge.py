@@ -361,9 +361,9 @@ def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, d_th: float
     safe, unsafe = _ends([brackets[place] for place in places], known)
     lengths = np.array([steps.distance(a, b) for a, b in zip(safe, unsafe, strict=True)])
     towards = steps.metric.between(midpoints(safe, unsafe, steps.space), middles)
-    near = np.asarray(towards + 0.25 * lengths[:, None] < d_th)
-    for place, drop in zip(places, near.any(axis=1).tolist(), strict=True):
-        brackets[place] = replace(brackets[place], status=Status.NEAR if drop else Status.OPEN)
+    near: BoolArray = towards + 0.25 * lengths[:, None] < d_th
+    for place, drop in zip(places, near, strict=True):
+        brackets[place] = replace(brackets[place], status=Status.NEAR if drop.any() else Status.OPEN)
 
 
 def _ends(brackets: Sequence[Bracket], known: _Known) -> tuple[FloatArray, FloatArray]:

@@ -93,7 +93,7 @@ def test_names_of_what_is_not_there_are_refused(client: httpx.Client, campaign: 
 
 def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, capsys: Any) -> None:
     campaign = submit(client, TRAFFIC)
-    traffic_worker(client).work(campaign, until=lambda stands: bool(stands["simulations"] >= 20))
+    traffic_worker(client).work(campaign, until=lambda stands: bool(stands["generations"]))
     stands = progress(client, campaign)
     assert (stands["status"], stands["looks_for_boundary"]) == ("running", False)
     with CampaignDisplay(Console(width=200)) as display:
