@@ -32,7 +32,8 @@ SEARCH = {"id": "edge@1", "params": {"eps": 0.01}}
 def run(folder: Path, database: str, algorithm: dict[str, Any], *options: str, simulations: int = 300) -> str:
     """Run a campaign on a problem without drives; return what was printed."""
     body = {
-        "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": algorithm, "budget": {"simulations": simulations}, "seed": 1,
+        "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": algorithm,
+        "budget": {"simulations": simulations}, "seed": 1,
     }  # fmt: skip
     (folder / "disc.json").write_text(json.dumps(body))
     command = ["run", str(folder / "disc.json"), "--database", database, "--out", str(folder), *options]
