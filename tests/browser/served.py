@@ -140,6 +140,7 @@ def _experiment(client: httpx.Client) -> str:
         "algorithms": [{"id": "ga@1", "params": {"population_size": 8}}, {"id": "random@1"}],
         "seeds": {"first": 1, "count": 2},
         "budget": {"simulations": 24},
+        "pairs": {"eps": 1.0, "d_th": 0.0, "confirm": 0, "component": False},
     }
     return str(expect(client.post(f"{API}/experiments", json=dict(body)), 201)["id"])
 

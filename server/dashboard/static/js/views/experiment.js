@@ -1,13 +1,14 @@
 /** One experiment: status, controls, results, campaigns. */
 
-import { ApiError, isOpen, saveBlob } from "../api.js";
+import { isOpen, saveBlob } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { capital, count, figure, percent, plural, rate, span, when } from "../format.js";
-import { whenMade } from "../polling.js";
+import { count, figure, percent, plural, rate, span, when } from "../format.js";
 import { go, link, rewrite } from "../router.js";
 import { colour } from "../theme.js";
 import { chart, intervals, inWords } from "../parts/charts.js";
 import { badge, callout, facts, meter, NAMES, sure, thresholds } from "../parts/elements.js";
+import { pairsSection } from "./experiment/pairs.js";
+import { loadWhenFinished, plainRow, pValue, sentence, tableOf } from "./experiment/tables.js";
 
 export async function show(main, context, { parts: [, id], query }) {
   context.title("Experiment");
@@ -26,7 +27,14 @@ export async function show(main, context, { parts: [, id], query }) {
     h("div.stack", null, h("section.card.standing", { "aria-label": "Progress" }, done, told), scoring, results,
       h("section.card", { "aria-labelledby": "members" }, h("h2", { id: "members" }, "Campaigns"), members)));
 
-  const loading = resultsOf(path, context, scoring, results.update);
+  const loading = loadWhenFinished(`${path}/results`, context, scoring, results.update);
+  const pairs = pairsSection(path, context);
+  results.before(pairs);
+  const want = () => {
+    if (whole === null || finished === null) return;
+    loading.want(finished);
+    if (whole.body.pairs) pairs.want(finished, whole.body.pairs);
+  };
   let whole = null; // the experiment with its campaigns
   let finished = null; // how many of them have finished
   const looking = context.watch(path, (read) => {
@@ -34,7 +42,7 @@ export async function show(main, context, { parts: [, id], query }) {
     context.title(read.name);
     text(name, read.name);
     members.update(read.members);
-    if (finished !== null) loading.want(finished);
+    want();
   }, { busy: (read) => read.status === "running" });
   let drawn = null;
   const progressing = context.watch(`${path}/progress`, (read) => {
@@ -51,7 +59,7 @@ export async function show(main, context, { parts: [, id], query }) {
       }));
     }
     finished = read.finished;
-    if (whole !== null) loading.want(finished);
+    want();
   }, { busy: (read) => read.status === "running" });
 }
 
@@ -111,39 +119,6 @@ function steering(read, context, path, look) {
       if ((await sure(question, { yes: "Delete" })) && (await context.act("DELETE", path, "The experiment has been deleted.")) === null) go("experiments");
     }, "danger"),
   ];
-}
-
-/** Load the results whenever more campaigns have finished, waiting while they are scored. */
-function resultsOf(path, context, scoring, take) {
-  let wanted = 0;
-  let taken = 0;
-  let under_way = false;
-
-  async function look() {
-    if (under_way || wanted === taken) return;
-    under_way = true;
-    const asked = wanted;
-    try {
-      const read = await whenMade(`${path}/results`, { ...context.retrying, making, firstS: 2, waitS: 2 });
-      text(scoring, "");
-      take(read);
-    } catch (error) {
-      if (context.signal.aborted) return;
-      if (!(error instanceof ApiError)) throw error;
-      if (error.status === 401) return void context.signIn();
-      text(scoring, `The results cannot be shown: ${error.message}`);
-    } finally {
-      under_way = false;
-    }
-    taken = asked;
-    look();
-  }
-
-  function making({ detail }) {
-    text(scoring, `${capital(detail)}; the tables appear when all are scored.`);
-  }
-
-  return { want: (finished) => { wanted = finished; look(); } };
 }
 
 function membersTable() {
@@ -252,41 +227,6 @@ function sentences(duels, rows, chosen) {
   });
 }
 
-function sentence(first) {
-  const who = h("strong");
-  const figures = h("span");
-  const says = h("span");
-  const node = h("li", null, who, figures, says);
-  node.update = ([, names, told, concluded]) => {
-    text(who, names);
-    text(figures, told);
-    text(says, concluded);
-  };
-  node.update(first);
-  return node;
-}
-
-function tableOf(label, columns) {
-  const body = h("tbody");
-  const node = h("div.scroll", { tabindex: 0, role: "region", "aria-label": label },
-    h("table", null, h("caption.read-out", null, label), h("thead", null, h("tr", null, columns.map(([words, right]) =>
-      h("th", { scope: "col", class: right ? "right" : null }, words)))), body));
-  node.body = body;
-  return node;
-}
-
-/** Return a function that creates table rows; ``say(item)`` returns the texts of the heading and the cells. */
-function plainRow(say, rights) {
-  return (first) => {
-    const name = h("th", { scope: "row" });
-    const cells = rights.map((right) => h(right ? "td.right" : "td"));
-    const node = h("tr", null, name, cells);
-    node.update = (item) => [name, ...cells].forEach((cell, index) => text(cell, say(item)[index]));
-    node.update(first);
-    return node;
-  };
-}
-
 function standingsTable() {
   const node = tableOf("Means and 95% intervals", [["Method"], ["Mean", 1], ["95% interval", 1], ["Repeats", 1], ["Unsafe", 1], ["Behaviours per scenario", 1]]);
   const say = (row) => [row.label, row.mean.toFixed(1), row.low === null ? "–" : `${Math.max(0, row.low).toFixed(1)} to ${row.high.toFixed(1)}`,
@@ -393,11 +333,6 @@ function growthAt(results, problem, { measure, i, j }, { control = false } = {})
 /** Return the comparisons of a problem at the chosen thresholds. */
 function duelsAt(results, problem, { measure, t_b, d_th }) {
   return results.duels.filter((one) => one.problem === problem && one.measure === measure && one.t_b === t_b && one.d_th === d_th);
-}
-
-/** ``< .001`` or ``0.024``. */
-function pValue(value) {
-  return value < 0.001 ? "< .001" : value.toFixed(3);
 }
 
 function average(values) {
