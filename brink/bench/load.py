@@ -31,11 +31,6 @@ from brink.worker.wire import Completed, machine_name
 LOAD = "load@1"
 MODULE = __name__
 REQUIREMENT = "far@1"
-OUTCOME = {
-    "kind": "completed",
-    "verdicts": {REQUIREMENT: {"robustness": 0.5, "unit": "m", "violated_at_s": None}},
-    "objectives": {"distance": 1.5},
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,13 +97,18 @@ class Waiter:
             raise InvalidEpisode("expected the numbers scenario.x, scenario.wait_s and behaviour.y")
         if wait_s > 0.0:
             time.sleep(wait_s)
-        distance_m = math.hypot(x, y)
-        robustness = distance_m - 1.0
-        verdict = Verdict(robustness=robustness, unit="m", violated_at_s=0.0 if robustness < 0 else None)
+        verdict, distance_m = _judged(x, y)
         return EpisodeResult(
-            verdicts={REQUIREMENT: verdict}, objectives={"distance": distance_m}, features={}, provenance={},
-            trace=b"" if record else None,
+            verdicts={REQUIREMENT: Verdict(**verdict)}, objectives={"distance": distance_m}, features={},
+            provenance={}, trace=b"" if record else None,
         )  # fmt: skip
+
+
+def _judged(x: float, y: float) -> tuple[dict[str, Any], float]:
+    """Return the verdict on a point, and its distance from the origin in metres."""
+    distance_m = math.hypot(x, y)
+    unsafe = distance_m < 1.0
+    return {"robustness": distance_m - 1.0, "unit": "m", "violated_at_s": 0.0 if unsafe else None}, distance_m
 
 
 register(PROBLEMS, LOAD, Load)
@@ -116,20 +116,27 @@ register(SIMULATORS, LOAD, Waiter)
 
 
 def load_campaign(
-    jobs: int, *, generation: int, seed: int, mean_s: float = 0.0, **params: float
+    jobs: int,
+    *,
+    generation: int,
+    seed: int,
+    mean_s: float = 0.0,
+    algorithm: str = "random@1",
+    **params: float,
 ) -> dict[str, Any]:
-    """Return the request body for a campaign that runs random search on ``load@1`` without the simulation cache.
+    """Return the request body for a campaign on ``load@1`` without the simulation cache.
 
     Args:
         jobs: Budget of simulations.
         generation: Jobs per generation.
         seed: Seed of the points and of the episode times.
         mean_s: Mean duration of an episode; 0 for no wait.
+        algorithm: Id of the algorithm.
         params: Further parameters of the algorithm.
     """
     return {
         "name": f"load {seed}", "problem": {"id": LOAD, "params": {"mean_s": mean_s}}, "seed": seed,
-        "algorithm": {"id": "random@1", "params": {"generation_size": generation, **params}},
+        "algorithm": {"id": algorithm, "params": {"generation_size": generation, **params}},
         "budget": {"simulations": jobs}, "execution": {"cache": False, "keep_traces": 0},
     }  # fmt: skip
 
@@ -171,15 +178,15 @@ class LoadClient:
         jobs: list[dict[str, Any]] = reply["jobs"]
         return jobs
 
-    async def report(
-        self, jobs: list[dict[str, Any]], outcome: dict[str, Any] = OUTCOME
-    ) -> list[dict[str, Any]]:
+    async def report(self, jobs: list[dict[str, Any]]) -> list[dict[str, Any]]:
         """Report jobs as completed and lease the next ones in the same request.
 
         Raises:
             RuntimeError: The coordinator did not accept every result.
         """
-        results = [{"job": job["job"], "token": job["token"], "outcome": outcome} for job in jobs]
+        results = [
+            {"job": job["job"], "token": job["token"], "outcome": _outcome(job["spec"])} for job in jobs
+        ]
         start = time.perf_counter()
         reply = await self._post(
             "results", {"worker": self._lease["worker"], "results": results, "lease": self._lease}
@@ -205,3 +212,10 @@ class LoadClient:
         if not headers.startswith(b"http/1.1 200"):
             raise RuntimeError(f"expected 200, got {headers.splitlines()[0]!r}: {answer[:500]!r}")
         return json.loads(answer)
+
+
+def _outcome(spec: Mapping[str, Any]) -> dict[str, Any]:
+    verdict, distance_m = _judged(spec["scenario"]["x"], spec["behaviour"]["y"])
+    return {
+        "kind": "completed", "verdicts": {REQUIREMENT: verdict}, "objectives": {"distance": distance_m},
+    }  # fmt: skip

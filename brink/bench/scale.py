@@ -29,6 +29,8 @@ TARGET_GENERATION = 256
 """Jobs per generation. With 100, no scheduling order lets two campaigns fill 64 workers."""
 GENERATIONS = (100, TARGET_GENERATION)
 IN_FLIGHT = 8
+PAIRS = {"eps": 0.001, "d_th": 0.01}
+"""Settings of the search for pairs: fine enough that the circle does not run out of pairs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +42,7 @@ class Setup:
         campaigns: Number of concurrent campaigns.
         generation: Jobs per generation of each campaign.
         in_flight: Generations of each campaign that are in flight at a time.
+        algorithm: Search algorithm.
         target: Whether the target applies.
     """
 
@@ -47,6 +50,7 @@ class Setup:
     campaigns: int
     generation: int
     in_flight: int
+    algorithm: str = "random@1"
     target: bool = False
 
 
@@ -102,6 +106,9 @@ def measure_utilisation(
         setups = [
             *(Setup(workers=n, campaigns=1, generation=100, in_flight=1) for n in (1, 4, 16, 64)),
             Setup(workers=64, campaigns=1, generation=100, in_flight=IN_FLIGHT, target=True),
+            Setup(
+                workers=64, campaigns=1, generation=64, in_flight=IN_FLIGHT, algorithm="edge@1", target=True
+            ),
             Setup(workers=64, campaigns=1, generation=256, in_flight=1),
             Setup(workers=64, campaigns=2, generation=100, in_flight=1),
             Setup(workers=64, campaigns=2, generation=256, in_flight=1, target=True),
@@ -120,7 +127,13 @@ def measure_utilisation(
         budget = setup.generation * max(3, round(jobs / setup.generation))
         bodies = [
             load_campaign(
-                budget, generation=setup.generation, seed=seed, mean_s=MEAN_S, in_flight=setup.in_flight
+                budget,
+                generation=setup.generation,
+                seed=seed,
+                mean_s=MEAN_S,
+                algorithm=setup.algorithm,
+                in_flight=setup.in_flight,
+                **(PAIRS if setup.algorithm == "edge@1" else {}),
             )
             for seed in range(setup.campaigns)
         ]

@@ -633,10 +633,11 @@ def scale(
     with _progress() as progress:
         found = measure_utilisation(progress, workers=workers, seconds=seconds, scale=shrunk)
     table = _table(
-        ("workers", "campaigns", "generation", "in flight", "jobs", "seconds", "used", "target", "",
+        ("workers", "campaigns", "algorithm", "generation", "in flight", "jobs", "seconds", "used", "target", "",
          "coordinator CPU", "its writer", "step s"),
         (
-            (one.setup.workers, one.setup.campaigns, one.setup.generation, one.setup.in_flight,
+            (one.setup.workers, one.setup.campaigns, one.setup.algorithm, one.setup.generation,
+             one.setup.in_flight,
              f"{one.jobs:,}", f"{one.seconds:.0f}", f"{one.share:.1%}",
              "" if one.met is None else f"at least {TARGET:.0%}", _met(one.met),
              f"{one.coordinator_s / one.seconds:.0%}", f"{one.writing_s / one.seconds:.0%}", f"{one.step_s:.3f}")
