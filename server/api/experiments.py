@@ -346,12 +346,8 @@ def progress_of(
     elapsed_s = max(0.0, (now - summary["created_at"]).total_seconds())
     span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
     before = store.completed_by(connection, ids, now - timedelta(seconds=span_s))
-    told = sum(campaign.completed for campaign in campaigns)
-    done = told + in_flight
-    if before:  # the progress of the generations in flight at that time is unknown
-        rate = (told - before) / span_s if span_s > 0 and told > before else None
-    else:
-        rate = done / elapsed_s if elapsed_s > 0 and done else None
+    done = sum(campaign.completed for campaign in campaigns) + in_flight
+    rate = (done - before) / span_s if span_s > 0 and done > before else None
     remaining = sum(max(0, campaign.budget - campaign.completed) for campaign in running)
     remaining = max(0, remaining - in_flight)
     return ExperimentProgress(

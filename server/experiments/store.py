@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import Connection, Row, delete, func, insert, select
+from sqlalchemy import Connection, Row, delete, exists, func, insert, select
 
 from brink.server.campaigns.store import Campaign, campaign_of, delete_campaign
 from brink.server.db.models import (
@@ -12,11 +12,12 @@ from brink.server.db.models import (
     ExperimentCampaignRow,
     ExperimentRow,
     GenerationRow,
+    JobRow,
     SolutionRow,
 )
 from brink.server.db.sql import DocumentTable, database_now
 from brink.server.experiments.body import Cell, ExperimentBody
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, JobKind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +157,7 @@ def count_in_flight(connection: Connection, campaigns: Sequence[str]) -> int:
 
 
 def completed_by(connection: Connection, campaigns: Sequence[str], moment: datetime) -> int:
-    """Return how many candidates were completed by a point in time.
+    """Return how many candidates were completed by a point in time, those of open generations included.
 
     Args:
         connection: For reading.
@@ -164,13 +165,30 @@ def completed_by(connection: Connection, campaigns: Sequence[str], moment: datet
         moment: The point in time.
     """
     completed = GenerationRow.evaluated + GenerationRow.failed + GenerationRow.measured
-    latest = (
-        select(func.max(completed).label("completed"))
+    told = (
+        select(
+            GenerationRow.campaign_id,
+            func.max(completed).label("completed"),
+            func.max(GenerationRow.number).label("number"),
+        )
         .where(GenerationRow.campaign_id.in_(list(campaigns)), GenerationRow.told_at <= moment)
         .group_by(GenerationRow.campaign_id)
         .subquery()
     )
-    return int(connection.execute(select(func.coalesce(func.sum(latest.c.completed), 0))).scalar_one())
+    simulated = (
+        exists()
+        .where(JobRow.campaign_id == SolutionRow.campaign_id, JobRow.number == SolutionRow.number)
+        .where(JobRow.kind != JobKind.TRACE, JobRow.finished_at <= moment)
+    )
+    open_then = (
+        select(func.count())
+        .select_from(SolutionRow)
+        .outerjoin(told, told.c.campaign_id == SolutionRow.campaign_id)
+        .where(SolutionRow.campaign_id.in_(list(campaigns)))
+        .where(SolutionRow.generation > func.coalesce(told.c.number, -1), simulated)
+    )
+    count = connection.execute(select(func.coalesce(func.sum(told.c.completed), 0))).scalar_one()
+    return int(count) + connection.execute(open_then).scalar_one()
 
 
 def delete_experiment(connection: Connection, experiment: Experiment) -> None:
