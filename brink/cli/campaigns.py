@@ -184,9 +184,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"generation {progress.generation}"
     )
     if progress.looks_for_pairs:
-        screen.print(
-            f"it looks for pairs across the boundary: {program()} pairs {progress.id}", soft_wrap=True
-        )
+        screen.print(_other_findings(progress), soft_wrap=True)
     elif series:
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
@@ -250,8 +248,16 @@ def results(
             screen.print(solution_table(boundary, shown=50))
             screen.print(grid_table(boundary.grid))
             screen.print(f"[dim]{boundary.note}[/dim]")
+            found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
+            if found.looks_for_pairs:
+                screen.print(_other_findings(found), soft_wrap=True)
 
     with_api(server, database, work)
+
+
+def _other_findings(progress: Progress) -> str:
+    """Return where the findings of a search for pairs are, which are not boundary solutions."""
+    return f"it looks for pairs across the boundary: {program()} pairs {progress.id}"
 
 
 def within_budget(boundary: Boundary) -> str:

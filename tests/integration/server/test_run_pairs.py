@@ -66,6 +66,8 @@ def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
 
 def test_the_table_says_what_both_sides_share_and_explains_its_terms(database: str, tmp_path: Path) -> None:
     campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))["campaign"]
+    results = CliRunner().invoke(app, ["results", campaign, "--database", database]).stdout
+    assert f"brink pairs {campaign}" in results, "boundary solutions are not what it looked for"
     found = with_api(None, database, lambda api: fetch_pairs(api, campaign))
     pair = found.pairs[0]
     scenario = "Long left bend (road 0), night; task: take the first exit"
