@@ -345,7 +345,7 @@ def progress_of(
     now = max(ends) if ended and ends else datetime.now(UTC)
     elapsed_s = max(0.0, (now - summary["created_at"]).total_seconds())
     span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
-    before = store.completed_by(connection, ids, now - timedelta(seconds=span_s))
+    before = 0 if ended else store.completed_by(connection, campaigns, now - timedelta(seconds=span_s))
     done = sum(campaign.completed for campaign in campaigns) + in_flight
     rate = (done - before) / span_s if span_s > 0 and done > before else None
     remaining = sum(max(0, campaign.budget - campaign.completed) for campaign in running)

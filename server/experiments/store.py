@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Final
 
-from sqlalchemy import Connection, Row, delete, exists, func, insert, select
+from sqlalchemy import Connection, Row, bindparam, delete, exists, func, insert, select
 
 from brink.server.campaigns.store import Campaign, campaign_of, delete_campaign
 from brink.server.db.models import (
@@ -156,39 +157,49 @@ def count_in_flight(connection: Connection, campaigns: Sequence[str]) -> int:
     return connection.execute(query).scalar_one()
 
 
-def completed_by(connection: Connection, campaigns: Sequence[str], moment: datetime) -> int:
-    """Return how many candidates were completed by a point in time, those of open generations included.
+def completed_by(connection: Connection, campaigns: Sequence[Campaign], moment: datetime) -> int:
+    """Return how many candidates were completed by a point in time, those of generations that were open included.
+
+    Of campaigns that were cancelled or have failed, only the generations that were told count: the others have no
+    results, although their jobs have ended.
 
     Args:
         connection: For reading.
-        campaigns: Ids of the campaigns.
+        campaigns: The campaigns.
         moment: The point in time.
     """
     completed = GenerationRow.evaluated + GenerationRow.failed + GenerationRow.measured
     told = (
-        select(
-            GenerationRow.campaign_id,
-            func.max(completed).label("completed"),
-            func.max(GenerationRow.number).label("number"),
-        )
-        .where(GenerationRow.campaign_id.in_(list(campaigns)), GenerationRow.told_at <= moment)
+        select(GenerationRow.campaign_id, func.max(completed), func.max(GenerationRow.number))
+        .where(GenerationRow.campaign_id.in_([one.id for one in campaigns]), GenerationRow.told_at <= moment)
         .group_by(GenerationRow.campaign_id)
-        .subquery()
     )
-    simulated = (
+    found = {name: (count, number) for name, count, number in connection.execute(told)}
+    total = sum(count for count, _ in found.values())
+    for one in campaigns:
+        if one.status in (CampaignStatus.CANCELLED, CampaignStatus.FAILED):
+            continue
+        if one.finished_at is None or one.finished_at > moment:
+            values = {"campaign": one.id, "generation": found.get(one.id, (0, -1))[1], "moment": moment}
+            total += connection.execute(_SIMULATED_AFTER, values).scalar_one()
+    return int(total)
+
+
+_SIMULATED_AFTER: Final = (
+    select(func.count())
+    .select_from(SolutionRow)
+    .where(SolutionRow.campaign_id == bindparam("campaign"))
+    .where(SolutionRow.generation > bindparam("generation"))
+    .where(
         exists()
         .where(JobRow.campaign_id == SolutionRow.campaign_id, JobRow.number == SolutionRow.number)
-        .where(JobRow.kind != JobKind.TRACE, JobRow.finished_at <= moment)
+        .where(JobRow.kind != JobKind.TRACE, JobRow.finished_at <= bindparam("moment"))
     )
-    open_then = (
-        select(func.count())
-        .select_from(SolutionRow)
-        .outerjoin(told, told.c.campaign_id == SolutionRow.campaign_id)
-        .where(SolutionRow.campaign_id.in_(list(campaigns)))
-        .where(SolutionRow.generation > func.coalesce(told.c.number, -1), simulated)
-    )
-    count = connection.execute(select(func.coalesce(func.sum(told.c.completed), 0))).scalar_one()
-    return int(count) + connection.execute(open_then).scalar_one()
+)
+"""Counts the candidates of a campaign in generations after the given one that were simulated by a point in time.
+
+One statement a campaign: in a join over all of them, no index limits the generations.
+"""
 
 
 def delete_experiment(connection: Connection, experiment: Experiment) -> None:

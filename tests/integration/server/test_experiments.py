@@ -66,7 +66,8 @@ def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx
 def test_what_was_complete_at_a_moment_includes_open_generations(
     client: httpx.Client, engines: Engines
 ) -> None:
-    members = [one["campaign"] for one in submit(client)["members"]]
+    found = submit(client)
+    members = [one["campaign"] for one in found["members"]]
     worker = FakeWorker(client)
     first = datetime.now(UTC)
     worker.report(worker.lease(max_jobs=8))
@@ -79,9 +80,17 @@ def test_what_was_complete_at_a_moment_includes_open_generations(
     ):  # until a generation ends, which moves some of the sixteen out of the open ones
         more += len(worker.report(worker.lease(max_jobs=8)))
     later = datetime.now(UTC) + timedelta(minutes=1)
-    with engines.reader.connect() as connection:
-        found = [store.completed_by(connection, members, moment) for moment in (first, second, later)]
-    assert found == [0, 8, 16 + more]
+
+    def completed() -> list[int]:
+        with engines.reader.connect() as connection:
+            read = store.EXPERIMENTS.get(connection, found["id"])
+            campaigns = [one.campaign for one in read.members]
+            return [store.completed_by(connection, campaigns, moment) for moment in (first, second, later)]
+
+    assert completed() == [0, 8, 16 + more]
+    expect(client.post(f"{API}/{found['id']}/cancel"))
+    told = sum(one["simulations"] for one in expect(client.get(f"{API}/{found['id']}"))["members"])
+    assert completed()[2] == told, "jobs that were cancelled are not simulations"
 
 
 def test_an_experiment_is_submitted_with_all_of_its_campaigns(client: httpx.Client, engines: Engines) -> None:
