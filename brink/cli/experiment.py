@@ -25,6 +25,7 @@ from brink.cli.options import (
     print_line,
     with_api,
 )
+from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.server.api.schemas import ExperimentList, ExperimentProgress, ExperimentSummary, ExperimentView
 from brink.server.errors import Conflict
 from brink.server.experiments.body import read_experiment_file
@@ -168,7 +169,7 @@ def pairs(
         typer.Option(
             "--confirm",
             metavar="R",
-            min=5,
+            min=LEAST_DRIVES,
             max=10_000,
             show_default=False,
             help="Simulate both sides of every pair R times with other seeds first, such as 10.",

@@ -17,7 +17,10 @@ SAFE_AT_MOST: Final = 0.2
 UNSAFE_AT_LEAST: Final = 0.8
 """Smallest unsafe share of the unsafe side of a confirmed pair."""
 LEAST_DRIVES: Final = 10
-"""Simulations of each side without which nothing is said."""
+"""Simulations of each side that say whether a pair is confirmed.
+
+Those that are missing, as after a failure, may have had either verdict. If the answer depends on them, there is none.
+"""
 
 
 class Confirmation(StrEnum):
@@ -74,9 +77,19 @@ def confirmation_of(safe: Share, unsafe: Share, *, pending: bool = False) -> Con
         return Confirmation.PENDING
     if not safe.evaluated and not unsafe.evaluated:
         return Confirmation.NOT_TRIED
-    if min(safe.evaluated, unsafe.evaluated) < LEAST_DRIVES:
-        return Confirmation.TOO_FEW
-    holds = (
-        safe.unsafe <= SAFE_AT_MOST * safe.evaluated and unsafe.unsafe >= UNSAFE_AT_LEAST * unsafe.evaluated
-    )
-    return Confirmation.CONFIRMED if holds else Confirmation.NOT_CONFIRMED
+    if _most_unsafe(safe) <= SAFE_AT_MOST and _least_unsafe(unsafe) >= UNSAFE_AT_LEAST:
+        return Confirmation.CONFIRMED
+    if _least_unsafe(safe) > SAFE_AT_MOST or _most_unsafe(unsafe) < UNSAFE_AT_LEAST:
+        return Confirmation.NOT_CONFIRMED
+    return Confirmation.TOO_FEW
+
+
+def _least_unsafe(side: Share) -> float:
+    """Return the unsafe share if all simulations that are missing had been safe."""
+    return side.unsafe / max(side.evaluated, LEAST_DRIVES)
+
+
+def _most_unsafe(side: Share) -> float:
+    """Return the unsafe share if all simulations that are missing had been unsafe."""
+    missing = max(0, LEAST_DRIVES - side.evaluated)
+    return (side.unsafe + missing) / max(side.evaluated, LEAST_DRIVES)

@@ -18,7 +18,7 @@ from enum import StrEnum
 from typing import Final, Self
 
 from brink.search.analysis.comparison import difference
-from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
+from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
 from brink.search.analysis.statistics import (
     Comparison,
     MeanInterval,
@@ -77,8 +77,8 @@ class PairCounts:
 
     @property
     def is_tried(self) -> bool:
-        """Whether the number of confirmed pairs is known, since every pair was tried."""
-        return self.tried == self.distinct
+        """Whether the number of confirmed pairs is known: every pair was tried, with enough drives."""
+        return self.decided == self.distinct
 
     @classmethod
     def of(
@@ -288,7 +288,9 @@ def measure_of(repeats: Sequence[PairRepeat], problem: str) -> PairMeasure:
 def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
     """Return a sentence on what methods are compared on, and why."""
     ours = [one for one in repeats if one.problem == problem]
-    distinct, tried = sum(one.counts.distinct for one in ours), sum(one.counts.tried for one in ours)
+    distinct, tried, decided = (
+        sum(getattr(one.counts, name) for one in ours) for name in ("distinct", "tried", "decided")
+    )
     if measure_of(repeats, problem) is PairMeasure.CONFIRMED:
         return "Compared on confirmed distinct pairs."
     if not distinct:
@@ -297,9 +299,14 @@ def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
         return "Compared on distinct pairs: verdicts are computed here, so there is nothing to confirm."
     if not tried:
         return "Compared on distinct pairs: none of them was simulated again with other seeds, so none is confirmed."
+    if tried < distinct:
+        return (
+            f"Compared on distinct pairs, confirmed or not: only {tried:,} of {distinct:,} were simulated again "
+            "with other seeds."
+        )
     return (
-        f"Compared on distinct pairs, confirmed or not: only {tried:,} of {distinct:,} were simulated again with "
-        "other seeds."
+        f"Compared on distinct pairs, confirmed or not: {tried - decided:,} of {distinct:,} have too few simulations "
+        f"with other seeds, because some failed. To simulate them again, confirm with more than {LEAST_DRIVES}."
     )
 
 

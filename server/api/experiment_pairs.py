@@ -118,7 +118,7 @@ class PairRepeatView(View):
         int, Field(description="Distinct pairs that were simulated again with other seeds after the search.")
     ]
     decided: Annotated[
-        int, Field(description="Tried ones with at least ten drives a side: confirmed or not confirmed.")
+        int, Field(description="Tried ones with enough drives to say whether they are confirmed.")
     ]
     confirmed: Annotated[
         int | None,

@@ -15,7 +15,14 @@ from brink.search.fitness import wilson_interval
         ((2, 10), (8, 10), Confirmation.CONFIRMED),
         ((3, 10), (10, 10), Confirmation.NOT_CONFIRMED),
         ((0, 10), (7, 10), Confirmation.NOT_CONFIRMED),
-        ((0, 9), (9, 9), Confirmation.TOO_FEW),
+        # Missing drives may have had either verdict.
+        ((0, 9), (9, 9), Confirmation.CONFIRMED),
+        ((0, 8), (8, 8), Confirmation.CONFIRMED),
+        ((0, 7), (10, 10), Confirmation.TOO_FEW),
+        ((2, 9), (10, 10), Confirmation.TOO_FEW),
+        ((3, 9), (10, 10), Confirmation.NOT_CONFIRMED),
+        ((0, 10), (6, 9), Confirmation.NOT_CONFIRMED),
+        ((0, 10), (7, 9), Confirmation.TOO_FEW),
     ],
 )
 def test_a_pair_is_confirmed_by_clear_shares_of_both_sides(
