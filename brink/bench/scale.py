@@ -20,6 +20,7 @@ import httpx
 from brink.bench.load import MODULE, LoadClient, load_campaign
 from brink.bench.measurement import Progress, counted, cpu_seconds
 from brink.bench.processes import CoordinatorProcess, running_coordinator
+from brink.search import surrogate
 from brink.server.runtime.coordinator import allow_many_open_files
 
 MEAN_S = 5.0
@@ -93,6 +94,8 @@ def measure_utilisation(
 ) -> list[Utilisation]:
     """Measure the utilisation of 1 to 64 workers, or of a given number, by one campaign and by two.
 
+    The search for pairs is left out if scikit-learn is not installed.
+
     Args:
         progress: Progress callback.
         workers: Number of workers in place of 1 to 64, for generations of one or four jobs per worker.
@@ -120,6 +123,8 @@ def measure_utilisation(
             Setup(workers=workers, campaigns=1, generation=4 * workers, in_flight=1),
             Setup(workers=workers, campaigns=2, generation=4 * workers, in_flight=1),
         ]
+    if not surrogate.is_available():
+        setups = [setup for setup in setups if setup.algorithm != "edge@1"]
     found = []
     for place in counted(progress, "measurements", len(setups)):
         setup = setups[place]

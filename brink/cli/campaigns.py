@@ -184,7 +184,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"generation {progress.generation}"
     )
     if progress.looks_for_pairs:
-        screen.print(_other_findings(progress), soft_wrap=True)
+        screen.print(_where_pairs_are(progress), soft_wrap=True)
     elif series:
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
@@ -250,14 +250,18 @@ def results(
             screen.print(f"[dim]{boundary.note}[/dim]")
             found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
             if found.looks_for_pairs:
-                screen.print(_other_findings(found), soft_wrap=True)
+                screen.print(_where_pairs_are(found), soft_wrap=True)
 
     with_api(server, database, work)
 
 
-def _other_findings(progress: Progress) -> str:
-    """Return where the findings of a search for pairs are, which are not boundary solutions."""
-    return f"it looks for pairs across the boundary: {program()} pairs {progress.id}"
+def _where_pairs_are(progress: Progress) -> str:
+    """Return how to see what a search for pairs found."""
+    ended = progress.status not in (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
+    verb = "searched" if ended else "is searching"
+    return (
+        f"this campaign {verb} for pairs across the boundary; show them with: {program()} pairs {progress.id}"
+    )
 
 
 def within_budget(boundary: Boundary) -> str:

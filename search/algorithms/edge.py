@@ -242,7 +242,13 @@ class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
         seeds, tries = ({a: b for a, b in table(name, 2)} for name in ("seeds", "tries"))  # noqa: C416
         resolved = tuple(place for (place,) in table("resolved", 1))
         known = set(ledger.archive.numbers.tolist())
+        unsafe = set(ledger.archive.numbers[ledger.archive.unsafe].tolist())
+        numbered = set(range(ledger.spent + ledger.in_flight + len(ledger.queue)))
         _check_references("brackets", {n for b in brackets for n in (b.safe, b.unsafe)}, known)
+        _check_references("brackets", {b.seed for b in brackets}, numbered)
+        if any(b.safe in unsafe or b.unsafe not in unsafe for b in brackets):
+            raise DocumentError("brackets: a side does not have the verdict of its side")
+        _check_references("seeds", {n for both in seeds.items() for n in both}, numbered)
         _check_references("tries", tries.keys(), known)
         _check_references("resolved", set(resolved), set(range(len(brackets))))
         for purpose, of, side in jobs:

@@ -136,8 +136,9 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
 def test_progress_of_a_search_for_pairs_does_not_speak_of_the_boundary(database: str, tmp_path: Path) -> None:
     told = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))
     shown = CliRunner().invoke(app, ["status", told["campaign"], "--database", database]).stdout
-    assert f"it looks for pairs across the boundary: brink pairs {told['campaign']}" in " ".join(
-        shown.split()
+    assert (
+        f"searched for pairs across the boundary; show them with: brink pairs {told['campaign']}"
+        in " ".join(shown.split())
     )
     assert "distinct" not in shown
 

@@ -183,11 +183,21 @@ def test_nearly_all_tight_pairs_are_checked_before_the_budget_ends(budget: int, 
     assert tight + still_open <= 0.2 * kept, (kept, tight, still_open)
 
 
-def test_a_stored_state_that_names_unknown_solutions_is_refused(chancy: tuple[EdgeState, list[Ask]]) -> None:
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda one: {"unsafe": 10_000}, "brackets: 10000 is none of the solutions"),
+        (lambda one: {"seed": -7}, "brackets: -7 is none of the solutions"),
+        (lambda one: {"safe": one.unsafe, "unsafe": one.safe}, "does not have the verdict of its side"),
+    ],
+)
+def test_a_stored_state_with_wrong_brackets_is_refused(
+    chancy: tuple[EdgeState, list[Ask]], change: Callable[[Bracket], dict[str, int]], says: str
+) -> None:
     algorithm, state = Edge(), chancy[0]
-    broken = dataclasses.replace(state.brackets[0], unsafe=10_000)
+    broken = dataclasses.replace(state.brackets[0], **change(state.brackets[0]))
     stored = algorithm.dump(dataclasses.replace(state, brackets=(broken, *state.brackets[1:])))
-    with pytest.raises(DocumentError, match="brackets: 10000 is none of the solutions"):
+    with pytest.raises(DocumentError, match=says):
         algorithm.load(ROAD, state.config, stored, state.archive)
 
 
