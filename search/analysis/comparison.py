@@ -329,9 +329,14 @@ def difference(result: Comparison, adjusted: float, first: str, second: str) -> 
         first: The method whose larger values give an A12 above one half.
         second: The other method.
     """
-    if adjusted > LEVEL:
-        return _CHANCE if result.p_value <= LEVEL else "these repeats show no difference"
-    return f"{first if result.a12 > 0.5 else second} finds more"
+    more = f"{first if result.a12 > 0.5 else second} finds more"
+    if adjusted <= LEVEL:
+        return more
+    if result.p_value <= LEVEL:
+        return _CHANCE
+    if result.a12 in (0.0, 1.0):
+        return f"{more} in every repeat, but these are too few for the test"
+    return "these repeats show no difference"
 
 
 def with_low_controls(repeats: Sequence[Repeat], problem: str | None = None) -> list[str]:

@@ -71,6 +71,8 @@ def duel(second: Line, p: float, adjusted: float, a12: float) -> Duel:
         (RS, 0.001, 0.01, 0.1, (), "RS finds more"),
         (RS, 0.01, 0.2, 0.9, (), "it may be chance"),
         (RS, 0.3, 1.0, 0.6, (), "show no difference"),
+        (RS, 0.1, 0.1, 1.0, (), "GA finds more in every repeat, but these are too few for the test"),
+        (RS, 0.1, 0.1, 0.0, (), "RS finds more in every repeat, but these are too few for the test"),
         (RS, 0.001, 0.01, 0.9, ("GA",), "GA finds more"),  # its control does not matter here
         (GA_CONTROL, 0.001, 0.01, 0.9, (), "behaviour accounts for 5.0"),
         (GA_CONTROL, 0.01, 0.2, 0.9, (), "it may be chance"),
