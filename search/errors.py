@@ -46,7 +46,15 @@ class DocumentError(SearchError, ValueError):
 
 
 class TooManyPairs(SearchError):
-    """An archive holds more pairs than are looked at."""
+    """An archive holds more pairs than are looked at.
+
+    Attributes:
+        setting: Name of the setting to change, ``eps`` or ``d_th``.
+    """
+
+    def __init__(self, message: str, *, setting: str) -> None:
+        self.setting = setting
+        super().__init__(message)
 
 
 class MissingExtra(SearchError):

@@ -3,7 +3,7 @@
 Either way the client speaks the REST API, so what works on this machine also works against a remote one.
 """
 
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
 from contextlib import asynccontextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import httpx
 from pydantic import TypeAdapter, ValidationError
 
-from brink.server.errors import TOKEN_FORM, InvalidInput, ServerError
+from brink.server.errors import TOKEN_FORM, FieldError, InvalidInput, ServerError
 
 if TYPE_CHECKING:
     from brink.server.settings import Settings
@@ -22,7 +22,15 @@ TIMEOUT = httpx.Timeout(90.0, connect=5.0)
 
 
 class CoordinatorError(ServerError):
-    """The coordinator rejected a request or could not be reached; the message can be shown to users."""
+    """The coordinator rejected a request or could not be reached; the message can be shown to users.
+
+    Attributes:
+        errors: One error for each invalid field of the request, if that is why it was rejected.
+    """
+
+    def __init__(self, message: str, errors: Iterable[FieldError] = ()) -> None:
+        self.errors = tuple(errors)
+        super().__init__(message)
 
 
 class Api:
@@ -104,7 +112,7 @@ class Api:
             raise CoordinatorError(
                 f"the coordinator at {self.where} requires a token: set the environment variable BRINK_TOKEN"
             )
-        raise CoordinatorError(_error_message(response))
+        raise _error_of(response)
 
     def _validated(self, schema: Any, response: httpx.Response) -> Any:
         try:
@@ -123,20 +131,19 @@ def _adapter(schema: Any) -> TypeAdapter[Any]:
     return TypeAdapter(schema)
 
 
-def _error_message(response: httpx.Response) -> str:
-    """Return the message of an error response, one line for each invalid field."""
+def _error_of(response: httpx.Response) -> CoordinatorError:
+    """Return the error that a response stands for; its message has one line for each invalid field."""
     try:
         document = response.json()
     except ValueError:
-        return f"the coordinator answered {response.status_code}: {response.text[:200]}"
-    errors = document.get("errors") or []
+        return CoordinatorError(f"the coordinator answered {response.status_code}: {response.text[:200]}")
+    errors = [
+        FieldError(pointer=error["pointer"] or "/", message=error["message"], nearest=error.get("nearest"))
+        for error in document.get("errors") or []
+    ]
     if not errors:
-        return str(document.get("detail", document))
-    lines = []
-    for error in errors:
-        hint = f" (did you mean {error['nearest']!r}?)" if error.get("nearest") else ""
-        lines.append(f"{error['pointer'] or '/'}: {error['message']}{hint}")
-    return "\n".join(lines)
+        return CoordinatorError(str(document.get("detail", document)))
+    return CoordinatorError("\n".join(map(str, errors)), errors)
 
 
 @asynccontextmanager

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
+from rich.markup import escape
 from rich.progress import Progress
 
 from brink.api.client import Api, CoordinatorError
@@ -27,6 +28,7 @@ from brink.cli.options import (
     write_json,
 )
 from brink.search.archive import ARRAYS, Archive
+from brink.search.errors import TooManyPairs
 from brink.search.space import BoolArray
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.pair_views import MOST_PAIRS, PairsView
@@ -75,7 +77,11 @@ def plot(
         formats = ("png", "svg") if svg else ("png",)
         pairs = None
         if searches_for_pairs(fetched.body.algorithm.id):
-            pairs = await api.read(PairsView, f"/campaigns/{fetched.id}/pairs", {"limit": MOST_PAIRS})
+            pairs = await read_all_pairs(api, fetched.id)
+        if isinstance(pairs, TooManyPairs):
+            console(stderr=True).print(
+                f"[yellow]no pair is marked: {escape(str(pairs))}[/yellow]", soft_wrap=True
+            )
         return await asyncio.to_thread(
             draw_figures, fetched, folder, t_b=t_b, d_th=d_th, pairs=pairs, formats=formats
         )
@@ -172,6 +178,21 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     )  # fmt: skip
 
 
+async def read_all_pairs(api: Api, campaign: str) -> PairsView | TooManyPairs:
+    """Return the pairs of a campaign, as far as they are shown, or that there are too many to tell apart.
+
+    Raises:
+        CoordinatorError: The campaign does not exist.
+    """
+    try:
+        return await api.read(PairsView, f"/campaigns/{campaign}/pairs", {"limit": MOST_PAIRS})
+    except CoordinatorError as error:
+        for setting in ("eps", "d_th"):
+            if [one.pointer for one in error.errors] == [f"/query/{setting}"]:  # neither was given
+                return TooManyPairs(error.errors[0].message, setting=setting)
+        raise
+
+
 async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float) -> Boundary:
     """Write the boundary (CSV and JSON) and the archive of a campaign.
 
@@ -202,7 +223,7 @@ def draw_figures(
     *,
     t_b: float,
     d_th: float,
-    pairs: PairsView | None = None,
+    pairs: PairsView | TooManyPairs | None = None,
     formats: tuple[str, ...] = ("png",),
 ) -> list[Path]:
     """Draw the figures of a campaign.
@@ -212,7 +233,8 @@ def draw_figures(
         folder: Folder to write to.
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
-        pairs: The pairs to mark in place of boundary solutions, if the campaign searched for them.
+        pairs: The pairs to mark in place of boundary solutions, if the campaign searched for them; none are marked
+            if there are too many.
         formats: File formats.
 
     Returns:
@@ -230,11 +252,16 @@ def draw_figures(
         t_b=t_b,
         d_th=d_th,
         words=_verdict_words(fetched),
-        pairs=None
-        if pairs is None
-        else tuple((pair.safe.number, pair.unsafe.number) for pair in pairs.pairs),
+        pairs=None if pairs is None else _numbers_of(pairs),
+        too_many_pairs=isinstance(pairs, TooManyPairs),
     )
     return write_campaign_figures(figures, folder, formats=formats)
+
+
+def _numbers_of(pairs: PairsView | TooManyPairs) -> tuple[tuple[int, int], ...]:
+    if isinstance(pairs, TooManyPairs):
+        return ()
+    return tuple((pair.safe.number, pair.unsafe.number) for pair in pairs.pairs)
 
 
 def _verdict_words(fetched: FetchedArchive) -> "VerdictWords":

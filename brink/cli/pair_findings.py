@@ -8,11 +8,14 @@ from rich.console import Console
 from rich.markup import escape
 
 from brink.api.client import Api, CoordinatorError
-from brink.cli.draw import Drawing, FetchedArchive, NoTrace
+from brink.cli.draw import Drawing, FetchedArchive, NoTrace, read_all_pairs
 from brink.cli.pair_pictures import write_pair
-from brink.cli.pairs import chance_words, fetch_pairs, legend, pairs_table
+from brink.cli.pairs import chance_words, legend, pairs_table
 from brink.search.analysis.confirmation import Confirmation
+from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView
+from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
+from brink.server.campaigns.pairs import PairSettings, searches_for_pairs
 from brink.server.campaigns.plan import with_truth
 from brink.server.errors import InvalidInput
 from brink.sim.errors import SimulatorError
@@ -150,9 +153,59 @@ def _has_component(fetched: FetchedArchive) -> bool:
     return True
 
 
-async def fetch_pair_findings(api: Api, fetched: FetchedArchive) -> PairFindings:
-    """Return the distinct pairs of a campaign, and their files."""
-    view = await fetch_pairs(api, fetched.id, limit=MOST_PAIRS)
+class TooManyFindings:
+    """What is left to say of a campaign with too many pairs to tell apart.
+
+    Args:
+        refusal: Why its pairs are not listed.
+        fetched: The campaign.
+    """
+
+    def __init__(self, refusal: TooManyPairs, fetched: FetchedArchive) -> None:
+        self._refusal = refusal
+        self._fetched = fetched
+
+    @property
+    def view(self) -> TooManyPairs:
+        """Why there is no list of pairs."""
+        return self._refusal
+
+    @property
+    def searched(self) -> bool:
+        """Whether the campaign searched for pairs."""
+        return searches_for_pairs(self._fetched.body.algorithm.id)
+
+    def summary(self) -> dict[str, Any]:
+        """Return why there are no findings for ``brink run --json``."""
+        return {"searched": self.searched, "too_many": str(self._refusal)}
+
+    def show(self, screen: Console) -> None:
+        """Print why there is no pair, in one line."""
+        screen.print(f"[yellow]no list of pairs: {escape(str(self._refusal))}[/yellow]", soft_wrap=True)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write nothing."""
+        return []
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        """Draw nothing."""
+        return []
+
+    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
+        """Return the command that lists fewer pairs."""
+        own = PairSettings.of(self._fetched.plan)
+        if self._refusal.setting == "d_th":
+            option, value = "--d-th", min(1.0, max(DEFAULT_PAIRS_D_TH, 2 * own.d_th))
+        else:
+            option, value = "--eps", min(DEFAULT_EPS, own.eps / 2)
+        return [(f"pairs {campaign} {option} {value:g}{database}", "list fewer pairs")]
+
+
+async def fetch_pair_findings(api: Api, fetched: FetchedArchive) -> PairFindings | TooManyFindings:
+    """Return the distinct pairs of a campaign, and their files, or that there are too many."""
+    view = await read_all_pairs(api, fetched.id)
+    if isinstance(view, TooManyPairs):
+        return TooManyFindings(view, fetched)
     path = f"/campaigns/{fetched.id}/pairs"
     tables = {}
     for form in _FORMATS if view.pairs else ():

@@ -184,6 +184,8 @@ def pairs(
     complete = True
     if asked:
         screen = console(stderr=as_json or (wanted is not Format.TABLE and out is None))
+        if limit is not None and limit > MOST_PAIRS_FOLLOWED:
+            screen.print(f"only the first {MOST_PAIRS_FOLLOWED} pairs are simulated again")
         complete = _follow_up(campaign, asked, workers, server, database, screen)
 
     async def work(api: Api) -> None:
@@ -209,7 +211,8 @@ def pairs(
         else:
             out.write_bytes(written.content)
             view = await fetch_pairs(api, campaign, **{**params, "format": "json"})
-            typer.echo(f"{out}: {len(view.pairs)} of {view.distinct} distinct pairs")
+            pairs = "pair" if view.distinct == 1 else "pairs"
+            typer.echo(f"{out}: {len(view.pairs)} of {view.distinct} distinct {pairs}")
 
     with_api(server, database, work)
     raise typer.Exit(int(not complete))
@@ -259,14 +262,19 @@ def _can_be_minimised(view: PairsView, screen: Console) -> bool:
     """Return whether a difference of any pair may be reverted, and say which pairs are left out."""
     states = [pair.minimality.state for pair in view.pairs]
     if left_out := states.count(Minimality.DIFFERENT_SEEDS):
+        if len(states) == 1:
+            pairs, sides = "the pair", "its sides"
+        else:
+            pairs, sides = f"{left_out} of {len(states)} pairs", "their sides"
         screen.print(
-            f"{left_out} of {len(states)} pairs cannot be minimised: their sides were simulated with different "
-            "seeds, so chance may decide rather than a difference",
+            f"{pairs} cannot be minimised: {sides} were simulated with different seeds, so chance may decide rather "
+            "than a difference",
             soft_wrap=True,
         )
     one_seed = len(states) - left_out
     if one_seed and states.count(Minimality.MINIMAL) == one_seed:
-        screen.print(f"none of the differences of {one_seed} pairs can go: they are minimal")
+        pairs = "the pair can go: it is" if one_seed == 1 else f"{one_seed} pairs can go: they are"
+        screen.print(f"none of the differences of {pairs} minimal")
     return states.count(Minimality.MINIMAL) < one_seed
 
 
@@ -408,7 +416,7 @@ def legend(view: PairsView) -> list[str]:
         )
     if any(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs):
         found.append("minimal: none of the differences can go without losing the opposite verdicts")
-    if view.tried:
+    if view.tried or view.pending:
         found.append(
             "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations and the unsafe "
             f"side in 9 of 10; confirmed means at most 20% and at least 80%, with at least {LEAST_DRIVES} each"

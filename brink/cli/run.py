@@ -32,7 +32,7 @@ from brink.cli.options import (
     print_json,
     program,
 )
-from brink.cli.pair_findings import PairFindings, fetch_pair_findings
+from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
@@ -157,7 +157,7 @@ class Report:
         boundary: The distinct boundary solutions.
         files: All files written so far.
         control: One sentence for each comparison with a control.
-        pairs: The pairs across the boundary.
+        pairs: The pairs across the boundary, or that there are too many.
         findings: Other findings.
         outcomes: What the simulations showed about all requirements.
     """
@@ -165,7 +165,7 @@ class Report:
     boundary: Boundary
     files: list[Path]
     control: list[str]
-    pairs: PairFindings
+    pairs: PairFindings | TooManyFindings
     findings: Sequence[Findings]
     outcomes: OutcomesView
 

@@ -307,6 +307,8 @@ def _verdict_keys(inputs: CampaignFigures) -> list[tuple[str, str]]:
 
 
 def _ring_text(inputs: CampaignFigures, drawn: _Map) -> str:
+    if inputs.too_many_pairs:
+        return "distinct pairs: too many to mark"
     if inputs.pairs is not None:
         return f"distinct pairs: {len(inputs.pairs):,}" if inputs.pairs else "distinct pairs: none"
     if drawn.distinct.size == 0:

@@ -40,6 +40,7 @@ class CampaignFigures:
         active: Which parameters had a part in each episode, shape ``(n, d)``; None if that was not recorded.
         pairs: Numbers of the safe and the unsafe side of each distinct pair, in the order of their list, if the
             campaign searched for pairs; None if it searched for something else.
+        too_many_pairs: Whether there are too many pairs to mark any.
     """
 
     archive: Archive
@@ -51,6 +52,7 @@ class CampaignFigures:
     words: VerdictWords | None = None
     active: BoolArray | None = None
     pairs: tuple[tuple[int, int], ...] | None = None
+    too_many_pairs: bool = False
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.generation_ends, dtype=np.int64)

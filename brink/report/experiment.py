@@ -29,6 +29,7 @@ from brink.search.analysis.comparison import (
 from brink.search.analysis.pair_comparison import PairRepeat
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
+from brink.server.api.experiment_pairs import LeftOutView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 
@@ -57,12 +58,14 @@ class ReportedPairs:
         eps: Largest distance between the sides of a pair.
         d_th: Smallest distance between two distinct pairs.
         pictures: File name of the figure of each problem.
+        left_out: Finished campaigns that are left out, as they have too many pairs.
     """
 
     repeats: Sequence[PairRepeat]
     eps: float
     d_th: float
     pictures: Mapping[str, str]
+    left_out: Sequence[LeftOutView] = ()
 
 
 def markdown_report(
@@ -93,7 +96,7 @@ def markdown_report(
         if pairs is not None:
             parts += pair_section(
                 pairs.repeats, problem, eps=pairs.eps, d_th=pairs.d_th, heading=heading,
-                picture=pairs.pictures.get(problem),
+                picture=pairs.pictures.get(problem), left_out=pairs.left_out,
             )  # fmt: skip
         parts += [
             f"## {'Conclusions' if pairs is None else 'Boundary solutions, as the paper counts them'}{heading}",

@@ -19,6 +19,7 @@ from brink.search.analysis.pair_comparison import (
     pair_duels,
     pair_standings,
 )
+from brink.server.api.experiment_pairs import LeftOutView
 
 COLUMNS: Final = (
     "distinct pairs", "confirmed distinct pairs", "checked pairs confirmed", "all pairs confirmed",
@@ -90,8 +91,29 @@ def pair_sentences(repeats: Sequence[PairRepeat], problem: str) -> Iterator[str]
             yield f"- {duel_words(duel)}"
 
 
+def left_out_sentences(left_out: Sequence[LeftOutView], problem: str | None = None) -> Iterator[str]:
+    """Yield which campaigns are left out because they have too many pairs, and what helps, as list items.
+
+    Args:
+        left_out: Campaigns that are left out.
+        problem: Name of the problem; None for all.
+    """
+    ours = [one for one in left_out if problem in (None, one.problem)]
+    if ours:
+        yield "Left out everywhere here, as they have too many pairs:\n"
+    for one in ours:
+        yield f"- campaign `{one.campaign}` (**{one.method}**, seed {one.seed}): {one.reason}"
+
+
 def pair_section(
-    repeats: Sequence[PairRepeat], problem: str, *, eps: float, d_th: float, heading: str, picture: str | None
+    repeats: Sequence[PairRepeat],
+    problem: str,
+    *,
+    eps: float,
+    d_th: float,
+    heading: str,
+    picture: str | None,
+    left_out: Sequence[LeftOutView] = (),
 ) -> list[str]:
     """Return the paragraphs of the report about the pairs on a problem.
 
@@ -102,13 +124,15 @@ def pair_section(
         d_th: Smallest distance between two distinct pairs.
         heading: What follows the words of a heading, such as the name of the problem.
         picture: File name of the figure, if it was drawn.
+        left_out: Campaigns that are left out, as they have too many pairs.
     """
     ours = [one for one in repeats if one.problem == problem]
-    parts = [
-        f"## Pairs across the boundary{heading}",
-        settings_words(eps, d_th),
-        "\n".join(pair_sentences(repeats, problem)),
-    ]
+    parts = [f"## Pairs across the boundary{heading}", settings_words(eps, d_th)]
+    if omitted := "\n".join(left_out_sentences(left_out, problem)):
+        parts.append(omitted)
+    if not ours:
+        return parts
+    parts.append("\n".join(pair_sentences(repeats, problem)))
     if picture is not None:
         parts.append(f"![Distinct and confirmed pairs by method]({picture})")
     computed = ours[0].computed

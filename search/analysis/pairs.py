@@ -28,7 +28,7 @@ _CHUNK_CELLS: Final = 4_000_000
 """Distances computed at a time; bounds the memory."""
 _BLOCK: Final = 1_000
 """Midpoints compared at a time."""
-MOST_TIGHT: Final = 1_000_000
+MOST_TIGHT: Final = 200_000
 MOST_DISTINCT: Final = 5_000
 """Maximum numbers of tight and of distinct pairs; they bound time and memory."""
 
@@ -257,7 +257,8 @@ def _tight(rows: FloatArray, steps: Steps, safe: IntArray, unsafe: IntArray, eps
 def _check_few(tight: int, eps: float) -> None:
     if tight > MOST_TIGHT:
         raise TooManyPairs(
-            f"more than {MOST_TIGHT:,} pairs of solutions are within eps {eps:g}: choose a smaller eps"
+            f"more than {MOST_TIGHT:,} pairs of solutions are within eps {eps:g}: choose a smaller eps",
+            setting="eps",
         )
 
 
@@ -285,7 +286,7 @@ def _distinct(rows: FloatArray, found: _Candidates, steps: Steps, d_th: float) -
     )
     if d_th == 0:
         if len(found) > MOST_DISTINCT:
-            raise TooManyPairs(message)
+            raise TooManyPairs(message, setting="d_th")
         return np.arange(len(found))
     taken: list[int] = []
     centres: FloatArray = np.empty((0, rows.shape[1]))
@@ -304,7 +305,7 @@ def _distinct(rows: FloatArray, found: _Candidates, steps: Steps, d_th: float) -
             apart[0] = False
             middles, left = middles[apart], left[apart]
         if len(taken) > MOST_DISTINCT:
-            raise TooManyPairs(message)
+            raise TooManyPairs(message, setting="d_th")
         centres = np.concatenate(new)
     return np.array(taken, np.int64)
 

@@ -1,7 +1,6 @@
 """Routes of the pairs across the boundary that the campaigns of an experiment found."""
 
 import asyncio
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -11,7 +10,6 @@ from brink.search.analysis.comparison import LEVEL
 from brink.search.analysis.pair_comparison import (
     PairCounts,
     PairMeasure,
-    PairRepeat,
     Proportion,
     measure_of,
     measure_words,
@@ -21,10 +19,11 @@ from brink.search.analysis.pair_comparison import (
 )
 from brink.search.analysis.statistics import MeanInterval
 from brink.server.api.context import Context, Services
+from brink.server.api.pair_views import ConfirmationRule
 from brink.server.api.responses import COMPUTING, computing
 from brink.server.api.schemas import View
 from brink.server.campaigns.pairs import PairSettings
-from brink.server.experiments.pairs import settings_of
+from brink.server.experiments.pairs import SearchedCampaigns, settings_of
 from brink.server.experiments.store import Experiment
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])
@@ -134,6 +133,16 @@ class PairRepeatView(View):
     drives: Annotated[int, Field(description="Fewest drives with other seeds of any side of a tried pair.")]
 
 
+class LeftOutView(View):
+    """A finished campaign whose pairs are not counted, because there are too many."""
+
+    problem: str
+    method: str
+    seed: int
+    campaign: str
+    reason: Annotated[str, Field(description="What is too many, and which setting helps.")]
+
+
 class ProblemPairs(View):
     """What the methods are compared on, on one problem."""
 
@@ -155,6 +164,11 @@ class ExperimentPairs(View):
     standings: list[PairStandingView]
     duels: list[PairDuelView]
     repeats: list[PairRepeatView]
+    rule: ConfirmationRule = ConfirmationRule()
+    left_out: Annotated[
+        tuple[LeftOutView, ...],
+        Field(description="Finished campaigns that have too many pairs; they count nowhere else here."),
+    ] = ()
 
 
 @router.get("/{experiment_id}/pairs", responses=COMPUTING)
@@ -197,14 +211,16 @@ async def find_experiment_pairs(
         settings: Which solutions are a pair, and which pairs are distinct.
         wait_s: How long to wait for campaigns that are being searched for pairs.
     """
-    repeats, missing = await services.experiment_pairs.repeats(experiment, settings, wait_s)
-    if missing:
-        return f"searched {len(repeats)} of {len(repeats) + missing} finished campaigns for pairs"
+    searched = await services.experiment_pairs.repeats(experiment, settings, wait_s)
+    if searched.pending:
+        done = len(searched.repeats) + len(searched.left_out)
+        return f"searched {done} of {done + searched.pending} finished campaigns for pairs"
     loop = asyncio.get_running_loop()
-    return await loop.run_in_executor(None, _view, experiment, settings, repeats)
+    return await loop.run_in_executor(None, _view, experiment, settings, searched)
 
 
-def _view(experiment: Experiment, settings: PairSettings, repeats: Sequence[PairRepeat]) -> ExperimentPairs:
+def _view(experiment: Experiment, settings: PairSettings, searched: SearchedCampaigns) -> ExperimentPairs:
+    repeats = searched.repeats
     return ExperimentPairs(
         id=experiment.id, name=experiment.body.name, eps=settings.eps, d_th=settings.d_th,
         campaigns=experiment.body.campaigns, counted=len(repeats),
@@ -240,6 +256,13 @@ def _view(experiment: Experiment, settings: PairSettings, repeats: Sequence[Pair
             )
             for one in repeats
         ],
+        left_out=tuple(
+            LeftOutView(
+                problem=one.member.problem, method=one.member.method, seed=one.member.campaign.body.seed,
+                campaign=one.member.campaign.id, reason=one.reason,
+            )
+            for one in searched.left_out
+        ),
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation
+from brink.search.analysis.confirmation import LEAST_DRIVES, SAFE_AT_MOST, UNSAFE_AT_LEAST, Confirmation
 from brink.server.api.schemas import ActivityView, View
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.repeats import FollowUpKind
@@ -34,11 +34,24 @@ class ConfirmationView(View):
         Confirmation,
         Field(
             description="Confirmed if the safe side was unsafe in at most 20% and the unsafe side in at least 80% of "
-            f"the simulations with other seeds, at least {LEAST_DRIVES} each. Pending while follow-ups simulate more."
+            f"the simulations with other seeds, at least {LEAST_DRIVES} each. Pending while there are fewer and "
+            "follow-ups simulate more."
         ),
     ]
     safe: ShareView
     unsafe: ShareView
+
+
+class ConfirmationRule(View):
+    """When a pair is confirmed."""
+
+    least_drives: Annotated[int, Field(description="Smallest number of simulations of each side.")] = (
+        LEAST_DRIVES
+    )
+    safe_at_most: Annotated[float, Field(description="Largest unsafe share of the safe side.")] = SAFE_AT_MOST
+    unsafe_at_least: Annotated[float, Field(description="Smallest unsafe share of the unsafe side.")] = (
+        UNSAFE_AT_LEAST
+    )
 
 
 class ComponentPart(StrEnum):
@@ -290,4 +303,5 @@ class PairsView(View):
     ]
     follow_ups: Annotated[list[FollowUpView], Field(description="Oldest first.")]
     offers: Annotated[list[FollowUpOffer], Field(description="What can be asked about the distinct pairs.")]
+    rule: ConfirmationRule = ConfirmationRule()
     pairs: Annotated[list[PairView], Field(description="Checked ones first, then by distance.")]

@@ -49,12 +49,18 @@ from brink.server.campaigns.follow_ups import (
     sides_of,
 )
 from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
-from brink.server.campaigns.pairs import CampaignPairs, PairSettings, searches_for_pairs, shares_of
+from brink.server.campaigns.pairs import (
+    CampaignPairs,
+    PairSettings,
+    find_reducible,
+    searches_for_pairs,
+    shares_of,
+)
 from brink.server.campaigns.plan import Plan, check_repeatable, make_plan, with_truth
 from brink.server.campaigns.repeats import EVERY_D_TH, EVERY_T_B, FollowUpKind, StoredRepeats, read_follow_ups
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import read
-from brink.server.errors import Conflict, InvalidInput
+from brink.server.errors import Conflict, InvalidInput, NotFound
 from brink.server.problems.base import (
     ExplainsChanges,
     InProcessProblem,
@@ -134,7 +140,8 @@ async def follow_up_pairs(
     try:
         pairs = await services.pairs.get(campaign, found, PairSettings.of(found.plan, body.eps, body.d_th))
     except InvalidInput as error:  # it points at the parameter of the other route
-        raise InvalidInput.at("/eps", error.errors[0].message) from None
+        [refused] = error.errors
+        raise InvalidInput.at(refused.pointer.removeprefix("/query"), refused.message) from None
     chosen = pairs.found.pairs[: body.limit]
     if not chosen:
         raise Conflict(
@@ -183,7 +190,9 @@ def pairs_view(
     numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
     some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers | some)}
-    evidence = _Evidence.read(connection, found, pairs, stored)
+    if not rows.keys() >= numbers:
+        raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
+    evidence = _Evidence.read(connection, found, pairs, shown, stored)
     states = [evidence.confirmation_state(pair) for pair in pairs.found.pairs]
     parts = [evidence.component(pair).state for pair in pairs.found.pairs]
     deciding = _deciding(problem, next(iter(rows.values()), None))
@@ -244,13 +253,13 @@ def _offers(
             single = ((number,) for number in one.numbers)
             answered[one.kind].update(paired if one.kind is FollowUpKind.MINIMISE else single)
     unsafe = {(pair.unsafe.number,) for pair in chosen}
-    open_pairs = {(pair.safe.number, pair.unsafe.number) for pair in chosen} & pairs.reducible
+    open_pairs = {(pair.safe.number, pair.unsafe.number) for pair in chosen} & (pairs.reducible or set())
     truth, less = "", ""
     if unsafe <= answered[FollowUpKind.COMPONENT]:
         truth = "all unsafe sides have been simulated with ground truth"
     same_seed = [pair for pair in chosen if has_one_seed(found.plan, pair)]
     if not same_seed:
-        less = "both sides of every pair were simulated with different seeds: chance may decide between them"
+        less = "the two sides of every pair have different seeds, so chance may explain the verdicts"
     elif not open_pairs:
         less = "no difference can be reverted alone: all pairs are minimal"
     elif open_pairs <= answered[FollowUpKind.MINIMISE]:
@@ -330,7 +339,7 @@ class _Evidence:
 
     Attributes:
         plan: The campaign's plan.
-        pairs: The campaign's pairs.
+        reducible: The pairs of which a difference can be reverted, among those shown, by their two numbers.
         shares: How often each repeated solution was unsafe with other seeds, by number.
         repeated: Numbers of the solutions that are being simulated again.
         truths: The drive of each solution with ground truth, by number.
@@ -338,7 +347,7 @@ class _Evidence:
     """
 
     plan: Plan
-    pairs: CampaignPairs
+    reducible: Collection[tuple[int, int]]
     shares: Mapping[int, Share]
     repeated: Collection[int]
     truths: Mapping[int, ComponentView]
@@ -346,7 +355,12 @@ class _Evidence:
 
     @classmethod
     def read(
-        cls, connection: Connection, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredRepeats]
+        cls,
+        connection: Connection,
+        found: ReadArchive,
+        pairs: CampaignPairs,
+        shown: Sequence[Pair],
+        stored: Sequence[StoredRepeats],
     ) -> Self:
         """Read what follow-ups have shown.
 
@@ -354,6 +368,7 @@ class _Evidence:
             connection: Read connection.
             found: The campaign's archive.
             pairs: The campaign's pairs.
+            shown: Those to be shown.
             stored: Its follow-ups, oldest first.
         """
         of_kind = {kind: [one for one in stored if one.kind is kind] for kind in FollowUpKind}
@@ -374,7 +389,9 @@ class _Evidence:
                     reductions[pair] = reduction, place
         return cls(
             plan=found.plan,
-            pairs=pairs,
+            reducible=find_reducible(found.plan, found.archive, shown)
+            if pairs.reducible is None
+            else pairs.reducible,
             shares=shares_of(of_kind[FollowUpKind.CONFIRM]),
             repeated={
                 number
@@ -416,7 +433,7 @@ class _Evidence:
             return MinimalityView(state=Minimality.DIFFERENT_SEEDS)
         known = self.reductions.get((pair.safe.number, pair.unsafe.number))
         if known is None:
-            untried = (pair.safe.number, pair.unsafe.number) in self.pairs.reducible
+            untried = (pair.safe.number, pair.unsafe.number) in self.reducible
             return MinimalityView(state=Minimality.NOT_TRIED if untried else Minimality.MINIMAL)
         reduction, place = known
         reduced, ended = reduction.reduced, reduction.stored.campaign.status in ENDED

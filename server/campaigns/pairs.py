@@ -14,7 +14,7 @@ import numpy as np
 from brink.search.algorithms.edge import Edge
 from brink.search.algorithms.minimise import most_trials
 from brink.search.analysis.confirmation import Share
-from brink.search.analysis.pairs import FoundPairs, Opposites, find_pairs, nearest_opposites
+from brink.search.analysis.pairs import FoundPairs, Opposites, Pair, find_pairs, nearest_opposites
 from brink.search.archive import Archive
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns import view_store
@@ -23,9 +23,9 @@ from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, reducible
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.repeats import MOST, StoredRepeats
-from brink.server.campaigns.store import Campaign
+from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import Engines
-from brink.server.errors import InvalidInput
+from brink.server.errors import InvalidInput, NotFound
 from brink.server.single_flight import SingleFlightCache
 
 MOST_PENDING: Final = 4
@@ -67,15 +67,16 @@ class CampaignPairs:
         settings: Which solutions are a pair, and which pairs are distinct.
         found: The pairs.
         nearest: The nearest solutions with opposite verdicts, if there is no pair.
-        reducible: Of the first `MOST` pairs, those of which a difference can be reverted, by their two numbers.
+        reducible: Of the first `MOST` pairs, those of which a difference can be reverted; None while the campaign has
+            not ended.
         most_trials: Largest number of simulations that reverting the differences of the first `MOST_PAIRS_FOLLOWED`
-            pairs can take.
+            pairs can take; 0 while the campaign has not ended.
     """
 
     settings: PairSettings
     found: FoundPairs
     nearest: Opposites | None
-    reducible: frozenset[tuple[int, int]]
+    reducible: frozenset[tuple[int, int]] | None
     most_trials: int
 
 
@@ -90,7 +91,7 @@ class Pairs:
 
     engines: Engines
     threads: InitVar[Executor]
-    _cache: SingleFlightCache[CampaignPairs] = field(init=False)
+    _cache: SingleFlightCache[CampaignPairs | TooManyPairs] = field(init=False)
 
     def __post_init__(self, threads: Executor) -> None:
         self._cache = SingleFlightCache(CACHED, threads, MOST_PENDING)
@@ -105,22 +106,41 @@ class Pairs:
 
         Raises:
             InvalidInput: There are too many pairs.
+            NotFound: The campaign was deleted meanwhile.
             Unavailable: Too many archives are being searched.
         """
-        key = (campaign.id, settings)
-        return await self._cache.get(key, read.generation, lambda: self._find(campaign, read, settings))
+        key = (campaign.id, settings, campaign.status in ENDED)
+        found = await self._cache.get(key, read.generation, lambda: self._find(campaign, read, settings))
+        if isinstance(found, TooManyPairs):
+            raise InvalidInput.at(f"/query/{found.setting}", f"campaign {campaign.id}: {found}")
+        return found
 
-    def _find(self, campaign: Campaign, read: ReadArchive, settings: PairSettings) -> CampaignPairs:
-        found = find_stored_pairs(self.engines, campaign.id, read.plan, read.archive, settings)
+    def _find(
+        self, campaign: Campaign, read: ReadArchive, settings: PairSettings
+    ) -> CampaignPairs | TooManyPairs:
+        try:
+            found = find_stored_pairs(self.engines, campaign.id, read.plan, read.archive, settings)
+        except TooManyPairs as error:
+            return error  # cached, unlike what is raised here
         nearest = None if found.tight else nearest_opposites(read.archive, read.plan.problem.space)
+        if (
+            campaign.status not in ENDED
+        ):  # nothing can be reverted yet, and the next generation changes the pairs
+            return CampaignPairs(
+                settings=settings, found=found, nearest=nearest, reducible=None, most_trials=0
+            )
         pairs = found.pairs[:MOST]
-        open_pairs, _ = reducible(read.plan, read.archive, pairs)
         _, reductions = reducible(read.plan, read.archive, pairs[:MOST_PAIRS_FOLLOWED])
         return CampaignPairs(
             settings=settings, found=found, nearest=nearest,
-            reducible=frozenset((pair.safe.number, pair.unsafe.number) for pair in open_pairs),
-            most_trials=most_trials(reductions),
+            reducible=find_reducible(read.plan, read.archive, pairs), most_trials=most_trials(reductions),
         )  # fmt: skip
+
+
+def find_reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> frozenset[tuple[int, int]]:
+    """Return the pairs of which a difference can be reverted, by the numbers of their two sides."""
+    open_pairs, _ = reducible(plan, archive, pairs)
+    return frozenset((pair.safe.number, pair.unsafe.number) for pair in open_pairs)
 
 
 def find_stored_pairs(
@@ -136,15 +156,16 @@ def find_stored_pairs(
         settings: Which solutions are a pair, and which pairs are distinct.
 
     Raises:
-        InvalidInput: There are too many pairs.
+        TooManyPairs: There are too many pairs.
+        NotFound: The campaign was deleted after its archive had been read.
     """
     with engines.reader.connect() as connection:
         stored = view_store.read_seeds(connection, campaign_id)
-    seeds = np.array([stored[number] for number in archive.numbers.tolist()], np.int64)
-    try:
-        return find_pairs(archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th, seeds=seeds)
-    except TooManyPairs as error:
-        raise InvalidInput.at("/query/eps", f"campaign {campaign_id}: {error}") from None
+    numbers = archive.numbers.tolist()
+    if not stored.keys() >= set(numbers):
+        raise NotFound(f"campaign {campaign_id}: no such campaign")
+    seeds = np.array([stored[number] for number in numbers], np.int64)
+    return find_pairs(archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th, seeds=seeds)
 
 
 def shares_of(stored: Sequence[StoredRepeats]) -> Mapping[int, Share]:

@@ -13,6 +13,7 @@ from sqlalchemy import Connection
 
 from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.search.analysis.pair_comparison import DistinctPair, PairCounts, PairRepeat
+from brink.search.errors import TooManyPairs
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.pairs import PairSettings, blames_scenario, find_stored_pairs, shares_of
 from brink.server.campaigns.plan import check_repeatable, make_plan, with_truth
@@ -73,6 +74,34 @@ def settings_of(body: ExperimentBody, eps: float | None = None, d_th: float | No
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LeftOut:
+    """A finished campaign whose pairs are not counted.
+
+    Attributes:
+        member: The campaign.
+        reason: Why they are not, and what helps.
+    """
+
+    member: Member
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchedCampaigns:
+    """The pairs of an experiment's finished campaigns.
+
+    Attributes:
+        repeats: The pairs of each campaign that was searched for them, in the order of the campaigns.
+        left_out: Campaigns whose pairs are not counted.
+        pending: Number of campaigns that are still being searched.
+    """
+
+    repeats: Sequence[PairRepeat]
+    left_out: Sequence[LeftOut]
+    pending: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Found:
     """The distinct pairs of a campaign, and whether its verdicts are computed."""
 
@@ -93,39 +122,47 @@ class PairCache:
     engines: Engines
     archives: Archives
     threads: InitVar[Executor]
-    _cache: SingleFlightCache[_Found] = field(init=False)
+    _cache: SingleFlightCache[_Found | TooManyPairs] = field(init=False)
 
     def __post_init__(self, threads: Executor) -> None:
         self._cache = SingleFlightCache(CACHED_PAIRS, threads)
 
     async def repeats(
         self, experiment: Experiment, settings: PairSettings, wait_s: float
-    ) -> tuple[list[PairRepeat], int]:
+    ) -> SearchedCampaigns:
         """Return the pairs of an experiment's finished campaigns.
 
         Args:
             experiment: The experiment.
             settings: Which solutions are a pair, and which pairs are distinct.
             wait_s: How long to wait for campaigns that are being searched for pairs.
-
-        Returns:
-            The known ones in the order of the campaigns, and how many campaigns are still being searched.
         """
         finished = [m for m in experiment.members if m.campaign.status is CampaignStatus.FINISHED]
         pending = [self._start(member.campaign, settings) for member in finished]
         if not all(one.done() for one in pending):
             await asyncio.wait(pending, timeout=wait_s)
-        known = [(member, one.result()) for member, one in zip(finished, pending, strict=True) if one.done()]
-        repeats = await read(self.engines, lambda c: _counted(c, known))
-        return repeats, len(finished) - len(repeats)
+        done = [(member, one.result()) for member, one in zip(finished, pending, strict=True) if one.done()]
+        known = [(member, found) for member, found in done if isinstance(found, _Found)]
+        return SearchedCampaigns(
+            repeats=await read(self.engines, lambda c: _counted(c, known)),
+            left_out=[
+                LeftOut(member=member, reason=str(found))
+                for member, found in done
+                if isinstance(found, TooManyPairs)
+            ],
+            pending=len(finished) - len(done),
+        )  # fmt: skip
 
-    def _start(self, campaign: Campaign, settings: PairSettings) -> asyncio.Future[_Found]:
+    def _start(self, campaign: Campaign, settings: PairSettings) -> asyncio.Future[_Found | TooManyPairs]:
         key = (campaign.id, settings)
         return self._cache.start(key, campaign.generation, lambda: self._find(campaign, settings))
 
-    def _find(self, campaign: Campaign, settings: PairSettings) -> _Found:
+    def _find(self, campaign: Campaign, settings: PairSettings) -> _Found | TooManyPairs:
         plan, _, archive = self.archives.stored(campaign)
-        found = find_stored_pairs(self.engines, campaign.id, plan, archive, settings)
+        try:
+            found = find_stored_pairs(self.engines, campaign.id, plan, archive, settings)
+        except TooManyPairs as error:
+            return error  # cached, unlike what is raised here
         return _Found(
             pairs=tuple(
                 DistinctPair(safe=pair.safe.number, unsafe=pair.unsafe.number, checked=pair.checked)

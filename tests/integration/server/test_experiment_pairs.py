@@ -13,6 +13,8 @@ from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
+from brink.report.experiment_pairs import pair_section
+from brink.server.api.experiment_pairs import LeftOutView
 from brink.server.problems.urban_injected import SIMULATOR
 
 API = "/api/v1/experiments"
@@ -116,6 +118,29 @@ def test_experiments_without_the_section_compute_no_pairs_unless_asked(client: h
     assert [r["distinct"] for r in pairs_of(client, name)["repeats"]] == [1, 0], "at the default d_th"
     assert [r["distinct"] for r in pairs_of(client, name, d_th=0.01)["repeats"]] == [2, 0]
     assert expect(client.get(f"{API}/{name}/follow-ups"))["campaigns"] == 0
+
+
+@on_sqlite
+def test_a_campaign_with_too_many_pairs_is_left_out_and_named(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_DISTINCT", 1)
+    name = finished(client, seeds=[1, 2], pairs=PAIRS)
+    results = results_of(client, name)
+    assert results["scored"] == 4, "the boundary solutions are there"
+    pairs = results["pairs"]
+    assert (pairs["counted"], [one["method"] for one in pairs["repeats"]]) == (2, ["other", "other"])
+    assert [(one["method"], one["seed"]) for one in pairs["left_out"]] == [("finds", 1), ("finds", 2)]
+    told = "more than 1 distinct pairs at d_th 0.01: choose a larger d_th or a smaller eps"
+    assert {one["reason"] for one in pairs["left_out"]} == {told}
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_DISTINCT", 5_000)
+    assert len(pairs_of(client, name)["left_out"]) == 2, "they are not searched again on every request"
+    assert pairs_of(client, name, d_th=0.011)["left_out"] == []
+    section = pair_section(
+        [], "gap", eps=0.02, d_th=0.01, heading="", picture=None,
+        left_out=[LeftOutView.model_validate(one) for one in pairs["left_out"]],
+    )  # fmt: skip
+    assert f"(**finds**, seed 2): {told}" in section[-1]
 
 
 @on_sqlite

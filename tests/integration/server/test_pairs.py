@@ -14,6 +14,7 @@ from support.problems import REQUIREMENT, simulated
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
+from brink.server.campaigns.pairs import find_reducible
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 API = "/api/v1/campaigns"
@@ -56,6 +57,7 @@ def test_pairs_are_close_have_opposite_verdicts_and_lie_apart(client: httpx.Clie
     assert (view["distinct"], len(view["pairs"])) == (len(view["pairs"]), view["distinct"])
     assert view["tight"] >= view["distinct"] >= 3
     assert (view["safe"] + view["unsafe"], view["chancy"]) == (200, 0)
+    assert view["rule"] == {"least_drives": 10, "safe_at_most": 0.2, "unsafe_at_least": 0.8}
     assert view["note"] == f"{view['distinct']} distinct pairs across the boundary, 0 checked"
     middles = []
     for place, pair in enumerate(view["pairs"], start=1):
@@ -188,6 +190,49 @@ def test_too_many_pairs_are_refused(client: httpx.Client, monkeypatch: pytest.Mo
     assert error["pointer"] == "/query/eps"
     assert "more than 100 pairs of solutions are within eps 1: choose a smaller eps" in error["message"]
     assert expect(client.get(f"{API}/{campaign}/pairs", params={"eps": 0.001})) is not None
+    follow_up = {"kind": "confirm", "eps": 1.0}
+    [error] = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json=follow_up), 422)["errors"]
+    assert error["pointer"] == "/eps"
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_TIGHT", 100_000)
+    [error] = expect(client.get(f"{API}/{campaign}/pairs", params={"eps": 1.0}), 422)["errors"]
+    assert "more than 100 pairs" in error["message"], "the refusal is cached"
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_DISTINCT", 2)
+    close = {"eps": 0.2, "d_th": 0.0}
+    [error] = expect(client.get(f"{API}/{campaign}/pairs", params=close), 422)["errors"]
+    assert error["pointer"] == "/query/d_th"
+    assert "more than 2 distinct pairs at d_th 0: choose a larger d_th or a smaller eps" in error["message"]
+
+
+@on_sqlite
+def test_a_campaign_that_is_deleted_meanwhile_is_not_found(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = finish(client, body(40))
+    monkeypatch.setattr("brink.server.campaigns.view_store.read_seeds", lambda *_: {})
+    problem = expect(client.get(f"{API}/{campaign}/pairs", params=WIDE), 404)
+    assert problem["detail"] == f"campaign {campaign}: no such campaign"
+
+
+@on_sqlite
+def test_differences_are_reverted_on_paper_only_where_pairs_are_shown_before_the_end(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+
+    def counted(plan: Any, archive: Any, pairs: Any) -> Any:
+        asked.append(len(pairs))
+        return find_reducible(plan, archive, pairs)
+
+    monkeypatch.setattr("brink.server.campaigns.pairs.find_reducible", counted)
+    monkeypatch.setattr("brink.server.api.pairs.find_reducible", counted)
+    campaign = submit(client, body())
+    FakeWorker(client).work(campaign, until=lambda found: found["generation"] >= 6)
+    running = pairs_of(client, campaign, **WIDE, limit=1)
+    assert running["distinct"] > 1
+    assert asked == [1]
+    FakeWorker(client).work(campaign)
+    ended = pairs_of(client, campaign, **WIDE, limit=1)
+    assert asked == [1, ended["distinct"]]
 
 
 @on_sqlite

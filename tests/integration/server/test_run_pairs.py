@@ -86,6 +86,11 @@ def test_the_table_says_what_both_sides_share_and_explains_its_terms(database: s
     assert legend(view)[0] == "reported: true or not"
     assert "by the requirement of the campaign alone" in legend(view)[1]
     assert legend(found.model_copy(update={"pairs": []})) == [], "nothing to explain"
+    assert not [words for words in legend(view) if words.startswith("confirmed 0/10")]
+    pending = legend(view.model_copy(update={"pending": 1}))
+    assert [words for words in pending if words.startswith("confirmed 0/10")], (
+        "the counts stand there already"
+    )
 
 
 def test_another_search_reports_its_pairs_in_one_line(database: str, tmp_path: Path) -> None:
@@ -107,6 +112,40 @@ def test_without_a_pair_nothing_is_written_and_the_summary_says_why(database: st
     assert not [file for file in told["files"] if "pair" in Path(file).name]
     [wider] = [line.split()[4] for line in shown.splitlines() if " --eps " in line]
     assert told["pairs"]["nearest"]["distance"] <= float(wider) <= 1.1 * told["pairs"]["nearest"]["distance"]
+
+
+def test_too_many_pairs_cost_one_line_and_nothing_else(
+    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_DISTINCT", 0)
+    close = {"id": "edge@1", "params": {"eps": 0.1, "d_th": 0.0}}
+    shown = run(tmp_path, database, close, simulations=80)
+    told = "more than 0 distinct pairs at d_th 0: choose a larger d_th or a smaller eps"
+    assert shown.count(told) == 1
+    assert "/query" not in shown
+    assert "--d-th 0.2" in shown, "what to try next"
+    [folder] = tmp_path.glob("disc-*")
+    names = {path.name for path in folder.iterdir()}
+    assert {"map.png", "parameters.png", "boundary.csv", "archive.npz"} <= names
+    assert not names & {"pairs.jsonl", "pairs.csv", "pair-1.png", "dbs.png"}
+    again = json.loads(run(tmp_path, database, close, "--json", "--resume", "--no-pictures", simulations=80))
+    assert again["pairs"]["searched"]
+    assert told in again["pairs"]["too_many"]
+    out = tmp_path / "plots"
+    drawn = CliRunner().invoke(app, ["plot", again["campaign"], "--out", str(out), "--database", database])
+    assert drawn.exit_code == 0, drawn.output
+    assert told in " ".join(drawn.stderr.split())
+    assert (out / "map.png").is_file()
+
+
+def test_another_search_with_too_many_pairs_says_so_and_keeps_its_boundary(
+    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_TIGHT", 0)
+    shown = run(tmp_path, database, {"id": "random@1"}, "--no-pictures")
+    assert "within eps 0.02: choose a smaller eps" in shown
+    assert "--eps 0.01" in shown
+    assert "DBS (strict DBS)" in shown
 
 
 def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(

@@ -145,15 +145,17 @@ def test_too_many_pairs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     archive = archive_of(*((changed(gap=50.0 + place), place % 2 == 0) for place in range(4)))
     with pytest.raises(
         TooManyPairs, match=r"more than 3 pairs of solutions are within eps 0\.02: choose a smaller"
-    ):
+    ) as refused:
         find_pairs(archive, SPACE, eps=0.02, d_th=0.0)
+    assert refused.value.setting == "eps"
     assert len(find_pairs(archive, SPACE, eps=0.002, d_th=0.0).pairs) == 3
     monkeypatch.setattr(analysis, "MOST_DISTINCT", 2)
     for d_th in (0.0, 1e-6):
         with pytest.raises(
             TooManyPairs, match=r"more than 2 distinct pairs at d_th .*: choose a larger d_th"
-        ):
+        ) as refused:
             find_pairs(archive, SPACE, eps=0.002, d_th=d_th)
+        assert refused.value.setting == "d_th"
 
 
 @pytest.mark.parametrize("name", ["mixed", "numeric", "categorical", "slots", "traffic"])
