@@ -2,10 +2,13 @@
 
 import re
 
+import httpx
 from playwright.sync_api import expect as shown
-from support.api import ball, submit
+from support.api import FakeWorker, ball, expect, submit
+from support.urban_pairs import SAFE, UNSAFE, judged
 
-from browser.served import NOBODYS, Served
+from brink.server.problems.urban_injected import SIMULATOR
+from browser.served import NOBODYS, Served, origin
 from browser.visits import Visits
 
 
@@ -50,6 +53,35 @@ def test_an_experiment_shows_the_pairs_of_its_methods(site: Served, visit: Visit
     shown(campaigns.locator("tbody tr")).to_have_count(4)
     campaigns.locator("tbody a").first.click()
     shown(page.get_by_role("heading", name="Pairs", exact=True)).to_be_visible()
+
+
+def test_the_pairs_of_an_experiment_follow_its_problems_and_its_follow_ups(
+    own: httpx.Client, visit: Visits
+) -> None:
+    finds = {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}
+    body = {
+        "name": "followed", "algorithms": [{"name": "finds", **finds}], "seeds": [1],
+        "problems": [{"name": name, "id": "urban-injected@1"} for name in ("first", "second")],
+        "budget": {"simulations": 2}, "pairs": {"component": True},
+    }  # fmt: skip
+    experiment = str(expect(own.post("/api/v1/experiments", json=body), 201)["id"])
+    members = expect(own.get(f"/api/v1/experiments/{experiment}"))["members"]
+    first, second = (f"/api/v1/campaigns/{one['campaign']}" for one in members)
+    worker = FakeWorker(own, capabilities=(SIMULATOR,), judge=judged)
+    expect(own.post(f"{second}/pause"))
+    worker.work(members[0]["campaign"])
+    page = visit(origin(own), f"#/experiments/{experiment}")
+    pairs = page.get_by_role("region", name="Pairs across the boundary")
+    cells = page.get_by_role("region", name="Pairs of each method on first").locator("tbody td")
+    shown(cells.last).to_have_text("–")
+    shown(pairs.get_by_role("heading", name="first")).to_be_hidden()
+    expect(own.post(f"{second}/resume"))
+    worker.work(members[1]["campaign"])
+    for name in ("first", "second"):
+        shown(pairs.get_by_role("heading", name=name)).to_be_visible(timeout=30_000)
+    asked = expect(own.post(f"{first}/pairs/follow-ups", json={"kind": "component"}), 201)
+    worker.work(asked["campaign"])
+    shown(cells.last).to_have_text("100% (1 of 1)", timeout=30_000)
 
 
 def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, visit: Visits) -> None:

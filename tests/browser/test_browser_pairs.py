@@ -9,6 +9,7 @@ from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, eventually, progress, submit
 
 from browser.canvas import changes, picture
+from browser.console import Console
 from browser.served import ANY_PAIR, NOBODYS, PATIENCE_S, URBAN, Served, a_pair, origin
 from browser.visits import Visits
 
@@ -50,6 +51,24 @@ def test_without_a_pair_the_list_says_why_and_other_thresholds_find_some(site: S
     page.get_by_label("d_th").press("Enter")
     shown(page.get_by_role("link", name="Pair 1:")).to_be_visible()
     assert "eps=1&d_th=0" in page.url
+
+
+def test_settings_with_too_many_pairs_are_refused_and_can_be_changed(
+    own: httpx.Client, visit: Visits, console: Console, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("brink.search.analysis.pairs.MOST_TIGHT", 20)
+    console.expect_status(422)
+    campaign = submit(own, ball(name="many", simulations=40))
+    FakeWorker(own).work(campaign)
+    page = visit(origin(own), f"#/campaigns/{campaign}/pairs?eps=1&d_th=0")
+    shown(
+        page.get_by_text("more than 20 pairs of solutions are within eps 1: choose a smaller")
+    ).to_be_visible()
+    shown(page.get_by_role("region", name="Table of pairs")).to_be_hidden()
+    shown(page.get_by_label("eps")).to_have_value("1")
+    page.get_by_label("eps").fill("0")
+    page.get_by_label("eps").press("Enter")
+    shown(page.get_by_text("No pair within eps 0: the nearest solutions")).to_be_visible()
 
 
 def test_a_campaign_that_has_simulated_nothing_yet_says_so(own: httpx.Client, visit: Visits) -> None:

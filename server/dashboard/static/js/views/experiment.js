@@ -33,7 +33,7 @@ export async function show(main, context, { parts: [, id], query }) {
   const want = () => {
     if (whole === null || finished === null) return;
     loading.want(finished);
-    if (whole.body.pairs) pairs.want(finished, whole.body.pairs);
+    if (whole.body.pairs) pairs.want(finished);
   };
   let whole = null; // the experiment with its campaigns
   let finished = null; // how many of them have finished

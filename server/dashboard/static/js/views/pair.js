@@ -57,7 +57,7 @@ export async function show(main, context, { parts, query }) {
     replace(known, evidence(now, read.computed));
     replace(change, h("h2", null, "The change"), h("p.lead", null, said(now.change)),
       h("p", null, h("strong", null, "What it does: "), `${now.unsafe.outcome}; without it: ${now.safe.outcome}.`),
-      h("p.hint", null, [seeds(now, read.computed), evidenceWords(now, read.computed)].filter(Boolean).join(" ")),
+      h("p.hint", null, [seeds(now, read.computed), evidenceWords(now, read)].filter(Boolean).join(" ")),
       findingsAtLength(now),
       h("p.hint", null, h("a", { href: link("campaigns", id, "pairs", asked) }, "Ask more about the pairs")));
     replace(sides, SIDES.map((name) => sideCard(id, name, now, read.computed)));

@@ -29,6 +29,11 @@ export function pairsPath(id, asked, limit = MOST) {
   return `campaigns/${id}/pairs?${query}`;
 }
 
+/** Return why settings are refused, as sentences. */
+function reasonOf(error) {
+  return error.errors.map(({ message }) => said(message)).join(" ") || said(error.message);
+}
+
 function within(written) {
   const value = Number.parseFloat(written ?? "");
   return value >= 0 && value <= 1 ? value : null;
@@ -60,7 +65,15 @@ export async function show(main, context, { parts, query }) {
     table.update(read);
     text(about, aboutPairs(read));
     more.update(read);
-  }, { busy: (read) => !read.complete || read.follow_ups.some(({ status }) => isOpen(status)) });
+  }, { busy: (read) => !read.complete || read.follow_ups.some(({ status }) => isOpen(status)), refuse });
+
+  /** Say why there is no list, such as too many pairs; the fields stay, so that other settings can be chosen. */
+  function refuse(error) {
+    if (error.status !== 422) return void context.fail(error);
+    text(words, reasonOf(error));
+    text(about, "");
+    [table.hidden, more.hidden] = [true, true];
+  }
 
   function choose() {
     asked = Object.fromEntries(fields.map((field) => [field.name, within(field.value)]));
@@ -84,17 +97,26 @@ export function pairsCard(context, id) {
     table.update(read);
     all.hidden = read.distinct === 0;
     text(all, read.distinct > FEW ? `All ${count(read.distinct)} pairs` : "Open pairs");
-  }, { signal: context.signal, refuse: () => { card.hidden = true; }, leastMs: 3_000, share: 0.05 });
+  }, { signal: context.signal, refuse, leastMs: 3_000, share: 0.05 });
+
+  function refuse(error) {
+    card.hidden = error.status !== 422;
+    text(words, reasonOf(error));
+    table.hidden = true;
+    all.hidden = false;
+    text(all, "Choose other settings");
+  }
+
   card.news = (news) => load(news);
   return card;
 }
 
 function aboutPairs(read) {
   if (read.pairs.length === 0) return read.complete ? "A search for pairs is edge@1; other searches hold the pairs that they happen to find." : "The page follows the search.";
-  const told = [`The sides of a pair are at most ${figure(read.eps)} apart, or differ in one step of one parameter; pairs are at least ${figure(read.d_th)} apart.`];
-  if (read.chancy) told.push(`${plural(read.chancy, "solution")} had both verdicts with different seeds and ${read.chancy === 1 ? "is" : "are"} part of no pair.`);
-  if (read.distinct > read.pairs.length) told.push(`Only the first ${count(read.pairs.length)} of ${count(read.distinct)} are shown.`);
-  return told.join(" ");
+  const sentences = [`The sides of a pair are at most ${figure(read.eps)} apart, or differ in one step of one parameter; pairs are at least ${figure(read.d_th)} apart.`];
+  if (read.chancy) sentences.push(`${plural(read.chancy, "solution")} had both verdicts with different seeds and ${read.chancy === 1 ? "is" : "are"} part of no pair.`);
+  if (read.distinct > read.pairs.length) sentences.push(`Only the first ${count(read.pairs.length)} of ${count(read.distinct)} are shown.`);
+  return sentences.join(" ");
 }
 
 /** Return a table of pairs in words; ``update`` takes the response of the API, ``asked`` returns eps and d_th for links. */

@@ -6,31 +6,27 @@ import { capital } from "../../format.js";
 import { whenMade } from "../../polling.js";
 
 /**
- * Load a path whenever more campaigns have finished, waiting while its response is computed.
+ * Load a path whenever there is more to show, waiting while its response is computed.
  *
  * @param {string} path The path.
  * @param {object} context Of the view.
  * @param {HTMLElement} place Where to say what is being computed.
- * @param {(read: *) => number|void} take Called with each response; may return after how many seconds to load it again.
- * @returns {{want: (finished: number) => void}} ``want`` says how many campaigns have finished.
+ * @param {(read: *) => void} take Called with each response.
+ * @returns {{want: (version: number|string) => void}} ``want`` says what there is, such as how many campaigns have finished.
  */
 export function loadWhenFinished(path, context, place, take) {
   let wanted = 0;
   let taken = 0;
   let under_way = false;
-  let timer = null;
-  context.signal.addEventListener("abort", () => clearTimeout(timer), { once: true });
 
   async function look() {
     if (under_way || wanted === taken) return;
     under_way = true;
-    clearTimeout(timer);
     const asked = wanted;
     try {
       const read = await whenMade(path, { ...context.retrying, making, firstS: 2, waitS: 2 });
       text(place, "");
-      const again_s = take(read);
-      if (again_s) timer = setTimeout(again, again_s * 1000, again_s);
+      take(read);
     } catch (error) {
       if (context.signal.aborted) return;
       if (!(error instanceof ApiError)) throw error;
@@ -43,20 +39,11 @@ export function loadWhenFinished(path, context, place, take) {
     look();
   }
 
-  function again(after_s) {
-    if (document.hidden) {
-      timer = setTimeout(again, after_s * 1000, after_s);
-      return;
-    }
-    taken = null;
-    look();
-  }
-
   function making({ detail }) {
     text(place, `${capital(detail)}; the tables appear when that is done.`);
   }
 
-  return { want: (finished) => { wanted = finished; look(); } };
+  return { want: (version) => { wanted = version; look(); } };
 }
 
 /** Return a list item with names in bold, figures and a conclusion; ``update`` takes a key and the three texts. */

@@ -8,7 +8,6 @@ import { badge, meter } from "../../parts/elements.js";
 import { said } from "./words.js";
 
 const USUAL_REPEATS = 10;
-const LEAST_REPEATS = 10;
 const MOST_REPEATS = 10_000;
 
 const QUESTIONS = {
@@ -26,7 +25,7 @@ const QUESTIONS = {
  * @param {() => void} news Called when something has been requested.
  */
 export function followUps(context, id, asked, news) {
-  const repeats = h("input", { id: "confirmations", type: "number", min: LEAST_REPEATS, max: MOST_REPEATS, step: 1, value: USUAL_REPEATS, required: true, oninput: () => last && update(last) });
+  const repeats = h("input", { id: "confirmations", type: "number", min: 1, max: MOST_REPEATS, step: 1, value: USUAL_REPEATS, required: true, oninput: () => last && update(last) });
   const rows = Object.keys(QUESTIONS).map((kind) => question(kind));
   const card = h("section.card", { "aria-label": "Ask more about these pairs", hidden: true }, h("h2", null, "Ask more about these pairs"),
     h("p.hint", null, "Each question is simulated as a campaign of its own; the pairs above follow it."), rows.map(({ node }) => node));
@@ -54,6 +53,7 @@ export function followUps(context, id, asked, news) {
 
   function update(read) {
     last = read;
+    repeats.min = read.rule.least_drives;
     card.hidden = read.evaluated === 0 || (read.complete && read.pairs.length === 0);
     for (const { kind, button, cost, told } of rows) {
       const offer = read.offers.find((one) => one.kind === kind);

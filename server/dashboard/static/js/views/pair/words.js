@@ -5,22 +5,22 @@ import { capital, count, figure, percent, plural, sentence } from "../../format.
 import { link } from "../../router.js";
 import { badge } from "../../parts/elements.js";
 
-const STATES = { confirmed: "confirmed", "not confirmed": "not-confirmed", "too few drives": "found", pending: "found", "not tried": "found" };
+const STATES = { confirmed: "confirmed", "not confirmed": "not-confirmed" };
 
 /** Return a badge of how well a pair is established. */
 export function evidence(pair, computed) {
   if (computed) return badge("confirmed", "computed");
   const { state } = pair.confirmation;
-  if (state === "confirmed" || state === "not confirmed") return badge(STATES[state], state);
+  if (STATES[state]) return badge(STATES[state], state);
   return pair.checked ? badge("checked") : badge("found", "found once");
 }
 
-/** Return what the badge means, in a sentence. */
-export function evidenceWords(pair, computed) {
+/** Return what the badge means, in a sentence; ``rule`` says when a pair is confirmed. */
+export function evidenceWords(pair, { computed, rule }) {
   if (computed) return "Verdicts of this problem are computed, so both sides always keep theirs.";
   const { state } = pair.confirmation;
-  if (state === "confirmed") return "Confirmed: with other seeds, the safe side was unsafe in at most 20% of the simulations and the unsafe side in at least 80%.";
-  if (state === "not confirmed") return "Not confirmed: with other seeds, the safe side was unsafe in more than 20% of the simulations, or the unsafe side in less than 80%.";
+  if (state === "confirmed") return `Confirmed: with other seeds, the safe side was unsafe in at most ${percent(rule.safe_at_most)} of the simulations and the unsafe side in at least ${percent(rule.unsafe_at_least)}.`;
+  if (state === "not confirmed") return `Not confirmed: with other seeds, the safe side was unsafe in more than ${percent(rule.safe_at_most)} of the simulations, or the unsafe side in less than ${percent(rule.unsafe_at_least)}.`;
   const search = pair.checked ? "Checked: both sides kept their verdicts with another seed in the search." : "Found once: each side was simulated once.";
   if (state === "pending") return `${search} Both sides are being simulated again with other seeds.`;
   return state === "too few drives" ? `${search} There are too few simulations with other seeds to confirm it.` : `${search} Not simulated again with other seeds.`;
