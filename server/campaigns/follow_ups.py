@@ -98,8 +98,8 @@ def plan_minimisation(
     """
     if not any(has_one_seed(plan, pair) for pair in pairs):
         raise Conflict(
-            f"campaign {campaign.id}: both sides of each of its {len(pairs)} pairs were simulated with different "
-            "seeds, so chance may decide between them: differences are reverted only where both sides had one seed"
+            f"campaign {campaign.id}: the two sides of every pair have different seeds, so chance may explain the "
+            "verdicts: differences are reverted only where both sides had one seed"
         )
     open_pairs, reduced = reducible(plan, archive, pairs)
     if not open_pairs:
@@ -161,8 +161,8 @@ def _seed_numbers(campaign: Campaign, numbers: Sequence[int], seeds: Mapping[int
     for number in numbers:
         if seeds[number] not in known:
             raise Conflict(
-                f"campaign {campaign.id}: solution {number} was simulated with the seed {seeds[number]}, which is "
-                "none of this campaign's, so its episode cannot be simulated again"
+                f"campaign {campaign.id}: solution {number} shares the episode of another campaign, so it cannot be "
+                "followed up here: ask about that campaign's pairs instead"
             )
     return [known[seeds[number]] for number in numbers]
 

@@ -113,18 +113,19 @@ class _Reports:
         """Say that what the safe drive reports is not reported before the violation."""
         label, seconds = self._old["label"], _seconds(self._old)
         if self._reports_other(self._others[1], label, self._end_step):
-            return f"another {label} is not reported {self._at}; in the safe drive it is, from {seconds}"
+            return f"no second {label} is reported {self._at}; in the safe drive one is, from {seconds}"
         return f"no {label} is reported {self._at}; in the safe drive one is, from {seconds}"
 
     def _appeared(self) -> str:
         """Say that what is reported before the violation is not reported in the safe drive, or only later."""
         label, seconds = self._new["label"], _seconds(self._new)
         later = self._old["label"] == label
-        when = f" before {_s(self._old['t0_step'])} s" if later else ""
+        before = f"before {_s(self._old['t0_step'])} s" if later else ""
         until_step = self._old["t0_step"] if later else float("inf")
         if self._reports_other(self._others[0], label, until_step):
-            return f"another {label} is reported from {seconds}; in the safe drive it is not{when}"
-        return f"a {label} is reported from {seconds}; in the safe drive none{when}"
+            when = f"not {before}" if later else "not at all"
+            return f"a second {label} is reported from {seconds}; in the safe drive {when}"
+        return f"a {label} is reported from {seconds}; in the safe drive none {before}".rstrip()
 
     @staticmethod
     def _reports_other(others: Sequence[Mapping[str, Any]], label: str, until_step: float) -> bool:

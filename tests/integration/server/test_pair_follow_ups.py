@@ -149,15 +149,35 @@ def test_differences_between_sides_with_different_seeds_are_not_called_minimal(c
         1,
     )
     apart = worked(client, submit(client, body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE)))
-    assert "were simulated with different seeds" in ask(client, apart, 409, kind="minimise")["detail"]
+    assert "have different seeds" in ask(client, apart, 409, kind="minimise")["detail"]
     reasons = {one["kind"]: one["reason"] for one in pairs_of(client, apart)["offers"]}
-    assert reasons["minimise"].startswith("both sides of every pair were simulated with different seeds")
+    assert reasons["minimise"].startswith("the two sides of every pair have different seeds")
 
     some = worked(client, submit(client, body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 0, 2, 3])))
     asked = ask(client, some, kind="minimise", d_th=0.01)
     worked(client, asked["campaign"])
     states = {pair["safe"]["number"]: pair["minimality"]["state"] for pair in pairs_of(client, some)["pairs"]}
     assert states == {0: "not minimal", 2: "different seeds"}
+
+
+@on_sqlite
+def test_a_single_pair_that_cannot_be_minimised_is_spoken_of_in_the_singular(
+    listening_client: httpx.Client,
+) -> None:
+    campaign = worked(listening_client, submit(listening_client, body(SAFE, UNSAFE)))
+    command = ["pairs", campaign, "--minimise", "--server", str(listening_client.base_url)]
+    shown = CliRunner().invoke(app, command)
+    assert shown.exit_code == 0, shown.output
+    told = "the pair cannot be minimised: its sides were simulated with different seeds"
+    assert told in " ".join(shown.output.split())
+
+
+@on_sqlite
+def test_an_episode_of_another_campaign_is_not_followed_up(client: httpx.Client) -> None:
+    campaign = worked(client, submit(client, body(SAFE, UNSAFE, seed_numbers=[50, 50])))
+    detail = ask(client, campaign, 409, kind="component")["detail"]
+    assert "solution 1 shares the episode of another campaign" in detail
+    assert "ask about that campaign's pairs instead" in detail
 
 
 @on_sqlite
@@ -363,6 +383,7 @@ def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Clien
     assert "minimal change:" in text
     view = PairsView.model_validate(json.loads(shown("--json")))
     assert [one.status for one in view.follow_ups] == ["finished"] * 3
+    assert "only the first 500 pairs are simulated again" in shown("--limit", "800")
     limited = shown("--limit", "1", "--confirm", "11")
     assert "simulates them" in limited
     confirms = [one for one in pairs_of(listening_client, campaign)["follow_ups"] if one["kind"] == "confirm"]

@@ -134,22 +134,22 @@ def test_of_two_equal_labels_the_earlier_report_is_the_first() -> None:
         (
             (report("person", 20, 250), report("person", 65, 250)),
             (report("person", 20, 250), report("person", 75, 250)),
-            "another person is not reported before 7.1 s; in the safe drive it is, from 6.5 to 25.0 s",
+            "no second person is reported before 7.1 s; in the safe drive one is, from 6.5 to 25.0 s",
         ),
         (
             (report("person", 20, 250), report("person", 75, 250)),
             (report("person", 20, 250), report("person", 65, 250)),
-            "another person is reported from 6.5 to 25.0 s; in the safe drive it is not before 7.5 s",
+            "a second person is reported from 6.5 to 25.0 s; in the safe drive not before 7.5 s",
         ),
         (
             (report("person", 73, 250), report("person", 90, 250)),
             (report("person", 73, 250), report("person", 65, 250)),
-            "another person is reported from 6.5 to 25.0 s; in the safe drive it is not before 9.0 s",
+            "a second person is reported from 6.5 to 25.0 s; in the safe drive not before 9.0 s",
         ),
         (
             (report("person", 20, 250), NONE),
             (report("person", 20, 250), report("person", 65, 250)),
-            "another person is reported from 6.5 to 25.0 s; in the safe drive it is not",
+            "a second person is reported from 6.5 to 25.0 s; in the safe drive not at all",
         ),
         (
             (report("person", 73, 250), report("person", 65, 250)),
