@@ -160,6 +160,7 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
 
     async def draw(api: Api) -> tuple[PairFindings, list[Path]]:
         found = await fetch_pair_findings(api, await fetch_archive(api, campaign))
+        assert isinstance(found, PairFindings)
         drawing = Drawing(
             api=api, campaign=campaign, folder=tmp_path, stop=asyncio.Event(), timeout_s=1.0
         )  # fmt: skip
