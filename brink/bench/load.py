@@ -97,14 +97,14 @@ class Waiter:
             raise InvalidEpisode("expected the numbers scenario.x, scenario.wait_s and behaviour.y")
         if wait_s > 0.0:
             time.sleep(wait_s)
-        verdict, distance_m = _judged(x, y)
+        verdict, distance_m = _verdict(x, y)
         return EpisodeResult(
             verdicts={REQUIREMENT: Verdict(**verdict)}, objectives={"distance": distance_m}, features={},
             provenance={}, trace=b"" if record else None,
         )  # fmt: skip
 
 
-def _judged(x: float, y: float) -> tuple[dict[str, Any], float]:
+def _verdict(x: float, y: float) -> tuple[dict[str, Any], float]:
     """Return the verdict on a point, and its distance from the origin in metres."""
     distance_m = math.hypot(x, y)
     unsafe = distance_m < 1.0
@@ -215,7 +215,7 @@ class LoadClient:
 
 
 def _outcome(spec: Mapping[str, Any]) -> dict[str, Any]:
-    verdict, distance_m = _judged(spec["scenario"]["x"], spec["behaviour"]["y"])
+    verdict, distance_m = _verdict(spec["scenario"]["x"], spec["behaviour"]["y"])
     return {
         "kind": "completed", "verdicts": {REQUIREMENT: verdict}, "objectives": {"distance": distance_m},
     }  # fmt: skip

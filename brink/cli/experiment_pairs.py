@@ -20,7 +20,13 @@ from brink.cli.follow_ups import (
 )
 from brink.cli.local import Session, check_extra, run_locally, stopping
 from brink.cli.options import RESULTS, plain_table, settings_with, with_api
-from brink.report.experiment_pairs import COLUMNS, pair_sentences, settings_words, standing_cells
+from brink.report.experiment_pairs import (
+    COLUMNS,
+    left_out_sentences,
+    pair_sentences,
+    settings_words,
+    standing_cells,
+)
 from brink.search.analysis.pair_comparison import PairCounts, PairRepeat, pair_standings, problems_of
 from brink.server.api.experiment_pairs import ExperimentPairs, PairRepeatView
 from brink.server.api.pair_views import FollowUpView
@@ -234,7 +240,10 @@ async def _watch(session: Session, experiment: str) -> ExperimentProgress:
 def print_experiment_pairs(screen: Console, pairs: ExperimentPairs) -> None:
     """Print the pairs of each method, and how methods compare."""
     repeats = pair_repeats_of(pairs)
-    if not repeats:
+    for sentence in left_out_sentences(pairs.left_out):
+        text = sentence.replace("**", "").rstrip()
+        screen.print(text, markup=False, highlight=False, soft_wrap=True)
+    if not repeats and not pairs.left_out:
         screen.print("no campaign has finished yet")
         return
     for problem in problems_of(repeats):

@@ -280,4 +280,6 @@ def _write_pairs(pairs: ExperimentPairs, folder: Path) -> ReportedPairs:
         name = f"figures/pairs{f'-{number}' if len(problems) > 1 else ''}.png"
         figure_pairs(repeats, problem).savefig(folder / name, dpi=DPI, metadata={"Software": None})
         pictures[problem] = name
-    return ReportedPairs(repeats=repeats, eps=pairs.eps, d_th=pairs.d_th, pictures=pictures)
+    return ReportedPairs(
+        repeats=repeats, eps=pairs.eps, d_th=pairs.d_th, pictures=pictures, left_out=pairs.left_out
+    )  # fmt: skip
