@@ -192,7 +192,7 @@ def test_nearly_all_tight_pairs_are_checked_before_the_budget_ends(budget: int, 
     ],
 )
 def test_a_stored_state_with_wrong_brackets_is_refused(
-    chancy: tuple[EdgeState, list[Ask]], change: Callable[[Bracket], dict[str, int]], says: str
+    chancy: tuple[EdgeState, list[Ask]], change: Callable[[Bracket], dict[str, Any]], says: str
 ) -> None:
     algorithm, state = Edge(), chancy[0]
     broken = dataclasses.replace(state.brackets[0], **change(state.brackets[0]))
