@@ -3,10 +3,11 @@
 Only what comes before the violation can have caused it, so only that is described. A box tells the driving system how
 far away something is by its lower edge, and where in the road by its left and right edges
 (`brink.sim.driving.obstacles`). A change of the lower edge is therefore given in metres where these are trusted.
+Boxes are compared at a time at which both drives run and report them, the one at which they differ more.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.settings import LocalisationSettings
@@ -27,7 +28,27 @@ _SCENARIO: Final = {
     "road_length": "the road has length {0} instead of {1}",
     "driving_task": "the task is {0} instead of {1}",
 }
+_MOST_LETTERS: Final = 90
+"""In a longer description, only what differs most is described, and the rest is counted."""
+_ABSENT_PX: Final = float(b.IMAGE_WIDTH_PX)
+"""What one drive reports and the other one does not, or not at that time, differs by the whole image."""
+_PX_PER_STEP: Final = 8.0
+"""How much a step in which one drive alone reports something counts: ten seconds as much as the whole image."""
 AFTERWARDS: Final = "what differs came after the violation"
+
+
+class _Clause(NamedTuple):
+    """A part of a description.
+
+    Attributes:
+        text: The words.
+        px: How much differs.
+        more: Differences that the words leave out.
+    """
+
+    text: str
+    px: float = _ABSENT_PX
+    more: int = 0
 
 
 def words_of_changes(
@@ -35,6 +56,8 @@ def words_of_changes(
     unsafe: Mapping[str, Mapping[str, Any]],
     changed: Collection[str],
     violated_at_s: float | None,
+    *,
+    ended_at_step: float = float("inf"),
 ) -> str:
     """Describe what is different in the unsafe one of two candidates; empty if no value differs visibly.
 
@@ -43,9 +66,10 @@ def words_of_changes(
         unsafe: The same of the unsafe one.
         changed: The parameters in which they differ, as component.parameter.
         violated_at_s: Time of the violation in the unsafe candidate's drive; None if it is unknown.
+        ended_at_step: Perception step at which the shorter drive ended, if it is known.
     """
     parts = [
-        template.format(_plain(unsafe["scenario"][name]), _plain(safe["scenario"][name]))
+        _Clause(template.format(_plain(unsafe["scenario"][name]), _plain(safe["scenario"][name])))
         for name, template in _SCENARIO.items()
         if f"scenario.{name}" in changed
     ]
@@ -54,10 +78,29 @@ def words_of_changes(
         prefix = f"behaviour.trajectory_{number}."
         names = frozenset(one.removeprefix(prefix) for one in changed if one.startswith(prefix))
         if names:
-            both = _Reports(number, safe["behaviour"], unsafe["behaviour"], names, violated_at_s)
-            parts += both.words()
+            both = _Reports(
+                number, safe["behaviour"], unsafe["behaviour"], names, violated_at_s, ended_at_step
+            )
+            parts += both.clauses()
             late = late or both.come_after
-    return "; ".join(parts) or (AFTERWARDS if late else "")
+    return _description(parts) or (AFTERWARDS if late else "")
+
+
+def _description(parts: Sequence[_Clause]) -> str:
+    """Return all parts in one sentence or, if that would be long, what differs most and how much else does."""
+    if not parts:
+        return ""
+    whole = "; ".join(part.text for part in parts)
+    if len(parts) > 1 and (len(whole) > _MOST_LETTERS or any(part.more for part in parts)):
+        most = max(parts, key=lambda part: part.px)
+        return _and_more(most.text, len(parts) - 1 + sum(part.more for part in parts))
+    return _and_more(whole, parts[0].more)
+
+
+def _and_more(words: str, more: int) -> str:
+    if not more:
+        return words
+    return f"{words}, and {more} more {'difference' if more == 1 else 'differences'}"
 
 
 class _Reports:
@@ -69,6 +112,7 @@ class _Reports:
         unsafe: The same of the unsafe one.
         changed: The names, without its number, of the values in which they differ.
         violated_at_s: Time of the violation in the unsafe drive; None if it is unknown.
+        ended_at_step: Perception step at which the shorter drive ended; infinity if it is unknown.
     """
 
     def __init__(
@@ -76,8 +120,9 @@ class _Reports:
         number: int,
         safe: Mapping[str, Any],
         unsafe: Mapping[str, Any],
-        changed: Collection[str],
+        changed: frozenset[str],
         violated_at_s: float | None,
+        ended_at_step: float,
     ) -> None:
         prefix = f"trajectory_{number}."
         self._old, self._new = (
@@ -88,26 +133,40 @@ class _Reports:
         end_s = float("inf") if violated_at_s is None else violated_at_s
         self._end_step = end_s / b.PERCEPTION_STEP_S
         self._at = "before the violation" if violated_at_s is None else f"before {violated_at_s:.1f} s"
-        self._who = _who(number, safe, unsafe)
+        self._last_step = min(self._end_step, ended_at_step)
+        self._who = self._name(number, safe)
 
     @property
     def come_after(self) -> bool:
         """Whether the trajectory begins after the violation in both drives."""
         return not self._is_seen(self._old) and not self._is_seen(self._new)
 
-    def words(self) -> list[str]:
-        """Return the changes that come before the violation, each as a clause."""
+    def clauses(self) -> list[_Clause]:
+        """Return the changes that come before the violation."""
         old, new = self._old, self._new
         if self.come_after:
             return []
         if not self._is_seen(new):
-            return [self._vanished()]
+            return [_Clause(self._vanished())]
         if not self._is_seen(old):
-            return [self._appeared()]
-        clauses = []
+            return [_Clause(self._appeared())]
+        found = []
         if "label" in self._changed:
-            clauses.append(f"a {new['label']} is reported instead of a {old['label']} from {_seconds(new)}")
-        return [*clauses, *self._times(), *self._boxes()]
+            found.append(
+                _Clause(f"a {new['label']} is reported instead of a {old['label']} from {_seconds(new)}")
+            )
+        return [*found, *self._times(), *self._boxes()]
+
+    def _name(self, number: int, safe: Mapping[str, Any]) -> str:
+        """Return what the trajectory reports, such as ``the reported person``, told apart from a second one."""
+        label = self._new["label"]
+        if label == b.NULL_LABEL:
+            label = safe[f"trajectory_{number}.label"]
+        same = [one for one in self._others[1] if one["label"] == label and self._is_seen(one)]
+        if not same or not self._is_seen(self._new):
+            return f"the reported {label}"
+        first = all((self._new["t0_step"], number) < (one["t0_step"], one["number"]) for one in same)
+        return f"the {'first' if first else 'second'} reported {label}"
 
     def _vanished(self) -> str:
         """Say that what the safe drive reports is not reported before the violation."""
@@ -140,81 +199,97 @@ class _Reports:
         """Whether it lasts beyond the violation in both drives."""
         return bool(min(self._old["t1_step"], self._new["t1_step"]) >= self._end_step)
 
-    def _times(self) -> list[str]:
+    def _times(self) -> list[_Clause]:
         old, new = self._old, self._new
-        times = []
+        times, steps = [], 0.0
         if "t0_step" in self._changed:
             times.append(f"from {_s(new['t0_step'])} s instead of {_s(old['t0_step'])} s")
+            steps += abs(new["t0_step"] - old["t0_step"])
         if "t1_step" in self._changed and not self._lasts:
             times.append(f"until {_s(new['t1_step'])} s instead of {_s(old['t1_step'])} s")
+            steps += abs(new["t1_step"] - old["t1_step"])
         if times:
-            return [f"{self._who} is there {' and '.join(times)}"]
+            return [_Clause(f"{self._who} is there {' and '.join(times)}", steps * _PX_PER_STEP)]
         if "t1_step" in self._changed:
             pace = "more slowly" if new["t1_step"] > old["t1_step"] else "faster"
-            return [f"the box of {self._who} moves {pace} through the image"]
+            return [_Clause(f"the box of {self._who} moves {pace} through the image", 0.0)]
         return []
 
-    def _boxes(self) -> list[str]:
-        clauses = []
-        for end, step, moment in ((0, "t0_step", "at first"), (1, "t1_step", "at last")):
-            moved = [*self._across(end), *self._upright(end)]
-            if moved:
-                when = f"{moment}, at {_s(self._new[step])} s"
-                if end == 1 and self._lasts:
-                    when = f"where it is heading, at {_s(self._new[step])} s"
-                clauses.append(f"the box of {self._who} is {' and '.join(moved)} ({when})")
-        return clauses
+    def _boxes(self) -> list[_Clause]:
+        """Return how the boxes differ at the time at which they differ more: the first or the last common one."""
+        if not any(name.endswith("_px") for name in self._changed):
+            return []
+        first = max(self._old["t0_step"], self._new["t0_step"])
+        last = min(self._old["t1_step"], self._new["t1_step"], self._last_step)
+        found = max(((self._moves(step), step) for step in (first, last)), key=lambda one: _largest(one[0]))
+        moves, step = found if last > first else (self._moves(first), first)
+        if not moves or last < first:
+            return []
+        when = f"(at {_s(step)} s)"
+        text = f"the box of {self._who} is {' and '.join(move.text for move in moves)} {when}"
+        if len(moves) == 1 or (len(text) <= _MOST_LETTERS and not _mixes_units(moves)):
+            return [_Clause(text, _largest(moves))]
+        most = max(moves, key=lambda move: move.px)
+        return [_Clause(f"the box of {self._who} is {most.text} {when}", most.px, len(moves) - 1)]
 
-    def _across(self, end: int) -> list[str]:
-        """Return how the left and right edges changed."""
-        left, right = (self._moved(f"x_{side}_{end}_px") for side in ("min", "max"))
-        shift, growth = 0.5 * (left + right), right - left
-        words = []
-        if abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth)):
-            words.append(f"{_px(shift)} further {'right' if shift > 0 else 'left'}")
-        if abs(growth) >= max(_LEAST_PX, _MINOR * abs(shift)):
-            words.append(f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}")
-        return words
+    def _moves(self, step: float) -> list[_Clause]:
+        """Return how the box of the unsafe drive differs at a step from that of the safe one."""
+        old, new = (_box_at(values, step) for values in (self._old, self._new))
+        for side in b.BOX_SIDES:
+            if not self._changed & {f"{side}_0_px", f"{side}_1_px"}:
+                new[side] = old[side]  # the two differ in their times alone
+        return [*_across(old, new), *_upright(old, new)]
 
-    def _upright(self, end: int) -> list[str]:
-        """Return how the upper and lower edges changed."""
-        upper, lower = (self._moved(f"y_{side}_{end}_px") for side in ("min", "max"))
-        words = []
-        if abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper)):
-            words.append(
-                _distance(self._old[f"y_max_{end}_px"], self._new[f"y_max_{end}_px"])
-                or f"{_px(lower)} {_way(lower)} at its lower edge"
-            )
-        if abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower)):
-            words.append(f"{_px(upper)} {_way(upper)} at its upper edge")
-        return words
 
-    def _moved(self, name: str) -> float:
-        """Return by how many pixels an edge is further right or further down in the unsafe drive."""
-        return float(self._new[name] - self._old[name]) if name in self._changed else 0.0
+def _largest(moves: Sequence[_Clause]) -> float:
+    return max((move.px for move in moves), default=0.0)
+
+
+def _mixes_units(moves: Sequence[_Clause]) -> bool:
+    return len({" px " in f"{move.text} " for move in moves}) > 1
+
+
+def _box_at(values: Mapping[str, Any], step: float) -> dict[str, float]:
+    """Return the box of a trajectory at a step, by side."""
+    start, end = values["t0_step"], values["t1_step"]
+    share = 0.0 if end <= start else min(1.0, max(0.0, (step - start) / (end - start)))
+    return {
+        side: float(values[f"{side}_0_px"] + share * (values[f"{side}_1_px"] - values[f"{side}_0_px"]))
+        for side in b.BOX_SIDES
+    }
+
+
+def _across(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]:
+    """Return how the left and right edges differ."""
+    left, right = (new[f"x_{side}"] - old[f"x_{side}"] for side in ("min", "max"))
+    shift, growth = 0.5 * (left + right), right - left
+    found = []
+    if abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth)):
+        found.append(_Clause(f"{_px(shift)} further {'right' if shift > 0 else 'left'}", abs(shift)))
+    if abs(growth) >= max(_LEAST_PX, _MINOR * abs(shift)):
+        found.append(_Clause(f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}", abs(growth)))
+    return found
+
+
+def _upright(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]:
+    """Return how the upper and lower edges differ."""
+    upper, lower = (new[f"y_{side}"] - old[f"y_{side}"] for side in ("min", "max"))
+    found = []
+    if abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper)):
+        text = _distance(old["y_max"], new["y_max"]) or f"{_px(lower)} {_way(lower)} at its lower edge"
+        found.append(_Clause(text, abs(lower)))
+    if abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower)):
+        found.append(_Clause(f"{_px(upper)} {_way(upper)} at its upper edge", abs(upper)))
+    return found
 
 
 def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the values of the other trajectories of a drive, without the prefixes of their names."""
+    """Return the numbers and values of the other trajectories of a drive, without the prefixes of their names."""
     return [
-        {name: behaviour[f"trajectory_{one}.{name}"] for name in b.TRAJECTORY_FIELDS}
+        {"number": one, **{name: behaviour[f"trajectory_{one}.{name}"] for name in b.TRAJECTORY_FIELDS}}
         for one in range(1, b.TRAJECTORY_COUNT + 1)
         if one != number
     ]
-
-
-def _who(number: int, safe: Mapping[str, Any], unsafe: Mapping[str, Any]) -> str:
-    """Return what a trajectory reports, such as ``the reported person``."""
-    everyone: Sequence[int] = range(1, b.TRAJECTORY_COUNT + 1)
-    labels = {one: unsafe[f"trajectory_{one}.label"] for one in everyone}
-    label = labels[number]
-    if label == b.NULL_LABEL:
-        label = safe[f"trajectory_{number}.label"]
-    same = [one for one in everyone if labels[one] == label]
-    if len(same) < 2:
-        return f"the reported {label}"
-    first = min(same, key=lambda one: (unsafe[f"trajectory_{one}.t0_step"], one))
-    return f"the {'first' if first == number else 'second'} reported {label}"
 
 
 def _distance(old_px: float, new_px: float) -> str:

@@ -218,7 +218,23 @@ class UrbanInjected:
         old, new = (self.space.decode(tuple(one.vectors)) for one in (safe, unsafe))
         verdicts = (unsafe.result or {}).get("verdicts") or {}
         times = [(verdicts.get(name) or {}).get("violated_at_s") for name in self.requirements]
-        return words_of_changes(old, new, changed, min((t for t in times if t is not None), default=None))
+        return words_of_changes(
+            old, new, changed, min((t for t in times if t is not None), default=None),
+            ended_at_step=min(self._ended_at_step(one) for one in (safe, unsafe)),
+        )  # fmt: skip
+
+    def _ended_at_step(self, one: SimulatedSolution) -> float:
+        """Return the perception step at which a drive ended; infinity unless that cut off what was reported."""
+        delivered = b.delivered_from_json(((one.result or {}).get("features") or {}).get(b.DELIVERED)) or ()
+        injected = [t for t in self._trajectories if one.vectors[1][t.label] != t.null_choice]
+        if len(delivered) != len(injected):
+            return float("inf")
+        cut_off = [
+            steps[1]
+            for t, steps in zip(injected, delivered, strict=True)
+            if steps is not None and steps[1] < np.floor(one.vectors[1][t.end])
+        ]
+        return float(min(cut_off, default=float("inf")))
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
         """Return which parameters had a part in an episode, from when each trajectory was delivered.

@@ -91,19 +91,19 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
         ),
         (
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=310.0, x_max_0_px=410.0),
-            "the box of the reported person is 10 px further right (at first, at 4.1 s)",
+            "the box of the reported person is 10 px further right (at 4.1 s)",
         ),
         (
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=304.0, x_max_0_px=396.0),
-            "the box of the reported person is 8.0 px narrower (at first, at 4.1 s)",
+            "the box of the reported person is 8.0 px narrower (at 4.1 s)",
         ),
         (  # 400 px * 1.7 m / (400 - 300) px is 6.8 m
             report("person", 41, 60), report("person", 41, 60, y_max_0_px=470.0),
-            "the box of the reported person is 4.0 m ahead instead of 6.8 m by its lower edge (at first, at 4.1 s)",
+            "the box of the reported person is 4.0 m ahead instead of 6.8 m by its lower edge (at 4.1 s)",
         ),
         (
             report("person", 41, 60), report("person", 41, 60, y_max_1_px=305.0),
-            "the box of the reported person is 195 px higher at its lower edge (at last, at 6.0 s)",
+            "the box of the reported person is 195 px higher at its lower edge (at 6.0 s)",
         ),
         (report("person", 80, 189), report("person", 90, 189), NOTHING_ACTIVE),
     ],
@@ -114,6 +114,49 @@ def test_a_change_is_described_as_what_the_detector_reports(
     ended = report("person", 80, 189) == safe
     before = drive(safe, NONE, end_step=74 if ended else 300)
     assert words(before, unsafe_drive(unsafe, NONE)) == expected
+
+
+@pytest.mark.parametrize(
+    ("box", "expected"),
+    [
+        # The box of the safe drive's report at 7.1 s, 30 of 200 steps after its first one, is 15% on its way.
+        ({"x_min_1_px": 300.0, "x_max_1_px": 700.0}, "30 px further right (at 7.1 s)"),
+        ({"y_max_0_px": 450.0, "y_min_0_px": 200.0},
+         "4.5 m ahead instead of 6.8 m by its lower edge (at 4.1 s), and 1 more difference"),
+        ({"x_min_0_px": 200.0, "x_max_0_px": 280.0, "y_min_0_px": 270.0, "y_max_0_px": 330.0},
+         "110 px further left (at 4.1 s), and 2 more differences"),
+    ],
+)  # fmt: skip
+def test_boxes_are_compared_while_both_drives_run_in_one_unit(box: dict[str, float], expected: str) -> None:
+    safe, unsafe = report("person", 41, 241), report("person", 41, 241, **box)
+    assert (
+        words(drive(safe, NONE), unsafe_drive(unsafe, NONE))
+        == f"the box of the reported person is {expected}"
+    )
+
+
+def test_boxes_are_not_compared_after_the_safe_drive_has_ended() -> None:
+    safe, unsafe = report("person", 41, 241), report("person", 41, 241, x_min_1_px=300.0, x_max_1_px=700.0)
+    assert words(drive(safe, NONE, end_step=61), unsafe_drive(unsafe, NONE)) == (
+        "the box of the reported person is 20 px further right (at 6.1 s)"
+    )
+
+
+def test_a_long_description_is_cut_to_what_differs_most() -> None:
+    safe = drive(report("person", 20, 60), report("vehicle", 30, 200))
+    unsafe = unsafe_drive(
+        report("person", 25, 60, x_min_0_px=320.0), report("vehicle", 30, 200, x_min_0_px=200.0)
+    )
+    assert words(safe, unsafe) == (
+        "the box of the reported vehicle is 50 px further left and 100 px wider (at 3.0 s), and 2 more differences"
+    )
+
+
+def test_a_report_after_the_violation_makes_no_other_one_the_first() -> None:
+    late = report("person", 150, 200)
+    assert words(drive(report("person", 12, 60), late), unsafe_drive(report("person", 10, 60), late)) == (
+        "the reported person is there from 1.0 s instead of 1.2 s"
+    )
 
 
 def test_a_change_after_the_violation_is_not_called_its_cause() -> None:
