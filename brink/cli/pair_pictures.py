@@ -18,15 +18,26 @@ from brink.cli.draw import (
     run_episode,
 )
 from brink.cli.options import console
-from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView, ShareView
+from brink.search.analysis.confirmation import SAFE_AT_MOST, UNSAFE_AT_LEAST, Confirmation
+from brink.server.api.pair_views import (
+    ComponentPart,
+    ConfirmationView,
+    Minimality,
+    PairsView,
+    PairView,
+    ShareView,
+)
 from brink.server.errors import InvalidInput
 from brink.server.problems.changes import as_sentence
 from brink.sim.replay import DrivePair, Side, render_pair
+from brink.sim.verdict import held_words
 
 PICTURES: Final = (".png",)
 FILMS: Final = (".mp4", ".gif")
 _MOST_LETTERS: Final = 230
 """A longer headline is cut to the change alone."""
+_GAP_HELD: Final = held_words(["front-gap"])
+_REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
 _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
 
 
@@ -129,8 +140,8 @@ async def _drives(api: Api, view: PairsView, pair: PairView, *, workers: bool) -
         )
         sides.append(Side(number=side.number, trace=trace, outcome=side.outcome, again=share_words(share)))
     return DrivePair(
-        safe=sides[0], unsafe=sides[1], change=headline(pair), facts=tuple(facts(view, pair)),
-        requirement=await fetch_requirements(api, view.campaign),
+        safe=sides[0], unsafe=sides[1], change=headline(pair), findings=tuple(findings(pair)),
+        facts=tuple(facts(view, pair)), requirement=await fetch_requirements(api, view.campaign),
     )  # fmt: skip
 
 
@@ -140,24 +151,60 @@ def headline(pair: PairView) -> str:
     return as_sentence(words)
 
 
+def findings(pair: PairView) -> list[str]:
+    """Return what the follow-ups of a pair found about the component and about chance, in sentences."""
+    found = []
+    if pair.component.state in _KNOWN_PARTS:
+        found.append(_component_words(pair))
+    again = pair.confirmation
+    if again.state is Confirmation.CONFIRMED:
+        found.append(f"Confirmed with {_drives_a_side(again)} other seeds a side.")
+    elif again.state is Confirmation.NOT_CONFIRMED:
+        found.append(f"Not confirmed: with other seeds {_doubt(again)}.")
+    return found
+
+
+def _component_words(pair: PairView) -> str:
+    """Say whether the unsafe drive is safe with ground truth in place of the component, and what that means."""
+    first, _, rest = pair.component.outcome.partition("; ")
+    others = f" (but {rest})" if rest else ""
+    if pair.component.state is ComponentPart.SCENARIO:
+        what = f" ({pair.component.outcome})" if pair.component.outcome else ""
+        return f"With a detector that reports the truth, this drive is unsafe too{what}: the scenario is to blame."
+    keeps = "keeps its gap" if first == _GAP_HELD else "is safe"
+    return f"With a detector that reports the truth, this drive {keeps}{others}: the component is to blame."
+
+
+def _drives_a_side(again: ConfirmationView) -> str:
+    counts = sorted({again.safe.evaluated, again.unsafe.evaluated})
+    return " to ".join(str(count) for count in counts)
+
+
+def _doubt(again: ConfirmationView) -> str:
+    """Say which side did not keep its verdict with other seeds."""
+    said = []
+    if again.safe.unsafe > SAFE_AT_MOST * again.safe.evaluated:
+        said.append(f"the safe side was unsafe in {again.safe.unsafe} of {again.safe.evaluated}")
+    if again.unsafe.unsafe < UNSAFE_AT_LEAST * again.unsafe.evaluated:
+        was = "" if said else " was unsafe"
+        said.append(f"the unsafe side{was} in only {again.unsafe.unsafe} of {again.unsafe.evaluated}")
+    return " and ".join(said)
+
+
 def facts(view: PairsView, pair: PairView) -> list[str]:
     """Return what else is known of a pair, in sentences."""
     found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
-    if not view.computed:
+    if not view.computed and pair.confirmation.state not in _REPEATED:
         found.append(
             "Both verdicts held with another seed in the search."
             if pair.checked
             else "Each side was simulated once by the search."
         )
-    if pair.component.state in _KNOWN_PARTS:
-        found.append(
-            f"With ground truth in place of the component, the unsafe drive: {pair.component.outcome}."
-        )
     less = pair.minimality
     if less.state is Minimality.DIFFERENT_SEEDS:
         found.append("The two had different episode seeds, so chance may be the reason for the verdicts.")
     elif less.state is Minimality.MINIMAL:
-        found.append("No difference can be reverted without losing the opposite verdicts.")
+        found.append("No part of the change can be left out (tried by simulation).")
     elif less.unsafe is not None:
         enough, differing = len(less.unsafe.changes), len(pair.changes)
         found.append(f"{enough} of the {differing} differences {'is' if enough == 1 else 'are'} enough.")
@@ -182,7 +229,7 @@ def _draw_figure(fetched: FetchedArchive, view: PairsView, pair: PairView, path:
         archive=fetched.archive, active=fetched.active, space=fetched.plan.problem.space, title=fetched.body.name,
         generation_ends=fetched.generations, t_b=0.0, d_th=view.d_th,
     )  # fmt: skip
-    told = " ".join(facts(view, pair))
+    told = " ".join([*findings(pair), *facts(view, pair)])
     figure = figure_pair(
         inputs,
         PairFigure(safe=pair.safe.number, unsafe=pair.unsafe.number, change=headline(pair), facts=(told,)),

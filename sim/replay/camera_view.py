@@ -109,9 +109,10 @@ class SketchView:
         self._draw_ground_truth(draw, sample)
         image = image.reduce(SUPERSAMPLING)
         draw = ImageDraw.Draw(image)
-        written: list[tuple[float, float]] = []
         for report in reports:
-            self._draw_reported(draw, report, written)
+            for row in report.rows:
+                draw_dashed(draw, self._sides(row), report.colour, dash=7.0, gap=4.0, width=2)
+        self._write_labels(draw, reports)
         return image
 
     def _draw_areas(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
@@ -171,28 +172,71 @@ class SketchView:
             colour = BLURRED_VEHICLE if row[0] == 0 else BLURRED_PEDESTRIAN
             draw.rectangle(box.ravel().tolist(), fill=colour, outline=SEEN, width=2 * SUPERSAMPLING)
 
-    def _draw_reported(
-        self, draw: ImageDraw.ImageDraw, report: Reported, written: list[tuple[float, float]]
-    ) -> None:
+    def _sides(self, row: FloatArray) -> Points:
+        """Return the four corners of an image box in pixels of the view."""
+        (left, top), (right, bottom) = self._corners(row).tolist()
+        return np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+
+    def _write_labels(self, draw: ImageDraw.ImageDraw, reports: Sequence[Reported]) -> None:
+        """Write the label of each reported box close to it, where it hides no box if there is room."""
         line = self._font.size + 3
-        for row in report.rows:
-            (left, top), (right, bottom) = self._corners(row).tolist()
-            corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
-            draw_dashed(draw, corners, report.colour, dash=7.0, gap=4.0, width=2)
-            word = f"{report.source} {LABELS[label_index(row[0])]}".strip()
-            wide = draw.textlength(word, font=self._font)
-            x, y = min(left + 3, self._size[0] - wide - 3), max(2.0, top - line)
-            if any(abs(x - at_x) < wide and abs(y - at_y) < line for at_x, at_y in written):
-                y = min(bottom + 2, self._size[1] - line)  # below the box: above it is another label
-            while any(abs(x - at_x) < wide and abs(y - at_y) < line for at_x, at_y in written):
-                y -= line
-            written.append((x, y))
-            draw.text((x, y), word, fill=report.colour, font=self._font, stroke_width=2, stroke_fill=PAPER)
+        boxes = [self._corners(row).ravel().tolist() for report in reports for row in report.rows]
+        written: list[list[float]] = []
+        for report in reports:
+            for row in report.rows:
+                (left, top), (right, bottom) = self._corners(row).tolist()
+                word = f"{report.source} {LABELS[label_index(row[0])]}".strip()
+                wide = draw.textlength(word, font=self._font)
+                ys = [
+                    top - line - 1,
+                    bottom + 3,
+                    *(top - line * n for n in (2, 3)),
+                    bottom + line + 3,
+                    top + 2,
+                ]
+                places = [(x, y) for y in ys for x in (left, right - wide, left - wide - 6, right + 6)]
+                inside = [
+                    [x, y, x + wide, y + line]
+                    for x, y in (
+                        (min(max(x, 3.0), self._size[0] - wide - 3), min(max(y, 2.0), self._size[1] - line))
+                        for x, y in places
+                    )
+                ]
+                best = min(
+                    inside,
+                    key=lambda at: (
+                        sum(_edge_hidden(at, box) for box in boxes)
+                        + 10 * sum(_shared(at, other) for other in written)
+                    ),
+                )
+                written.append(best)
+                above, below = top - best[3], best[1] - bottom
+                if max(above, below) > line:
+                    x = min(max((left + right) / 2, best[0]), best[2])
+                    ends = (x, best[3], x, top) if above > 0 else (x, best[1], x, bottom)
+                    draw.line(ends, fill=report.colour, width=1)
+                draw.text(
+                    (best[0], best[1]), word, fill=report.colour, font=self._font, stroke_width=2,
+                    stroke_fill=PAPER,
+                )  # fmt: skip
 
     def _corners(self, row: FloatArray) -> Points:
         """Return the top-left and bottom-right corner of an image box in pixels of the view, clipped to it."""
         corners = np.array([(row[1], row[3]), (row[2], row[4])], dtype=np.float64) * self._scale
         return np.clip(corners, 1.0, np.array(self._size) - 2.0)
+
+
+def _shared(one: Sequence[float], other: Sequence[float]) -> float:
+    """Return the area that two rectangles (left, top, right, bottom) share."""
+    wide, high = min(one[2], other[2]) - max(one[0], other[0]), min(one[3], other[3]) - max(one[1], other[1])
+    return max(0.0, wide) * max(0.0, high)
+
+
+def _edge_hidden(text: Sequence[float], box: Sequence[float]) -> float:
+    """Return how much a text hides of a box: most of all its edges, for a large box less of what is within."""
+    within = (box[0] + 2, box[1] + 2, box[2] - 2, box[3] - 2)
+    inner = _shared(text, within) if within[2] > within[0] and within[3] > within[1] else 0.0
+    return 20 * (_shared(text, box) - inner) + inner
 
 
 def _cut(points: Points) -> Points:

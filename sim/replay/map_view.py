@@ -4,8 +4,8 @@ Everything that stands still is painted once, on a canvas around the whole drive
 crops its part, draws what moves on it, and is reduced to half its size, which smooths the edges.
 """
 
-from dataclasses import dataclass
-from typing import Final, Self, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -19,10 +19,12 @@ from brink.sim.replay.scene import (
     FrontGap,
     Points,
     front_gap,
+    gap_words,
     is_car,
     label_index,
     map_centres,
-    outline,
+    nothing_there,
+    obstacle_outline,
     surface_style,
 )
 from brink.sim.replay.style import (
@@ -51,6 +53,7 @@ ROUTE_WIDTH_M: Final = 0.3
 LEAST_PERSON_PX: Final = 3.0
 DOTS_M: Final = 1.0
 """Distance between the dots of the path ahead."""
+_LEAST_LEADER_PX: Final = 7.0
 
 _RINGS: Final = (SHAPES.car_body, *SHAPES.car_windows, *SHAPES.car_brake_lights)
 _CAR_CORNERS: Final = np.array([corner for ring in _RINGS for corner in ring])
@@ -60,8 +63,24 @@ _WINDOWS, _BRAKE_LIGHTS = _DETAILS[: len(SHAPES.car_windows)], _DETAILS[len(SHAP
 _PERSON_CORNERS: Final = np.array([(0.0, 0.0), (1.6, 0.0)])
 """Centre of a person, and a point ahead of it."""
 
-Label: TypeAlias = tuple[tuple[float, float], str, Rgb]
-"""Centre in pixels, text, colour."""
+Rect: TypeAlias = tuple[float, float, float, float]
+"""Left, top, right, bottom in pixels."""
+
+
+class Label(NamedTuple):
+    """A text on a map.
+
+    Attributes:
+        at: Centre in pixels of the map.
+        text: The text.
+        colour: Its colour.
+        named: What it names.
+    """
+
+    at: tuple[float, float]
+    text: str
+    colour: Rgb
+    named: Rect
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,6 +175,40 @@ class Twin:
     colour: Rgb
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Marked:
+    """A road user that a map points out.
+
+    Attributes:
+        actor: Its index.
+        caption: What is said of it.
+        colour: Colour of the caption and, unless the front gap to it is too short, of its outline.
+    """
+
+    actor: int
+    caption: str
+    colour: Rgb
+
+
+class ObstacleStyle(NamedTuple):
+    """How perceived obstacles are drawn.
+
+    Attributes:
+        colour: Colour of their dashed outlines and captions.
+        there: Captions of those that lie where a road user is, by label.
+        nothing_there: Captions of those that do not, by label.
+        any_kind: Whether a road user or parked car of any kind counts, not only one of the same kind nearby.
+    """
+
+    colour: Rgb
+    there: tuple[str, ...]
+    nothing_there: tuple[str, ...]
+    any_kind: bool
+
+
+BY_KIND: Final = ObstacleStyle(GHOST, SIGHTED, GHOSTS, any_kind=False)
+
+
 class MapView:
     """Draws the map of any sample of one episode.
 
@@ -166,6 +219,7 @@ class MapView:
         look_ahead_m: How far ahead of the ego the middle of the map lies.
         font_px: Size of the labels.
         turn_rad: Rotation of the map; by default so that the drive starts out to the right.
+        obstacle_style: How perceived obstacles are drawn.
     """
 
     def __init__(
@@ -177,11 +231,13 @@ class MapView:
         look_ahead_m: float,
         font_px: int,
         turn_rad: float | None = None,
+        obstacle_style: ObstacleStyle = BY_KIND,
     ) -> None:
         trace = scene.trace
         self._scene = scene
         self._trace = trace
         self._size = size_px
+        self._style = obstacle_style
         margin_m = tuple(side / 2 / px_per_m + look_ahead_m + 2.0 for side in size_px)
         self._viewport = Viewport.along(
             trace.route, trace.ego, px_per_m=px_per_m * SUPERSAMPLING, margin_m=(margin_m[0], margin_m[1]),
@@ -204,7 +260,15 @@ class MapView:
         self._font = typeface(font_px, bold=True)
 
     def draw(
-        self, sample: int, *, centre_m: Points | None = None, twin: Twin | None = None, ahead: int = 0
+        self,
+        sample: int,
+        *,
+        centre_m: Points | None = None,
+        twin: Twin | None = None,
+        ahead: int = 0,
+        gap: FrontGap | None = None,
+        marked: Marked | None = None,
+        spread: bool = False,
     ) -> Image.Image:
         """Return the map at a sample as an RGB image of the view's size.
 
@@ -213,6 +277,9 @@ class MapView:
             centre_m: World coordinates of the middle of the map, shape ``(2,)``; by default ahead of the ego.
             twin: A second drive to show.
             ahead: Samples of the ego's path after this one to show as dots.
+            gap: The front gap to show; by default the one at the sample.
+            marked: A road user to point out.
+            spread: Whether labels are moved to where they hide nothing; in a film they would jump.
         """
         wide, high = (side * SUPERSAMPLING for side in self._size)
         centre = self._centres[sample] if centre_m is None else self._viewport.to_px(centre_m[None])[0]
@@ -221,18 +288,27 @@ class MapView:
         image = self._canvas.crop((left, top, left + wide, top + high)).convert("RGB")
         draw = ImageDraw.Draw(image)
         labels: list[Label] = []
-        gap = front_gap(self._trace, sample)
+        gap = front_gap(self._trace, sample) if gap is None else gap
         self._draw_trail(draw, sample, corner)
         self._draw_ahead(draw, sample, ahead, corner)
         self._draw_actors(draw, sample, corner, gap)
         self._draw_obstacles(draw, sample, corner, labels)
         self._draw_car(draw, self._ego[sample] - corner, EGO, brakes=bool(self._scene.ego_brakes[sample]))
+        if marked is not None:
+            crimson = gap is not None and gap.actor == marked.actor and gap.too_short
+            outlined = marked if not crimson else replace(marked, colour=VIOLATION)
+            self._draw_marked(draw, outlined, sample, corner)
+            labels.append(self._marked_label(marked, sample, corner))
         if gap is not None:
             self._draw_gap(draw, gap, corner, labels)
         if twin is not None:
             self._draw_twin(draw, twin, corner, labels)
         image = image.reduce(SUPERSAMPLING)
-        self._write(ImageDraw.Draw(image), labels)
+        if spread:
+            hidden = [*self._bodies(sample, corner), *(label.named for label in labels)]
+            self._write_beside(ImageDraw.Draw(image), labels, hidden)
+        else:
+            self._write(ImageDraw.Draw(image), labels)
         return image
 
     def _draw_trail(self, draw: ImageDraw.ImageDraw, sample: int, corner: Points) -> None:
@@ -260,7 +336,29 @@ class MapView:
         draw.line(closed, fill=PAPER, width=4 * SUPERSAMPLING, joint="curve")
         draw.line(closed, fill=twin.colour, width=2 * SUPERSAMPLING, joint="curve")
         below = float(corners[:, 0].mean()), float(corners[:, 1].max())
-        labels.append((_reduced(below, 0.85), twin.caption, twin.colour))
+        labels.append(Label(_reduced(below, 0.85), twin.caption, twin.colour, _around(corners)))
+
+    def _draw_marked(self, draw: ImageDraw.ImageDraw, marked: Marked, sample: int, corner: Points) -> None:
+        shape, present = self._actors[marked.actor]
+        if not present[sample]:
+            return
+        if is_car(self._trace.actors[marked.actor]):
+            corners = shape[sample][_BODY] - corner
+            closed = np.vstack([corners, corners[:2]])
+            draw.line(closed.ravel().tolist(), fill=marked.colour, width=2 * SUPERSAMPLING, joint="curve")
+        else:
+            x, y = (shape[sample][0] - corner).tolist()
+            reach = 2.2 * self._person_px
+            ring = (x - reach, y - reach, x + reach, y + reach)
+            draw.ellipse(ring, outline=marked.colour, width=2 * SUPERSAMPLING)
+
+    def _marked_label(self, marked: Marked, sample: int, corner: Points) -> Label:
+        corners = self._actors[marked.actor][0][sample] - corner
+        if not is_car(self._trace.actors[marked.actor]):
+            reach = 2.2 * self._person_px
+            corners = np.vstack([corners[0] - reach, corners[0] + reach])
+        above = float(corners[:, 0].mean()), float(corners[:, 1].min())
+        return Label(_reduced(above, -0.85), marked.caption, marked.colour, _around(corners))
 
     def _draw_actors(
         self, draw: ImageDraw.ImageDraw, sample: int, corner: Points, gap: FrontGap | None
@@ -289,8 +387,12 @@ class MapView:
             for light in _BRAKE_LIGHTS:
                 draw.polygon(corners[light].ravel().tolist(), fill=BRAKE)
 
+    @property
+    def _person_px(self) -> float:
+        return max(LEAST_PERSON_PX * SUPERSAMPLING, SHAPES.person_radius_m * self._viewport.px_per_m)
+
     def _draw_person(self, draw: ImageDraw.ImageDraw, corners: Points) -> None:
-        radius = max(LEAST_PERSON_PX * SUPERSAMPLING, SHAPES.person_radius_m * self._viewport.px_per_m)
+        radius = self._person_px
         (x, y), nose = corners[0], corners[1] - corners[0]
         length = max(1e-9, float(np.hypot(*nose)))
         tip = corners[0] + nose / length * radius * SHAPES.person_nose
@@ -300,20 +402,22 @@ class MapView:
     def _draw_obstacles(
         self, draw: ImageDraw.ImageDraw, sample: int, corner: Points, labels: list[Label]
     ) -> None:
-        perceived, obstacles = self._trace.perceived, self._scene.obstacles
+        perceived, style = self._trace.perceived, self._style
         line = 0.45 * self._viewport.px_per_m
         for row in range(perceived.first[sample], perceived.first[sample + 1]):
-            label, x_m, y_m = (float(value) for value in perceived.rows[row, 1:4])
-            box = outline(x_m, y_m, obstacles.yaw_rad[row], obstacles.length_m[row], obstacles.width_m[row])
-            corners = self._viewport.to_px(box) - corner
-            draw_dashed(draw, corners, GHOST, dash=1.2 * line, gap=0.9 * line, width=2 * SUPERSAMPLING)
-            if obstacles.ghost[row]:
+            label = label_index(float(perceived.rows[row, 1]))
+            corners = self._viewport.to_px(obstacle_outline(self._scene, row)) - corner
+            draw_dashed(draw, corners, style.colour, dash=1.2 * line, gap=0.9 * line, width=2 * SUPERSAMPLING)
+            ghost = bool(self._scene.obstacles.ghost[row])
+            if style.any_kind:
+                ghost = nothing_there(self._scene, sample, row)
+            if ghost:
                 for one, other in ((0, 2), (1, 3)):
                     diagonal = np.vstack([corners[one], corners[other]])
-                    draw.line(diagonal.ravel().tolist(), fill=GHOST, width=SUPERSAMPLING)
-            captions = GHOSTS if obstacles.ghost[row] else SIGHTED
+                    draw.line(diagonal.ravel().tolist(), fill=style.colour, width=SUPERSAMPLING)
+            captions = style.nothing_there if ghost else style.there
             anchor = float(corners[:, 0].mean()), float(corners[:, 1].min())
-            labels.append((_reduced(anchor, -0.85), captions[label_index(label)], GHOST))
+            labels.append(Label(_reduced(anchor, -0.85), captions[label], style.colour, _around(corners)))
 
     def _draw_gap(
         self, draw: ImageDraw.ImageDraw, gap: FrontGap, corner: Points, labels: list[Label]
@@ -329,12 +433,36 @@ class MapView:
             draw.line(stroke.ravel().tolist(), fill=colour, width=round(1.5 * SUPERSAMPLING))
         x, y = ends.mean(axis=0).tolist()
         below = y + 1.7 * self._viewport.px_per_m
-        labels.append((_reduced((x, below), 0.6), f"gap {gap.gap_m:.1f} m", colour))
+        text = f"gap {gap_words(gap.gap_m)}"
+        labels.append(Label(_reduced((x, below), 0.6), text, colour, _around(ends)))
+
+    def _bodies(self, sample: int, corner: Points) -> list[Rect]:
+        """Return where the ego and the road users are, which no label should hide."""
+        shapes = [self._ego[sample]]
+        shapes += [shape[sample] for shape, present in self._actors if present[sample]]
+        return [_around(shape - corner) for shape in shapes]
+
+    def _write_beside(self, draw: ImageDraw.ImageDraw, labels: list[Label], hidden: list[Rect]) -> None:
+        """Write each label as close to what it names as is possible without hiding anything."""
+        placed: list[Rect] = []
+        for label in labels:
+            half = draw.textlength(label.text, font=self._font) / 2 + 3, self._font.size * 0.62
+            options = _places(label.named, half, self._size)
+            if not options:
+                continue  # off the map
+            best = min(options, key=lambda rect: _cost(rect, placed, hidden))
+            placed.append(best)
+            _draw_leader(draw, best, label)
+            middle = (best[0] + best[2]) / 2, (best[1] + best[3]) / 2
+            draw.text(
+                middle, label.text, fill=label.colour, font=self._font, anchor="mm", stroke_width=2,
+                stroke_fill=PAPER,
+            )  # fmt: skip
 
     def _write(self, draw: ImageDraw.ImageDraw, labels: list[Label]) -> None:
         line = self._font.size * 1.25
         placed: list[tuple[float, float]] = []
-        for (wanted, y), text, colour in labels:
+        for (wanted, y), text, colour, _ in labels:
             half = draw.textlength(text, font=self._font) / 2 + 3
             x, at = min(max(wanted, half), self._size[0] - half), y
             # Two labels in one place are illegible: move the later one up.
@@ -349,6 +477,52 @@ class MapView:
 def _reduced(point: tuple[float, float], lines: float) -> tuple[float, float]:
     """Convert a supersampled point to pixels of the map, moved down by a number of text lines."""
     return point[0] / SUPERSAMPLING, point[1] / SUPERSAMPLING + lines * 12
+
+
+def _around(corners: Points) -> Rect:
+    """Return the rectangle around supersampled points, in pixels of the map."""
+    (left, top), (right, bottom) = corners.min(axis=0) / SUPERSAMPLING, corners.max(axis=0) / SUPERSAMPLING
+    return float(left), float(top), float(right), float(bottom)
+
+
+def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) -> list[Rect]:
+    """Return where the label of a rectangle may be, closest first; empty if the rectangle is off the map."""
+    left, top, right, bottom = named
+    if right < 0 or bottom < 0 or left > size_px[0] or top > size_px[1]:
+        return []
+    left, right = max(left, 0.0), min(right, float(size_px[0]))
+    top, bottom = max(top, 0.0), min(bottom, float(size_px[1]))
+    wide, high = half
+    found = []
+    for away in (4.0, 14.0, 26.0, 40.0, 56.0, 74.0, 94.0, 120.0):
+        xs = (left + right) / 2, left, right, left - wide, right + wide
+        for x in xs:
+            found += [(x, y) for y in (top - high - away, bottom + high + away)]
+        found += [(at, (top + bottom) / 2) for at in (left - wide - away, right + wide + away)]
+    inside = [(x, y) for x, y in found if wide <= x <= size_px[0] - wide and high <= y <= size_px[1] - high]
+    return [(x - wide, y - high, x + wide, y + high) for x, y in inside]
+
+
+def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect]) -> float:
+    """Return how much a label would hide; other labels count more than bodies."""
+    return 10 * sum(_common(rect, one) for one in placed) + sum(_common(rect, one) for one in hidden)
+
+
+def _common(one: Rect, other: Rect) -> float:
+    """Return the area that two rectangles share, with a margin, in square pixels."""
+    wide = min(one[2], other[2]) - max(one[0], other[0]) + 3
+    high = min(one[3], other[3]) - max(one[1], other[1]) + 3
+    return max(0.0, wide) * max(0.0, high)
+
+
+def _draw_leader(draw: ImageDraw.ImageDraw, rect: Rect, label: Label) -> None:
+    """Draw a line from a label to what it names, unless the two touch."""
+    left, top, right, bottom = label.named
+    start = min(max((left + right) / 2, rect[0]), rect[2]), min(max((top + bottom) / 2, rect[1]), rect[3])
+    end = min(max(start[0], left), right), min(max(start[1], top), bottom)
+    if np.hypot(end[0] - start[0], end[1] - start[1]) > _LEAST_LEADER_PX:
+        draw.line((*start, *end), fill=PAPER, width=3)
+        draw.line((*start, *end), fill=label.colour, width=1)
 
 
 def _placed(

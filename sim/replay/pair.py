@@ -1,7 +1,9 @@
 """A pair of drives, one safe and one unsafe: what differs between them, and the moment at which that matters.
 
 Both drives run on the same clock. The *moment* of a pair is the unsafe drive's first violation; the safe drive is
-shown at the same time. Reports *differ* while the driving systems of the two drives receive different boxes.
+shown at the same time. Reports *differ* while the driving systems of the two drives receive different boxes. What
+the moment is about is the road user that the unsafe drive hits, or to which its front gap is too short; it is
+*reported* while a perceived obstacle lies on it.
 """
 
 from dataclasses import dataclass
@@ -9,9 +11,24 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.replay.scene import Points, ReplayError, map_centres, spec_part
-from brink.sim.replay.story import Judged, Story, story_of, with_unit
-from brink.sim.trace import Trace
+from brink.sim.replay.scene import (
+    LABELS,
+    EpisodeScene,
+    FrontGap,
+    Points,
+    ReplayError,
+    front_gap,
+    gap_to,
+    gap_words,
+    label_index,
+    map_centres,
+    obstacles_on,
+    plain_name,
+    spec_part,
+)
+from brink.sim.replay.story import Judged, Story, story_of, unit_of
+from brink.sim.requirements import REQUIRED_GAP_M
+from brink.sim.trace import FloatArray, Trace
 
 SAFE, UNSAFE = "safe", "unsafe"
 
@@ -21,6 +38,15 @@ _SAME_PLACE_M: Final = 0.05
 _LEAD_UP_S: Final = 3.0
 _FOLLOW_UP_S: Final = 5.0
 _LEAST_WINDOW_S: Final = 12.0
+_LOOK_BACK_S: Final = 1.5
+"""How long before the moment the vehicle ahead may have been seen for the last time: a collision hides it."""
+_NO_VEHICLE_M: Final = 48.0
+"""A greater margin of the front gap means that no vehicle is ahead."""
+_ABSENT_PX: Final = 800.0
+"""A box that is reported in one drive alone differs as much as two boxes at opposite sides of the image."""
+_ALMOST: Final = 0.999
+"""Of the times at which reports differ almost as much as ever, the earliest one is shown."""
+_MOST_DIGITS: Final = 4
 _LOOK_AHEAD_M: Final = 7.0
 """How far ahead of its car the middle of a map lies."""
 _MOST_SHIFT_M: Final = np.array([11.0, 4.0])
@@ -52,6 +78,7 @@ class DrivePair:
         safe: The safe drive.
         unsafe: The unsafe one.
         change: What differs between them, in words.
+        findings: What the pair shows about the component and about chance, in sentences.
         facts: Further facts about the pair, such as its distance.
         requirement: Ids of the requirements that tell them apart; for the default see `story_of`.
     """
@@ -59,6 +86,7 @@ class DrivePair:
     safe: Side
     unsafe: Side
     change: str
+    findings: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     requirement: Judged = None
 
@@ -72,6 +100,31 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """The road user that the unsafe drive's violation is about.
+
+    Attributes:
+        actor: Its index among the actors of the unsafe drive's trace.
+        gap: The line to it at the moment.
+        reported: Labels of the perceived obstacles that lie on it at the moment.
+        vehicle: Whether it is a vehicle.
+    """
+
+    actor: int
+    gap: FrontGap | None
+    reported: tuple[str, ...]
+    vehicle: bool
+
+    @property
+    def words(self) -> str:
+        """Whether it is reported, such as ``not reported`` or ``reported as a person``."""
+        own = LABELS[0 if self.vehicle else 1]
+        if not self.reported:
+            return "not reported"
+        return "reported" if own in self.reported else f"reported as a {self.reported[0]}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PairStory:
     """What the pictures of a pair tell.
 
@@ -80,6 +133,8 @@ class PairStory:
         safe: Story of the safe drive.
         unsafe: Story of the unsafe drive.
         moment_s: Time of the unsafe drive's first violation, or of its lowest robustness if the trace has none.
+        shown_s: Time of the sample that shows the moment: the next one, since a violation may lie between samples.
+        target: What the violation is about; None if that is no road user, or not known.
         differing: When the reports of the drives differ; up to the end of the shorter drive.
         same_seed: Whether both drives have the same episode seed; None if a trace does not record it.
         same_road: Whether both drives use the same road, so that one map can show both.
@@ -90,10 +145,17 @@ class PairStory:
     safe: Story
     unsafe: Story
     moment_s: float
+    shown_s: float
+    target: Target | None
     differing: tuple[Interval, ...]
     same_seed: bool | None
     same_road: bool
     centres: tuple[Points, Points]
+
+    @property
+    def sample_s(self) -> float:
+        """Time of the sample that keeps the robustness at the moment."""
+        return float(self.pair.unsafe.trace.time_s[self.unsafe.decisive])
 
     @property
     def end_s(self) -> float:
@@ -114,8 +176,15 @@ class PairStory:
         return Interval(start_s=start_s, end_s=max(end_s, min(self.end_s, start_s + _LEAST_WINDOW_S)))
 
     def report_moment_s(self) -> float | None:
-        """Return a time at which the reports differ, the earliest one; None if they never do before the moment."""
-        return next((one.start_s for one in self.differing if one.start_s <= self.moment_s), None)
+        """Return the time up to the moment at which the reports differ most; None if they never do until then."""
+        traces = self.pair.safe.trace, self.pair.unsafe.trace
+        times = np.asarray(traces[1].time_s, dtype=np.float64)
+        end_s = min(self.moment_s + 1e-3, *(float(trace.time_s[-1]) for trace in traces))
+        times = times[times <= end_s]
+        apart_px = np.array([_report_distance_px(*traces, float(at_s)) for at_s in times])
+        if not apart_px.size or apart_px.max() <= _SAME_PX:
+            return None
+        return float(times[np.flatnonzero(apart_px >= _ALMOST * apart_px.max())[0]])
 
 
 def pair_story(pair: DrivePair) -> PairStory:
@@ -126,12 +195,15 @@ def pair_story(pair: DrivePair) -> PairStory:
     """
     unsafe = story_of(pair.unsafe.trace, pair.requirement)
     safe = story_of(pair.safe.trace, unsafe.requirement)
+    moment_s, shown_s = _moment(pair.unsafe.trace, unsafe)
     safe_seed, unsafe_seed = (_seed(side.trace) for side in (pair.safe, pair.unsafe))
     return PairStory(
         pair=pair,
         safe=safe,
         unsafe=unsafe,
-        moment_s=float(pair.unsafe.trace.time_s[unsafe.decisive]),
+        moment_s=moment_s,
+        shown_s=shown_s,
+        target=_target(pair.unsafe.trace, unsafe, sample_at(pair.unsafe.trace, shown_s)),
         differing=_differing(pair.safe.trace, pair.unsafe.trace),
         same_seed=None if safe_seed is None or unsafe_seed is None else safe_seed == unsafe_seed,
         same_road=_same_road(pair.safe.trace, pair.unsafe.trace),
@@ -146,7 +218,7 @@ def sample_at(trace: Trace, time_s: float) -> int:
 
 def has_ended(trace: Trace, time_s: float) -> bool:
     """Return whether a drive has ended by a time."""
-    return time_s > float(trace.time_s[-1]) + 0.06
+    return time_s > float(trace.time_s[-1]) + 0.11
 
 
 def outcome_words(side: Side, story: Story) -> str:
@@ -155,7 +227,7 @@ def outcome_words(side: Side, story: Story) -> str:
 
 
 def state_words(side: Side, story: Story, time_s: float) -> str:
-    """Return what a drive does at a time: speed, plan, and the robustness of the requirement."""
+    """Return what a drive does at a time: speed, plan, and the margin of the requirement."""
     trace = side.trace
     if has_ended(trace, time_s):
         return f"ended at {float(trace.time_s[-1]):.1f} s"
@@ -163,9 +235,27 @@ def state_words(side: Side, story: Story, time_s: float) -> str:
     words = [f"{float(trace.ego[sample, 3]):.1f} m/s".replace("-", "−"), f"plan: {trace.plan_mode[sample]}"]
     value = float(trace.robustness[story.requirement][sample])
     if np.isfinite(value):
-        margin = with_unit(abs(value), story.title).lstrip("+")
-        words.append(f"{story.title.replace('-', ' ')}: {margin} {'too little' if value < 0 else 'to spare'}")
+        words.append(_margin_words(story.title, value))
     return ", ".join(words)
+
+
+def limit_words(requirement: str) -> str:
+    """Return the limit of a requirement, such as ``1.5 m needed``; empty if its margin alone is known."""
+    return f"{REQUIRED_GAP_M:g} m needed" if plain_name(requirement) == "front-gap" else ""
+
+
+def _margin_words(title: str, value: float) -> str:
+    """Return a robustness as what was measured, or else as the margin to the limit."""
+    name = title.replace("-", " ")
+    if limit_words(title):
+        if value > _NO_VEHICLE_M:
+            return "no vehicle ahead"
+        return f"{name} {gap_words(value + REQUIRED_GAP_M)} ({limit_words(title)})"
+    shown = next(
+        (text for digits in range(1, _MOST_DIGITS) if float(text := f"{abs(value):.{digits}f}") > 0), "just"
+    )
+    margin = shown if shown == "just" else f"{shown} {unit_of(title)}".strip()
+    return f"{name}: {margin} {'too little' if value < 0 else 'to spare'}"
 
 
 def middles(story: PairStory, time_s: float, turn_rad: float) -> list[Points]:
@@ -190,6 +280,51 @@ def middles(story: PairStory, time_s: float, turn_rad: float) -> list[Points]:
     turn = np.array([[cosine, sine], [-sine, cosine]])
     shift = np.clip(half @ turn, -_MOST_SHIFT_M, _MOST_SHIFT_M) @ turn.T
     return [places[0] + shift, places[1] - shift]
+
+
+def _moment(trace: Trace, story: Story) -> tuple[float, float]:
+    """Return when the moment of a drive is, and when the sample that shows it."""
+    at_s = float(trace.time_s[story.decisive])
+    exact_s = story.violations[0].time_s if story.violated else at_s
+    following = min(story.decisive + 1, len(trace.time_s) - 1)
+    return exact_s, float(trace.time_s[following]) if exact_s > at_s + 1e-3 else at_s
+
+
+def _target(trace: Trace, story: Story, shown: int) -> Target | None:
+    """Return what the violation of a drive is about, as it is at the sample that shows the moment."""
+    actor = None
+    if story.title in ("front-gap", "no-collision"):
+        actor = _hit(trace) if story.title == "no-collision" else _ahead(trace, story.decisive)
+        actor = _hit(trace) if actor is None else actor
+    if actor is None:
+        return None
+    gap_m = None
+    if story.title == "front-gap":
+        gap_m = float(trace.robustness[story.requirement][story.decisive]) + REQUIRED_GAP_M
+    rows = obstacles_on(EpisodeScene.of(trace), shown, actor)
+    labels = [LABELS[label_index(float(trace.perceived.rows[row, 1]))] for row in rows]
+    return Target(
+        actor=actor, gap=gap_to(trace, shown, actor, gap_m), reported=tuple(dict.fromkeys(labels)),
+        vehicle=trace.actors[actor].kind == "vehicle",
+    )  # fmt: skip
+
+
+def _ahead(trace: Trace, sample: int) -> int | None:
+    """Return the vehicle ahead at a sample or, if it cannot be told then, shortly before."""
+    for earlier in range(sample, -1, -1):
+        if trace.time_s[sample] - trace.time_s[earlier] > _LOOK_BACK_S:
+            break
+        gap = front_gap(trace, earlier)
+        if gap is not None:
+            return gap.actor
+    return None
+
+
+def _hit(trace: Trace) -> int | None:
+    """Return the road user of the first collision that names one."""
+    names = {actor.name: index for index, actor in enumerate(trace.actors)}
+    texts = (event.text for event in trace.events if event.kind == "collision")
+    return next((names[word] for text in texts for word in text.split() if word in names), None)
 
 
 def _seed(trace: Trace) -> int | None:
@@ -221,8 +356,19 @@ def _differing(safe: Trace, unsafe: Trace) -> tuple[Interval, ...]:
 
 
 def _reports_differ(safe: Trace, unsafe: Trace, time_s: float) -> bool:
-    one, other = (trace.given_boxes.at(sample_at(trace, time_s)) for trace in (safe, unsafe))
-    if one.shape != other.shape:
-        return True
-    one, other = (rows[np.lexsort(rows.T[::-1])] for rows in (one, other))
-    return bool((np.abs(one - other) > _SAME_PX).any())
+    return _report_distance_px(safe, unsafe, time_s) > _SAME_PX
+
+
+def _report_distance_px(safe: Trace, unsafe: Trace, time_s: float) -> float:
+    """Return by how many pixels the reports of two drives differ at a time, at most the width of the image.
+
+    Boxes of a label are compared in the order of their left edges; one without a counterpart differs completely.
+    """
+    one, other = (_sorted(trace.given_boxes.at(sample_at(trace, time_s))) for trace in (safe, unsafe))
+    if one.shape != other.shape or not np.array_equal(one[:, 0], other[:, 0]):
+        return _ABSENT_PX
+    return float(min(np.abs(one - other).max(initial=0.0), _ABSENT_PX))
+
+
+def _sorted(rows: FloatArray) -> FloatArray:
+    return rows[np.lexsort(rows.T[::-1])]

@@ -11,15 +11,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from brink.sim.replay.pair import SAFE, Interval, PairStory
-from brink.sim.replay.scene import LABELS, PERSON
+from brink.sim.replay.pair import SAFE, Interval, PairStory, limit_words
+from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
 from brink.sim.replay.story import report_word, reported, runs, unit_of
 from brink.sim.replay.style import (
     GHOST,
     INK,
     MUTED,
+    PAPER,
     PLAN_MODES,
     SAFE_DRIVE,
     UNKNOWN_MODE,
@@ -37,8 +39,13 @@ _LANE: Final = 0.4
 _LANE_PX: Final = 17
 _GAP_PX: Final = 7
 _MOST_SCRIPTS: Final = 3
-_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 96, 26, 44
-_DIFFERENCE: Final = "#f3c677"
+_TOP: Final = 1.04
+"""Where greater robustness is drawn, in multiples of the greatest one that is not cut."""
+_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 110, 26, 44
+DIFFERENCE: Final[Rgb] = (253, 238, 214)
+"""Shading of the time in which the reports of the drives differ."""
+_HATCH: Final[Rgb] = (222, 160, 172)
+_REPORTED, _NOT_REPORTED = "reported", "not reported"
 
 Run: TypeAlias = tuple[str, int, int]
 """Word, first and last sample."""
@@ -96,7 +103,7 @@ def draw_pair_chart(
     figure = Figure(figsize=(width / DPI / scale, height / DPI / scale), dpi=DPI * scale, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     wide, high = width / scale, height / scale
-    rows = [row for row in _rows(story) if row.colour is not None or _is_in(row, story, window)]
+    rows = [row for row in _rows(story, window) if row.colour is not None or _is_in(row, story, window)]
     lanes_px = len(rows) * (2 * _LANE_PX + _GAP_PX)
     left, span = _LEFT_PX / wide, (wide - _LEFT_PX - _RIGHT_PX) / wide
     bands = figure.add_axes((left, 1 - (_TOP_PX + lanes_px) / high, span, lanes_px / high))
@@ -126,9 +133,10 @@ def draw_pair_chart(
     )  # fmt: skip
 
 
-def _rows(story: PairStory) -> list[_Row]:
+def _rows(story: PairStory, window: Interval) -> list[_Row]:
     traces = [side.trace for _, side, _ in story.parts]
     word = report_word(story.pair.unsafe.trace)
+    word = "reported" if word == "injected" else word
     rows = []
     scripts = [scripts_of(trace) for trace in traces]
     if not any(scripts):
@@ -139,6 +147,10 @@ def _rows(story: PairStory) -> list[_Row]:
     for name in list(dict.fromkeys(name for actions in scripts for name in actions))[:_MOST_SCRIPTS]:
         lanes = [_words(actions.get(name, [])) for actions in scripts]
         rows.append(_Row(name=name, lanes=(lanes[0], lanes[1]), colour=_action_colour))
+    if story.unsafe.title == "front-gap":
+        ahead = [_ahead(trace, window) for trace in traces]
+        if any(ahead):
+            rows.append(_Row(name="vehicle\nahead", lanes=(ahead[0], ahead[1]), colour=_ahead_colour))
     plans = [_words(trace.plan_mode) for trace in traces]
     rows.append(_Row(name="plan", lanes=(plans[0], plans[1]), colour=_plan_colour))
     return rows
@@ -159,6 +171,23 @@ def _plan_colour(mode: str) -> Rgb:
 
 def _action_colour(action: str) -> Rgb:
     return VEHICLE if action in QUIET else GHOST
+
+
+def _ahead(trace: Trace, window: Interval) -> list[Run]:
+    """Return when a vehicle was ahead within the reach of the front gap, and whether it was reported."""
+    scene = EpisodeScene.of(trace)
+    words = []
+    for sample, time_s in enumerate(trace.time_s.tolist()):
+        gap = front_gap(trace, sample) if window.start_s <= time_s <= window.end_s else None
+        if gap is None:
+            words.append("")
+        else:
+            words.append(_REPORTED if obstacles_on(scene, sample, gap.actor) else _NOT_REPORTED)
+    return _words(words)
+
+
+def _ahead_colour(word: str) -> Rgb:
+    return VEHICLE if word == _REPORTED else PAPER
 
 
 def _counts(trace: Trace, label: int) -> list[Run]:
@@ -217,13 +246,15 @@ def _band(axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Int
     if end_s <= window.start_s or start_s >= window.end_s:
         return
     start_s, end_s = max(start_s, window.start_s), min(max(end_s, start_s + 0.05), window.end_s)
+    hatch = {"hatch": "////", "edgecolor": hexadecimal(_HATCH)} if word == _NOT_REPORTED else {}
     axes.broken_barh(
-        [(start_s, end_s - start_s)], (y, _LANE * 0.94), facecolor=hexadecimal(colour), linewidth=0
+        [(start_s, end_s - start_s)], (y, _LANE * 0.94), facecolor=hexadecimal(colour), linewidth=0, **hatch
     )
     if word and end_s - start_s > 0.012 * (window.end_s - window.start_s) * len(word):
         axes.text(
             (start_s + end_s) / 2, y + _LANE * 0.49, word, ha="center", va="center", fontsize=8,
-            color=hexadecimal(readable_on(colour)),
+            color=hexadecimal(VIOLATION if word == _NOT_REPORTED else readable_on(colour)),
+            path_effects=[withStroke(linewidth=3, foreground="white")] if word == _NOT_REPORTED else None,
         )  # fmt: skip
 
 
@@ -259,11 +290,20 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
     # A safe drive that keeps far away from the requirement's limit is drawn along the top.
     axes.set_ylim(least - 0.2 * (most - least), most * 1.1)
     for line in axes.get_lines():
-        line.set_ydata(np.minimum(np.asarray(line.get_ydata(), dtype=np.float64), most * 1.04))
+        line.set_ydata(np.minimum(np.asarray(line.get_ydata(), dtype=np.float64), most * _TOP))
     axes.axhspan(least - most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
     axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.1)
     axes.set_ylabel(unit_of(name) or "robustness", fontsize=9)
-    _name_panel(axes, f"{story.unsafe.title.replace('-', ' ')}\nto spare")
+    limit = limit_words(name)
+    lines = [story.unsafe.title.replace("-", " "), "to spare", *([f"({limit})"] if limit else [])]
+    _name_panel(axes, "\n".join(lines))
+    if float(shown.max(initial=0.0)) > most * _TOP:
+        unit = unit_of(name)
+        axes.annotate(
+            f"{most * _TOP:.1f}{f' {unit}' if unit else ''} or more", (0, most * _TOP),
+            xycoords=("axes fraction", "data"), xytext=(4, -3), textcoords="offset points", va="top", fontsize=8,
+            color=hexadecimal(MUTED),
+        )  # fmt: skip
     axes.annotate(
         "violated", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -4), textcoords="offset points", va="top",
         fontsize=9, color=hexadecimal(VIOLATION),
@@ -292,15 +332,13 @@ def _mark(axes: Axes, story: PairStory, window: Interval) -> None:
     """Mark the moment, and when reports differ."""
     for span in story.differing:
         start_s, end_s = max(span.start_s, window.start_s), min(span.end_s, window.end_s)
-        axes.axvspan(start_s, end_s, color=_DIFFERENCE, alpha=0.3, linewidth=0, zorder=0)
+        axes.axvspan(start_s, end_s, color=hexadecimal(DIFFERENCE), linewidth=0, zorder=0)
     axes.axvline(story.moment_s, color=hexadecimal(VIOLATION), linewidth=1.1, linestyle=(0, (3, 2)), zorder=4)
 
 
 def _name_marks(axes: Axes, story: PairStory, window: Interval) -> None:
     """Name the marks above the lanes; the moment has precedence."""
-    moment = f"closest {story.moment_s:.1f} s"
-    if story.unsafe.violated:
-        moment = f"violation {story.unsafe.violations[0].time_s:.1f} s"
+    moment = f"{'violation' if story.unsafe.violated else 'closest'} {story.moment_s:.1f} s"
     span_s = window.end_s - window.start_s
     taken = [(story.moment_s, 0.011 * span_s * len(moment) / 2)]
     _above(axes, story.moment_s, moment, VIOLATION)

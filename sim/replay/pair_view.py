@@ -8,28 +8,40 @@ from PIL import Image, ImageDraw
 
 from brink.sim.replay.camera_view import FilmView, Reported, SketchView
 from brink.sim.replay.frame import Size
-from brink.sim.replay.map_view import MapView, Twin, road_heading
+from brink.sim.replay.map_view import MapView, Marked, ObstacleStyle, Twin, road_heading
 from brink.sim.replay.pair import (
     SAFE,
     DrivePair,
     Interval,
     PairStory,
+    Side,
     middles,
     outcome_words,
     pair_story,
     sample_at,
     state_words,
 )
-from brink.sim.replay.pair_chart import PairChart, draw_pair_chart
-from brink.sim.replay.scene import LABELS, EpisodeScene, label_index, outline
-from brink.sim.replay.story import report_word, scenario_words
+from brink.sim.replay.pair_chart import DIFFERENCE, PairChart, draw_pair_chart
+from brink.sim.replay.scene import (
+    LABELS,
+    EpisodeScene,
+    FrontGap,
+    front_gap,
+    gap_to,
+    is_car,
+    label_index,
+    outline,
+)
+from brink.sim.replay.story import Story, report_word, scenario_words
 from brink.sim.replay.style import (
+    EDGES,
     EGO,
     EGO_TRAIL,
-    GHOST,
+    FILLS,
     HAIRLINE,
     INK,
     MUTED,
+    OTHER_VIOLATED,
     PAPER,
     PEDESTRIAN,
     SAFE_DRIVE,
@@ -51,6 +63,16 @@ AHEAD_S: Final = 4.0
 """How much of each car's way after the moment a still image shows."""
 
 _MARGIN: Final = 24
+_CAMERA_SIZE: Final[Size] = (496, 372)
+_ONE_BOX_PX: Final = 2.0
+"""Reports of both drives whose boxes are this close together are drawn as one."""
+_OBSTACLES: Final = ObstacleStyle(
+    colour=INK,
+    there=tuple(f"reported {label}" for label in LABELS),
+    nothing_there=tuple(f"reported {label}, nothing there" for label in LABELS),
+    any_kind=True,
+)
+"""Perceived obstacles in the colour of neither drive."""
 
 
 class PairPainter:
@@ -94,11 +116,8 @@ class PairPainter:
         self._still.paste(self._chart.image, (0, height - chart_px))
         self._chart_top = height - chart_px
         for (name, side, story), left in zip(self.story.parts, self._lefts, strict=True):
-            _draw_chip(draw, name, (left, self._words_y), unit)
-            text, at = (
-                f"solution {side.number}: {outcome_words(side, story)}",
-                (left + 98 * unit, self._words_y + unit),
-            )
+            _draw_chip(draw, name, side, story, (left, self._words_y), unit)
+            text, at = chip_words(name, side, story)[1], (left + 98 * unit, self._words_y + unit)
             _fit(draw, at, text, self._map_size[0] - 86 * unit, round(13 * unit), bold=True)
 
     @property
@@ -135,7 +154,7 @@ def pair_still(pair: DrivePair) -> Image.Image:
     """Return one image of a pair at the moment that matters.
 
     Below the change in words are both drives from above at the same time, then the camera image with the boxes that
-    were reported in either drive when they first differ, and a chart of both drives over time.
+    were reported in either drive when they differ most, and a chart of both drives over time.
 
     Args:
         pair: The pair.
@@ -148,7 +167,7 @@ def pair_still(pair: DrivePair) -> Image.Image:
     maps = _side_by_side(story)
     camera = _camera(story)
     chart_px = STILL_WIDTH_PX - (_MARGIN + camera.width if camera else 0)
-    chart = draw_pair_chart(story, size=(chart_px, 470), window=story.window(), scale=1.2).image
+    chart = draw_pair_chart(story, size=(chart_px, 490), window=story.window(), scale=1.2).image
     below = Image.new("RGB", (STILL_WIDTH_PX, max(chart.height, camera.height if camera else 0)), PAPER)
     if camera:
         below.paste(camera, (_MARGIN, 0))
@@ -179,8 +198,8 @@ def _header(story: PairStory) -> Image.Image:
             else "Different episode seeds: chance differs, too."
         )
     lines = _lines(probe, story.pair.change, 29, INK, room, bold=True)
-    for words in (" ".join(about), " ".join(story.pair.facts)):
-        lines += _lines(probe, words, 17, MUTED, room)
+    lines += _lines(probe, " ".join(story.pair.findings), 20, INK, room, bold=True)
+    lines += _lines(probe, " ".join([*about, *story.pair.facts]), 15, MUTED, room)
     image = Image.new("RGB", (STILL_WIDTH_PX, 34 + sum(line.height_px for line in lines)), PAPER)
     _write(ImageDraw.Draw(image), lines, (_MARGIN, 18))
     return image
@@ -196,7 +215,7 @@ def _maps(story: PairStory, size: Size, unit: float, turn_rad: float) -> list[Ma
     return [
         MapView(
             EpisodeScene.of(side.trace), size_px=size, px_per_m=size[0] / MAP_WIDTH_M, look_ahead_m=_REACH_M,
-            font_px=round(12.5 * unit), turn_rad=turn_rad,
+            font_px=round(12.5 * unit), turn_rad=turn_rad, obstacle_style=_OBSTACLES,
         )
         for _, side, _ in story.parts
     ]  # fmt: skip
@@ -210,6 +229,9 @@ def _draw_map(
     centre_m: "NDArray[np.float64]",
     *,
     ahead: int,
+    gap: FrontGap | None = None,
+    marked: Marked | None = None,
+    spread: bool = False,
 ) -> Image.Image:
     """Return the map of one drive at a time, with the outline of the other drive's car."""
     side, (other_name, other, _) = story.parts[index][1], story.parts[1 - index]
@@ -224,7 +246,10 @@ def _draw_map(
         mine = side.trace.ego[sample_at(side.trace, time_s), :2]
         if float(np.hypot(*(mine - (x_m, y_m)))) < 0.3:
             twin = None  # the cars are in the same place
-    return maps[index].draw(sample_at(side.trace, time_s), centre_m=centre_m, twin=twin, ahead=ahead)
+    return maps[index].draw(
+        sample_at(side.trace, time_s), centre_m=centre_m, twin=twin, ahead=ahead, gap=gap, marked=marked,
+        spread=spread,
+    )  # fmt: skip
 
 
 def _side_by_side(story: PairStory) -> Image.Image:
@@ -239,19 +264,22 @@ def _side_by_side(story: PairStory) -> Image.Image:
     draw = ImageDraw.Draw(image)
     turn_rad = _turn_rad(story)
     maps = _maps(story, size, 1.25, turn_rad)
-    centres = middles(story, story.moment_s, turn_rad)
+    centres = middles(story, story.shown_s, turn_rad)
     for index, (name, side, tale) in enumerate(story.parts):
         left = _MARGIN + index * (wide + gap)
-        _draw_chip(draw, name, (left, 4), 1.25)
+        _draw_chip(draw, name, side, tale, (left, 4), 1.25)
         _write(draw, verdicts[index], (left + chip_px, 5))
-        ahead = sample_at(side.trace, story.moment_s + AHEAD_S) - sample_at(side.trace, story.moment_s)
-        image.paste(
-            _draw_map(story, maps, index, story.moment_s, centres[index], ahead=ahead), (left, words_px)
-        )
+        ahead = sample_at(side.trace, story.shown_s + AHEAD_S) - sample_at(side.trace, story.shown_s)
+        drawn = _draw_map(
+            story, maps, index, story.shown_s, centres[index], ahead=ahead, gap=_gap(story, index),
+            marked=_marked(story) if name != SAFE else None, spread=True,
+        )  # fmt: skip
+        image.paste(drawn, (left, words_px))
         box = (left, words_px, left + wide - 1, words_px + size[1] - 1)
         draw.rectangle(
-            box, outline=VIOLATION if tale.violated else SAFE_DRIVE, width=4 if tale.violated else 2
-        )
+            box, outline=VIOLATION if tale.violated else _chip_colour(name, tale),
+            width=4 if tale.violated else 2,
+        )  # fmt: skip
         _draw_scale(draw, (left + 14, words_px + size[1] - 16), size[0] / MAP_WIDTH_M)
     return image
 
@@ -282,31 +310,70 @@ def _write(draw: ImageDraw.ImageDraw, lines: list[_Line], at: tuple[float, float
         y += line.height_px
 
 
+def _marked(story: PairStory) -> Marked | None:
+    """Return the mark of the road user that the violation is about: crimson unless it is reported."""
+    target = story.target
+    if target is None:
+        return None
+    return Marked(actor=target.actor, caption=target.words, colour=INK if target.reported else VIOLATION)
+
+
+def _gap(story: PairStory, index: int) -> FrontGap | None:
+    """Return the front gap of a drive at the moment, as long as the requirement measured it."""
+    side = story.parts[index][1]
+    if index == 1 and story.target is not None:
+        return story.target.gap
+    gap = front_gap(side.trace, sample_at(side.trace, story.sample_s))
+    return gap and gap_to(side.trace, sample_at(side.trace, story.shown_s), gap.actor, gap.gap_m)
+
+
 def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, width_px: float) -> list[_Line]:
     """Return what happened in a drive, what simulating it again showed, and how it was at the moment."""
-    _, side, tale = story.parts[index]
-    same = "at the same time, " if index == 0 else ""
-    state = f"{same}{story.moment_s:.1f} s: {state_words(side, tale, story.moment_s)}"
+    name, side, tale = story.parts[index]
+    state = f"at {story.moment_s:.1f} s: {state_words(side, tale, story.sample_s)}"
     again = side.again or "not simulated again with other seeds"
     return [
-        *_lines(draw, f"solution {side.number}: {outcome_words(side, tale)}", 18, INK, width_px, bold=True),
-        *_lines(draw, again, 16, INK if side.again else MUTED, width_px),
-        *_lines(draw, state[0].upper() + state[1:], 16, MUTED, width_px),
+        *_lines(draw, chip_words(name, side, tale)[1], 18, INK, width_px, bold=True),
+        *_lines(draw, again[0].upper() + again[1:], 15, INK if side.again else MUTED, width_px),
+        *_lines(draw, f"Solution {side.number} {state}", 15, MUTED, width_px),
     ]
 
 
-def _draw_chip(draw: ImageDraw.ImageDraw, name: str, at: tuple[float, float], unit: float) -> None:
-    """Draw whether a side held the requirement, in white on its colour: what else it violated is said beside it."""
+def _held_but(name: str, story: Story) -> bool:
+    """Return whether a drive is the safe one of a pair, and violated another requirement."""
+    return name == SAFE and not story.violated and bool(story.violations)
+
+
+def _chip_colour(name: str, story: Story) -> Rgb:
+    if _held_but(name, story):
+        return OTHER_VIOLATED
+    return SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
+
+
+def chip_words(name: str, side: Side, story: Story) -> tuple[str, str]:
+    """Return the word on the chip of a drive, and what happened in it as a text that goes on where the chip ends."""
+    words = outcome_words(side, story)
+    if not _held_but(name, story):
+        return "HELD" if name == SAFE else "VIOLATED", words
+    held, _, others = words.partition("; ")
+    return "HELD, BUT", f"{others} ({held})" if others else words
+
+
+def _draw_chip(
+    draw: ImageDraw.ImageDraw, name: str, side: Side, story: Story, at: tuple[float, float], unit: float
+) -> None:
+    """Draw whether a side held the requirement in white on its colour, or purple if it violated another one."""
     left, top = at
-    colour = SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
-    draw.rounded_rectangle((left, top, left + 90 * unit, top + 22 * unit), radius=4 * unit, fill=colour)
+    box = (left, top, left + 90 * unit, top + 22 * unit)
+    draw.rounded_rectangle(box, radius=4 * unit, fill=_chip_colour(name, story))
     font = typeface(round(13 * unit), bold=True)
-    word = "HELD" if name == SAFE else "VIOLATED"
-    draw.text((left + 45 * unit, top + 11 * unit), word, fill=PAPER, font=font, anchor="mm")
+    middle = left + 45 * unit, top + 11 * unit
+    word, _ = chip_words(name, side, story)
+    draw.text(middle, word, fill=PAPER, font=font, anchor="mm")
 
 
 def _camera(story: PairStory) -> Image.Image | None:
-    """Return the camera's view of what was reported: both drives' boxes when they first differ; None without any."""
+    """Return the camera's view of what was reported: both drives' boxes when they differ most; None without any."""
     safe, unsafe = (side.trace for _, side, _ in story.parts)
     if safe.film is not None and unsafe.film is not None:
         return _films(story)
@@ -314,23 +381,43 @@ def _camera(story: PairStory) -> Image.Image | None:
         return None
     differs_s = story.report_moment_s()
     time_s = story.moment_s if differs_s is None else differs_s
-    size = (496, 372)
+    size = _CAMERA_SIZE
     sample = sample_at(unsafe, time_s)
     reports = [
         Reported(side.trace.given_boxes.at(sample_at(side.trace, time_s)), colour, f"{name}:")
         for (name, side, _), colour in zip(story.parts, (SAFE_DRIVE, UNSAFE_DRIVE), strict=True)
     ]
-    image = Image.new("RGB", (size[0], size[1] + 86), PAPER)
+    image = Image.new("RGB", (size[0], size[1] + 104), PAPER)
     draw = ImageDraw.Draw(image)
-    what = "when the reports first differ" if differs_s is not None else "at the moment of the violation"
+    what = "when the reports differ most" if differs_s is not None else "at the moment of the violation"
     draw.text((0, 4), f"Camera at {time_s:.1f} s, {what}", fill=INK, font=typeface(17, bold=True))
-    image.paste(SketchView(unsafe, size_px=size).draw(sample, reports), (0, 32))
+    image.paste(SketchView(unsafe, size_px=size).draw(sample, _joined(reports)), (0, 32))
     draw.rectangle((0, 32, size[0] - 1, 31 + size[1]), outline=HAIRLINE)
     y = 32 + size[1] + 8
     said = [_report_words(report) for report in reports]
-    words = f"{report_word(unsafe).capitalize()}: {said[0]} in the safe drive, {said[1]} in the unsafe one."
+    words = f"Reported: {said[0]} in the safe drive, {said[1]} in the unsafe one."
+    if report_word(unsafe) == "injected":
+        words += " The car knows nothing else of other road users."
     _write(draw, _lines(draw, f"{words} Green: what is there.", 15, MUTED, size[0]), (0, y))
     return image
+
+
+def _joined(reports: list[Reported]) -> list[Reported]:
+    """Return reports of two drives with the boxes that both drives have in a third report."""
+    safe, unsafe = reports
+    shared: list[tuple[int, int]] = []
+    for index, row in enumerate(safe.rows):
+        near = np.flatnonzero(
+            (np.abs(unsafe.rows - row).max(axis=1) < _ONE_BOX_PX) & (unsafe.rows[:, 0] == row[0])
+        )
+        shared += [(index, int(other)) for other in near[:1]]
+    if not shared:
+        return reports
+    return [
+        safe._replace(rows=np.delete(safe.rows, [one for one, _ in shared], axis=0)),
+        unsafe._replace(rows=np.delete(unsafe.rows, [other for _, other in shared], axis=0)),
+        Reported(safe.rows[[one for one, _ in shared]], INK, "both:"),
+    ]
 
 
 def _report_words(report: Reported) -> str:
@@ -362,13 +449,17 @@ def _legend(story: PairStory) -> Image.Image:
     font = typeface(14)
     x, y = float(_MARGIN), 18.0
     entries: list[tuple[str, str]] = [
-        ("ego", "car under test; line: its path so far; dots: its next 4 s"),
-        ("twin", "where the other drive's car is"),
+        ("ego", "car under test; dots: its next 4 s"),
+        ("twin", "car of the other drive"),
         ("vehicle", "vehicle"),
-        ("person", "person"),
+        ("parked", "parked"),
     ]
+    if any(not is_car(actor) for _, side, _ in story.parts for actor in side.trace.actors):
+        entries.append(("person", "person"))
     if any(len(side.trace.perceived.rows) for _, side, _ in story.parts):
-        entries.append(("ghost", "obstacle that the driving system perceives; crossed: nothing is there"))
+        entries.append(("ghost", "reported obstacle; crossed: nothing there"))
+    if story.differing:
+        entries.append(("shading", "reports differ"))
     for key, words in entries:
         _draw_key(draw, key, x, y)
         draw.text((x + 40, y), words, fill=MUTED, font=font, anchor="lm")
@@ -383,6 +474,10 @@ def _draw_key(draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
         draw.line((x, y, x + 10, y), fill=EGO_TRAIL, width=3)
     if key in ("ego", "vehicle"):
         draw.rounded_rectangle(box, radius=4, fill=EGO if key == "ego" else VEHICLE)
+    elif key == "parked":
+        draw.rectangle(box, fill=FILLS["parked-car"], outline=EDGES["parked-car"])
+    elif key == "shading":
+        draw.rectangle(box, fill=DIFFERENCE)
     elif key == "person":
         draw.ellipse((x + 16, y - 5, x + 26, y + 5), fill=PEDESTRIAN)
     elif key == "twin":
@@ -391,9 +486,9 @@ def _draw_key(draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
                 (x + shift, y - 6 + shift / 2, x + 24 + shift, y + 4 + shift / 2), outline=colour, width=2
             )
     else:
-        draw_dashed(draw, corners, GHOST, dash=5, gap=3, width=2)
-        draw.line(box, fill=GHOST)
-        draw.line((box[0], box[3], box[2], box[1]), fill=GHOST)
+        draw_dashed(draw, corners, INK, dash=5, gap=3, width=2)
+        draw.line(box, fill=INK)
+        draw.line((box[0], box[3], box[2], box[1]), fill=INK)
 
 
 def _draw_scale(draw: ImageDraw.ImageDraw, at: tuple[float, float], px_per_m: float) -> None:

@@ -58,6 +58,7 @@ _TOUCHING_M: Final = 1.0
 """Vehicles that collide bounce off between two samples: a gap below this counts as contact."""
 _GAP_TOLERANCE_M: Final = 0.75
 """How far a clearance between outlines may differ from the recorded gap: float32 poses, sampling, slopes."""
+_MOST_DIGITS: Final = 4
 _TIED_M: Final = 0.02
 """Distances this close count as equal."""
 
@@ -290,6 +291,9 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
     x_m, y_m, yaw_rad = (float(value) for value in trace.ego[sample, :3])
     ego = outline(x_m, y_m, yaw_rad, *trace.ego_size_m)
     route = trace.route if len(trace.route) else trace.ego[sample : sample + 1, :2]
+    # A sample keeps the smallest gap until the next one: the ego may have come closer since its pose was recorded.
+    following = min(sample + 1, len(trace.time_s) - 1)
+    closed_m = abs(float(trace.ego[sample, 3])) * float(trace.time_s[following] - trace.time_s[sample])
     found: list[tuple[float, FrontGap]] = []
     for index, actor in enumerate(trace.actors):
         there = actor.motion[sample].tolist()
@@ -305,7 +309,7 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
             if abs(dy_m * np.cos(yaw_rad) - dx_m * np.sin(yaw_rad)) > _CORRIDOR_M:
                 continue
             rank = clearance_m
-        elif abs(clearance_m - gap_m) > _GAP_TOLERANCE_M:
+        elif not -_GAP_TOLERANCE_M <= clearance_m - gap_m <= _GAP_TOLERANCE_M + closed_m:
             continue
         else:
             # An oncoming vehicle may pass at just that distance: the one ahead is the one on the route.
@@ -315,6 +319,87 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
     nearest = min(found, key=lambda pair: pair[0])[1] if found else None
     collided = "no-collision" in series and bool(series["no-collision"][sample] < 0)
     return None if nearest is None or (collided and nearest.gap_m < _TOUCHING_M) else nearest
+
+
+def gap_words(gap_m: float) -> str:
+    """Return a gap in so many digits that it can be told apart from the required one."""
+    for digits in range(1, _MOST_DIGITS):
+        shown = f"{gap_m:.{digits}f}"
+        if (float(shown) < REQUIRED_GAP_M) == (gap_m < REQUIRED_GAP_M):
+            break
+    return f"{shown} m"
+
+
+def gap_to(trace: Trace, sample: int, actor: int, gap_m: float | None = None) -> FrontGap | None:
+    """Return the line from the ego to a road user at a sample; None while that one is absent.
+
+    Args:
+        trace: The episode.
+        sample: The sample.
+        actor: Index of the road user.
+        gap_m: Length as the requirement measured it; by default the distance between the outlines.
+    """
+    other = trace.actors[actor]
+    x_m, y_m, yaw_rad = (float(value) for value in other.motion[sample, :3])
+    if not np.isfinite(x_m):
+        return None
+    ego = outline(*(float(value) for value in trace.ego[sample, :3]), *trace.ego_size_m)
+    start, end, clearance_m = closest_points(ego, outline(x_m, y_m, yaw_rad, other.length_m, other.width_m))
+    return FrontGap(
+        actor=actor, ends=np.vstack([start, end]), gap_m=clearance_m if gap_m is None else max(0.0, gap_m)
+    )
+
+
+def is_injected(trace: Trace) -> bool:
+    """Return whether the reported boxes were injected: then no detector looked at what is there."""
+    return trace.film is None and spec_part(trace, "behaviour").get("mode") not in ("detector", "oracle")
+
+
+def obstacles_on(scene: EpisodeScene, sample: int, actor: int) -> list[int]:
+    """Return the rows of the perceived obstacles of a sample that lie on a road user, whatever their label.
+
+    Detected obstacles are not exactly where their road users are: one of the same kind only has to be close.
+    """
+    trace = scene.trace
+    other = trace.actors[actor]
+    x_m, y_m, yaw_rad = (float(value) for value in other.motion[sample, :3])
+    if not np.isfinite(x_m):
+        return []
+    body = outline(x_m, y_m, yaw_rad, other.length_m, other.width_m)
+    injected = is_injected(trace)
+    found = []
+    for row in range(trace.perceived.first[sample], trace.perceived.first[sample + 1]):
+        label, at_x_m, at_y_m = (float(value) for value in trace.perceived.rows[row, 1:4])
+        near = not injected and np.hypot(at_x_m - x_m, at_y_m - y_m) < _MATCH_M
+        if (near and _ACTOR_KINDS[label_index(label)] == other.kind) or _overlap(
+            obstacle_outline(scene, row), body
+        ):
+            found.append(row)
+    return found
+
+
+def nothing_there(scene: EpisodeScene, sample: int, row: int) -> bool:
+    """Return whether neither a road user nor a parked car is where an obstacle is perceived."""
+    trace = scene.trace
+    box = obstacle_outline(scene, row)
+    middle, reach_m = box.mean(axis=0), float(np.hypot(*(box[0] - box[2])))
+    if any(
+        np.hypot(*(actor.motion[sample, :2] - middle)) < reach_m + actor.length_m
+        and row in obstacles_on(scene, sample, index)
+        for index, actor in enumerate(trace.actors)
+    ):
+        return False
+    parked = (
+        s.points.astype(np.float64) for s in trace.scene if s.kind == "parked-car" and len(s.points) > 2
+    )
+    return not any(_overlap(box, corners) for corners in parked)
+
+
+def obstacle_outline(scene: EpisodeScene, row: int) -> Points:
+    """Return the outline of a perceived obstacle, a row of ``trace.perceived``, shape ``(4, 2)``."""
+    x_m, y_m = (float(value) for value in scene.trace.perceived.rows[row, 2:4])
+    drawn = scene.obstacles
+    return outline(x_m, y_m, drawn.yaw_rad[row], drawn.length_m[row], drawn.width_m[row])
 
 
 def outline(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: float) -> Points:

@@ -7,7 +7,7 @@ from typing import Final, TypeAlias, TypeVar
 import numpy as np
 
 from brink.sim.aeb.specification import describe_perturbations, describe_street
-from brink.sim.replay.scene import LABELS, PERSON, ReplayError, plain_name, spec_part
+from brink.sim.replay.scene import LABELS, PERSON, ReplayError, is_injected, plain_name, spec_part
 from brink.sim.requirements import CollisionKind
 from brink.sim.trace import ACTION, VIOLATED_AT_S, Event, Trace
 from brink.sim.verdict import held_words, violated_words
@@ -308,10 +308,10 @@ def perturbation_words(trace: Trace) -> str:
 
 def report_word(trace: Trace) -> str:
     """Return how the reported boxes arose: ``injected``, ``detected`` in images, or ``seen`` (the ground truth)."""
-    mode = spec_part(trace, "behaviour").get("mode")
-    if trace.film is not None or mode == "detector":
-        return "detected"
-    return "seen" if mode == "oracle" else "injected"
+    if is_injected(trace):
+        return "injected"
+    oracle = trace.film is None and spec_part(trace, "behaviour").get("mode") == "oracle"
+    return "seen" if oracle else "detected"
 
 
 def unit_of(requirement: str) -> str:

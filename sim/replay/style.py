@@ -34,6 +34,8 @@ SEEN: Final[Rgb] = (0, 145, 105)
 VIOLATION: Final[Rgb] = (176, 0, 45)
 SAFE_DRIVE: Final[Rgb] = (0, 114, 178)
 UNSAFE_DRIVE: Final[Rgb] = (213, 94, 0)
+OTHER_VIOLATED: Final[Rgb] = (160, 58, 125)
+"""A drive that held the requirement and violated another one, as on the dashboard's map of solutions."""
 VEHICLE: Final[Rgb] = (84, 94, 103)
 PEDESTRIAN: Final[Rgb] = (120, 62, 145)
 BLURRED_VEHICLE: Final[Rgb] = (146, 154, 162)

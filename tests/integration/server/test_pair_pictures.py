@@ -12,9 +12,18 @@ from typer.testing import CliRunner
 
 import brink.cli.pair_pictures
 from brink.cli.commands import app
-from brink.cli.pair_pictures import facts, headline, share_words
+from brink.cli.pair_pictures import facts, findings, headline, share_words
 from brink.plots.style import WIDTH_PX
-from brink.server.api.pair_views import PairsView, ShareView
+from brink.search.analysis.confirmation import Confirmation
+from brink.server.api.pair_views import (
+    ComponentPart,
+    ComponentView,
+    ConfirmationView,
+    Minimality,
+    MinimalityView,
+    PairsView,
+    ShareView,
+)
 from brink.sim.replay.pair_view import STILL_WIDTH_PX
 from brink.sim.trace import Trace
 
@@ -131,8 +140,67 @@ def test_the_headline_leaves_out_the_outcome_of_a_long_change(disc: tuple[str, l
 def test_shares_and_facts_say_what_is_known(disc: tuple[str, list[str]]) -> None:
     view = view_of(disc)
     assert facts(view, view.pairs[0])[0].startswith(f"Pair 1 of {view.distinct} of disc, 0.0")
+    minimal = view.pairs[0].model_copy(update={"minimality": MinimalityView(state=Minimality.MINIMAL)})
+    assert facts(view, minimal)[-1] == "No part of the change can be left out (tried by simulation)."
     share = ShareView(evaluated=10, unsafe=1, probability=0.1, low=0.018, high=0.404)
     assert share_words(share) == (
         "unsafe in 1 of 10 simulations with other seeds: 10%, 95% interval 2 to 40%"
     )
     assert share_words(ShareView(evaluated=0, unsafe=0, probability=None, low=0.0, high=1.0)) == ""
+
+
+@pytest.mark.parametrize(
+    ("state", "outcome", "words"),
+    [
+        (
+            ComponentPart.COMPONENT, "front gap held",
+            "With a detector that reports the truth, this drive keeps its gap: the component is to blame.",
+        ),
+        (
+            ComponentPart.COMPONENT, "front gap held; stood still too long at 14.4 s",
+            "With a detector that reports the truth, this drive keeps its gap (but stood still too long at 14.4 s): "
+            "the component is to blame.",
+        ),
+        (
+            ComponentPart.SCENARIO, "violated the front gap at 5.5 s",
+            "With a detector that reports the truth, this drive is unsafe too (violated the front gap at 5.5 s): "
+            "the scenario is to blame.",
+        ),
+    ],
+)  # fmt: skip
+def test_the_findings_say_what_is_to_blame(
+    disc: tuple[str, list[str]], state: ComponentPart, outcome: str, words: str
+) -> None:
+    pair = view_of(disc).pairs[0]
+    assert findings(pair) == []
+    known = pair.model_copy(update={"component": ComponentView(state=state, outcome=outcome)})
+    assert findings(known) == [words]
+
+
+@pytest.mark.parametrize(
+    ("state", "safe", "unsafe", "words"),
+    [
+        (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds a side."),
+        (
+            Confirmation.NOT_CONFIRMED, 7, 10,
+            "Not confirmed: with other seeds the safe side was unsafe in 7 of 10.",
+        ),
+        (
+            Confirmation.NOT_CONFIRMED, 3, 7,
+            "Not confirmed: with other seeds the safe side was unsafe in 3 of 10 and the unsafe side in "
+            "only 7 of 10.",
+        ),
+    ],
+)  # fmt: skip
+def test_the_findings_say_whether_other_seeds_confirm_the_pair(
+    disc: tuple[str, list[str]], state: Confirmation, safe: int, unsafe: int, words: str
+) -> None:
+    shares = [
+        ShareView(evaluated=10, unsafe=n, probability=n / 10, low=0.0, high=1.0) for n in (safe, unsafe)
+    ]
+    view = view_of(disc).model_copy(update={"computed": False})
+    pair = view.pairs[0].model_copy(
+        update={"confirmation": ConfirmationView(state=state, safe=shares[0], unsafe=shares[1])}
+    )
+    assert findings(pair) == [words]
+    assert not any("in the search" in fact for fact in facts(view, pair))

@@ -9,10 +9,11 @@ import pytest
 from support.traces import filmed, make_trace, ragged
 
 from brink.sim.replay import DrivePair, ReplayError, Side, render_pair
-from brink.sim.replay.pair import middles, outcome_words, pair_story, state_words
-from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
-from brink.sim.replay.style import SAFE_DRIVE, UNSAFE_DRIVE, VIOLATION
-from brink.sim.trace import BOX_COLUMNS, Trace
+from brink.sim.replay.pair import SAFE, middles, outcome_words, pair_story, state_words
+from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, chip_words, pair_still
+from brink.sim.replay.scene import gap_words
+from brink.sim.replay.style import OTHER_VIOLATED, SAFE_DRIVE, UNSAFE_DRIVE, VIOLATION
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Trace
 
 
 def reporting_from(trace: Trace, from_s: float, to_s: float = 9.0) -> Trace:
@@ -90,7 +91,7 @@ def test_the_outcome_names_every_violated_requirement() -> None:
 def test_a_drive_that_ended_says_so() -> None:
     pair = a_pair()
     story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=until(pair.unsafe.trace, 190))))
-    assert state_words(story.pair.unsafe, story.unsafe, 18.9).endswith("too little")
+    assert state_words(story.pair.unsafe, story.unsafe, 18.9).endswith(" m (1.5 m needed)")
     assert state_words(story.pair.unsafe, story.unsafe, 19.5) == "ended at 18.9 s"
     assert story.end_s == pytest.approx(19.9, abs=1e-3)
 
@@ -104,6 +105,115 @@ def test_both_maps_show_the_same_place_until_the_cars_are_far_apart() -> None:
     story = pair_story(a_pair(unsafe=Side(number=9, trace=far)))
     safe, unsafe = middles(story, story.moment_s, 0.0)
     assert safe[0] - unsafe[0] > 30
+
+
+def perceiving(trace: Trace, label: float, dx_m: float, dy_m: float) -> Trace:
+    """Return a drive that perceives nothing but one obstacle, so far from the centre of the vehicle ahead."""
+    lead = trace.actors[0].motion
+    rows: list[list[tuple[float, ...]]] = [
+        [(1.0, label, float(x_m) + dx_m, float(y_m) + dy_m, 0.0, 0.0, 4.5, 1.8)] for x_m, y_m in lead[:, :2]
+    ]
+    return replace(trace, perceived=ragged(PERCEIVED_COLUMNS, rows))
+
+
+@pytest.mark.parametrize(
+    ("label", "dx_m", "dy_m", "words"),
+    [
+        (0.0, 0.0, 0.0, "reported"),
+        (1.0, 1.0, 0.5, "reported as a person"),
+        (0.0, 0.0, 2.2, "not reported"),  # beside it, though close
+        (0.0, 20.0, 0.0, "not reported"),
+    ],
+)
+def test_the_vehicle_ahead_is_reported_only_if_a_perceived_obstacle_lies_on_it(
+    label: float, dx_m: float, dy_m: float, words: str
+) -> None:
+    pair = a_pair()
+    unsafe = perceiving(pair.unsafe.trace, label, dx_m, dy_m)
+    story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=unsafe)))
+    assert story.target is not None
+    assert unsafe.actors[story.target.actor].name == "lead"
+    assert story.target.words == words
+    assert story.target.gap is not None
+    assert story.target.gap.too_short
+
+
+def test_the_vehicle_that_was_hit_is_marked_too() -> None:
+    pair = a_pair()
+    trace = pair.unsafe.trace
+    hit = np.where(trace.time_s > 18.0, -0.5, 5.0).astype(np.float32)
+    struck = replace(
+        trace, robustness={"no-collision@1": hit, "front-gap@1": trace.robustness["front-gap@1"]},
+        events=(Event(time_s=18.05, kind="collision", text="hits pedestrian-1"),),
+    )  # fmt: skip
+    safe = replace(trace, robustness={"no-collision@1": np.full_like(hit, 5.0)})
+    story = pair_story(
+        replace(
+            pair,
+            safe=replace(pair.safe, trace=safe),
+            unsafe=replace(pair.unsafe, trace=struck),
+            requirement="no-collision@1",
+        )
+    )
+    assert story.target is not None
+    assert (story.target.words, story.target.vehicle) == ("not reported", False)
+    assert pair_still(story.pair).width == STILL_WIDTH_PX
+
+
+def test_the_moment_between_two_samples_is_shown_by_the_later_one() -> None:
+    pair = a_pair()
+    trace = pair.unsafe.trace
+    sample = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
+    exact_s = float(trace.time_s[sample]) + 0.06
+    timed = replace(trace, about={**trace.about, "violated_at_s": {"front-gap@1": exact_s}})
+    story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=timed)))
+    assert (story.moment_s, story.shown_s) == (
+        pytest.approx(exact_s), pytest.approx(float(trace.time_s[sample + 1])),
+    )  # fmt: skip
+    assert story.sample_s == pytest.approx(float(trace.time_s[sample]))
+    assert story.target is not None
+    assert story.target.gap is not None
+    recorded_m = float(trace.robustness["front-gap@1"][sample]) + 1.5
+    assert story.target.gap.gap_m == pytest.approx(recorded_m)
+
+
+def test_the_camera_shows_when_the_boxes_differ_most_but_not_after_the_violation() -> None:
+    pair = a_pair()
+
+    def growing(trace: Trace, px_per_s: float) -> Trace:
+        rows: list[list[tuple[float, ...]]] = [
+            [(1.0, 400.0, 480.0 + px_per_s * t, 280.0, 400.0)] for t in trace.time_s.tolist()
+        ]
+        return replace(trace, given_boxes=ragged(BOX_COLUMNS, rows))
+
+    safe = replace(pair.safe, trace=growing(pair.safe.trace, 0.0))
+    story = pair_story(
+        replace(pair, safe=safe, unsafe=replace(pair.unsafe, trace=growing(pair.unsafe.trace, 5.0)))
+    )
+    assert story.report_moment_s() == pytest.approx(story.moment_s, abs=0.11)
+    assert pair_story(pair).report_moment_s() == pytest.approx(4.1, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "words"), [(1.4, "1.4 m"), (1.496, "1.496 m"), (1.5, "1.5 m"), (38.61, "38.6 m")]
+)
+def test_a_gap_that_is_too_short_never_looks_long_enough(gap_m: float, words: str) -> None:
+    assert gap_words(gap_m) == words
+
+
+def test_a_safe_drive_that_violated_another_requirement_is_not_called_held() -> None:
+    trace = make_trace(violated=False)
+    late = np.where(trace.time_s > 15, -0.5, 5.0).astype(np.float32)
+    slow = replace(trace, robustness={**trace.robustness, "progress@1": late})
+    pair = a_pair(safe=Side(number=7, trace=slow))
+    story = pair_story(pair)
+    assert chip_words(SAFE, pair.safe, story.safe) == (
+        "HELD, BUT", "stood still too long at 15.1 s (front gap held)",
+    )  # fmt: skip
+    assert chip_words(SAFE, a_pair().safe, pair_story(a_pair()).safe) == ("HELD", "front gap held")
+    purple = (np.asarray(pair_still(pair)) == OTHER_VIOLATED).all(axis=2).sum()
+    assert purple > 1000
+    assert not (np.asarray(pair_still(a_pair())) == OTHER_VIOLATED).all(axis=2).any()
 
 
 def test_the_still_image_frames_the_unsafe_drive_in_crimson_and_shows_each_car_in_the_other_map() -> None:
