@@ -204,7 +204,8 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
     if less.state is Minimality.DIFFERENT_SEEDS:
         found.append("The two had different episode seeds, so chance may be the reason for the verdicts.")
     elif less.state is Minimality.MINIMAL:
-        found.append("No part of the change can be left out (tried by simulation).")
+        how = " (tried by simulation)" if less.tried else ""  # a single difference needs no simulation
+        found.append(f"No part of the change can be left out{how}.")
     elif less.unsafe is not None:
         enough, differing = len(less.unsafe.changes), len(pair.changes)
         found.append(f"{enough} of the {differing} differences {'is' if enough == 1 else 'are'} enough.")
