@@ -246,15 +246,16 @@ def _band(axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Int
     if end_s <= window.start_s or start_s >= window.end_s:
         return
     start_s, end_s = max(start_s, window.start_s), min(max(end_s, start_s + 0.05), window.end_s)
-    hatch = {"hatch": "////", "edgecolor": hexadecimal(_HATCH)} if word == _NOT_REPORTED else {}
+    hidden = word == _NOT_REPORTED
     axes.broken_barh(
-        [(start_s, end_s - start_s)], (y, _LANE * 0.94), facecolor=hexadecimal(colour), linewidth=0, **hatch
-    )
+        [(start_s, end_s - start_s)], (y, _LANE * 0.94), facecolor=hexadecimal(colour), linewidth=0,
+        hatch="////" if hidden else None, edgecolor=hexadecimal(_HATCH) if hidden else None,
+    )  # fmt: skip
     if word and end_s - start_s > 0.012 * (window.end_s - window.start_s) * len(word):
         axes.text(
             (start_s + end_s) / 2, y + _LANE * 0.49, word, ha="center", va="center", fontsize=8,
-            color=hexadecimal(VIOLATION if word == _NOT_REPORTED else readable_on(colour)),
-            path_effects=[withStroke(linewidth=3, foreground="white")] if word == _NOT_REPORTED else None,
+            color=hexadecimal(VIOLATION if hidden else readable_on(colour)),
+            path_effects=[withStroke(linewidth=3, foreground="white")] if hidden else None,
         )  # fmt: skip
 
 

@@ -343,7 +343,8 @@ def gap_to(trace: Trace, sample: int, actor: int, gap_m: float | None = None) ->
     x_m, y_m, yaw_rad = (float(value) for value in other.motion[sample, :3])
     if not np.isfinite(x_m):
         return None
-    ego = outline(*(float(value) for value in trace.ego[sample, :3]), *trace.ego_size_m)
+    ego_x_m, ego_y_m, ego_yaw_rad = (float(value) for value in trace.ego[sample, :3])
+    ego = outline(ego_x_m, ego_y_m, ego_yaw_rad, *trace.ego_size_m)
     start, end, clearance_m = closest_points(ego, outline(x_m, y_m, yaw_rad, other.length_m, other.width_m))
     return FrontGap(
         actor=actor, ends=np.vstack([start, end]), gap_m=clearance_m if gap_m is None else max(0.0, gap_m)
