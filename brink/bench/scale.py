@@ -109,9 +109,7 @@ def measure_utilisation(
         setups = [
             *(Setup(workers=n, campaigns=1, generation=100, in_flight=1) for n in (1, 4, 16, 64)),
             Setup(workers=64, campaigns=1, generation=100, in_flight=IN_FLIGHT, target=True),
-            Setup(
-                workers=64, campaigns=1, generation=64, in_flight=IN_FLIGHT, algorithm="edge@1", target=True
-            ),
+            Setup(workers=64, campaigns=1, generation=64, in_flight=IN_FLIGHT, algorithm="edge@1"),
             Setup(workers=64, campaigns=1, generation=256, in_flight=1),
             Setup(workers=64, campaigns=2, generation=100, in_flight=1),
             Setup(workers=64, campaigns=2, generation=256, in_flight=1, target=True),
