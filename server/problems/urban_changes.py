@@ -209,7 +209,8 @@ class _Reports:
             times.append(f"until {_s(new['t1_step'])} s instead of {_s(old['t1_step'])} s")
             steps += abs(new["t1_step"] - old["t1_step"])
         if times:
-            return [_Clause(f"{self._who} is there {' and '.join(times)}", steps * _PX_PER_STEP)]
+            whom = self._who.replace("reported ", "")
+            return [_Clause(f"{whom} is reported {' and '.join(times)}", steps * _PX_PER_STEP)]
         if "t1_step" in self._changed:
             pace = "more slowly" if new["t1_step"] > old["t1_step"] else "faster"
             return [_Clause(f"the box of {self._who} moves {pace} through the image", 0.0)]

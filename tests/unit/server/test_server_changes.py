@@ -66,11 +66,11 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
     [
         (
             report("person", 43, 60), report("person", 41, 60),
-            "the reported person is there from 4.1 s instead of 4.3 s",
+            "the person is reported from 4.1 s instead of 4.3 s",
         ),
         (
             report("person", 43, 60), report("person", 43, 65),
-            "the reported person is there until 6.5 s instead of 6.0 s",
+            "the person is reported until 6.5 s instead of 6.0 s",
         ),
         (
             report("person", 7, 189), report("person", 80, 249),
@@ -155,7 +155,7 @@ def test_a_long_description_is_cut_to_what_differs_most() -> None:
 def test_a_report_after_the_violation_makes_no_other_one_the_first() -> None:
     late = report("person", 150, 200)
     assert words(drive(report("person", 12, 60), late), unsafe_drive(report("person", 10, 60), late)) == (
-        "the reported person is there from 1.0 s instead of 1.2 s"
+        "the person is reported from 1.0 s instead of 1.2 s"
     )
 
 
@@ -167,7 +167,7 @@ def test_a_change_after_the_violation_is_not_called_its_cause() -> None:
 def test_of_two_equal_labels_the_earlier_report_is_the_first() -> None:
     late = report("person", 50, 70)
     assert words(drive(late, report("person", 12, 70)), unsafe_drive(late, report("person", 10, 70))) == (
-        "the first reported person is there from 1.0 s instead of 1.2 s"
+        "the first person is reported from 1.0 s instead of 1.2 s"
     )
 
 
@@ -230,7 +230,7 @@ def test_what_had_no_part_in_either_drive_is_not_active_and_not_described() -> N
     assert [(change.safe, change.unsafe) for change in changes] == [((10,), (12,)), ((200,), (210,))]
     assert (
         change_words(URBAN, safe, unsafe, changes)
-        == "the reported person is there from 1.2 s instead of 1.0 s"
+        == "the person is reported from 1.2 s instead of 1.0 s"
     )
 
 
@@ -242,7 +242,7 @@ def test_without_a_record_every_difference_may_matter() -> None:
     assert [change.active for change in changes] == [None]
     assert (
         change_words(URBAN, safe, unsafe, changes)
-        == "the reported person is there from 9.0 s instead of 8.0 s"
+        == "the person is reported from 9.0 s instead of 8.0 s"
     )
 
 
