@@ -27,6 +27,7 @@ from support.sessions import LongestFirst, SharedPostgres, use_memory
 from xdist.remote import Producer
 from xdist.workermanage import WorkerController
 
+from brink.search import surrogate
 from brink.server.db.engine import Engines, open_engines
 
 # The checks that everybody must pass try the same examples each time; people's own runs keep looking for new ones.
@@ -86,6 +87,12 @@ def postgres_databases(request: pytest.FixtureRequest) -> Iterator[PostgresDatab
     databases = PostgresDatabases(found["url"])
     yield databases
     databases.close()
+
+
+@pytest.fixture
+def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the search for pairs grow small forests, where the quality of its choices does not matter."""
+    monkeypatch.setattr(surrogate, "TREES", 6)
 
 
 @pytest.fixture(scope="session")

@@ -73,6 +73,7 @@ LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic"), (EDGE, "traffic"), (EDG
         for pair in itertools.product(plugin_ids(GROUP), SPACES)
     ],
 )
+@pytest.mark.usefixtures("few_trees")
 def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
     space = SPACES[name]
     checked = algorithm(plugin_id)

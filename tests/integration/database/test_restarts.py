@@ -52,7 +52,7 @@ class NoSeeds:
         return self.says
 
 
-pytestmark = pytest.mark.usefixtures("small_problems")
+pytestmark = pytest.mark.usefixtures("small_problems", "few_trees")
 
 CAMPAIGNS = {
     "ga": ball(simulations=100),

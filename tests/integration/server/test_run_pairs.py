@@ -26,6 +26,8 @@ def database(sqlite_file: Path, tmp_path: Path) -> str:
     return f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'runs.db')}"
 
 
+pytestmark = pytest.mark.usefixtures("few_trees")
+
 SEARCH = {"id": "edge@1", "params": {"eps": 0.01}}
 
 
@@ -65,7 +67,9 @@ def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
 
 
 def test_the_table_says_what_both_sides_share_and_explains_its_terms(database: str, tmp_path: Path) -> None:
-    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))["campaign"]
+    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json", simulations=150))[
+        "campaign"
+    ]
     results = CliRunner().invoke(app, ["results", campaign, "--database", database]).stdout
     assert f"brink pairs {campaign}" in results, "boundary solutions are not what it looked for"
     found = with_api(None, database, lambda api: fetch_pairs(api, campaign))
@@ -151,7 +155,9 @@ def test_another_search_with_too_many_pairs_says_so_and_keeps_its_boundary(
 def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
     database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))["campaign"]
+    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json", simulations=150))[
+        "campaign"
+    ]
 
     async def fails(*_: object, **__: object) -> None:
         raise NoTrace("the episode of solution 3 failed on this machine: no")
@@ -174,7 +180,7 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
 
 
 def test_progress_of_a_search_for_pairs_does_not_speak_of_the_boundary(database: str, tmp_path: Path) -> None:
-    told = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))
+    told = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json", simulations=150))
     shown = CliRunner().invoke(app, ["status", told["campaign"], "--database", database]).stdout
     assert (
         f"searched for pairs across the boundary; show them with: brink pairs {told['campaign']}"

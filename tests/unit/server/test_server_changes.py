@@ -228,10 +228,7 @@ def test_what_had_no_part_in_either_drive_is_not_active_and_not_described() -> N
         (("behaviour.trajectory_1.t0_step",), True), (("behaviour.trajectory_2.t0_step",), False),
     ]  # fmt: skip
     assert [(change.safe, change.unsafe) for change in changes] == [((10,), (12,)), ((200,), (210,))]
-    assert (
-        change_words(URBAN, safe, unsafe, changes)
-        == "the person is reported from 1.2 s instead of 1.0 s"
-    )
+    assert change_words(URBAN, safe, unsafe, changes) == "the person is reported from 1.2 s instead of 1.0 s"
 
 
 def test_without_a_record_every_difference_may_matter() -> None:
@@ -240,10 +237,7 @@ def test_without_a_record_every_difference_may_matter() -> None:
     rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
     changes = changes_between(URBAN, safe, unsafe, Steps(URBAN.space).differing(*rows))
     assert [change.active for change in changes] == [None]
-    assert (
-        change_words(URBAN, safe, unsafe, changes)
-        == "the person is reported from 9.0 s instead of 8.0 s"
-    )
+    assert change_words(URBAN, safe, unsafe, changes) == "the person is reported from 9.0 s instead of 8.0 s"
 
 
 def test_a_problem_without_words_shows_values_with_units() -> None:
