@@ -209,7 +209,7 @@ class _Reports:
             times.append(f"until {_s(new['t1_step'])} s instead of {_s(old['t1_step'])} s")
             steps += abs(new["t1_step"] - old["t1_step"])
         if times:
-            whom = self._who.replace("reported ", "")
+            whom = self._who.replace("the reported", "a").replace("reported ", "")
             return [_Clause(f"{whom} is reported {' and '.join(times)}", steps * _PX_PER_STEP)]
         if "t1_step" in self._changed:
             pace = "more slowly" if new["t1_step"] > old["t1_step"] else "faster"

@@ -241,7 +241,7 @@ def test_differences_that_do_not_matter_are_reverted(client: httpx.Client) -> No
     less = found["unsafe"]
     assert less["minimal"]
     assert [change["names"] for change in less["changes"]] == [["behaviour.trajectory_1.t0_step"]]
-    assert less["change"] == "the person is reported from 14.8 s instead of 15.2 s"
+    assert less["change"] == "a person is reported from 14.8 s instead of 15.2 s"
     assert less["parameters"]["behaviour"]["trajectory_1.x_min_0_px"] == 300.0
     assert less["distance"] < told["distance"]
     assert less["outcome"] == "violated the front gap at 16.1 s"

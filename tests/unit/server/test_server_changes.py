@@ -66,11 +66,11 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
     [
         (
             report("person", 43, 60), report("person", 41, 60),
-            "the person is reported from 4.1 s instead of 4.3 s",
+            "a person is reported from 4.1 s instead of 4.3 s",
         ),
         (
             report("person", 43, 60), report("person", 43, 65),
-            "the person is reported until 6.5 s instead of 6.0 s",
+            "a person is reported until 6.5 s instead of 6.0 s",
         ),
         (
             report("person", 7, 189), report("person", 80, 249),
@@ -155,7 +155,7 @@ def test_a_long_description_is_cut_to_what_differs_most() -> None:
 def test_a_report_after_the_violation_makes_no_other_one_the_first() -> None:
     late = report("person", 150, 200)
     assert words(drive(report("person", 12, 60), late), unsafe_drive(report("person", 10, 60), late)) == (
-        "the person is reported from 1.0 s instead of 1.2 s"
+        "a person is reported from 1.0 s instead of 1.2 s"
     )
 
 
@@ -228,7 +228,7 @@ def test_what_had_no_part_in_either_drive_is_not_active_and_not_described() -> N
         (("behaviour.trajectory_1.t0_step",), True), (("behaviour.trajectory_2.t0_step",), False),
     ]  # fmt: skip
     assert [(change.safe, change.unsafe) for change in changes] == [((10,), (12,)), ((200,), (210,))]
-    assert change_words(URBAN, safe, unsafe, changes) == "the person is reported from 1.2 s instead of 1.0 s"
+    assert change_words(URBAN, safe, unsafe, changes) == "a person is reported from 1.2 s instead of 1.0 s"
 
 
 def test_without_a_record_every_difference_may_matter() -> None:
@@ -237,7 +237,7 @@ def test_without_a_record_every_difference_may_matter() -> None:
     rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
     changes = changes_between(URBAN, safe, unsafe, Steps(URBAN.space).differing(*rows))
     assert [change.active for change in changes] == [None]
-    assert change_words(URBAN, safe, unsafe, changes) == "the person is reported from 9.0 s instead of 8.0 s"
+    assert change_words(URBAN, safe, unsafe, changes) == "a person is reported from 9.0 s instead of 8.0 s"
 
 
 def test_a_problem_without_words_shows_values_with_units() -> None:
