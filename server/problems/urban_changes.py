@@ -230,7 +230,8 @@ class _Reports:
         text = f"the box of {self._who} is {' and '.join(move.text for move in moves)} {when}"
         if len(moves) == 1 or (len(text) <= _MOST_LETTERS and not _mixes_units(moves)):
             return [_Clause(text, _largest(moves))]
-        most = max(moves, key=lambda move: move.px)
+        large = [move for move in moves if move.px >= _MINOR * _largest(moves)]
+        most = max(large, key=lambda move: (not _is_in_pixels(move), move.px))
         return [_Clause(f"the box of {self._who} is {most.text} {when}", most.px, len(moves) - 1)]
 
     def _moves(self, step: float) -> list[_Clause]:
@@ -247,7 +248,11 @@ def _largest(moves: Sequence[_Clause]) -> float:
 
 
 def _mixes_units(moves: Sequence[_Clause]) -> bool:
-    return len({" px " in f"{move.text} " for move in moves}) > 1
+    return len({_is_in_pixels(move) for move in moves}) > 1
+
+
+def _is_in_pixels(move: _Clause) -> bool:
+    return " px " in f"{move.text} "
 
 
 def _box_at(values: Mapping[str, Any], step: float) -> dict[str, float]:

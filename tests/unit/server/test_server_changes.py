@@ -124,7 +124,7 @@ def test_a_change_is_described_as_what_the_detector_reports(
         ({"y_max_0_px": 450.0, "y_min_0_px": 200.0},
          "4.5 m ahead instead of 6.8 m by its lower edge (at 4.1 s), and 1 more difference"),
         ({"x_min_0_px": 200.0, "x_max_0_px": 280.0, "y_min_0_px": 270.0, "y_max_0_px": 330.0},
-         "110 px further left (at 4.1 s), and 2 more differences"),
+         "22.7 m ahead instead of 6.8 m by its lower edge (at 4.1 s), and 2 more differences"),
     ],
 )  # fmt: skip
 def test_boxes_are_compared_while_both_drives_run_in_one_unit(box: dict[str, float], expected: str) -> None:
