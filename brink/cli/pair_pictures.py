@@ -160,7 +160,8 @@ def findings(pair: PairView) -> list[str]:
     if again.state is Confirmation.CONFIRMED:
         found.append(f"Confirmed with {_drives_a_side(again)} other seeds a side.")
     elif again.state is Confirmation.NOT_CONFIRMED:
-        found.append(f"Not confirmed: with other seeds {_doubt(again)}.")
+        # First, because it limits what the rest says.
+        found.insert(0, f"Not confirmed, so chance may decide: with other seeds, {_doubt(again)}.")
     return found
 
 

@@ -185,12 +185,12 @@ def test_the_findings_say_what_is_to_blame(
         (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds a side."),
         (
             Confirmation.NOT_CONFIRMED, 7, 10,
-            "Not confirmed: with other seeds the safe side was unsafe in 7 of 10.",
+            "Not confirmed, so chance may decide: with other seeds, the safe side was unsafe in 7 of 10.",
         ),
         (
             Confirmation.NOT_CONFIRMED, 3, 7,
-            "Not confirmed: with other seeds the safe side was unsafe in 3 of 10 and the unsafe side in "
-            "only 7 of 10.",
+            "Not confirmed, so chance may decide: with other seeds, the safe side was unsafe in 3 of 10 and the "
+            "unsafe side in only 7 of 10.",
         ),
     ],
 )  # fmt: skip
