@@ -92,7 +92,7 @@ def pair_sentences(repeats: Sequence[PairRepeat], problem: str) -> Iterator[str]
 
 
 def left_out_sentences(left_out: Sequence[LeftOutView], problem: str | None = None) -> Iterator[str]:
-    """Yield which campaigns are left out because they have too many pairs, and what helps, as list items.
+    """Yield list items that name the campaigns left out for having too many pairs, and say what helps.
 
     Args:
         left_out: Campaigns that are left out.

@@ -356,8 +356,8 @@ def _learnt(
 def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, d_th: float) -> None:
     """Drop the open brackets that will probably end closer to a tight pair than distinct pairs may be.
 
-    Their middle may still move by almost half their length, but rarely moves by more than a quarter. One that was
-    dropped because of a pair that turned out chancy is opened again.
+    Their middle may still move by almost half their length. One that was dropped because of a pair that turned out
+    chancy is opened again as soon as some other pair is tight.
     """
     tight = [b for b in brackets if b.status in (Status.TIGHT, Status.KEPT)]
     places = [place for place, b in enumerate(brackets) if b.status in (Status.OPEN, Status.NEAR)]
@@ -468,7 +468,7 @@ def _checks_left(bracket: Bracket, config: EdgeConfig) -> int:
 
 
 def _hits(state: EdgeState) -> float:
-    """Return the share of partners that is expected to open a bracket, from those that were told."""
+    """Return the expected share of partners that open a bracket, estimated from those already evaluated."""
     waiting = sum(purpose is Purpose.PARTNER for purpose, _, _ in state.jobs)
     told = sum(state.tries.values()) - waiting
     return (_EXPECTED_HITS * _FEW + len(state.brackets)) / (_FEW + max(told, 0))

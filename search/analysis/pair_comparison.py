@@ -288,9 +288,7 @@ def measure_of(repeats: Sequence[PairRepeat], problem: str) -> PairMeasure:
 def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
     """Return a sentence on what methods are compared on, and why."""
     ours = [one for one in repeats if one.problem == problem]
-    distinct, tried, decided = (
-        sum(getattr(one.counts, name) for one in ours) for name in ("distinct", "tried", "decided")
-    )
+    distinct, tried = sum(one.counts.distinct for one in ours), sum(one.counts.tried for one in ours)
     if measure_of(repeats, problem) is PairMeasure.CONFIRMED:
         return "Compared on confirmed distinct pairs."
     if not distinct:
@@ -304,9 +302,10 @@ def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
             f"Compared on distinct pairs, confirmed or not: only {tried:,} of {distinct:,} were simulated again "
             "with other seeds."
         )
+    undecided = tried - sum(one.counts.decided for one in ours)
     return (
-        f"Compared on distinct pairs, confirmed or not: {tried - decided:,} of {distinct:,} have too few simulations "
-        f"with other seeds, because some failed. To simulate them again, confirm with more than {LEAST_DRIVES}."
+        f"Compared on distinct pairs, confirmed or not: {undecided:,} of {distinct:,} have too few simulations with "
+        f"other seeds. To simulate them again, confirm with more than {LEAST_DRIVES}."
     )
 
 

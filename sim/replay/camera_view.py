@@ -24,6 +24,7 @@ from brink.sim.replay.scene import (
     label_index,
     pictures_shown,
     score_threshold,
+    shared_area,
     surface_style,
 )
 from brink.sim.replay.style import (
@@ -206,7 +207,7 @@ class SketchView:
                     inside,
                     key=lambda at: (
                         sum(_edge_hidden(at, box) for box in boxes)
-                        + 10 * sum(_shared(at, other) for other in written)
+                        + 10 * sum(shared_area(at, other) for other in written)
                     ),
                 )
                 written.append(best)
@@ -226,17 +227,11 @@ class SketchView:
         return np.clip(corners, 1.0, np.array(self._size) - 2.0)
 
 
-def _shared(one: Sequence[float], other: Sequence[float]) -> float:
-    """Return the area that two rectangles (left, top, right, bottom) share."""
-    wide, high = min(one[2], other[2]) - max(one[0], other[0]), min(one[3], other[3]) - max(one[1], other[1])
-    return max(0.0, wide) * max(0.0, high)
-
-
 def _edge_hidden(text: Sequence[float], box: Sequence[float]) -> float:
     """Return how much a text hides of a box: most of all its edges, for a large box less of what is within."""
     within = (box[0] + 2, box[1] + 2, box[2] - 2, box[3] - 2)
-    inner = _shared(text, within) if within[2] > within[0] and within[3] > within[1] else 0.0
-    return 20 * (_shared(text, box) - inner) + inner
+    inner = shared_area(text, within) if within[2] > within[0] and within[3] > within[1] else 0.0
+    return 20 * (shared_area(text, box) - inner) + inner
 
 
 def _cut(points: Points) -> Points:

@@ -25,6 +25,7 @@ from brink.sim.replay.scene import (
     map_centres,
     nothing_there,
     obstacle_outline,
+    shared_area,
     surface_style,
 )
 from brink.sim.replay.style import (
@@ -505,14 +506,8 @@ def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) ->
 
 def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect]) -> float:
     """Return how much a label would hide; other labels count more than bodies."""
-    return 10 * sum(_common(rect, one) for one in placed) + sum(_common(rect, one) for one in hidden)
-
-
-def _common(one: Rect, other: Rect) -> float:
-    """Return the area that two rectangles share, with a margin, in square pixels."""
-    wide = min(one[2], other[2]) - max(one[0], other[0]) + 3
-    high = min(one[3], other[3]) - max(one[1], other[1]) + 3
-    return max(0.0, wide) * max(0.0, high)
+    labels, bodies = (sum(shared_area(rect, one, margin=3.0) for one in rects) for rects in (placed, hidden))
+    return 10 * labels + bodies
 
 
 def _draw_leader(draw: ImageDraw.ImageDraw, rect: Rect, label: Label) -> None:

@@ -176,7 +176,7 @@ class PairStory:
         return Interval(start_s=start_s, end_s=max(end_s, min(self.end_s, start_s + _LEAST_WINDOW_S)))
 
     def report_moment_s(self) -> float | None:
-        """Return the time up to the moment at which the reports differ most; None if they never do until then."""
+        """Return when, up to the moment, the reports differ most; None if they do not differ by then."""
         traces = self.pair.safe.trace, self.pair.unsafe.trace
         times = np.asarray(traces[1].time_s, dtype=np.float64)
         end_s = min(self.moment_s + 1e-3, *(float(trace.time_s[-1]) for trace in traces))

@@ -7,7 +7,7 @@ SimulatorError
 └── ReplayError         the replay cannot be rendered; the message says what can
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self, TypeAlias
 
@@ -466,3 +466,10 @@ def _overlap(one: Points, other: Points) -> bool:
             if a.max() < b.min() or b.max() < a.min():
                 return False
     return True
+
+
+def shared_area(one: Sequence[float], other: Sequence[float], margin: float = 0.0) -> float:
+    """Return the area that two rectangles (left, top, right, bottom) share, or nearly share with a margin."""
+    wide = min(one[2], other[2]) - max(one[0], other[0]) + margin
+    high = min(one[3], other[3]) - max(one[1], other[1]) + margin
+    return max(0.0, wide) * max(0.0, high)
