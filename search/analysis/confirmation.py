@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Self
 
-from brink.search.fitness import Z_95, wilson_interval
-
 SAFE_AT_MOST: Final = 0.2
 """Largest unsafe share of the safe side of a confirmed pair."""
 UNSAFE_AT_LEAST: Final = 0.8
@@ -54,9 +52,12 @@ class Share:
     high: float
 
     @classmethod
-    def of(cls, unsafe: int, evaluated: int, z: float = Z_95) -> Self:
-        """Return the share of counts, with the interval at `z` standard deviations."""
-        low, high = wilson_interval(unsafe, evaluated, z) if evaluated else (0.0, 1.0)
+    def of(cls, unsafe: int, evaluated: int) -> Self:
+        """Return the share of counts, with its 95% interval."""
+        # Commands that only need the limits above start without NumPy.
+        from brink.search.fitness import wilson_interval
+
+        low, high = wilson_interval(unsafe, evaluated) if evaluated else (0.0, 1.0)
         return cls(evaluated=evaluated, unsafe=unsafe, low=float(low), high=float(high))
 
     @property

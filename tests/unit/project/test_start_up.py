@@ -39,7 +39,7 @@ SUBMITTED = (["submit", str(EXAMPLE), "--server", CLOSED], 1)
             (["experiment", "status", "3f2a", "--server", CLOSED], 1),
             SUBMITTED,
         ],
-        [(["--help"], 0), SUBMITTED],
+        [(["experiment", "status", "3f2a", "--server", CLOSED], 1), SUBMITTED],
         "starts many processes",
     ),
     ids=lambda value: value[0] if isinstance(value, list) else None,
