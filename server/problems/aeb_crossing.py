@@ -4,7 +4,7 @@ A candidate combines a scenario (time of day, weather, the pedestrian's place an
 each a gene at a level. It is simulated, or measured on a data set, for which only the perturbations matter.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,7 +15,8 @@ from brink.search.settings import check_settings, setting
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.errors import nearest
-from brink.server.problems.base import Vectors, wrong_detector
+from brink.server.problems.base import SimulatedSolution, Vectors, wrong_detector
+from brink.server.problems.changes import different
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
     CROSSING_M,
@@ -40,6 +41,15 @@ DANGEROUS_STOP = "no-dangerous-stop@1"
 EVERY = "all"
 HAZARDS = {"any": (ACCIDENT, DANGEROUS_STOP), "accident": (ACCIDENT,), "dangerous-stop": (DANGEROUS_STOP,)}
 """Requirements whose violation is the hazard, by the name of the hazard."""
+_SCENARIO = {
+    "time_of_day": "at {} instead of {}",
+    "weather": "weather {} instead of {}",
+    "occluder": "the pedestrian steps out from behind a {} instead of a {}",
+    "crossing_m": "the pedestrian crosses after {} m instead of {} m",
+    "arrival_s": "the pedestrian is in mid-lane {} s instead of {} s after a car that does not brake",
+    "oncoming_m": "oncoming car at {} m instead of {} m",
+}
+"""How a change of the scenario is described: its new value, then its old one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,6 +231,23 @@ class AebCrossing:
         if self._sees_truth:
             chain = "ground truth in place of the detector"
         return f"{chain}; {describe_street(scenario)}"
+
+    def words_of_change(
+        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
+    ) -> str:
+        """Describe each perturbation and each parameter of the scenario that differs."""
+        old, new = (self.space.decode(tuple(one.vectors))["scenario"] for one in (safe, unsafe))
+        clauses = []
+        for name, template in _SCENARIO.items():
+            if f"scenario.{name}" in changed:
+                values = (word.replace("_", " ") for word in different(new[name], old[name]))
+                clauses.append(template.format(*values))
+        steps = (self.perturbations(one.vectors) for one in (safe, unsafe))
+        for place, (before, after) in enumerate(zip(*steps, strict=True), start=1):
+            was, now = (describe_perturbations([step]) or "none" for step in (before, after))
+            if was != now:
+                clauses.append(f"perturbation {place} is {now} instead of {was}")
+        return "; ".join(clauses)
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict: clearance in m, speed above standstill in m/s, or the smaller value for any hazard."""

@@ -5,6 +5,7 @@ Blue is the safe drive, vermilion the unsafe one. Each row of bands has two lane
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -41,6 +42,8 @@ _GAP_PX: Final = 7
 _MOST_SCRIPTS: Final = 3
 _TOP: Final = 1.04
 """Where greater robustness is drawn, in multiples of the greatest one that is not cut."""
+_PANEL_NAME_LETTERS: Final = 16
+"""Letters of a panel's name that fit to the right of it."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 110, 26, 44
 DIFFERENCE: Final[Rgb] = (253, 238, 214)
 """Shading of the time in which the reports of the drives differ."""
@@ -296,7 +299,8 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
     axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.1)
     axes.set_ylabel(unit_of(name) or "robustness", fontsize=9)
     limit = limit_words(name)
-    lines = [story.unsafe.title.replace("-", " "), "to spare", *([f"({limit})"] if limit else [])]
+    title = wrap(story.unsafe.title.replace("-", " "), _PANEL_NAME_LETTERS)
+    lines = [*title, "to spare", *([f"({limit})"] if limit else [])]
     _name_panel(axes, "\n".join(lines))
     if float(shown.max(initial=0.0)) > most * _TOP:
         unit = unit_of(name)

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from brink.search.pairs import Steps
+from brink.server.problems.aeb_crossing import AebCrossing
 from brink.server.problems.base import ExplainsChanges, SimulatedSolution, activity_of
 from brink.server.problems.benchmarks import Mtq
-from brink.server.problems.changes import NOTHING_ACTIVE, change_words, changes_between, different
+from brink.server.problems.changes import (
+    NOTHING_ACTIVE,
+    as_sentence,
+    change_words,
+    changes_between,
+    different,
+)
 from brink.server.problems.urban_changes import AFTERWARDS
 from brink.server.problems.urban_injected import UrbanInjected
 
@@ -271,3 +278,32 @@ def test_the_urban_problem_explains_what_reported_means() -> None:
     assert isinstance(URBAN, ExplainsChanges)
     assert URBAN.terms_of_changes.startswith("reported: ")
     assert not isinstance(Mtq(Mtq.params_type()), ExplainsChanges)
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"perturbation": {"intensity_2": 0.2}}, "Perturbation 2 is snow 1/5 instead of none"),
+        ({"perturbation": {"gene_1": "contrast"}}, "Perturbation 1 is contrast 5/10 instead of brightness 5/10"),
+        (
+            {"scenario": {"time_of_day": "night", "crossing_m": 50.25}},
+            "At night instead of noon; the pedestrian crosses after 50.2 m instead of 50.1 m",
+        ),
+    ],
+)  # fmt: skip
+def test_a_perturbed_picture_changes_by_the_level_of_a_perturbation(
+    changed: dict[str, dict[str, Any]], expected: str
+) -> None:
+    problem = AebCrossing(AebCrossing.params_type())
+    candidate = {
+        "scenario": {
+            "time_of_day": "noon", "weather": "clear", "occluder": "van",
+            "crossing_m": 50.125, "arrival_s": 0.0, "oncoming_m": 60.0,
+        },
+        "perturbation": {"gene_1": "brightness", "intensity_1": 0.5, "gene_2": "snow", "intensity_2": 0.0},
+    }  # fmt: skip
+    other = {name: {**values, **changed.get(name, {})} for name, values in candidate.items()}
+    safe, unsafe = (SimulatedSolution(vectors=problem.space.encode(one)) for one in (candidate, other))
+    rows = [problem.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
+    changes = changes_between(problem, safe, unsafe, Steps(problem.space).differing(*rows))
+    assert as_sentence(change_words(problem, safe, unsafe, changes)) == expected
