@@ -16,7 +16,7 @@ import numpy as np
 
 from brink.search.features import Unit, units_of
 from brink.search.metric import Metric
-from brink.search.space import Categorical, FloatArray, Real, SearchSpace, frozen_array
+from brink.search.space import Categorical, FloatArray, IntArray, Real, SearchSpace, frozen_array
 
 _WITHIN: Final = 1 - 1e-9
 """Keeps a distance of eps from exceeding it by rounding."""
@@ -38,9 +38,13 @@ class Steps:
     units: tuple[Unit, ...] = field(init=False)
     metric: Metric = field(init=False)
     _share: FloatArray = field(init=False, repr=False)
+    _unit_of_column: IntArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", units_of(self.space))
+        unit_of = {column: place for place, unit in enumerate(self.units) for column in unit}
+        places = np.array([unit_of[column] for column in range(self.space.dimension)], np.int64)
+        object.__setattr__(self, "_unit_of_column", frozen_array(places, np.int64))
         object.__setattr__(self, "metric", Metric.of_space(self.space))
         categorical = self.space.categorical
         halves = 2.0 if 0 < categorical.sum() < categorical.size else 1.0
@@ -49,8 +53,8 @@ class Steps:
 
     def differing(self, a: FloatArray, b: FloatArray) -> list[Unit]:
         """Return the units in which two rows of shape ``(d,)`` differ."""
-        different = a != b
-        return [unit for unit in self.units if different[list(unit)].any()]
+        places = set(self._unit_of_column[a != b].tolist())
+        return [self.units[place] for place in sorted(places)]
 
     def distance(self, a: FloatArray, b: FloatArray) -> float:
         """Return the distance between two rows of shape ``(d,)``."""

@@ -1,12 +1,13 @@
 """The search for pairs across the boundary."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
+from brink.search import surrogate
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
 from brink.search.algorithms import edge
 from brink.search.algorithms.edge import MAX_FAILURES, Bracket, Edge, EdgeConfig, EdgeState, Purpose, Status
@@ -15,6 +16,14 @@ from brink.search.errors import ConfigError, DocumentError
 from brink.search.pairs import Steps, midpoints
 from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE, evaluate_mtq, evaluate_onemax, mtq_gap_to_boundary
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_trees() -> Iterator[None]:
+    """Let the searches grow a quarter of the trees, of which these small problems do not need more."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(surrogate, "TREES", 15)
+        yield
+
 
 Answer = Callable[[Candidate], Evaluation]
 Ask = tuple[Candidate, tuple[Purpose, int, int]]
