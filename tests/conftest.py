@@ -6,7 +6,6 @@
 import gc
 import os
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 import httpx
@@ -19,6 +18,7 @@ from support.databases import (
     Databases,
     PostgresDatabases,
     databases_for,
+    share_statements,
     sqlite_template,
 )
 from support.llm_endpoint import Endpoint, serving
@@ -39,12 +39,13 @@ os.environ.setdefault(
     "OMP_NUM_THREADS", "1"
 )  # the processes of a run share the cores; waiting threads would spin
 use_memory()
+share_statements()
 shared_postgres = SharedPostgres()
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Skip the files that need torch where it is not installed, unless their tests, which are long, are to run."""
-    unwanted = config.option.markexpr == "not long" and find_spec("torch") is None
+    """Skip the files that need torch, which is slow to load, unless their tests, all of them long, are to run."""
+    unwanted = config.option.markexpr == "not long"
     return True if unwanted and collection_path.name.endswith("_torch.py") else None
 
 

@@ -123,7 +123,7 @@ def undisturbed_digest(document: dict[str, Any]) -> str:
 
 @lru_cache
 def _digest(document: str, trees: int) -> str:
-    """As `undisturbed_digest`, which several tests ask for the same campaign; what is found depends on the `trees`."""
+    """As `undisturbed_digest`, which many tests ask for the same campaign; what it finds depends on the `trees`."""
     body = parse_body(json.loads(document))
     plan = make_plan(body)
     assert isinstance(plan.problem, Ball)

@@ -17,14 +17,6 @@ from brink.search.pairs import Steps, midpoints
 from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE, evaluate_mtq, evaluate_onemax, mtq_gap_to_boundary
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
 
-@pytest.fixture(scope="module", autouse=True)
-def fewer_trees() -> Iterator[None]:
-    """Let the searches grow a quarter of the trees, of which these small problems do not need more."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(surrogate, "TREES", 15)
-        yield
-
-
 Answer = Callable[[Candidate], Evaluation]
 Ask = tuple[Candidate, tuple[Purpose, int, int]]
 
@@ -34,6 +26,14 @@ ROAD = SearchSpace(
         Component("behaviour", (Real("delay", 0.0, 2.0, "s"), Integer("frames", 0, 40))),
     )
 )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_trees() -> Iterator[None]:
+    """Let the searches grow a quarter of the trees, of which these small problems do not need more."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(surrogate, "TREES", 15)
+        yield
 
 
 def search(
