@@ -271,9 +271,11 @@ def _across(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]
     shift, growth = 0.5 * (left + right), right - left
     found = []
     if abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth)):
-        found.append(_Clause(f"{_px(shift)} further {'right' if shift > 0 else 'left'}", abs(shift)))
+        text = _aside(old, new) or f"{_px(shift)} further {'right' if shift > 0 else 'left'}"
+        found.append(_Clause(text, abs(shift)))
     if abs(growth) >= max(_LEAST_PX, _MINOR * abs(shift)):
-        found.append(_Clause(f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}", abs(growth)))
+        text = _width(old, new) or f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}"
+        found.append(_Clause(text, abs(growth)))
     return found
 
 
@@ -282,7 +284,7 @@ def _upright(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause
     upper, lower = (new[f"y_{side}"] - old[f"y_{side}"] for side in ("min", "max"))
     found = []
     if abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper)):
-        text = _distance(old["y_max"], new["y_max"]) or f"{_px(lower)} {_way(lower)} at its lower edge"
+        text = _distance(old, new) or f"{_px(lower)} {_way(lower)} at its lower edge"
         found.append(_Clause(text, abs(lower)))
     if abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower)):
         found.append(_Clause(f"{_px(upper)} {_way(upper)} at its upper edge", abs(upper)))
@@ -298,14 +300,52 @@ def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _distance(old_px: float, new_px: float) -> str:
-    """Return how far away two lower edges say that something is; empty if either is not trusted."""
-    far = [_CAMERA.ground_depth_m(edge) for edge in (new_px, old_px)]
-    new_m, old_m = (float("inf") if one is None else one for one in far)
-    if max(new_m, old_m) > _TRUSTED_M:
+def _distance(old: Mapping[str, float], new: Mapping[str, float]) -> str:
+    """Return how far away the lower edges say that something is; empty if either is not trusted."""
+    depths = _depths(old, new)
+    if depths is None:
         return ""
-    digits = 1 if f"{new_m:.1f}" != f"{old_m:.1f}" else 2
-    return f"{new_m:.{digits}f} m ahead instead of {old_m:.{digits}f} m by its lower edge"
+    old_m, new_m = _different(*depths)
+    return f"{new_m} m ahead instead of {old_m} m by its lower edge"
+
+
+def _aside(old: Mapping[str, float], new: Mapping[str, float]) -> str:
+    """Return how far aside the middle of two boxes is on the ground; empty if a distance is not trusted."""
+    depths = _depths(old, new)
+    if depths is None:
+        return ""
+    middles = (0.5 * (box["x_min"] + box["x_max"]) for box in (old, new))
+    lefts = [_CAMERA.left_m(middle, depth) for middle, depth in zip(middles, depths, strict=True)]
+    sides = ["left" if left > 0 else "right" for left in lefts]
+    old_m, new_m = _different(*map(abs, lefts), alike=sides[0] == sides[1])
+    was = f"{old_m} m" if sides[0] == sides[1] else f"{old_m} m {sides[0]}"
+    return f"{new_m} m {sides[1]} of straight ahead instead of {was}"
+
+
+def _width(old: Mapping[str, float], new: Mapping[str, float]) -> str:
+    """Return how wide two boxes are on the ground; empty if a distance is not trusted."""
+    depths = _depths(old, new)
+    if depths is None:
+        return ""
+    widths = (
+        _CAMERA.left_m(box["x_min"], depth) - _CAMERA.left_m(box["x_max"], depth)
+        for box, depth in zip((old, new), depths, strict=True)
+    )
+    old_m, new_m = _different(*widths)
+    return f"{new_m} m wide instead of {old_m} m"
+
+
+def _depths(old: Mapping[str, float], new: Mapping[str, float]) -> tuple[float, float] | None:
+    """Return how far away the lower edges of two boxes are on the ground; None if either is not trusted."""
+    far = [_CAMERA.ground_depth_m(box["y_max"]) for box in (old, new)]
+    old_m, new_m = (float("inf") if one is None else one for one in far)
+    return None if max(old_m, new_m) > _TRUSTED_M else (old_m, new_m)
+
+
+def _different(first: float, second: float, *, alike: bool = True) -> tuple[str, str]:
+    """Return two lengths with a digit after the point, or two where one does not tell them apart."""
+    digits = 2 if alike and f"{first:.1f}" == f"{second:.1f}" else 1
+    return f"{first:.{digits}f}", f"{second:.{digits}f}"
 
 
 def _px(change: float) -> str:

@@ -96,13 +96,22 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
             report("person", 41, 200), report("vehicle", 41, 200),
             "a vehicle is reported instead of a person from 4.1 to 20.0 s",
         ),
-        (
+        (  # (400 - 350) px * 6.8 m / 400 px is 0.85 m, where 6.8 m is the distance of the lower edge
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=310.0, x_max_0_px=410.0),
-            "the box of the reported person is 10 px further right (at 4.1 s)",
+            "the box of the reported person is 0.7 m left of straight ahead instead of 0.8 m (at 4.1 s)",
+        ),
+        (
+            report("person", 41, 60), report("person", 41, 60, x_min_0_px=420.0, x_max_0_px=520.0),
+            "the box of the reported person is 1.2 m right of straight ahead instead of 0.8 m left (at 4.1 s)",
+        ),
+        (
+            report("person", 41, 60),
+            report("person", 41, 60, y_min_0_px=220.0, y_max_0_px=290.0, x_min_0_px=310.0, x_max_0_px=410.0),
+            "the box of the reported person is 110 px higher at its lower edge (at 4.1 s), and 2 more differences",
         ),
         (
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=304.0, x_max_0_px=396.0),
-            "the box of the reported person is 8.0 px narrower (at 4.1 s)",
+            "the box of the reported person is 1.6 m wide instead of 1.7 m (at 4.1 s)",
         ),
         (  # 400 px * 1.7 m / (400 - 300) px is 6.8 m
             report("person", 41, 60), report("person", 41, 60, y_max_0_px=470.0),
@@ -127,11 +136,11 @@ def test_a_change_is_described_as_what_the_detector_reports(
     ("box", "expected"),
     [
         # The box of the safe drive's report at 7.1 s, 30 of 200 steps after its first one, is 15% on its way.
-        ({"x_min_1_px": 300.0, "x_max_1_px": 700.0}, "30 px further right (at 7.1 s)"),
+        ({"x_min_1_px": 300.0, "x_max_1_px": 700.0}, "0.4 m left of straight ahead instead of 0.8 m (at 7.1 s)"),
         ({"y_max_0_px": 450.0, "y_min_0_px": 200.0},
          "4.5 m ahead instead of 6.8 m by its lower edge (at 4.1 s), and 1 more difference"),
         ({"x_min_0_px": 200.0, "x_max_0_px": 280.0, "y_min_0_px": 270.0, "y_max_0_px": 330.0},
-         "22.7 m ahead instead of 6.8 m by its lower edge (at 4.1 s), and 2 more differences"),
+         "9.1 m left of straight ahead instead of 0.8 m (at 4.1 s), and 2 more differences"),
     ],
 )  # fmt: skip
 def test_boxes_are_compared_while_both_drives_run_in_one_unit(box: dict[str, float], expected: str) -> None:
@@ -145,7 +154,7 @@ def test_boxes_are_compared_while_both_drives_run_in_one_unit(box: dict[str, flo
 def test_boxes_are_not_compared_after_the_safe_drive_has_ended() -> None:
     safe, unsafe = report("person", 41, 241), report("person", 41, 241, x_min_1_px=300.0, x_max_1_px=700.0)
     assert words(drive(safe, NONE, end_step=61), unsafe_drive(unsafe, NONE)) == (
-        "the box of the reported person is 20 px further right (at 6.1 s)"
+        "the box of the reported person is 0.5 m left of straight ahead instead of 0.8 m (at 6.1 s)"
     )
 
 
@@ -155,7 +164,7 @@ def test_a_long_description_is_cut_to_what_differs_most() -> None:
         report("person", 25, 60, x_min_0_px=320.0), report("vehicle", 30, 200, x_min_0_px=200.0)
     )
     assert words(safe, unsafe) == (
-        "the box of the reported vehicle is 50 px further left and 100 px wider (at 3.0 s), and 2 more differences"
+        "the box of the reported vehicle is 3.4 m wide instead of 1.7 m (at 3.0 s), and 4 more differences"
     )
 
 
