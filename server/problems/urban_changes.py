@@ -2,7 +2,8 @@
 
 Only what comes before the violation can have caused it, so only that is described. A box tells the driving system how
 far away something is by its lower edge, and where in the road by its left and right edges
-(`brink.sim.driving.obstacles`). A change of the lower edge is therefore given in metres where these are trusted.
+(`brink.sim.driving.obstacles`). Changes of these edges are therefore given in metres on the road where the distance
+is trusted.
 Boxes are compared at a time at which both drives run and report them, the one at which they differ more.
 """
 
@@ -227,12 +228,12 @@ class _Reports:
         if not moves or last < first:
             return []
         when = f"(at {_s(step)} s)"
-        text = f"the box of {self._who} is {' and '.join(move.text for move in moves)} {when}"
+        text = f"the box of {self._who} {' and '.join(move.text for move in moves)} {when}"
         if len(moves) == 1 or (len(text) <= _MOST_LETTERS and not _mixes_units(moves)):
             return [_Clause(text, _largest(moves))]
         large = [move for move in moves if move.px >= _MINOR * _largest(moves)]
         most = max(large, key=lambda move: (not _is_in_pixels(move), move.px))
-        return [_Clause(f"the box of {self._who} is {most.text} {when}", most.px, len(moves) - 1)]
+        return [_Clause(f"the box of {self._who} {most.text} {when}", most.px, len(moves) - 1)]
 
     def _moves(self, step: float) -> list[_Clause]:
         """Return how the box of the unsafe drive differs at a step from that of the safe one."""
@@ -269,14 +270,16 @@ def _across(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]
     """Return how the left and right edges differ."""
     left, right = (new[f"x_{side}"] - old[f"x_{side}"] for side in ("min", "max"))
     shift, growth = 0.5 * (left + right), right - left
-    found = []
-    if abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth)):
-        text = _aside(old, new) or f"{_px(shift)} further {'right' if shift > 0 else 'left'}"
-        found.append(_Clause(text, abs(shift)))
-    if abs(growth) >= max(_LEAST_PX, _MINOR * abs(shift)):
-        text = _width(old, new) or f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}"
-        found.append(_Clause(text, abs(growth)))
-    return found
+    moved = abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth))
+    grown = abs(growth) >= max(_LEAST_PX, _MINOR * abs(shift))
+    sideways = f"{_px(shift)} further {'right' if shift > 0 else 'left'}"
+    size = f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}"
+    if moved and grown:
+        text = _span(old, new) or f"is {sideways} and {size}"
+        return [_Clause(text, max(abs(shift), abs(growth)))]
+    if moved:
+        return [_Clause(f"is {_aside(old, new) or sideways}", abs(shift))]
+    return [_Clause(f"is {_width(old, new) or size}", abs(growth))] if grown else []
 
 
 def _upright(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]:
@@ -285,9 +288,9 @@ def _upright(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause
     found = []
     if abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper)):
         text = _distance(old, new) or f"{_px(lower)} {_way(lower)} at its lower edge"
-        found.append(_Clause(text, abs(lower)))
+        found.append(_Clause(f"is {text}", abs(lower)))
     if abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower)):
-        found.append(_Clause(f"{_px(upper)} {_way(upper)} at its upper edge", abs(upper)))
+        found.append(_Clause(f"is {_px(upper)} {_way(upper)} at its upper edge", abs(upper)))
     return found
 
 
@@ -333,6 +336,27 @@ def _width(old: Mapping[str, float], new: Mapping[str, float]) -> str:
     )
     old_m, new_m = _different(*widths)
     return f"{new_m} m wide instead of {old_m} m"
+
+
+def _span(old: Mapping[str, float], new: Mapping[str, float]) -> str:
+    """Return from where to where two boxes reach on the ground; empty if a distance is not trusted."""
+    depths = _depths(old, new)
+    if depths is None:
+        return ""
+    for digits in (1, 2):
+        was, now = (_reach(box, depth, digits) for box, depth in zip((old, new), depths, strict=True))
+        if was != now:
+            break
+    return f"spans {now} of straight ahead instead of {was}"
+
+
+def _reach(box: Mapping[str, float], depth_m: float, digits: int) -> str:
+    left, right = (_CAMERA.left_m(box[side], depth_m) for side in ("x_min", "x_max"))
+    if right >= 0:
+        return f"{right:.{digits}f} to {left:.{digits}f} m left"
+    if left <= 0:
+        return f"{-left:.{digits}f} to {-right:.{digits}f} m right"
+    return f"{left:.{digits}f} m left to {-right:.{digits}f} m right"
 
 
 def _depths(old: Mapping[str, float], new: Mapping[str, float]) -> tuple[float, float] | None:

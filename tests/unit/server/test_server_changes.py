@@ -110,6 +110,11 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
             "the box of the reported person is 110 px higher at its lower edge (at 4.1 s), and 2 more differences",
         ),
         (
+            report("person", 41, 60), report("person", 41, 60, x_min_0_px=300.0, x_max_0_px=500.0),
+            "the box of the reported person spans 1.7 m left to 1.7 m right of straight ahead instead of 0.0 to "
+            "1.7 m left (at 4.1 s)",
+        ),
+        (
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=304.0, x_max_0_px=396.0),
             "the box of the reported person is 1.6 m wide instead of 1.7 m (at 4.1 s)",
         ),
@@ -164,7 +169,8 @@ def test_a_long_description_is_cut_to_what_differs_most() -> None:
         report("person", 25, 60, x_min_0_px=320.0), report("vehicle", 30, 200, x_min_0_px=200.0)
     )
     assert words(safe, unsafe) == (
-        "the box of the reported vehicle is 3.4 m wide instead of 1.7 m (at 3.0 s), and 4 more differences"
+        "the box of the reported vehicle spans 0.0 to 3.4 m left of straight ahead instead of 0.0 to 1.7 m left "
+        "(at 3.0 s), and 2 more differences"
     )
 
 
