@@ -6,7 +6,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, Page
 from playwright.sync_api import expect as shown
 from support.api import ball, listening_coordinator, submit
 from support.problems import small_problems
@@ -16,7 +16,7 @@ from brink.bench.chromium import NoChromium, chromium, executable
 from browser.console import Console, silence
 from browser.served import ANY_PAIR, LOOSELY, NOBODYS, SECRET, Served, a_pair, served, unsafe_one
 from browser.views import View, views_of
-from browser.visits import PATIENCE_MS, Visits, visiting
+from browser.visits import PATIENCE_MS, Browse, Regular, Visits, visiting
 
 shown.set_options(timeout=PATIENCE_MS)
 
@@ -79,6 +79,33 @@ def console() -> Iterator[Console]:
     """What the test's pages complain of; a test fails on anything that it did not expect."""
     with silence() as opened:
         yield opened
+
+
+@pytest.fixture(scope="package")
+def regular(browser: Browser) -> Iterator[Regular]:
+    """The visitor of the site who stays."""
+    visitor = Regular(browser)
+    yield visitor
+    visitor.end()
+
+
+@pytest.fixture
+def browse(
+    site: Served, regular: Regular, console: Console, request: pytest.FixtureRequest
+) -> Iterator[Browse]:
+    """Goes to places of the site for a fraction of what a new visitor costs; one comes after a test that failed."""
+    failed = request.session.testsfailed
+    page = regular.come(site.url, console)
+
+    def go(place: str = "#/") -> Page:
+        page.goto(f"{site.url}/{place}")
+        return page
+
+    yield go
+    if request.session.testsfailed > failed:
+        regular.end()
+    else:
+        regular.go(console)
 
 
 @pytest.fixture

@@ -33,6 +33,11 @@ class Console:
         page.on("console", self._told)
         page.on("pageerror", self._failed)
 
+    def unwatch(self, page: Page) -> None:
+        """Listen to a page no more."""
+        page.remove_listener("console", self._told)
+        page.remove_listener("pageerror", self._failed)
+
     def expect_status(self, *statuses: int) -> None:
         """Expect answers of these statuses from now on; each has to come."""
         for status in statuses:

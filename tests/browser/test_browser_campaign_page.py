@@ -13,13 +13,13 @@ from support.api import ball, expect, progress, submit
 
 from browser.canvas import becomes, changes, picture
 from browser.served import API, LOOSE, NOBODYS, Served, loose
-from browser.visits import Visits
+from browser.visits import Browse
 
 
 @pytest.fixture
-def page(site: Served, visit: Visits) -> Page:
+def page(site: Served, browse: Browse) -> Page:
     """The page of the urban campaign, with its map drawn and its table filled."""
-    page = visit(site.url, loose(site.urban))
+    page = browse(loose(site.urban))
     shown(page.get_by_text("40 solutions.")).to_be_visible()
     shown(page.locator("table.boundary tbody tr").first).to_be_visible()
     return page
@@ -158,8 +158,8 @@ def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Pa
     assert numbers == {str(one["number"]) for one in boundary(site)["solutions"]}
 
 
-def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Served, visit: Visits) -> None:
-    page = visit(site.url, f"#/campaigns/{site.urban}")
+def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Served, browse: Browse) -> None:
+    page = browse(f"#/campaigns/{site.urban}")
     curve = page.get_by_role("region", name="Boundary solutions against the number of simulations")
     shown(curve.get_by_text("a fitness of at most t_b")).to_be_visible()
     curve.get_by_label("t_b").fill("1")
@@ -174,9 +174,9 @@ def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Ser
     shown(table.locator("caption")).to_contain_text("t_b 0.1, d_th 0.2")
 
 
-def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, visit: Visits) -> None:
+def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, browse: Browse) -> None:
     campaign = submit(site.client, ball(name="steered", problem=NOBODYS))
-    page = visit(site.url, f"#/campaigns/{campaign}")
+    page = browse(f"#/campaigns/{campaign}")
     state = page.locator(".head .badge")
     shown(page.get_by_text("cannot run on any live worker")).to_be_visible()
     for button, then in (
@@ -199,10 +199,10 @@ def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, visit: Visits)
     shown(page.get_by_role("button", name="Resume steered")).to_have_count(0)
 
 
-def test_a_campaign_is_deleted_only_when_that_is_confirmed(site: Served, visit: Visits) -> None:
+def test_a_campaign_is_deleted_only_when_that_is_confirmed(site: Served, browse: Browse) -> None:
     campaign = submit(site.client, ball(name="unwanted", problem=NOBODYS))
     expect(site.client.post(f"{API}/campaigns/{campaign}/cancel"))
-    page = visit(site.url, f"#/campaigns/{campaign}")
+    page = browse(f"#/campaigns/{campaign}")
     page.get_by_role("button", name="Delete").click()
     page.get_by_role("dialog").get_by_role("button", name="Delete").click()
     shown(page.get_by_role("heading", name="Campaigns")).to_be_visible()

@@ -9,13 +9,15 @@ from support.urban_pairs import SAFE, UNSAFE, judged
 
 from brink.server.problems.urban_injected import SIMULATOR
 from browser.served import NOBODYS, Served, origin
-from browser.visits import Visits
+from browser.visits import Browse, Visits
 
 
-def test_campaigns_are_found_by_name_and_state_and_steered_from_the_list(site: Served, visit: Visits) -> None:
+def test_campaigns_are_found_by_name_and_state_and_steered_from_the_list(
+    site: Served, browse: Browse
+) -> None:
     submit(site.client, ball(name="needle one", problem=NOBODYS))
     submit(site.client, ball(name="needle two", problem=NOBODYS))
-    page = visit(site.url)
+    page = browse()
     rows = page.locator("table.campaigns tbody tr")
     shown(rows.filter(has_text="night rain")).to_be_visible()
     page.get_by_label("Find").fill("needle")
@@ -31,8 +33,8 @@ def test_campaigns_are_found_by_name_and_state_and_steered_from_the_list(site: S
     shown(page.get_by_text("No campaign matches.")).to_be_visible()
 
 
-def test_an_experiment_shows_its_results_and_its_campaigns(site: Served, visit: Visits) -> None:
-    page = visit(site.url, "#/experiments")
+def test_an_experiment_shows_its_results_and_its_campaigns(site: Served, browse: Browse) -> None:
+    page = browse("#/experiments")
     page.get_by_role("link", name="two on a ball").click()
     shown(page.locator(".head .badge")).to_have_text("finished")
     shown(page.get_by_role("region", name="Progress")).to_contain_text("4 of 4")
@@ -41,8 +43,8 @@ def test_an_experiment_shows_its_results_and_its_campaigns(site: Served, visit: 
     shown(page.locator("table.campaigns tbody tr")).to_have_count(4)
 
 
-def test_an_experiment_shows_the_pairs_of_its_methods(site: Served, visit: Visits) -> None:
-    page = visit(site.url, f"#/experiments/{site.experiment}")
+def test_an_experiment_shows_the_pairs_of_its_methods(site: Served, browse: Browse) -> None:
+    page = browse(f"#/experiments/{site.experiment}")
     pairs = page.get_by_role("region", name="Pairs across the boundary")
     shown(pairs).to_contain_text("Compared on distinct pairs")
     standings = page.get_by_role("region", name="Pairs of each method on ball@1").locator("tbody tr")
@@ -84,8 +86,8 @@ def test_the_pairs_of_an_experiment_follow_its_problems_and_its_follow_ups(
     shown(cells.last).to_have_text("100% (1 of 1)", timeout=30_000)
 
 
-def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, visit: Visits) -> None:
-    page = visit(site.url, f"#/compare?ids={site.urban}")
+def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, browse: Browse) -> None:
+    page = browse(f"#/compare?ids={site.urban}")
     shown(page.get_by_text("Choose one more campaign.")).to_be_visible()
     page.get_by_role("checkbox", name=re.compile("^ball ")).check()
     shown(page.get_by_role("heading", name="Side by side")).to_be_visible()

@@ -4,7 +4,7 @@ from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 
 from browser.served import Served, loose
-from browser.visits import Visits
+from browser.visits import Browse, Visits
 
 ABLE = "a[href], button:not(:disabled), input:not(:disabled), select, textarea, summary, [tabindex='0']"
 COUNT = """able => [...document.querySelectorAll(able)]
@@ -34,8 +34,8 @@ def test_the_content_is_one_key_away(site: Served, visit: Visits) -> None:
     assert page.url.endswith("#/workers")
 
 
-def test_the_tab_key_reaches_everything_and_shows_where_it_is(site: Served, visit: Visits) -> None:
-    page = visit(site.url, loose(site.urban))
+def test_the_tab_key_reaches_everything_and_shows_where_it_is(site: Served, browse: Browse) -> None:
+    page = browse(loose(site.urban))
     shown(page.locator("table.boundary tbody tr").first).to_be_visible()
     shown(page.locator(".panel svg").first).to_be_visible()
     many = page.evaluate(COUNT, ABLE)

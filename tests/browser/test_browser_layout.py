@@ -7,7 +7,7 @@ from playwright.sync_api import expect as shown
 
 from browser.served import Served
 from browser.views import View, open_view
-from browser.visits import Visits
+from browser.visits import Browse, Visits
 
 PHONE_PX = 390
 OVERHANGING = """width => [...document.querySelectorAll("body *")]
@@ -15,8 +15,9 @@ OVERHANGING = """width => [...document.querySelectorAll("body *")]
   .map(node => `${node.tagName}.${node.className}`).slice(0, 5)"""
 
 
-def test_no_view_scrolls_sideways_on_a_phone(site: Served, views: list[View], visit: Visits) -> None:
-    page = visit(site.url, width=PHONE_PX, height=844)
+def test_no_view_scrolls_sideways_on_a_phone(site: Served, views: list[View], browse: Browse) -> None:
+    page = browse()
+    page.set_viewport_size({"width": PHONE_PX, "height": 844})
     found = {}
     for view in views:
         open_view(page, site.url, view)

@@ -7,7 +7,7 @@ from support.api import FakeWorker, ball, expect, progress, submit
 
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.served import API, Served, origin
-from browser.visits import Visits
+from browser.visits import Browse, Visits
 
 
 def gives_up(job: LeasedJob) -> Completed | JobFailed:
@@ -57,14 +57,14 @@ def test_quarantined_jobs_are_retried_together(
     assert (progress(own, unlucky[0])["status"], progress(own, unlucky[0])["quarantined"]) == ("finished", 0)
 
 
-def test_a_job_that_nobody_can_run_says_what_it_needs(site: Served, visit: Visits) -> None:
-    page = visit(site.url, "#/jobs?status=queued")
+def test_a_job_that_nobody_can_run_says_what_it_needs(site: Served, browse: Browse) -> None:
+    page = browse("#/jobs?status=queued")
     shown(page.get_by_text("which no live worker provides").first).to_be_visible()
     shown(page.locator("table.jobs tbody tr").first).to_contain_text("nobody-has-it@1")
 
 
-def test_jobs_are_chosen_by_state_and_campaign_and_the_address_keeps_it(site: Served, visit: Visits) -> None:
-    page = visit(site.url, "#/jobs?status=quarantined")
+def test_jobs_are_chosen_by_state_and_campaign_and_the_address_keeps_it(site: Served, browse: Browse) -> None:
+    page = browse("#/jobs?status=quarantined")
     many = progress(site.client, site.broken)["quarantined"]
     shown(page.get_by_role("button", name=f"In quarantine {many}")).to_have_attribute("aria-pressed", "true")
     shown(page.locator("table.jobs tbody tr")).to_have_count(many)
@@ -77,9 +77,9 @@ def test_jobs_are_chosen_by_state_and_campaign_and_the_address_keeps_it(site: Se
     shown(campaign).to_have_value(site.stuck)
 
 
-def test_the_workers_page_says_who_is_there_and_what_it_can_run(site: Served, visit: Visits) -> None:
+def test_the_workers_page_says_who_is_there_and_what_it_can_run(site: Served, browse: Browse) -> None:
     [told] = [one for one in expect(site.client.get(f"{API}/workers")) if one["live"]]
-    page = visit(site.url, "#/workers")
+    page = browse("#/workers")
     row = page.locator("table.workers tbody tr")
     shown(row).to_have_count(1)
     shown(row).to_contain_text(told["id"])

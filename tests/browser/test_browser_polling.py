@@ -1,19 +1,15 @@
 """A page that is left open: it follows what goes on, asks for nothing while hidden, and gets over an absence."""
 
-from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
 
 import httpx
-import pytest
 from playwright.sync_api import Page, Route
 from playwright.sync_api import expect as shown
-from support.api import FakeWorker, ball, submit
-from support.processes import TOY, Site
-from support.processes import site as processes
+from support.api import FakeWorker, ball, listening_coordinator, submit
 
 from browser.console import Console
 from browser.served import Served, origin, unsafe_one
-from browser.visits import Visits
+from browser.visits import NOWHERE, Visits
 
 HIDE = """hidden => {
   Object.defineProperty(document, "hidden", { configurable: true, get: () => hidden });
@@ -61,13 +57,13 @@ def test_what_did_not_change_is_answered_without_a_body(own: httpx.Client, visit
 
 def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, visit: Visits) -> None:
     solution = f"#/campaigns/{site.urban}/solutions/{unsafe_one(site)['number']}"
-    page = visit(site.url, solution, stopped=True)
+    page = visit(site.url, NOWHERE, stopped=True)
 
     def still_made(route: Route) -> None:
         route.fulfill(status=202, json={"detail": "the trace is being made"})
 
     page.route("**/episode?*", still_made)
-    page.reload()
+    page.goto(f"{site.url}/{solution}")
     shown(page.get_by_text("a worker is simulating the episode again")).to_be_visible()
     with page.expect_response("**/episode?*"):
         page.clock.run_for(5_000)
@@ -83,54 +79,47 @@ def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, vi
     shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
 
 
-@pytest.mark.parametrize(
-    ("status", "detail", "words"),
-    [
-        (429, "too many requests", "Rate limit exceeded."),
-        (503, "the database did not answer", "The database did not answer."),
-    ],
-)
+def keep_away(status: int, detail: str, route: Route) -> None:
+    route.fulfill(status=status, json={"detail": detail})
+
+
 def test_what_keeps_answers_away_is_said_until_they_come(
-    site: Served, visit: Visits, console: Console, status: int, detail: str, words: str
+    site: Served, visit: Visits, console: Console
 ) -> None:
     page = visit(site.url, stopped=True)
     shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
-    console.expect_status(status)
-    page.route("**/overview*", lambda route: route.fulfill(status=status, json={"detail": detail}))
-    page.clock.run_for(IDLE_MS)
-    notice = page.get_by_text(f"{words} Retrying; the page keeps what it shows.")
-    shown(notice).to_be_visible()
-    shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
-    page.unroute("**/overview*")
-    page.clock.run_for(IDLE_MS)
-    shown(notice).to_be_hidden()
-
-
-@pytest.fixture
-def killable(own_database: str, tmp_path: Path) -> Iterator[Site]:
-    """A coordinator process that can be killed and started again."""
-    with processes(tmp_path, own_database, TOY) as made:
-        yield made
+    for status, detail, words in (
+        (429, "too many requests", "Rate limit exceeded."),
+        (503, "the database did not answer", "The database did not answer."),
+    ):
+        console.expect_status(status)
+        page.route("**/overview*", partial(keep_away, status, detail))
+        page.clock.run_for(IDLE_MS)
+        notice = page.get_by_text(f"{words} Retrying; the page keeps what it shows.")
+        shown(notice).to_be_visible()
+        shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
+        page.unroute("**/overview*")
+        page.clock.run_for(IDLE_MS)
+        shown(notice).to_be_hidden()
 
 
 def test_a_page_reports_and_survives_a_lost_coordinator(
-    killable: Site, visit: Visits, console: Console
+    own_database: str, small_problems: None, visit: Visits, console: Console
 ) -> None:
-    campaign = killable.submit(ball(name="interrupted"))
-    with httpx.Client(base_url=killable.url, timeout=30.0) as client:
+    with listening_coordinator(own_database) as client:
+        campaign = submit(client, ball(name="interrupted"))
         FakeWorker(client).report(FakeWorker(client).lease(5))
-    page = visit(killable.url, f"#/campaigns/{campaign}")
-    figures = page.get_by_role("region", name="Progress")
-    shown(figures).to_contain_text("5 of 60")
-    console.expect_lost_connections()
-    assert killable.coordinator is not None
-    killable.coordinator.kill()
+        page = visit(origin(client), f"#/campaigns/{campaign}")
+        figures = page.get_by_role("region", name="Progress")
+        shown(figures).to_contain_text("5 of 60")
+        console.expect_lost_connections()
+        port = client.base_url.port
     notice = page.get_by_text("The coordinator does not respond.")
     shown(notice).to_be_visible()
     shown(figures).to_contain_text("5 of 60")
 
-    killable.start_coordinator()
-    shown(notice).to_be_hidden()
-    with httpx.Client(base_url=killable.url, timeout=30.0) as client:
+    with listening_coordinator(own_database, port=port) as client:
+        shown(notice).to_be_hidden()
         FakeWorker(client).report(FakeWorker(client).lease(4))
-    shown(figures).to_contain_text("9 of 60")
+        shown(figures).to_contain_text("9 of 60")
+        page.close()

@@ -20,16 +20,16 @@ from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.canvas import becomes, changes, picture
 from browser.console import Console
 from browser.served import API, Served, loose, origin, unsafe_one
-from browser.visits import Visits
+from browser.visits import Browse, Visits
 
 TRACE = base64.b64encode(make_trace().to_bytes()).decode()
 
 
 @pytest.fixture
-def solution(site: Served, visit: Visits) -> Page:
+def solution(site: Served, browse: Browse) -> Page:
     """The page of an unsafe boundary solution, opened from the table, with its replay loaded."""
     number = unsafe_one(site)["number"]
-    page = visit(site.url, loose(site.urban))
+    page = browse(loose(site.urban))
     table = page.get_by_role("region", name="Boundary solutions", exact=True)
     table.get_by_label("Outcome").select_option("violated")
     table.get_by_role("link", name=str(number), exact=True).click()

@@ -12,7 +12,7 @@ from support.api import expect
 
 from browser.console import Console
 from browser.served import API, Served
-from browser.visits import Visits
+from browser.visits import Browse
 
 FILE = """\
 name: from a file
@@ -43,8 +43,8 @@ def body_of(page: Page, client: httpx.Client) -> dict[str, Any]:
     return found
 
 
-def test_a_campaign_that_is_submitted_by_the_form_is_seen_to_finish(site: Served, visit: Visits) -> None:
-    page = visit(site.url)
+def test_a_campaign_that_is_submitted_by_the_form_is_seen_to_finish(site: Served, browse: Browse) -> None:
+    page = browse()
     page.get_by_role("link", name="New campaign").click()
     fill(page, "by the form", 24)
     page.get_by_role("button", name="Submit campaign").click()
@@ -64,10 +64,10 @@ def test_a_campaign_that_is_submitted_by_the_form_is_seen_to_finish(site: Served
     ],
 )
 def test_what_is_wrong_is_said_beside_its_field_and_nothing_is_stored(
-    site: Served, visit: Visits, console: Console, label: str, wrong: str, words: str, right: str
+    site: Served, browse: Browse, console: Console, label: str, wrong: str, words: str, right: str
 ) -> None:
     name = f"wrong at first: {label}"
-    page = visit(site.url, "#/new")
+    page = browse("#/new")
     fill(page, name, 20)
     field = page.get_by_label(label, exact=True)
     if label == "Limit":
@@ -86,16 +86,16 @@ def test_what_is_wrong_is_said_beside_its_field_and_nothing_is_stored(
     shown(page.get_by_role("heading", name=name)).to_be_visible()
 
 
-def test_a_campaign_can_be_checked_without_being_stored(site: Served, visit: Visits) -> None:
-    page = visit(site.url, "#/new")
+def test_a_campaign_can_be_checked_without_being_stored(site: Served, browse: Browse) -> None:
+    page = browse("#/new")
     fill(page, "only checked", 20)
     page.get_by_role("button", name="Check only").click()
     shown(page.get_by_text("only checked is valid: ball@1, random@1, 20 simulations.")).to_be_visible()
     assert "only checked" not in names(site.client)
 
 
-def test_a_campaign_file_is_pasted_and_submitted(site: Served, visit: Visits, console: Console) -> None:
-    page = visit(site.url, "#/new")
+def test_a_campaign_file_is_pasted_and_submitted(site: Served, browse: Browse, console: Console) -> None:
+    page = browse("#/new")
     page.get_by_role("button", name="Campaign file").click()
     page.get_by_label("Campaign file").fill(FILE.replace("random@1", "randm@1"))
     console.expect_status(422)
@@ -110,8 +110,8 @@ def test_a_campaign_file_is_pasted_and_submitted(site: Served, visit: Visits, co
     assert (submitted["seed"], submitted["problem"]["params"]["limit"]) == (5, 1.5)
 
 
-def test_what_was_written_goes_along_between_form_and_file(site: Served, visit: Visits) -> None:
-    page = visit(site.url, "#/new")
+def test_what_was_written_goes_along_between_form_and_file(site: Served, browse: Browse) -> None:
+    page = browse("#/new")
     fill(page, "to and fro", 33)
     page.get_by_role("button", name="Campaign file").click()
     text = page.get_by_label("Campaign file")
@@ -123,8 +123,8 @@ def test_what_was_written_goes_along_between_form_and_file(site: Served, visit: 
     shown(page.get_by_label("Name", exact=True)).to_have_value("to and fro")
 
 
-def test_invalid_file_is_kept_beside_the_form(site: Served, visit: Visits, console: Console) -> None:
-    page = visit(site.url, "#/new")
+def test_invalid_file_is_kept_beside_the_form(site: Served, browse: Browse, console: Console) -> None:
+    page = browse("#/new")
     fill(page, "before the file", 33)
     page.get_by_role("button", name="Campaign file").click()
     text = page.get_by_label("Campaign file")
@@ -143,8 +143,8 @@ def test_invalid_file_is_kept_beside_the_form(site: Served, visit: Visits, conso
     shown(name).to_have_value("from a file")
 
 
-def test_a_problem_with_defaults_of_its_own_says_them_in_the_form(site: Served, visit: Visits) -> None:
-    page = visit(site.url, "#/new")
+def test_a_problem_with_defaults_of_its_own_says_them_in_the_form(site: Served, browse: Browse) -> None:
+    page = browse("#/new")
     problem, radius = page.get_by_label("Problem", exact=True), page.get_by_label("Radius", exact=True)
     shown(radius).to_have_attribute("placeholder", "0.3")
     problem.select_option("ball@1")
@@ -156,11 +156,12 @@ def test_a_problem_with_defaults_of_its_own_says_them_in_the_form(site: Served, 
     shown(radius).to_have_value("0.25")
 
 
-def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, visit: Visits) -> None:
-    page = visit(site.url)
+def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, browse: Browse) -> None:
+    page = browse()
     page.get_by_role("button", name="Clone night rain").click()
     shown(page.get_by_role("heading", name="Clone of night rain")).to_be_visible()
     page.get_by_label("Name", exact=True).fill("clone")  # other tests look for the original by its name
     page.get_by_role("button", name="Submit campaign").click()
     original = expect(site.client.get(f"{API}/campaigns/{site.urban}"))["body"]
     assert body_of(page, site.client) == {**original, "name": "clone", "seed": original["seed"] + 1}
+    expect(site.client.post(f"{API}/campaigns/{page.url.rpartition('/')[2]}/cancel"))  # it simulates for real

@@ -23,15 +23,15 @@ seed: 1
 
 export async function show(main, context, { query }) {
   context.title("New campaign");
+  if (!context.may.steer) {
+    replace(main, h("h1", null, "New campaign"), callout("warn", "This token is read-only. A token of scope user can submit campaigns."));
+    return;
+  }
   const from = query.get("from");
   const [problems, algorithms, description, model] = await Promise.all([
     context.get("problems"), context.get("algorithms"), schemas(context),
     from ? context.get(`campaigns/${encodeURIComponent(from)}`) : null,
   ]);
-  if (!context.may.steer) {
-    replace(main, h("h1", null, "New campaign"), callout("warn", "This token is read-only. A token of scope user can submit campaigns."));
-    return;
-  }
   const trouble = h("div", { role: "alert" });
   const form = formOf({ problems, algorithms: algorithms.filter((one) => !one.internal), description });
   const file = h("textarea", { id: "yaml", spellcheck: "false", "aria-describedby": "yaml-help" });
