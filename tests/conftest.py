@@ -28,6 +28,7 @@ from xdist.remote import Producer
 from xdist.workermanage import WorkerController
 
 from brink.search import surrogate
+from brink.search.analysis import boosted_trees
 from brink.server.db.engine import Engines, open_engines
 
 # The checks that everybody must pass try the same examples each time; people's own runs keep looking for new ones.
@@ -94,6 +95,12 @@ def postgres_databases(request: pytest.FixtureRequest) -> Iterator[PostgresDatab
 def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the search for pairs grow small forests, where the quality of its choices does not matter."""
     monkeypatch.setattr(surrogate, "TREES", 6)
+
+
+@pytest.fixture
+def short_forests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let monitors fit few trees, which suffice for what is easy to tell apart."""
+    monkeypatch.setattr(boosted_trees, "TREES", 20)
 
 
 @pytest.fixture(scope="session")

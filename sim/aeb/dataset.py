@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from enum import IntEnum
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -73,9 +74,7 @@ def labelled_frames(split: Split, count: int, seed: int = 0) -> Iterator[Labelle
     """
     for street in range(-(-count // FRAMES_A_STREET)):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(split), street)))
-        for index, frame in enumerate(_street_frames(split, rng)):
-            if street * FRAMES_A_STREET + index < count:
-                yield frame
+        yield from islice(_street_frames(split, rng), count - street * FRAMES_A_STREET)
 
 
 def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledFrame]:

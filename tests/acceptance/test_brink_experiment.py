@@ -8,8 +8,11 @@ from typing import Any
 import pytest
 import yaml
 from support.api import ball
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import BRINK, TOY, Program, brink
+from typer.testing import CliRunner
+
+from brink.cli.commands import app
 
 EXPERIMENT = {
     "name": "two methods",
@@ -62,14 +65,17 @@ def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_p
     assert found(whole.stdout) == found(resumed.stdout)
 
 
-@on_sqlite
-def test_a_file_without_an_experiment_creates_nothing(databases: Databases, tmp_path: Path) -> None:
+def test_a_file_without_an_experiment_creates_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BRINK_DATABASE", raising=False)
     file = tmp_path / "wrong.yaml"
     file.write_text(
         yaml.safe_dump({**EXPERIMENT, "problems": [{"id": "mtq@1"}], "algorithms": [{"id": "gaa@1"}]})
     )
-    said = brink("experiment", "run", str(file), cwd=tmp_path)
-    assert said.returncode == 1
-    assert "/algorithms/0/id" in said.stderr
-    assert "did you mean 'ga@1'" in said.stderr
+    said = CliRunner().invoke(app, ["experiment", "run", str(file)])
+    assert said.exit_code == 1
+    assert "/algorithms/0/id" in str(said.exception)
+    assert "did you mean 'ga@1'" in str(said.exception)
     assert not list(tmp_path.glob("*.db"))

@@ -6,8 +6,10 @@ from typing import Any
 
 import httpx
 from support.databases import Databases
-from support.processes import brink, site
+from support.processes import site
+from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.worker.wire import WIRE_VERSION
 
 CAMPAIGN = {
@@ -78,6 +80,6 @@ def test_the_life_of_a_job(databases: Databases, tmp_path: Path) -> None:
         )  # fmt: skip
         assert trace.status_code == 200
         assert trace.content.startswith(b"PK")  # an npz archive
-        said = brink("status", campaign, "--server", running.url, "--json", cwd=tmp_path)
-        assert said.returncode == 0, said.stderr
+        said = CliRunner().invoke(app, ["status", campaign, "--server", running.url, "--json"])
+        assert said.exit_code == 0, said.output
         assert json.loads(said.stdout)["digest"] == done["digest"]

@@ -131,6 +131,7 @@ def test_no_secret_is_logged_at_any_level(database: str, tmp_path: Path, environ
     assert "***" in said["coordinator"], "the address of the database is shown without its password"
 
 
+@pytest.mark.long("test_long_polling.py watches this in one process")
 def test_a_worker_that_is_gone_and_its_leases_are_logged(database: str, tmp_path: Path) -> None:
     settings = {**JSON_LOGS, "BRINK_LEASE_S": "0.5", "BRINK_WORKER_SEEN_S": "0.5"}
     with site(tmp_path, database, settings) as running:

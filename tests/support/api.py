@@ -91,9 +91,7 @@ def listening_coordinator(database_url: str, **settings: Any) -> Iterator[httpx.
     served = EmbeddedCoordinator(settings_for(database_url, **settings))
     served.start()
     try:
-        with httpx.Client(
-            base_url=served.url, timeout=PATIENCE_S, headers=_bearer(settings), verify=False
-        ) as client:
+        with httpx.Client(base_url=served.url, timeout=PATIENCE_S, headers=_bearer(settings)) as client:
             yield client
     finally:
         served.stop()

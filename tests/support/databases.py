@@ -11,12 +11,15 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import psycopg
 import pytest
-from sqlalchemy import inspect
+from sqlalchemy import create_engine, inspect
 from sqlalchemy.engine import make_url
+from sqlalchemy.util import LRUCache
 
 from brink.bench.servers import temporary_postgres
 from brink.server.db.engine import open_engines
@@ -28,6 +31,7 @@ SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=pytest.mark.lon
 """What the `databases` fixtures run on: on SQLite always, on Postgres with the long tests."""
 
 on_sqlite = pytest.mark.parametrize("databases", BACKENDS[:1], indirect=True)
+module_on_sqlite = pytest.mark.parametrize("module_databases", BACKENDS[:1], indirect=True)
 on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
 
 FAST = {
@@ -35,6 +39,28 @@ FAST = {
     "wal_level": "minimal", "max_wal_senders": "0", "shared_buffers": "32MB",
 }  # fmt: skip
 """Postgres settings: nothing in a test's database has to survive a power cut."""
+
+
+class _Statements(LRUCache[Any, Any]):
+    """Compiled statements, kept for all engines of a kind of database rather than for each engine."""
+
+    def get(self, key: Any, default: Any = None) -> Any:
+        """Return what was compiled for a dialect and a statement."""
+        return super().get(self._for_all(key), default)
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        super().__setitem__(self._for_all(key), value)
+
+    def _for_all(self, key: Any) -> Any:
+        dialect, *statement = key
+        return (type(dialect), *statement)
+
+
+def share_statements() -> None:
+    """Have the databases of this process share compiled statements, which takes most of a small campaign's time."""
+    cached = {"compiled_cache": _Statements(4000)}
+    shared = partial(create_engine, execution_options=cached)
+    pytest.MonkeyPatch().setattr("brink.server.db.engine.create_engine", shared)
 
 
 @contextmanager

@@ -59,7 +59,7 @@ def seeded(endpoint: Endpoint, llm: dict[str, Any] | None = None, **params: Any)
     """
     return {
         "name": "seeded",
-        "problem": {"id": "npc-actions@1", "params": {"participants": 2, "duration_s": 8.0}},
+        "problem": {"id": "npc-actions@1", "params": {"participants": 2, "duration_s": 5.0}},
         "algorithm": {
             "id": "mumoea@1",
             "params": {"seeder": "llm", "population_size": POPULATION, "seeds": 3, "rounds": 1, **params},

@@ -165,37 +165,34 @@ def test_a_failed_migration_leaves_nothing_behind(
 def test_two_processes_that_race_to_upgrade_both_succeed(empty_url: str) -> None:
     program = textwrap.dedent(
         """
-        import sys
+        import multiprocessing, sys
         from brink.server.db.engine import open_engines
         from brink.server.db.upgrade import upgrade
-        engines = open_engines(sys.argv[1])
-        print("ready", flush=True)
-        sys.stdin.readline()
-        print(*upgrade(engines))
-        engines.dispose()
+        forked = multiprocessing.get_context("fork")  # so that the modules are imported once
+        start = forked.Barrier(3)
+
+        def race():
+            engines = open_engines(sys.argv[1])
+            start.wait(60)
+            said = " ".join(map(str, upgrade(engines)))
+            sys.stdout.write(said + "\\n")
+            sys.stdout.flush()
+            engines.dispose()
+
+        racers = [forked.Process(target=race) for _ in range(3)]
+        for racer in racers:
+            racer.start()
+        for racer in racers:
+            racer.join()
+        sys.exit(any(racer.exitcode for racer in racers))
         """
     )
-    racers = [
-        subprocess.Popen(
-            [sys.executable, "-c", program, empty_url],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )
-        for _ in range(3)
-    ]  # fmt: skip
-    for racer in racers:
-        assert racer.stdout is not None
-        assert racer.stdout.readline() == "ready\n"
-    answers = []
-    for racer in racers:
-        assert racer.stdin is not None
-        racer.stdin.write("go\n")
-        racer.stdin.flush()
-    for racer in racers:
-        out, err = racer.communicate(timeout=60)
-        assert racer.returncode == 0, err
-        answers.append(out.strip())
+    raced = subprocess.run(
+        [sys.executable, "-c", program, empty_url], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert raced.returncode == 0, raced.stderr
     head = head_revision()
-    assert sorted(answers) == sorted([f"None {head}", f"{head} {head}", f"{head} {head}"])
+    assert sorted(raced.stdout.splitlines()) == sorted([f"None {head}", f"{head} {head}", f"{head} {head}"])
 
 
 def test_a_newer_schema_is_refused_in_one_clear_line(empty: Engines) -> None:

@@ -23,7 +23,7 @@ def sqlite_engines(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) 
     engines.dispose()
 
 
-@pytest.mark.parametrize("histories", [6, pytest.param(200, marks=pytest.mark.long("tries many histories"))])
+@pytest.mark.parametrize("histories", [4, pytest.param(200, marks=pytest.mark.long("tries many histories"))])
 def test_queue_agrees_with_its_model(engines: Engines, histories: int) -> None:
     search(engines, histories=histories)
 

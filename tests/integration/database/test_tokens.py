@@ -74,28 +74,31 @@ def tokens(engines: Engines) -> dict[str, str]:
 
 
 @pytest.fixture
-def url(database_url: str, small_problems: None) -> Iterator[str]:
+def web(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
+    """A client of a coordinator that listens; it sends no token by itself."""
     with listening_coordinator(database_url) as client:
-        yield str(client.base_url)
+        yield client
+
+
+@pytest.fixture
+def url(web: httpx.Client) -> str:
+    return str(web.base_url)
 
 
 def bearer(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {token}"}
 
 
-def test_each_scope_may_do_what_it_is_for(url: str, tokens: dict[str, str]) -> None:
-    with httpx.Client(base_url=url) as client:
-        campaign = expect(client.post("/api/v1/campaigns", json=ball(), headers=bearer(tokens["user"])), 201)[
-            "id"
-        ]
-        for (method, path), scopes in ALLOWED.items():
-            for scope, token in tokens.items():
-                answer = client.request(method, path.format(campaign=campaign), headers=bearer(token))
-                refused = answer.status_code in (401, 403)
-                assert refused == (scope not in scopes), f"{scope}: {method} {path}: {answer.status_code}"
-                if refused:
-                    assert answer.status_code == 403
-                    assert f"scope is {scope}" in answer.json()["detail"]
+def test_each_scope_may_do_what_it_is_for(web: httpx.Client, tokens: dict[str, str]) -> None:
+    campaign = expect(web.post("/api/v1/campaigns", json=ball(), headers=bearer(tokens["user"])), 201)["id"]
+    for (method, path), scopes in ALLOWED.items():
+        for scope, token in tokens.items():
+            answer = web.request(method, path.format(campaign=campaign), headers=bearer(token))
+            refused = answer.status_code in (401, 403)
+            assert refused == (scope not in scopes), f"{scope}: {method} {path}: {answer.status_code}"
+            if refused:
+                assert answer.status_code == 403
+                assert f"scope is {scope}" in answer.json()["detail"]
 
 
 def test_a_worker_runs_a_campaign_with_its_token(url: str, tokens: dict[str, str]) -> None:
@@ -119,33 +122,33 @@ NO_TOKENS = (
 """Headers without a valid token."""
 
 
-def test_what_is_no_token_opens_nothing(url: str, tokens: dict[str, str]) -> None:
+def test_what_is_no_token_opens_nothing(web: httpx.Client, tokens: dict[str, str]) -> None:
     forged = tokens["read"][:-1] + ("0" if tokens["read"][-1] != "0" else "1")
     for given in NO_TOKENS:
         header = None if given is None else given.format(admin=tokens["admin"], forged=forged).encode()
-        answer = httpx.get(
-            f"{url}/api/v1/campaigns", headers={b"Authorization": header} if header is not None else {}
+        answer = web.get(
+            "/api/v1/campaigns", headers={b"Authorization": header} if header is not None else {}
         )
         assert answer.status_code == 401, f"{given}: {answer.text}"
         assert answer.headers["WWW-Authenticate"] == "Bearer"
 
 
 @on_sqlite
-def test_no_spelling_of_a_path_evades_scopes(url: str, tokens: dict[str, str]) -> None:
+def test_no_spelling_of_a_path_evades_scopes(web: httpx.Client, tokens: dict[str, str]) -> None:
     body = {"worker": {"id": "w"}, "capabilities": ["x"], "wait_s": 0}
     for path, after, scope in itertools.product(
         ("lease", "heartbeat", "results"),
         ("%0A", "%0D", "%00", "%E2%80%A8", "/", "%2F", "//"),
         ("read", "user"),
     ):
-        answer = httpx.post(f"{url}/api/v1/jobs/{path}{after}", json=body, headers=bearer(tokens[scope]))
+        answer = web.post(f"/api/v1/jobs/{path}{after}", json=body, headers=bearer(tokens[scope]))
         said = f"{scope}, {path}{after}: {answer.status_code} {answer.text}"
         assert answer.status_code in (403, 404, 405), said
 
 
-def test_a_scope_cannot_be_changed_by_changing_the_token(url: str, tokens: dict[str, str]) -> None:
+def test_a_scope_cannot_be_changed_by_changing_the_token(web: httpx.Client, tokens: dict[str, str]) -> None:
     widened = tokens["read"].replace("_read_", "_admin_")
-    assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(widened)).status_code == 401
+    assert web.get("/api/v1/campaigns", headers=bearer(widened)).status_code == 401
 
 
 def test_nothing_secret_is_stored(engines: Engines, tokens: dict[str, str]) -> None:
@@ -159,32 +162,30 @@ def test_nothing_secret_is_stored(engines: Engines, tokens: dict[str, str]) -> N
 
 
 def test_a_revoked_or_ended_token_opens_nothing_and_the_last_one_leaves_it_closed(
-    url: str, engines: Engines, database_url: str
+    web: httpx.Client, engines: Engines, database_url: str
 ) -> None:
     run = CliRunner().invoke
-    assert httpx.get(f"{url}/api/v1/campaigns").status_code == 200, "on this machine, while there is no token"
+    assert web.get("/api/v1/campaigns").status_code == 200, "on this machine, while there is no token"
     created = run(app, ["token", "create", "a colleague", "--scope", "user", "--database", database_url])
     assert created.exit_code == 0, created.output
     token = created.stdout.strip().splitlines()[0]
     token_id = parse_token_id(token)
     assert token_id is not None
-    assert httpx.get(f"{url}/api/v1/campaigns").status_code == 401
-    assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(token)).status_code == 200
+    assert web.get("/api/v1/campaigns").status_code == 401
+    assert web.get("/api/v1/campaigns", headers=bearer(token)).status_code == 200
     other = made(engines, "read")
     listed = run(app, ["token", "list", "--json", "--database", database_url])
     assert {one["name"] for one in json.loads(listed.stdout)} == {"a colleague", "somebody"}
     assert token.rpartition("_")[2] not in listed.stdout
     assert run(app, ["token", "revoke", token_id, "--database", database_url]).exit_code == 0
-    assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(token)).status_code == 401
+    assert web.get("/api/v1/campaigns", headers=bearer(token)).status_code == 401
     assert "revoked" in run(app, ["token", "list", "--database", database_url]).stdout
     with engines.writer.begin() as connection:
         connection.execute(
             text("UPDATE tokens SET expires_at = '2020-01-01 00:00:00+00' WHERE name = 'somebody'")
         )
     for headers in ({}, bearer(other)):
-        assert httpx.get(f"{url}/api/v1/campaigns", headers=headers).status_code == 401, (
-            "it does not open again"
-        )
+        assert web.get("/api/v1/campaigns", headers=headers).status_code == 401, "it does not open again"
 
 
 def test_other_machines_are_let_in_where_there_are_tokens(engines: Engines, database_url: str) -> None:
@@ -237,9 +238,9 @@ def test_too_many_requests_get_a_retry_time(
         assert 429 in guesses, "tokens cannot be guessed fast"
 
 
-def test_every_answer_has_the_headers_that_browsers_heed(url: str) -> None:
+def test_every_answer_has_the_headers_that_browsers_heed(web: httpx.Client) -> None:
     for path in ("/api/v1/campaigns", "/healthz", "/docs", "/nothing", "/metrics"):
-        headers = httpx.get(f"{url}{path}", headers={"Origin": "http://evil.example"}).headers
+        headers = web.get(path, headers={"Origin": "http://evil.example"}).headers
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert headers["X-Frame-Options"] == "DENY"
         assert "default-src 'self'" in headers["Content-Security-Policy"]

@@ -48,13 +48,13 @@ def work_through(client: httpx.Client, name: str) -> None:
 
 
 def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx.Client) -> None:
-    found = submit(client)
+    found = submit(client, seeds=[1])
     path = f"{API}/{found['id']}/progress"
     assert expect(client.get(path))["simulations"] == 0
     worker = FakeWorker(client)
     worker.report(worker.lease(max_jobs=8))
     progress = expect(client.get(path))
-    assert (progress["simulations"], progress["queued"]) == (8, 6 * 2 * 20 - 8)
+    assert (progress["simulations"], progress["queued"]) == (8, 2 * 2 * 20 - 8)
     assert progress["rate_per_s"] > 0
     assert progress["remaining_s"] > 0
     work_through(client, found["id"])
@@ -66,7 +66,7 @@ def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx
 def test_what_was_complete_at_a_moment_includes_open_generations(
     client: httpx.Client, engines: Engines
 ) -> None:
-    found = submit(client)
+    found = submit(client, seeds=[1])
     members = [one["campaign"] for one in found["members"]]
     worker = FakeWorker(client)
     first = datetime.now(UTC)
@@ -204,23 +204,23 @@ def test_experiments_are_listed_newest_first_and_page_by_page(client: httpx.Clie
 
 def test_results_wait_no_longer_than_asked(database_url: str) -> None:
     mtq = experiment(
-        problems=[{"id": "mtq@1"}], algorithms=[{"id": "mlcshe@1"}], seeds={"count": 4},
-        budget={"simulations": 400},
+        problems=[{"id": "mtq@1"}], algorithms=[{"id": "mlcshe@1"}], seeds={"count": 2},
+        budget={"simulations": 200},
     )  # fmt: skip
     with coordinator(database_url) as client:
         name = expect(client.post(API, json=mtq), 201)["id"]
         work_through(client, name)
         answer = client.get(f"{API}/{name}/results", params={"wait_s": 0})
         if answer.status_code == 202:
-            assert "of 4 finished campaigns" in json.loads(answer.content)["detail"]
+            assert "of 2 finished campaigns" in json.loads(answer.content)["detail"]
             assert answer.headers["Retry-After"]
-        assert expect(client.get(f"{API}/{name}/results", params={"wait_s": 60}))["scored"] == 4
+        assert expect(client.get(f"{API}/{name}/results", params={"wait_s": 60}))["scored"] == 2
 
 
 @on_sqlite
 def test_the_command_line_does_all_of_it(listening_client: httpx.Client, tmp_path: Path) -> None:
     file, server = tmp_path / "experiment.yaml", ["--server", str(listening_client.base_url)]
-    file.write_text(yaml.safe_dump(experiment()))
+    file.write_text(yaml.safe_dump(experiment(seeds=[1, 2])))
 
     def said(*arguments: str, status: int = 0) -> str:
         result = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["experiment", *arguments, *server])
@@ -235,8 +235,8 @@ def test_the_command_line_does_all_of_it(listening_client: httpx.Client, tmp_pat
     assert "cancel it" in said("delete", name, "--yes", status=1)
     work_through(listening_client, name)
     status = said("status", name)
-    assert "finished, 389 of 360 simulations" in status, "generations end whole"
-    assert status.count("GA") == 3
+    assert "finished, 261 of 240 simulations" in status, "generations end whole"
+    assert status.count("GA") == 2
     report = said("report", name, "--out", str(tmp_path))
     assert "strict DBS" in report
     folder = tmp_path / f"small-{name}"

@@ -60,6 +60,7 @@ def test_a_hostile_request_gets_what_it_should_and_changes_nothing(
     target: Target, attack: Attack, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
+    caplog.set_level(logging.INFO, "httpcore")  # thousands of lines of the client
     before = everything(target.engines)
     answers = list(attack.send(target))
     assert answers
@@ -68,8 +69,9 @@ def test_a_hostile_request_gets_what_it_should_and_changes_nothing(
         assert attack.says in answer.text, answer.whole
         if answer.status >= 400 and attack.problem:
             assert answer.headers["content-type"] == "application/problem+json", answer.whole
+        whole = answer.whole
         for hidden in (*INSIDES, *attack.hides, *map(secret, target.tokens.values())):
-            assert hidden not in answer.whole
+            assert hidden not in whole
     assert everything(target.engines) == before, "something was stored"
     assert target.ask("GET", "/readyz", None).status == 200
     records = [one for one in caplog.records if not one.name.startswith(NOT_THE_COORDINATORS)]

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import logging
 import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -24,7 +25,7 @@ from support.api import (
     settings_for,
     submit,
 )
-from support.databases import on_postgres
+from support.databases import on_postgres, on_sqlite
 from support.queue import Queue
 
 from brink.server.api.context import Context
@@ -341,3 +342,22 @@ def test_failed_job_does_not_wait_for_a_worker_that_is_gone(database_url: str) -
 
         eventually(granted, "the other worker counts as gone")
         assert [(a.job, a.attempt) for a in again] == [(job.job, 2)]
+
+
+@on_sqlite
+def test_a_worker_that_is_gone_and_its_leases_are_logged(
+    database_url: str, small_problems: None, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+
+    def logged(message: str) -> list[dict[str, Any]]:
+        return [vars(record) for record in caplog.records if record.getMessage() == message]
+
+    with coordinator(database_url, lease_s=0.2, worker_seen_s=0.2, sweep_s=0.05) as client:
+        campaign = submit(client, ball())
+        [job] = FakeWorker(client, id="gone").lease(max_jobs=1)
+        eventually(lambda: bool(logged("lease ran out") and logged("worker gone")), "both are logged")
+    [lost] = logged("lease ran out")
+    assert (lost["campaign"], lost["job"], lost["worker"]) == (campaign, job.job, "gone")
+    [gone] = logged("worker gone")
+    assert (gone["worker"], gone["host"]) == ("gone", "here")

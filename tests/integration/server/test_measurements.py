@@ -29,6 +29,9 @@ SIMOOD = {
 }  # fmt: skip
 
 
+SMALL = {**SIMOOD, "budget": {"simulations": 100}}
+
+
 def outcome_of(spec: dict[str, Any]) -> Completed:
     numbers = [*spec["behaviour"].values(), *(v for k, v in spec["scenario"].items() if k != "limit")]
     distance = math.hypot(*numbers)
@@ -127,9 +130,9 @@ def test_measured_solutions_are_listed_but_not_archived(finished: Finished) -> N
 
 def test_identical_measurements_run_once(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=simulate)
-    first = worker.work(submit(client, SIMOOD))
+    first = worker.work(submit(client, SMALL))
     ran = len(worker.statuses)
-    again = worker.work(submit(client, SIMOOD))
+    again = worker.work(submit(client, SMALL))
     assert again["digest"] == first["digest"]
     assert len(worker.statuses) == ran
 
@@ -149,7 +152,7 @@ def test_measurement_without_its_value_is_a_failure(client: httpx.Client) -> Non
             return Completed(verdicts={}, objectives={})
         return outcome_of(job.spec)
 
-    relaxed = {**SIMOOD, "execution": {"max_failed_share": 1.0}}
+    relaxed = {**SMALL, "execution": {"max_failed_share": 1.0}}
     done = FakeWorker(client, judge=omit_some_measurements).work(submit(client, relaxed))
     assert done["status"] == "finished"
     assert done["failed"] > 0
@@ -167,10 +170,10 @@ def test_search_on_data_is_rejected_for_a_problem_without_a_data_set(client: htt
 
 @pytest.mark.parametrize("algorithm", ["mlcshe@1", "ga@1", "random@1"])
 def test_every_algorithm_searches_perturbations(client: httpx.Client, algorithm: str) -> None:
-    body = {**SIMOOD, "algorithm": {"id": algorithm}}
+    body = {**SMALL, "algorithm": {"id": algorithm}}
     done = progress(client, submit(client, body))
     assert done["status"] == "running"
-    assert FakeWorker(client, judge=simulate).work(done["id"])["evaluated"] >= 200
+    assert FakeWorker(client, judge=simulate).work(done["id"])["evaluated"] >= 100
 
 
 def test_new_campaign_has_measured_nothing(client: httpx.Client) -> None:

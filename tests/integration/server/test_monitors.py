@@ -17,6 +17,8 @@ from brink.search.analysis.monitor import Monitor
 from brink.search.space import Component, Real, SearchSpace
 from brink.server.errors import InvalidInput
 
+pytestmark = pytest.mark.usefixtures("short_forests")
+
 RANDOM = {"id": "random@1", "params": {"generation_size": 100, "radius": 0.2}}
 
 
@@ -25,10 +27,10 @@ def at(x: float, y: float) -> dict[str, dict[str, float]]:
 
 
 def test_campaign_scores_solutions(client: httpx.Client) -> None:
-    campaign = finish(client, ball(simulations=900, algorithm=RANDOM))
+    campaign = finish(client, ball(simulations=600, algorithm=RANDOM))
     path = f"/api/v1/campaigns/{campaign}/monitor/score"
     scored = expect(client.post(path, json={"solutions": [at(0, 0), at(1.5, -1.5)], "threshold": 0.5}))
-    assert (scored["campaign"], scored["learned_from"], scored["threshold"]) == (campaign, 900, 0.5)
+    assert (scored["campaign"], scored["learned_from"], scored["threshold"]) == (campaign, 600, 0.5)
     inside, outside = scored["risks"]
     assert inside["probability"] > 0.8 > 0.2 > outside["probability"]
     assert (inside["answer"], outside["answer"]) == ("unsafe", "safe")

@@ -182,7 +182,7 @@ def test_an_episode_of_another_campaign_is_not_followed_up(client: httpx.Client)
 
 @on_sqlite
 def test_repeats_of_the_boundary_do_not_stand_in_the_way(client: httpx.Client) -> None:
-    campaign = finish(client, ball(simulations=200))
+    campaign = finish(client, ball(simulations=80))
     assert expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 2}), 201)["status"] == "running"
     view = expect(client.get(f"{API}/{campaign}/pairs", params={"eps": 0.2}))
     assert view["pairs"]
@@ -347,9 +347,9 @@ def test_questions_that_make_no_sense_are_refused(
 def test_only_pairs_of_an_ended_campaign_are_followed_up(client: httpx.Client) -> None:
     running = submit(client, ball())
     assert "is running: wait until it has ended" in ask(client, running, 409, kind="confirm")["detail"]
-    without = finish(client, ball(problem={"id": "ball@1", "params": {"limit": 1e-9}}))
+    without = finish(client, ball(simulations=20, problem={"id": "ball@1", "params": {"limit": 1e-9}}))
     assert "has no pair at eps 0.02, d_th 0.2" in ask(client, without, 409, kind="confirm")["detail"]
-    balls = finish(client, ball(simulations=200))
+    balls = finish(client, ball(simulations=80))
     [error] = ask(client, balls, 422, kind="component", eps=0.2)["errors"]
     assert error["message"] == "ball@1 has no component that ground truth can replace"
 

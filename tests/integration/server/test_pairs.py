@@ -277,6 +277,7 @@ def test_tables_have_one_row_for_each_pair(client: httpx.Client) -> None:
 
 
 @on_sqlite
+@pytest.mark.usefixtures("short_forests")
 def test_the_command_shows_and_writes_pairs_that_a_monitor_is_judged_on(
     listening_client: httpx.Client, tmp_path: Path
 ) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,39 @@ from brink.cli.live import CampaignDisplay
 from brink.cli.options import with_api
 from brink.cli.pair_findings import PairFindings, fetch_pair_findings
 from brink.cli.pairs import fetch_pairs, legend, pairs_table
+from brink.search import surrogate
 from brink.server.api.schemas import Progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Searched:
+    """A campaign that searched for pairs.
+
+    Attributes:
+        database: Where it is stored.
+        campaign: Its id.
+        shown: What `brink run` printed.
+        folder: The only folder with its results.
+    """
+
+    database: str
+    campaign: str
+    shown: str
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Searched:
+    """A search for pairs that ran to its end with pictures, for the tests that only read it."""
+    folder = tmp_path_factory.mktemp("searched")
+    database = f"sqlite:///{shutil.copyfile(sqlite_file, folder / 'runs.db')}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surrogate, "TREES", 6)
+        shown = run(folder, database, SEARCH)
+    [results] = folder.glob("disc-*")
+    listed = CliRunner().invoke(app, ["status", "--json", "--database", database])
+    [campaign] = json.loads(listed.stdout)["campaigns"]
+    return Searched(database=database, campaign=campaign["id"], shown=shown, folder=results)
 
 
 @pytest.fixture
@@ -44,10 +77,8 @@ def run(folder: Path, database: str, algorithm: dict[str, Any], *options: str, s
     return ran.stdout
 
 
-def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
-    database: str, tmp_path: Path
-) -> None:
-    shown = run(tmp_path, database, SEARCH)
+def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(searched: Searched) -> None:
+    shown, folder = searched.shown, searched.folder
     lines = [line.strip() for line in shown.splitlines()]
     count = next(line for line in lines if "distinct pairs across the boundary" in line)
     pairs = int(count.split()[0])
@@ -56,7 +87,6 @@ def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
     assert shown.index(count) < shown.find("distinct boundary solution"), "what it looks for comes first"
     assert "DBS (strict DBS)" not in shown
     assert "2 of 2 parameters" in shown or "1 of 2 parameters" in shown
-    [folder] = tmp_path.glob("disc-*")
     assert len((folder / "pairs.jsonl").read_text().splitlines()) == pairs
     assert len((folder / "pairs.csv").read_text().splitlines()) == pairs + 1
     assert (folder / "pair-1.png").read_bytes().startswith(b"\x89PNG")
@@ -66,10 +96,8 @@ def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
     assert "--confirm" not in shown, "other seeds give the same verdicts"
 
 
-def test_the_table_says_what_both_sides_share_and_explains_its_terms(database: str, tmp_path: Path) -> None:
-    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json", simulations=150))[
-        "campaign"
-    ]
+def test_the_table_says_what_both_sides_share_and_explains_its_terms(searched: Searched) -> None:
+    campaign, database = searched.campaign, searched.database
     results = CliRunner().invoke(app, ["results", campaign, "--database", database]).stdout
     assert f"brink pairs {campaign}" in results, "boundary solutions are not what it looked for"
     found = with_api(None, database, lambda api: fetch_pairs(api, campaign))
@@ -98,7 +126,7 @@ def test_the_table_says_what_both_sides_share_and_explains_its_terms(database: s
 
 
 def test_another_search_reports_its_pairs_in_one_line(database: str, tmp_path: Path) -> None:
-    shown = run(tmp_path, database, {"id": "random@1"}, "--no-pictures")
+    shown = run(tmp_path, database, {"id": "random@1"}, "--no-pictures", simulations=100)
     [line] = [line for line in shown.splitlines() if line.startswith("pairs across the boundary: ")]
     assert (
         "no pair within eps 0.02: the nearest solutions with opposite verdicts" in line or "distinct" in line
@@ -153,11 +181,9 @@ def test_another_search_with_too_many_pairs_says_so_and_keeps_its_boundary(
 
 
 def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
-    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    searched: Searched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json", simulations=150))[
-        "campaign"
-    ]
+    campaign = searched.campaign
 
     async def fails(*_: object, **__: object) -> None:
         raise NoTrace("the episode of solution 3 failed on this machine: no")
@@ -172,24 +198,23 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
         )  # fmt: skip
         return found, await found.draw(drawing)
 
-    found, files = with_api(None, database, draw)
+    found, files = with_api(None, searched.database, draw)
     assert files == []
     screen = Console(record=True, width=120)
     found.show(screen)
     assert "no picture of pair 1: the episode of solution 3 failed" in screen.export_text()
 
 
-def test_progress_of_a_search_for_pairs_does_not_speak_of_the_boundary(database: str, tmp_path: Path) -> None:
-    told = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json", simulations=150))
-    shown = CliRunner().invoke(app, ["status", told["campaign"], "--database", database]).stdout
-    assert (
-        f"searched for pairs across the boundary; show them with: brink pairs {told['campaign']}"
-        in " ".join(shown.split())
+def test_progress_of_a_search_for_pairs_does_not_speak_of_the_boundary(searched: Searched) -> None:
+    campaign, database = searched.campaign, searched.database
+    shown = CliRunner().invoke(app, ["status", campaign, "--database", database]).stdout
+    assert f"searched for pairs across the boundary; show them with: brink pairs {campaign}" in " ".join(
+        shown.split()
     )
     assert "distinct" not in shown
 
     async def progress(api: Api) -> Progress:
-        return await api.read(Progress, f"/campaigns/{told['campaign']}/progress")
+        return await api.read(Progress, f"/campaigns/{campaign}/progress")
 
     found = with_api(None, database, progress)
     screen = Console(record=True, width=160)

@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from support.api import (
     row_counts,
     submit,
 )
-from support.databases import on_sqlite
+from support.databases import Databases, module_on_sqlite, on_sqlite
+from support.problems import small_problems
 from support.traces import filmed, grey_jpeg, make_trace
 from typer.testing import CliRunner
 
@@ -44,7 +45,7 @@ from brink.sim.replay.scene import EpisodeScene, map_centres
 from brink.sim.trace import ACTION, BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Ragged, Trace
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
-UNTRACED = ball(execution={"keep_traces": 0})
+UNTRACED = ball(simulations=20, execution={"keep_traces": 0})
 
 
 def traces(document: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
@@ -154,12 +155,13 @@ def test_trace_no_worker_can_make_is_refused(client: httpx.Client, engines: Engi
     assert client.get(path, params={"wait_s": 0}).status_code == 202
 
 
-@pytest.mark.parametrize("what", ["trace", "replay.{extension}"])
-def test_responses_for_a_missing_trace_are_documented(client: httpx.Client, what: str) -> None:
+@on_sqlite
+def test_responses_for_a_missing_trace_are_documented(client: httpx.Client) -> None:
     paths = expect(client.get("/openapi.json"))["paths"]
-    answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
-    assert set(answers["202"]["content"]) == {"application/json"}
-    assert set(answers["503"]["content"]) == {"application/problem+json"}
+    for what in ("trace", "replay.{extension}"):
+        answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
+        assert set(answers["202"]["content"]) == {"application/json"}, what
+        assert set(answers["503"]["content"]) == {"application/problem+json"}, what
 
 
 def test_replay_fails_at_once_if_no_worker_can_trace(listening_client: httpx.Client, tmp_path: Path) -> None:
@@ -291,33 +293,46 @@ def test_cancelled_campaign_still_makes_traces(client: httpx.Client) -> None:
     assert worker.lease() == []
 
 
-NUMBER = 3
 OBSTACLE_COLUMNS = ("yaw_rad", "drawn_length_m", "drawn_width_m", "ghost")
 
 
-def kept(client: httpx.Client, document: bytes | None) -> str:
-    """Return the path of a solution whose kept trace is this document."""
-    worker = FakeWorker(client, judge=traces(document))
-    campaign = submit(client, ball(simulations=20, execution={"keep_traces": 0}))
-    assert worker.work(campaign)["status"] == "finished"
-    path = f"/api/v1/campaigns/{campaign}/solutions/{NUMBER}"
-    assert client.get(f"{path}/episode", params={"wait_s": 0}).status_code == 202
-    assert worker.report(worker.lease()) == ["accepted"]
-    return path
+@dataclass(slots=True)
+class Ended:
+    """A finished campaign of which each test has the trace of another solution kept."""
+
+    client: httpx.Client
+    campaign: str
+    number: int = -1
+
+    def kept(self, document: bytes | None) -> str:
+        """Return the path of a solution whose kept trace is this document."""
+        self.number += 1
+        path = f"/api/v1/campaigns/{self.campaign}/solutions/{self.number}"
+        worker = FakeWorker(self.client, judge=traces(document))
+        assert self.client.get(f"{path}/episode", params={"wait_s": 0}).status_code == 202
+        assert worker.report(worker.lease()) == ["accepted"]
+        return path
+
+    def episode(self, trace: Trace) -> dict[str, Any]:
+        """Return the episode of a solution with this trace."""
+        found: dict[str, Any] = expect(self.client.get(f"{self.kept(trace.to_bytes())}/episode"))
+        return found
 
 
-def episode(client: httpx.Client, trace: Trace) -> dict[str, Any]:
-    found: dict[str, Any] = expect(client.get(f"{kept(client, trace.to_bytes())}/episode"))
-    return found
+@pytest.fixture(scope="module")
+def ended(module_databases: Databases) -> Iterator[Ended]:
+    """A finished campaign with more solutions than there are tests of episodes."""
+    with small_problems(), module_databases.database() as url, coordinator(url) as client:
+        yield Ended(client, finish(client, ball(simulations=40, execution={"keep_traces": 0})))
 
 
 def numbers(column: list[float | None]) -> np.ndarray:
     return np.array([np.nan if value is None else value for value in column])
 
 
-def test_episode_has_the_trace_in_columns(client: httpx.Client) -> None:
+def test_episode_has_the_trace_in_columns(ended: Ended) -> None:
     trace = make_trace()
-    found = episode(client, trace)
+    found = ended.episode(trace)
     samples = len(trace.time_s)
     assert found["time_s"] == pytest.approx(trace.time_s, abs=5e-4)
     for place, (name, within) in enumerate(
@@ -350,9 +365,9 @@ def test_episode_has_the_trace_in_columns(client: httpx.Client) -> None:
     assert found["words"]["report"] == "injected"
 
 
-def test_boxes_and_obstacles_are_grouped_by_sample(client: httpx.Client) -> None:
+def test_boxes_and_obstacles_are_grouped_by_sample(ended: Ended) -> None:
     trace = make_trace(samples=80)
-    found = episode(client, trace)
+    found = ended.episode(trace)
     for name, ragged, columns in (
         ("seen", trace.seen_boxes, BOX_COLUMNS),
         ("given", trace.given_boxes, BOX_COLUMNS),
@@ -365,9 +380,9 @@ def test_boxes_and_obstacles_are_grouped_by_sample(client: httpx.Client) -> None
     assert (camera["width_px"], camera["focal_px"], camera["horizon_px"]) == (800, 400, 300)
 
 
-def test_episode_has_the_scene_model_of_replays(client: httpx.Client) -> None:
+def test_episode_has_the_scene_model_of_replays(ended: Ended) -> None:
     trace = make_trace()
-    found = episode(client, trace)
+    found = ended.episode(trace)
     scene = EpisodeScene.of(trace)
     assert found["ego"]["brakes"] == scene.ego_brakes.tolist()
     assert [actor["brakes"] for actor in found["actors"]] == [
@@ -388,25 +403,25 @@ def test_episode_has_the_scene_model_of_replays(client: httpx.Client) -> None:
     assert (found["camera"]["from_m"], found["camera"]["to_m"]) == (0.4, 90)
 
 
-def test_action_is_captioned_and_not_marked(client: httpx.Client) -> None:
+def test_action_is_captioned_and_not_marked(ended: Ended) -> None:
     trace = make_trace(samples=40)
     action = Event(time_s=1.0, kind=ACTION, text="car-1:change_lane")
-    first, *others = episode(client, replace(trace, events=(action, *trace.events)))["events"]
+    first, *others = ended.episode(replace(trace, events=(action, *trace.events)))["events"]
     assert (first["caption"], first["marked"]) == ("car-1: change lane", False)
     assert [event["caption"] for event in others] == ["nudges around vehicle", "front gap under 1.5 m"]
     assert all(event["marked"] for event in others)
 
 
-def test_unbounded_robustness_is_null(client: httpx.Client) -> None:
+def test_unbounded_robustness_is_null(ended: Ended) -> None:
     trace = make_trace(samples=40)
     unbounded = np.full(40, np.inf, np.float32)
-    found = episode(client, replace(trace, robustness={**trace.robustness, "red-light@1": unbounded}))
+    found = ended.episode(replace(trace, robustness={**trace.robustness, "red-light@1": unbounded}))
     assert found["robustness"]["red-light@1"] == [None] * 40
 
 
-def test_film_has_boxes_and_serves_its_pictures_one_by_one(client: httpx.Client) -> None:
-    path = kept(client, filmed(make_trace(samples=40)).to_bytes())
-    film = expect(client.get(f"{path}/episode"))["film"]
+def test_film_has_boxes_and_serves_its_pictures_one_by_one(ended: Ended) -> None:
+    path = ended.kept(filmed(make_trace(samples=40)).to_bytes())
+    film = expect(ended.client.get(f"{path}/episode"))["film"]
     assert (film["size_px"], film["samples"]) == ([320, 240], [0, 2, 4])
     assert film["judged"]["columns"]["ignored"] == [0] * 40
     assert film["found"]["columns"]["score"][:2] == [1, 0.975]
@@ -418,29 +433,29 @@ def test_film_has_boxes_and_serves_its_pictures_one_by_one(client: httpx.Client)
     assert film["regions"][film["person_region"]][0] == [130, 150]
     assert film["colours"].keys() == {"judged", "found", "region"}
     for index in range(3):
-        picture = client.get(f"{path}/pictures/{index}.jpg")
+        picture = ended.client.get(f"{path}/pictures/{index}.jpg")
         assert (picture.status_code, picture.headers["content-type"]) == (200, "image/jpeg")
         assert picture.headers["x-content-type-options"] == "nosniff"
         assert picture.content == grey_jpeg(64 + 8 * index)
-    assert "has 3 pictures" in expect(client.get(f"{path}/pictures/3.jpg"), 404)["detail"]
+    assert "has 3 pictures" in expect(ended.client.get(f"{path}/pictures/3.jpg"), 404)["detail"]
 
 
 def test_without_film_or_trace_there_are_no_pictures(client: httpx.Client, engines: Engines) -> None:
-    path = kept(client, make_trace(samples=40).to_bytes())
+    path = Ended(client, finish(client, UNTRACED)).kept(make_trace(samples=40).to_bytes())
     expect(client.get(f"{path}/pictures/0.jpg"), 404)
     with engines.writer.begin() as connection:
         prune(connection, ended=None, traces=timedelta(days=-1), really=True)
     assert "no trace" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
-    expect(client.get(path.replace(f"/{NUMBER}", "/9999") + "/pictures/0.jpg"), 404)
+    expect(client.get(path.removesuffix("/0") + "/9999/pictures/0.jpg"), 404)
 
 
-def test_picture_that_is_no_jpeg_is_not_served(client: httpx.Client) -> None:
+def test_picture_that_is_no_jpeg_is_not_served(ended: Ended) -> None:
     trace = filmed(make_trace(samples=40))
     assert trace.film is not None
     page = replace(trace, film=replace(trace.film, pictures=(b"<html>", *trace.film.pictures[1:])))
-    path = kept(client, page.to_bytes())
-    assert "not a JPEG" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
-    assert client.get(f"{path}/pictures/1.jpg").status_code == 200
+    path = ended.kept(page.to_bytes())
+    assert "not a JPEG" in expect(ended.client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
+    assert ended.client.get(f"{path}/pictures/1.jpg").status_code == 200
 
 
 def _with_short_ego(trace: Trace) -> Trace:
@@ -481,7 +496,7 @@ def _with_unbounded_scene(trace: Trace) -> Trace:
     return replace(trace, scene=(surface,))
 
 
-@on_sqlite
+@module_on_sqlite
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -489,35 +504,35 @@ def _with_unbounded_scene(trace: Trace) -> Trace:
         _with_lone_surrogate, _with_picture_of_no_sample, _with_unbounded_scene,
     ],
 )  # fmt: skip
-def test_inconsistent_trace_is_a_conflict(client: httpx.Client, spoil: Callable[[Trace], Trace]) -> None:
-    path = kept(client, spoil(make_trace(samples=40)).to_bytes())
-    assert "cannot be drawn" in expect(client.get(f"{path}/episode"), 409)["detail"]
+def test_inconsistent_trace_is_a_conflict(ended: Ended, spoil: Callable[[Trace], Trace]) -> None:
+    path = ended.kept(spoil(make_trace(samples=40)).to_bytes())
+    assert "cannot be drawn" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]
 
 
-@on_sqlite
-def test_document_that_is_no_trace_is_a_conflict(client: httpx.Client) -> None:
-    path = kept(client, b"the trace")
-    assert "cannot be drawn" in expect(client.get(f"{path}/episode"), 409)["detail"]
-    expect(client.get(f"{path}/pictures/0.jpg"), 404)
+@module_on_sqlite
+def test_document_that_is_no_trace_is_a_conflict(ended: Ended) -> None:
+    path = ended.kept(b"the trace")
+    assert "cannot be drawn" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]
+    expect(ended.client.get(f"{path}/pictures/0.jpg"), 404)
 
 
-@on_sqlite
-def test_story_is_the_violated_requirement_if_the_campaign_judges_none(client: httpx.Client) -> None:
+@module_on_sqlite
+def test_story_is_the_violated_requirement_if_the_campaign_judges_none(ended: Ended) -> None:
     far = np.full(40, 9.0, np.float32)
     fast = np.where(np.arange(40) < 25, 1.0, -0.5).astype(np.float32)
-    found = episode(
-        client, replace(make_trace(samples=40), robustness={"front-gap@1": far, "speed-limit@1": fast})
+    found = ended.episode(
+        replace(make_trace(samples=40), robustness={"front-gap@1": far, "speed-limit@1": fast})
     )
     story = found["story"]
     assert (story["requirement"], story["violated"], story["decisive"]) == ("speed-limit@1", True, 25)
     assert story["words"] == "exceeded the speed limit at 2.5 s"
 
 
-@on_sqlite
-def test_malformed_descriptions_are_left_out(client: httpx.Client) -> None:
+@module_on_sqlite
+def test_malformed_descriptions_are_left_out(ended: Ended) -> None:
     behaviour: Json = {"mode": "detector", "perturbations": [{"gene": "snow", "level": {}}]}
     about: dict[str, Json] = {"spec": {"scenario": {"crossing_m": "far"}, "behaviour": behaviour}}
-    found = episode(client, replace(make_trace(samples=40), about=about))
+    found = ended.episode(replace(make_trace(samples=40), about=about))
     assert found["words"]["report"] == "detected"
     assert found["words"]["scenario"].startswith("None")
 
@@ -526,16 +541,16 @@ def test_episode_that_no_worker_can_make_is_refused_at_once(client: httpx.Client
     campaign = submit(client, ball())
     FakeWorker(client, capabilities=("another-simulator@1",)).lease()
     before = row_counts(engines)
-    answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/{NUMBER}/episode", params={"wait_s": 20})
+    answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/3/episode", params={"wait_s": 20})
     assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
     assert answer.headers["Retry-After"] == "5"
     assert row_counts(engines) == before, "no job is enqueued"
 
 
-@on_sqlite
-def test_simulator_that_records_no_traces_has_no_episodes(client: httpx.Client) -> None:
-    path = kept(client, None)
-    assert "records no trace" in expect(client.get(f"{path}/episode"), 409)["detail"]
+@module_on_sqlite
+def test_simulator_that_records_no_traces_has_no_episodes(ended: Ended) -> None:
+    path = ended.kept(None)
+    assert "records no trace" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]
 
 
 MANY = 40

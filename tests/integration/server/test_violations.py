@@ -3,13 +3,15 @@
 import csv
 import io
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from rich.console import Console
-from support.api import expect, progress, submit
+from support.api import expect, listening_coordinator, progress, submit
+from support.databases import Databases
 from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
@@ -28,14 +30,16 @@ TRAFFIC: dict[str, Any] = {
 }
 
 
-@pytest.fixture
-def client(listening_client: httpx.Client) -> httpx.Client:
+@pytest.fixture(scope="module")
+def client(module_databases: Databases) -> Iterator[httpx.Client]:
     """A client of a coordinator that the command line can reach too."""
-    return listening_client
+    with module_databases.database() as url, listening_coordinator(url) as opened:
+        yield opened
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def campaign(client: httpx.Client) -> str:
+    """A campaign with violations; tests that name them take the names back."""
     campaign = submit(client, TRAFFIC)
     stands = traffic_worker(client).work(campaign)
     assert (stands["status"], stands["failed"]) == ("finished", 0)
@@ -92,7 +96,7 @@ def test_names_of_what_is_not_there_are_refused(client: httpx.Client, campaign: 
 
 
 def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, capsys: Any) -> None:
-    campaign = submit(client, TRAFFIC)
+    campaign = submit(client, {**TRAFFIC, "seed": 2})
     traffic_worker(client).work(campaign, until=lambda stands: bool(stands["generations"]))
     stands = progress(client, campaign)
     assert (stands["status"], stands["looks_for_boundary"]) == ("running", False)

@@ -335,15 +335,14 @@ def near(good: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 def wire_actions(kind: Kind) -> st.SearchStrategy[Any]:
     fitting = PEDESTRIAN_ACTIONS if kind is Kind.PEDESTRIAN else VEHICLE_ACTIONS
-    return st.sampled_from(fitting).flatmap(
-        lambda name: st.fixed_dictionaries(
-            {
-                "action": near(st.just(str(name))),
-                "duration_s": near(st.floats(0.45, 6.0)),
-                "magnitude": near(st.floats(MAGNITUDES[name].low, MAGNITUDES[name].high)),
-            }
-        )
-    )
+    return st.one_of([
+        st.fixed_dictionaries({
+            "action": near(st.just(str(name))),
+            "duration_s": near(st.floats(0.45, 6.0)),
+            "magnitude": near(st.floats(MAGNITUDES[name].low, MAGNITUDES[name].high)),
+        })
+        for name in fitting
+    ])  # fmt: skip
 
 
 def wire_participants(kind: Kind) -> st.SearchStrategy[Any]:
@@ -363,7 +362,7 @@ def wire_participants(kind: Kind) -> st.SearchStrategy[Any]:
 wire_solutions = st.fixed_dictionaries(
     {
         "participants": near(
-            st.lists(st.sampled_from(list(Kind)).flatmap(wire_participants), min_size=1, max_size=5)
+            st.lists(st.one_of([wire_participants(kind) for kind in Kind]), min_size=1, max_size=5)
         )
     }
 )

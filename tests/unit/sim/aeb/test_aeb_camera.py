@@ -1,7 +1,9 @@
 """The camera in the loop and the data-set evaluator, with fake detectors."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from PIL import Image
 from support.marks import mostly_long
 
 from brink.sim import catalogue
+from brink.sim.aeb import dataset
 from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
 from brink.sim.aeb.scores import rescore
 from brink.sim.aeb.simulator import BrinkAeb
@@ -83,26 +86,21 @@ def test_a_confident_false_positive_causes_a_dangerous_stop(known: Known, score:
     assert result.verdicts["no-dangerous-stop@1"].violated is bool(stops)
 
 
-def test_the_detector_is_shown_the_perturbed_pictures(known: Known) -> None:
-    short = replace(seen_by(2), duration_s=0.3)
-    SIMULATOR.run(short)
-    clean, known.shown = known.shown, []
-    SIMULATOR.run(replace(seen_by(2, perturbations=FLARE), duration_s=0.3))
-    pipeline = Pipeline(parse_perturbations(FLARE), seed=short.seed)
-    for index, (picture, shown) in enumerate(zip(clean, known.shown, strict=True)):
-        assert np.array_equal(pipeline(picture, index), shown)
-        assert not np.array_equal(picture, shown)
-
-
-def test_the_same_specification_gives_the_same_pictures_and_trace(known: Known) -> None:
-    short = replace(seen_by(3, perturbations=FLARE), duration_s=0.3)
-    first = SIMULATOR.run(short, record=True)
+def test_the_detector_is_shown_the_perturbed_pictures_the_same_each_time(known: Known) -> None:
+    clean = replace(seen_by(3), duration_s=0.15)
+    perturbed = replace(seen_by(3, perturbations=FLARE), duration_s=0.15)
+    first = SIMULATOR.run(perturbed, record=True)
     shown, known.shown = known.shown, []
-    SIMULATOR.run(replace(seen_by(4), duration_s=0.2))
-    known.shown = []
-    again = SIMULATOR.run(short, record=True)
+    SIMULATOR.run(clean)
+    seen, known.shown = known.shown, []
+    again = SIMULATOR.run(perturbed, record=True)
     assert first.trace == again.trace
+    assert len(shown) == 3
     assert all(np.array_equal(a, b) for a, b in zip(shown, known.shown, strict=True))
+    pipeline = Pipeline(parse_perturbations(FLARE), seed=clean.seed)
+    for index, (picture, changed) in enumerate(zip(seen, shown, strict=True)):
+        assert np.array_equal(pipeline(picture, index), changed)
+        assert not np.array_equal(picture, changed)
     assert first.trace is not None
     assert len(Trace.from_bytes(first.trace).seen_boxes.rows) > 0
 
@@ -118,12 +116,31 @@ def test_labelled_pictures_are_reproducible_and_differ_between_splits() -> None:
         assert (frame.truth.boxes[:, 2:] > frame.truth.boxes[:, :2]).all()
 
 
+def test_no_more_pictures_are_drawn_than_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[int] = []
+
+    def of_a_street(*_: object) -> Iterator[int]:
+        for picture in range(dataset.FRAMES_A_STREET):
+            drawn.append(picture)
+            yield picture
+
+    monkeypatch.setattr(dataset, "_street_frames", of_a_street)
+    wanted = dataset.FRAMES_A_STREET + 3
+    assert len(list(labelled_frames(Split.TEST, wanted))) == len(drawn) == wanted
+
+
 FRAMES = 4
 
 
-def evaluation(*, frames: int = FRAMES, **behaviour: Any) -> EpisodeSpec:
+@cache
+def frames() -> list[LabelledFrame]:
+    """Return the labelled pictures that `evaluation` shows."""
+    return list(labelled_frames(Split.VALIDATION, FRAMES, seed=1))
+
+
+def evaluation(**behaviour: Any) -> EpisodeSpec:
     return EpisodeSpec(
-        simulator="brink-dataset@1", scenario={"dataset": "simulator", "frames": frames},
+        simulator="brink-dataset@1", scenario={"dataset": "simulator", "frames": FRAMES},
         behaviour={"detector": "known@1", **behaviour}, requirements=(), seed=0, duration_s=1.0,
     )  # fmt: skip
 
@@ -145,7 +162,7 @@ class Cheating(Known):
 
 def test_alpha_is_one_for_truth_and_zero_for_nothing(monkeypatch: pytest.MonkeyPatch, known: Known) -> None:
     assert EVALUATOR.run(evaluation()).objectives == {"alpha": 0.0}
-    cheat = Cheating(list(labelled_frames(Split.VALIDATION, FRAMES, seed=1)))
+    cheat = Cheating(frames())
     monkeypatch.setitem(catalogue._registered, DETECTORS, {"known@1": lambda: cheat})
     result = EVALUATOR.run(evaluation())
     assert result.objectives["alpha"] == pytest.approx(1.0)
@@ -157,10 +174,9 @@ def test_the_second_gene_is_applied_to_the_result_of_the_first(known: Known) -> 
     both, known.shown = known.shown, []
     EVALUATOR.run(evaluation(perturbations=FLARE[1:]))
     assert not any(np.array_equal(a, b) for a, b in zip(both, known.shown, strict=True))
-    frames = list(labelled_frames(Split.VALIDATION, FRAMES, seed=1))
     pipeline = Pipeline(parse_perturbations(FLARE), seed=0)
     assert all(
-        np.array_equal(pipeline(f.picture, i), s) for i, (f, s) in enumerate(zip(frames, both, strict=True))
+        np.array_equal(pipeline(f.picture, i), s) for i, (f, s) in enumerate(zip(frames(), both, strict=True))
     )
 
 
@@ -233,7 +249,7 @@ def trace() -> Trace:
         patch.setitem(catalogue._registered, DETECTORS, {"half@1": Half})
         behaviour: dict[str, Json] = {"mode": "detector", "detector": "half@1", "threshold": 0.4,
                      "perturbations": [{"gene": "snow", "level": 3}]}  # fmt: skip
-        result = BrinkAeb().run(replace(spec(3), behaviour=behaviour, duration_s=2.0), record=True)
+        result = BrinkAeb().run(replace(spec(3), behaviour=behaviour, duration_s=1.0), record=True)
     assert result.trace is not None
     kept = Trace.from_bytes(result.trace)
     assert kept.film is not None

@@ -24,7 +24,7 @@ from brink.sim.replay import render_bytes
 from brink.sim.trace import Trace
 from brink.sim.world.ego import EgoCar
 
-FEW, MORE = range(5), range(5, 20)
+FEW, MORE = range(3), range(3, 20)
 SEEDS = mostly_long([FEW, MORE], [FEW], "drives many episodes")
 SIMULATOR = BrinkAeb()
 
@@ -60,7 +60,7 @@ def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any], seeds
 
 
 @pytest.mark.parametrize("obstacle", mostly_long(["novelty", "anomaly"], ["anomaly"], "drives many episodes"))
-@pytest.mark.parametrize("seeds", mostly_long([range(3), range(3, 5)], [range(3)], "drives many episodes"))
+@pytest.mark.parametrize("seeds", mostly_long([range(2), range(2, 5)], [range(2)], "drives many episodes"))
 def test_an_unusual_body_is_hit_if_it_is_not_seen(obstacle: str, seeds: range) -> None:
     for seed in seeds:
         assert (
@@ -119,7 +119,7 @@ def test_a_stop_for_a_ghost_beside_a_real_pedestrian_is_not_dangerous() -> None:
 
 def test_the_same_specification_gives_the_same_trace_in_any_process() -> None:
     first = SIMULATOR.run(spec(4), record=True)
-    SIMULATOR.run(spec(5, mode="blind"))
+    SIMULATOR.run(replace(spec(5, mode="blind"), duration_s=3.0))
     again = SIMULATOR.run(spec(4), record=True)
     assert first.trace == again.trace
     assert first.verdicts == again.verdicts

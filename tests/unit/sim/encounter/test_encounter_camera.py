@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.marks import mostly_long
-from test_encounter_simulator import BRAKES, KEEPS, spec, user
+from test_encounter_simulator import BRAKES, KEEPS, spec, stretch, user
 
 from brink.server.problems.npc_actions import NpcActionsParams
 from brink.sim.driving.camera import Camera
@@ -31,15 +31,17 @@ def seen(*users: JsonObject, duration_s: float = 4.0) -> EpisodeSpec:
 
 def test_the_ego_stops_for_detected_road_users() -> None:
     simulator = BrinkEncounterCamera()
-    result = simulator.run(seen(BRAKES, duration_s=9.0), record=True)
+    stands = user("car", stretch("keep", 0.0, 30.0, s_m=16.0))
+    result = simulator.run(seen(stands, duration_s=5.0), record=True)
     assert result.features["collision"] is None
     assert 0.0 < result.objectives["gap_1_m"] < 8.0
     assert result.trace is not None
     trace = Trace.from_bytes(result.trace)
     assert len(trace.seen_boxes.rows)
+    assert float(trace.ego[-1, 3]) == pytest.approx(0.0, abs=0.1)
 
 
-@pytest.mark.parametrize("duration_s", mostly_long([1.0, 9.0], [1.0], "drives with a camera"))
+@pytest.mark.parametrize("duration_s", mostly_long([0.5, 9.0], [0.5], "drives with a camera"))
 def test_the_same_pictures_give_the_same_trace(duration_s: float) -> None:
     simulator = BrinkEncounterCamera()
     first, again = (simulator.run(seen(BRAKES, duration_s=duration_s), record=True) for _ in range(2))

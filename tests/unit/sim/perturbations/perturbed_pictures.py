@@ -1,4 +1,7 @@
-"""Pictures to perturb, and all perturbations that have an effect."""
+"""Pictures to perturb, all perturbations that have an effect, and what they make of a picture."""
+
+import hashlib
+from functools import cache
 
 import numpy as np
 
@@ -8,13 +11,16 @@ from brink.sim.perturbations.pictures import draw_street
 EFFECTIVE = [Perturbation(gene.name, level) for gene in CATALOGUE.values() for level in range(1, gene.levels)]
 
 
+drawn = cache(draw_street)
+
+
 def street(height: int = 180) -> Frame:
-    return draw_street(height)
+    return drawn(height).copy()
 
 
 def night(height: int = 180) -> Frame:
     """Return the street with no value above 63 of 255."""
-    return (draw_street(height) // 4).astype(np.uint8)
+    return (drawn(height) // 4).astype(np.uint8)
 
 
 def blocks(height: int = 180) -> Frame:
@@ -32,3 +38,16 @@ def perturb(
     frame: Frame, gene: str, level: int, *, seed: int = 0, position: int = 0, index: int = 0
 ) -> Frame:
     return apply(frame, Perturbation(gene, level), generator(seed, position, index))
+
+
+def digest(frame: Frame) -> str:
+    return hashlib.sha256(np.ascontiguousarray(frame).tobytes()).hexdigest()
+
+
+def all_digests() -> str:
+    """Return one digest a line for the highest level of each gene, in the order of the catalogue."""
+    frame = street()
+    return "\n".join(
+        digest(perturb(frame, gene.name, gene.levels - 1, seed=9, position=1, index=4))
+        for gene in CATALOGUE.values()
+    )

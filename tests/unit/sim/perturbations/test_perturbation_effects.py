@@ -23,11 +23,10 @@ def test_rows_shift_cyclically_to_the_left_by_at_most_int_3_over_v(level: int, h
     assert value is not None
     most = max(1, round(int(3 / value) * height / 720))
     shifted = perturb(frame, "shifted_pixels", level)
-    found = set()
-    for row, moved in zip(frame, shifted, strict=True):
-        (shift,) = [s for s in range(most + 1) if np.array_equal(np.roll(row, -s, axis=0), moved)]
-        found.add(shift)
-    assert (min(found), max(found)) == (0, most)  # both extremes occur
+    equal = np.array([(np.roll(frame, -s, axis=1) == shifted).all(axis=(1, 2)) for s in range(most + 1)])
+    assert (equal.sum(axis=0) == 1).all()  # each row is shifted by one of these
+    assert equal[0].any()
+    assert equal[most].any()
 
 
 @pytest.mark.parametrize("level", range(1, 8))
@@ -140,7 +139,7 @@ def test_rain_changes_more_from_drizzle_to_torrent_and_with_a_wet_lens() -> None
     clear = 0.7 * 40
     wetted = []
     for level in range(1, 6):
-        rainy = [perturb(frame, "rain", level, seed=seed).astype(float) for seed in range(3)]
+        rainy = [perturb(frame, "rain", level, seed=seed).astype(float) for seed in range(2)]
         wetted.append(np.mean([np.abs(r - clear).mean() for r in rainy]))
         if level <= 3:
             background = np.mean([np.abs(r - clear).max(axis=2) <= 1 for r in rainy])
@@ -211,12 +210,12 @@ def test_a_broken_lens_only_brightens_and_its_cracks_reach_far() -> None:
 
 def test_dirt_darkens_and_mist_lowers_contrast() -> None:
     bright = grey(220)
-    for seed in range(4):
+    for seed in range(2):
         dirtied = perturb(bright, "dirty", 10, seed=seed)
         assert (dirtied <= bright).all()
         assert 0.05 < (dirtied < 200).any(axis=2).mean() < 0.8
-        misted = perturb(street(720), "condensation", 10, seed=seed)
-        assert misted.std() < 0.8 * street(720).std()
+        misted = perturb(street(360), "condensation", 10, seed=seed)
+        assert misted.std() < 0.8 * street(360).std()
 
 
 def test_effects_scale_with_the_frame_size() -> None:

@@ -1,18 +1,21 @@
 """Frames: reproducible, valid, lit as their light says; and roads as streets that can be rendered."""
 
-import hashlib
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rendered_pictures import CAMERA, NIGHT_RAIN, STREET, UNUSUAL, digest, night
 
 from brink.sim.rendering import (
     Body,
     BodyKind,
+    Frame,
     Ground,
     InvalidCamera,
     InvalidScene,
@@ -25,30 +28,24 @@ from brink.sim.rendering import (
     Viewpoint,
     visible_bodies,
 )
-from brink.sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
+from brink.sim.rendering.sample import EGO, sample_traffic, vehicle
 from brink.sim.rendering.street import FIRST_PARKED_ID, street_from_road
 from brink.sim.world.road import Road, build_road
 from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
 from brink.sim.world.scenery import fixtures
 
-CAMERA = PictureCamera(width_px=320, height_px=192)
-STREET = sample_street()
-NIGHT_RAIN = Light(time_of_day=TimeOfDay.NIGHT, weather=Weather.HARD_RAIN)
-UNUSUAL = (
-    fallen_tree(51, 14.0, 1.5, yaw_rad=0.4),
-    vehicle(52, 22.0, -1.0, yaw_rad=0.5, kind=BodyKind.OVERTURNED_VEHICLE),
-)
 NOON = Renderer(STREET, Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR), CAMERA, 5)
 
 
-def digest() -> str:
-    frame = Renderer(STREET, NIGHT_RAIN, CAMERA, 5).frame(EGO, (*sample_traffic(), *UNUSUAL), 1.7)
-    return hashlib.sha256(frame.image.tobytes() + frame.ids.tobytes()).hexdigest()
+@cache
+def expected(*bodies: Body) -> Frame:
+    """Return the first frame at noon with some bodies."""
+    return NOON.frame(EGO, bodies, 0.0)
 
 
 def test_another_process_draws_the_same_bytes() -> None:
-    script = f"import sys; sys.path.insert(0, {str(__file__).rsplit('/', 1)[0]!r}); "
-    script += "from test_rendering_frames import digest; print(digest())"
+    script = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
+    script += "from rendered_pictures import digest; print(digest())"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == digest()
 
@@ -56,45 +53,43 @@ def test_another_process_draws_the_same_bytes() -> None:
 @settings(max_examples=8, deadline=None)
 @given(st.permutations((*sample_traffic(), *UNUSUAL)))
 def test_the_order_of_the_bodies_does_not_matter(bodies: list[Body]) -> None:
-    expected = NOON.frame(EGO, (*sample_traffic(), *UNUSUAL), 0.0)
+    sorted_ = expected(*sample_traffic(), *UNUSUAL)
     found = NOON.frame(EGO, bodies, 0.0)
-    assert np.array_equal(found.image, expected.image)
-    assert np.array_equal(found.ids, expected.ids)
+    assert np.array_equal(found.image, sorted_.image)
+    assert np.array_equal(found.ids, sorted_.ids)
 
 
 @pytest.mark.long("draws many pictures")
 def test_light_and_weather_change_the_picture_and_never_the_mask() -> None:
-    expected = NOON.frame(EGO, sample_traffic(), 0.0)
+    noon = expected(*sample_traffic())
     for time_of_day in TimeOfDay:
         for weather in Weather:
             if (time_of_day, weather) == (TimeOfDay.NOON, Weather.CLEAR):
                 continue
             light = Light(time_of_day=time_of_day, weather=weather)
             found = Renderer(STREET, light, CAMERA, 5).frame(EGO, sample_traffic(), 0.0)
-            assert np.array_equal(found.ids, expected.ids)
-            assert not np.array_equal(found.image, expected.image)
+            assert np.array_equal(found.ids, noon.ids)
+            assert not np.array_equal(found.image, noon.image)
 
 
 def test_rain_falls_with_time_and_leaves_the_mask_alone() -> None:
-    renderer = Renderer(STREET, NIGHT_RAIN, CAMERA, 5)
-    first, second = (renderer.frame(EGO, sample_traffic(), time_s) for time_s in (0.0, 0.1))
+    first, second = (night().frame(EGO, sample_traffic(), time_s) for time_s in (0.0, 0.1))
     assert not np.array_equal(first.image, second.image)
     assert np.array_equal(first.ids, second.ids)
 
 
 def test_a_frame_does_not_depend_on_the_frames_before_it() -> None:
     far = Viewpoint(x_m=40.0, y_m=-1.0, yaw_rad=0.7, pitch_rad=0.04)
-    used = Renderer(STREET, NIGHT_RAIN, CAMERA, 5)
-    used.frame(EGO, sample_traffic(), 0.0)
+    night().frame(EGO, sample_traffic(), 0.0)
     fresh = Renderer(STREET, NIGHT_RAIN, CAMERA, 5)
-    assert np.array_equal(used.frame(far, UNUSUAL, 2.0).image, fresh.frame(far, UNUSUAL, 2.0).image)
+    assert np.array_equal(night().frame(far, UNUSUAL, 2.0).image, fresh.frame(far, UNUSUAL, 2.0).image)
 
 
 def test_the_seed_changes_the_picture_and_not_the_mask() -> None:
     other = Renderer(STREET, Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR), CAMERA, 6)
-    expected, found = NOON.frame(EGO, sample_traffic(), 0.0), other.frame(EGO, sample_traffic(), 0.0)
-    assert not np.array_equal(found.image, expected.image)
-    assert np.array_equal(found.ids, expected.ids)
+    noon, found = expected(*sample_traffic()), other.frame(EGO, sample_traffic(), 0.0)
+    assert not np.array_equal(found.image, noon.image)
+    assert np.array_equal(found.ids, noon.ids)
 
 
 def test_night_is_darker_than_noon_and_a_wet_road_darker_than_a_dry_one() -> None:
