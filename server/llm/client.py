@@ -154,7 +154,6 @@ class LlmClient:
         self._http = httpx.AsyncClient(
             headers={"Accept": "application/json", "Accept-Encoding": "identity"},
             transport=transport,
-            verify=not settings.endpoint.startswith("http://"),  # to load the certificates takes some 20 ms
             timeout=httpx.Timeout(settings.timeout_s, connect=min(CONNECT_TIMEOUT_S, settings.timeout_s)),
             trust_env=not settings.on_this_machine,
         )

@@ -25,6 +25,8 @@ RECORDED: Final = Path(__file__).resolve().parents[1] / "data" / "queue_faults.j
 """A history for each fault, by its name, that tells the queue with the fault from its model."""
 HISTORIES: Final = 500
 """Histories that a search tries at most for one fault."""
+RARE: Final = ("who comes second finds the same turn",)
+"""Faults that a search of so many histories reveals by luck alone, so that their recorded histories have to do."""
 NOTICED: Final = (AssertionError, IntegrityError)
 """What it raises when the model notices a fault; any other error means that the fault does not run."""
 

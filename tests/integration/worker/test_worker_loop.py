@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.api import eventually
 from worker_harness import TIMEOUT_S, FakeCoordinator, Fault, running_worker, use_faulty_simulator
 
 from brink.worker.wire import (
@@ -205,13 +206,18 @@ def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(coordina
 def test_stopping_finishes_the_episode_and_releases_the_rest(
     coordinator: FakeCoordinator, tmp_path: Path
 ) -> None:
-    stopped = tmp_path / "stopped"
+    begun, stopped = tmp_path / "begun", tmp_path / "stopped"
+    waits = {"fault": "wait", "until": str(stopped)}
     coordinator.add()
     with running_worker(coordinator.url, prefetch_s=10.0, report_after_s=0.0) as running:
         coordinator.wait_for_all()
         with coordinator.changed:
             jobs = [coordinator.add({"fault": "wait", "slow_s": 0.05})]
-            jobs += [coordinator.add({"fault": "wait", "until": str(stopped)}) for _ in range(4)]
+            jobs += [
+                coordinator.add({**waits, "once": str(begun)}),
+                *(coordinator.add(waits) for _ in range(3)),
+            ]
+        eventually(begun.exists, "the second episode has begun")
         coordinator.wait_for_outcome(jobs[0])
         running.worker.stop()
         stopped.touch()
