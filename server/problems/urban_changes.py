@@ -272,14 +272,18 @@ def _across(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]
     shift, growth = 0.5 * (left + right), right - left
     moved = abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth))
     grown = abs(growth) >= max(_LEAST_PX, _MINOR * abs(shift))
+    grounds = _grounds(old, new)
     sideways = f"{_px(shift)} further {'right' if shift > 0 else 'left'}"
     size = f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}"
     if moved and grown:
-        text = _span(old, new) or f"is {sideways} and {size}"
+        text = _span(*grounds) if grounds else f"is {sideways} and {size}"
         return [_Clause(text, max(abs(shift), abs(growth)))]
     if moved:
-        return [_Clause(f"is {_aside(old, new) or sideways}", abs(shift))]
-    return [_Clause(f"is {_width(old, new) or size}", abs(growth))] if grown else []
+        return [_Clause(f"is {_aside(*grounds) if grounds else sideways}", abs(shift))]
+    if grounds:
+        old_m, new_m = _different(*(one.left_m - one.right_m for one in grounds))
+        size = f"{new_m} m wide instead of {old_m} m"
+    return [_Clause(f"is {size}", abs(growth))] if grown else []
 
 
 def _upright(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]:
@@ -287,7 +291,10 @@ def _upright(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause
     upper, lower = (new[f"y_{side}"] - old[f"y_{side}"] for side in ("min", "max"))
     found = []
     if abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper)):
-        text = _distance(old, new) or f"{_px(lower)} {_way(lower)} at its lower edge"
+        text = f"{_px(lower)} {_way(lower)} at its lower edge"
+        if grounds := _grounds(old, new):
+            old_m, new_m = _different(*(one.ahead_m for one in grounds))
+            text = f"{new_m} m ahead instead of {old_m} m by its lower edge"
         found.append(_Clause(f"is {text}", abs(lower)))
     if abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower)):
         found.append(_Clause(f"is {_px(upper)} {_way(upper)} at its upper edge", abs(upper)))
@@ -303,71 +310,60 @@ def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _distance(old: Mapping[str, float], new: Mapping[str, float]) -> str:
-    """Return how far away the lower edges say that something is; empty if either is not trusted."""
-    depths = _depths(old, new)
-    if depths is None:
-        return ""
-    old_m, new_m = _different(*depths)
-    return f"{new_m} m ahead instead of {old_m} m by its lower edge"
+class _Ground(NamedTuple):
+    """Where the lower edge of a box lies on the road.
+
+    Attributes:
+        ahead_m: Distance ahead of the camera.
+        left_m: How far left of straight ahead its left end is.
+        right_m: The same of its right end.
+        middle_m: The same of its middle.
+    """
+
+    ahead_m: float
+    left_m: float
+    right_m: float
+    middle_m: float
+
+    def reach(self, digits: int) -> str:
+        """Return from where to where it reaches."""
+        if self.right_m >= 0:
+            return f"{self.right_m:.{digits}f} to {self.left_m:.{digits}f} m left"
+        if self.left_m <= 0:
+            return f"{-self.left_m:.{digits}f} to {-self.right_m:.{digits}f} m right"
+        return f"{self.left_m:.{digits}f} m left to {-self.right_m:.{digits}f} m right"
 
 
-def _aside(old: Mapping[str, float], new: Mapping[str, float]) -> str:
-    """Return how far aside the middle of two boxes is on the ground; empty if a distance is not trusted."""
-    depths = _depths(old, new)
-    if depths is None:
-        return ""
-    middles = (0.5 * (box["x_min"] + box["x_max"]) for box in (old, new))
-    lefts = [_CAMERA.left_m(middle, depth) for middle, depth in zip(middles, depths, strict=True)]
+def _grounds(*boxes: Mapping[str, float]) -> list[_Ground]:
+    """Return where boxes are on the road; nothing if the distance of any of them is not trusted."""
+    found = []
+    for box in boxes:
+        ahead_m = _CAMERA.ground_depth_m(box["y_max"])
+        if ahead_m is None or ahead_m > _TRUSTED_M:
+            return []
+        columns = box["x_min"], box["x_max"], 0.5 * (box["x_min"] + box["x_max"])
+        found.append(_Ground(ahead_m, *(_CAMERA.left_m(column, ahead_m) for column in columns)))
+    return found
+
+
+def _aside(old: _Ground, new: _Ground) -> str:
+    """Return how far to the side the middle of each box is."""
+    lefts = old.middle_m, new.middle_m
     sides = ["left" if left > 0 else "right" for left in lefts]
-    old_m, new_m = _different(*map(abs, lefts), alike=sides[0] == sides[1])
-    was = f"{old_m} m" if sides[0] == sides[1] else f"{old_m} m {sides[0]}"
+    same_side = sides[0] == sides[1]
+    old_m, new_m = _different(*map(abs, lefts), alike=same_side)
+    was = f"{old_m} m" if same_side else f"{old_m} m {sides[0]}"
     return f"{new_m} m {sides[1]} of straight ahead instead of {was}"
 
 
-def _width(old: Mapping[str, float], new: Mapping[str, float]) -> str:
-    """Return how wide two boxes are on the ground; empty if a distance is not trusted."""
-    depths = _depths(old, new)
-    if depths is None:
-        return ""
-    widths = (
-        _CAMERA.left_m(box["x_min"], depth) - _CAMERA.left_m(box["x_max"], depth)
-        for box, depth in zip((old, new), depths, strict=True)
-    )
-    old_m, new_m = _different(*widths)
-    return f"{new_m} m wide instead of {old_m} m"
-
-
-def _span(old: Mapping[str, float], new: Mapping[str, float]) -> str:
-    """Return from where to where two boxes reach on the ground; empty if a distance is not trusted."""
-    depths = _depths(old, new)
-    if depths is None:
-        return ""
-    for digits in (1, 2):
-        was, now = (_reach(box, depth, digits) for box, depth in zip((old, new), depths, strict=True))
-        if was != now:
-            break
-    return f"spans {now} of straight ahead instead of {was}"
-
-
-def _reach(box: Mapping[str, float], depth_m: float, digits: int) -> str:
-    left, right = (_CAMERA.left_m(box[side], depth_m) for side in ("x_min", "x_max"))
-    if right >= 0:
-        return f"{right:.{digits}f} to {left:.{digits}f} m left"
-    if left <= 0:
-        return f"{-left:.{digits}f} to {-right:.{digits}f} m right"
-    return f"{left:.{digits}f} m left to {-right:.{digits}f} m right"
-
-
-def _depths(old: Mapping[str, float], new: Mapping[str, float]) -> tuple[float, float] | None:
-    """Return how far away the lower edges of two boxes are on the ground; None if either is not trusted."""
-    far = [_CAMERA.ground_depth_m(box["y_max"]) for box in (old, new)]
-    old_m, new_m = (float("inf") if one is None else one for one in far)
-    return None if max(old_m, new_m) > _TRUSTED_M else (old_m, new_m)
+def _span(old: _Ground, new: _Ground) -> str:
+    """Return from where to where each box reaches."""
+    digits = 2 if old.reach(1) == new.reach(1) else 1
+    return f"spans {new.reach(digits)} of straight ahead instead of {old.reach(digits)}"
 
 
 def _different(first: float, second: float, *, alike: bool = True) -> tuple[str, str]:
-    """Return two lengths with a digit after the point, or two where one does not tell them apart."""
+    """Return two lengths with one decimal, or with two if they are `alike` in all else and in the first."""
     digits = 2 if alike and f"{first:.1f}" == f"{second:.1f}" else 1
     return f"{first:.{digits}f}", f"{second:.{digits}f}"
 

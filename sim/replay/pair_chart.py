@@ -43,7 +43,7 @@ _MOST_SCRIPTS: Final = 3
 _TOP: Final = 1.04
 """Where greater robustness is drawn, in multiples of the greatest one that is not cut."""
 _PANEL_NAME_LETTERS: Final = 16
-"""Letters of a panel's name that fit to the right of it."""
+"""Letters that a line of a panel's name may have, so that it fits beside the panel."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 110, 26, 44
 DIFFERENCE: Final[Rgb] = (253, 238, 214)
 """Shading of the time in which the reports of the drives differ."""

@@ -117,7 +117,7 @@ def unsafe_one(site: Served) -> dict[str, Any]:
 
 
 ANY_PAIR = "?eps=1&d_th=0.4"
-"""Thresholds, in an address, at which so small a campaign has a few pairs; at lower d_th it has hundreds."""
+"""Part of an address: thresholds at which this small campaign has a few pairs; with a lower d_th it has hundreds."""
 
 
 def a_pair(client: httpx.Client, campaign: str, query: str = ANY_PAIR) -> tuple[dict[str, Any], str]:

@@ -17,7 +17,7 @@ Theme = Literal["light", "dark"]
 
 
 class Browse(Protocol):
-    """Goes to a place of the site, given as the address from the ``#`` on."""
+    """Goes to a place of the site, given as the part of its address that begins with ``#``."""
 
     def __call__(self, place: str = "#/") -> Page:
         """Return the page."""

@@ -47,7 +47,7 @@ def export(database: str, file: Path) -> tuple[str, str]:
 
 @pytest.fixture(scope="module", params=BACKENDS)
 def elsewhere(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A database, one for all forged files, which none of them changes."""
+    """One database for all forged files, none of which changes it."""
     with databases_for(request, tmp_path_factory.mktemp("elsewhere")).database() as url:
         yield url
 
