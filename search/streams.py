@@ -24,6 +24,7 @@ class Stream(IntEnum):
     MONITOR = 9
     REPEATS = 10
     EDGE = 11
+    TOLERANCE = 12
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

@@ -25,6 +25,7 @@ from brink.server.api import (
     repeats,
     service,
     solutions,
+    tolerance,
 )
 from brink.server.api.context import Context
 from brink.server.api.middleware import AccessMiddleware, MetricsMiddleware
@@ -36,6 +37,7 @@ from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
+from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.dashboard.page import add_dashboard
@@ -137,8 +139,8 @@ def _routes() -> list[BaseRoute]:
         jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
         outcomes.router,
         findings.violations_router, campaigns.llm_router, analysis.monitors_router, repeats.router,
-        pairs.router, experiments.router, experiment_pairs.router, service.router, campaigns.overview_router,
-        analysis.router,
+        pairs.router, tolerance.router, experiments.router, experiment_pairs.router, service.router,
+        campaigns.overview_router, analysis.router,
     ):  # fmt: skip
         api.include_router(router)
     everything = APIRouter(
@@ -195,6 +197,7 @@ def _context(
         archives=archives,
         outcomes=Outcomes(engines=engines),
         pairs=Pairs(engines=engines, threads=drawing),
+        tolerances=Tolerances(engines=engines, threads=drawing),
         experiment_pairs=PairCache(engines=engines, archives=archives, threads=drawing),
         films=Films(engines=engines),
         seeds=seeds,

@@ -27,6 +27,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "status": ("brink.cli.campaigns:status", "Show campaigns, or the progress of one"),
         "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
         "pairs": ("brink.cli.pairs:pairs", "Show or export safe and unsafe drives side by side"),
+        "tolerance": ("brink.cli.tolerance:tolerance", "Show how gross a component's errors may be"),
         "violations": ("brink.cli.findings:violations", "Show the types of violations found"),
         "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
         "compare": ("brink.cli.compare:compare", "Compare campaigns, each with its control"),

@@ -29,6 +29,7 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
+from brink.cli.tolerance import fetch_tolerance_findings
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
@@ -43,6 +44,7 @@ from brink.server.api.schemas import (
     Variant,
     Violations,
 )
+from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
 from brink.sim.replay import render
@@ -94,6 +96,8 @@ async def fetch_findings(api: Api, fetched: FetchedArchive) -> Sequence[Findings
         pass  # no ordered techniques, so no combinations
     else:
         found.append(CombinationFindings(await api.read(Combinations, f"{path}/combinations")))
+    if searches_for_tolerances(fetched.body.algorithm.id):
+        found.append(await fetch_tolerance_findings(api, fetched.id))
     if isinstance(fetched.plan.problem, ReportsViolations):
         found.append(ViolationFindings(await api.read(Violations, f"{path}/violations"), fetched))
     return found

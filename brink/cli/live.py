@@ -100,6 +100,8 @@ class CampaignDisplay(LiveDisplay):
             diverse and not best
         ):  # nothing that is rated yet, or nothing to rate, as when solutions are simulated again
             rows = [row for row in rows if row[0] != "criticality"]
+        if progress.looks_for_tolerances:  # it rates no solution
+            rows = [row for row in rows if row[0] != "criticality"]
         if progress.looks_for_pairs:  # fitness and boundary are not what it looks for
             rows = [row for row in rows if row[0] != "best fitness"]
         elif not diverse:

@@ -39,6 +39,7 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody,
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.overview import Outline, list_outlines
 from brink.server.db.engine import read
@@ -250,6 +251,7 @@ def read_progress(
         digest=archive.digest if archive is not None else None,
         looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
         looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),
+        looks_for_tolerances=searches_for_tolerances(campaign.body.algorithm.id),
         origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
         asking=asking,
         trouble=trouble.reason if trouble else None,

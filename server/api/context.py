@@ -15,6 +15,7 @@ from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.service import CampaignService
+from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.db.engine import Engines
@@ -44,6 +45,7 @@ class Context:
     archives: Archives
     outcomes: Outcomes
     pairs: Pairs
+    tolerances: Tolerances
     experiment_pairs: PairCache
     films: Films
     seeds: LlmSeeds

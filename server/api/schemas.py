@@ -117,6 +117,9 @@ class Progress(View):
         bool,
         Field(description="Whether it searches for pairs across the boundary: the boundary is a side line."),
     ] = False
+    looks_for_tolerances: Annotated[
+        bool, Field(description="Whether it estimates how gross errors may be; see `GET …/tolerance`.")
+    ] = False
     origins: Annotated[
         dict[str, int],
         Field(description="Number of solutions by origin, once the campaign has ended; empty if unknown."),

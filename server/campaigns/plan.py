@@ -12,6 +12,7 @@ from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedR
 from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.repeats import RepeatsConfig
+from brink.search.algorithms.tolerance import ToleranceConfig
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.streams import episode_seed
@@ -259,12 +260,14 @@ def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str 
 
 
 def looks_for_boundary(algorithm_id: str) -> bool:
-    """Return whether an algorithm searches for the hazard boundary; others search for different violations."""
+    """Return whether an algorithm searches for the hazard boundary; others search for violations or tolerances."""
     try:
         algorithm = make_algorithm(algorithm_id)
     except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
-    return not issubclass(algorithm.config_type, MultiObjectiveConfig | RepeatsConfig | MinimiseConfig)
+    return not issubclass(
+        algorithm.config_type, MultiObjectiveConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig
+    )
 
 
 def first_generations(body: CampaignBody) -> tuple[LiveSearch, Asked]:

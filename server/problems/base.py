@@ -210,6 +210,80 @@ class ExplainsChanges(Protocol):
     terms_of_changes: ClassVar[str]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeverityScale:
+    """What severities from 0 to 1 mean in a physical unit; the two are proportional.
+
+    Attributes:
+        unit: The unit in which people are shown magnitudes, such as ``s`` or ``%``.
+        none: Magnitude without effect, at severity 0.
+        most: Magnitude at severity 1.
+        meaning: What it measures, such as ``how long the target is not reported``.
+        decimals: Decimal places that matter.
+    """
+
+    unit: str
+    none: float
+    most: float
+    meaning: str
+    decimals: int = 1
+
+    def at(self, severity: float) -> float:
+        """Return the magnitude of a severity."""
+        return self.none + severity * (self.most - self.none)
+
+    def severity(self, magnitude: float) -> float:
+        """Return the severity of a magnitude."""
+        return (magnitude - self.none) / (self.most - self.none)
+
+    def number(self, severity: float) -> str:
+        """Return the magnitude of a severity in digits, without its unit."""
+        return f"{self.at(severity):.{self.decimals}f}"
+
+    def words(self, severity: float) -> str:
+        """Return the magnitude of a severity with its unit, such as ``1.3 s`` or ``18%``."""
+        return self.number(severity) + (self.unit if self.unit == "%" else f" {self.unit}".rstrip())
+
+
+@runtime_checkable
+class ScalesSeverity(Protocol):
+    """A problem with an error whose severity is a parameter."""
+
+    def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
+        """Return what severities mean, given other choices, such as the type of error; None if that is unknown.
+
+        Args:
+            choices: Choices of other parameters, by component.parameter.
+        """
+        ...
+
+    def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
+        """Describe an error as an activity, such as ``not reporting the lead for 1.3 s``.
+
+        Args:
+            choices: Choices of other parameters, by component.parameter.
+            magnitude: The magnitude with its unit.
+        """
+        ...
+
+
+@runtime_checkable
+class RatesMeasuredErrors(Protocol):
+    """A problem that can rate the measured errors of a component on the scale of its severity."""
+
+    def measured_severity(
+        self, choices: Mapping[str, str], measures: Mapping[str, Mapping[str, float]]
+    ) -> float | None:
+        """Return how severe an error was in a drive; None if errors of this kind are not measured.
+
+        Args:
+            choices: Which error, as choices of parameters by component.parameter.
+            measures: The magnitude of each type of error in the drive, by target. A target that the drive lacked is
+                missing, and no error can have concerned it.
+        """
+        ...
+
+
 @runtime_checkable
 class NamesRequirements(Protocol):
     """A simulated problem whose verdict depends on requirements of the episode.

@@ -69,11 +69,7 @@ def words_of_changes(
         violated_at_s: Time of the violation in the unsafe candidate's drive; None if it is unknown.
         ended_at_step: Perception step at which the shorter drive ended, if it is known.
     """
-    parts = [
-        _Clause(template.format(_plain(unsafe["scenario"][name]), _plain(safe["scenario"][name])))
-        for name, template in _SCENARIO.items()
-        if f"scenario.{name}" in changed
-    ]
+    parts = [_Clause(words) for words in scenario_changes(safe["scenario"], unsafe["scenario"], changed)]
     late = False
     for number in range(1, b.TRAJECTORY_COUNT + 1):
         prefix = f"behaviour.trajectory_{number}."
@@ -85,6 +81,23 @@ def words_of_changes(
             parts += both.clauses()
             late = late or both.come_after
     return _description(parts) or (AFTERWARDS if late else "")
+
+
+def scenario_changes(
+    safe: Mapping[str, Any], unsafe: Mapping[str, Any], changed: Collection[str]
+) -> list[str]:
+    """Describe what is different in the unsafe one of two scenarios, one part for each parameter.
+
+    Args:
+        safe: Decoded parameters of the safe scenario, by name.
+        unsafe: The same of the unsafe one.
+        changed: The parameters in which the candidates differ, as component.parameter.
+    """
+    return [
+        template.format(_plain(unsafe[name]), _plain(safe[name]))
+        for name, template in _SCENARIO.items()
+        if f"scenario.{name}" in changed
+    ]
 
 
 def _description(parts: Sequence[_Clause]) -> str:

@@ -181,7 +181,7 @@ class UrbanInjected:
         decoded = self.space.decode(tuple(vectors))
         return EpisodeSpec(
             simulator=SIMULATOR,
-            scenario=_scenario(decoded["scenario"]),
+            scenario=scenario_of(decoded["scenario"]),
             behaviour=self._behaviour(decoded["behaviour"]),
             requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
             seed=seed,
@@ -207,9 +207,9 @@ class UrbanInjected:
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
         if self._mode is b.BehaviourMode.ORACLE:
-            return f"{words_of_scenario(_scenario(decoded['scenario']))}; detected: the ground truth"
+            return f"{words_of_scenario(scenario_of(decoded['scenario']))}; detected: the ground truth"
         trajectories = _behaviour(decoded["behaviour"])["trajectories"]
-        return f"{words_of_scenario(_scenario(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
+        return f"{words_of_scenario(scenario_of(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
 
     def words_of_change(
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
@@ -225,7 +225,7 @@ class UrbanInjected:
 
     def _ended_at_step(self, one: SimulatedSolution) -> float:
         """Return the perception step at which a drive ended; infinity unless that cut off what was reported."""
-        delivered = b.delivered_from_json(((one.result or {}).get("features") or {}).get(b.DELIVERED)) or ()
+        delivered = b.steps_from_json(((one.result or {}).get("features") or {}).get(b.DELIVERED)) or ()
         injected = [t for t in self._trajectories if one.vectors[1][t.label] != t.null_choice]
         if len(delivered) != len(injected):
             return float("inf")
@@ -244,7 +244,7 @@ class UrbanInjected:
         """
         if self._mode is b.BehaviourMode.ORACLE:
             return None
-        delivered = b.delivered_from_json(features.get(b.DELIVERED))
+        delivered = b.steps_from_json(features.get(b.DELIVERED))
         injected = [t for t in self._trajectories if vectors[1][t.label] != t.null_choice]
         if delivered is None or len(delivered) != len(injected):
             return None
@@ -271,7 +271,8 @@ class UrbanInjected:
         return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
 
-def _scenario(values: Mapping[str, Any]) -> dict[str, Json]:
+def scenario_of(values: Mapping[str, Any]) -> dict[str, Json]:
+    """Return a decoded scenario in the form that episodes have."""
     return {name: int(value) if name in _INTEGER_SCENARIO else value for name, value in values.items()}
 
 

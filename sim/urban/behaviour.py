@@ -144,19 +144,19 @@ class DetectorBehaviour:
 
 
 DELIVERED = "delivered_steps"
-"""Name of the feature that says when each trajectory was delivered; see `delivered_to_json`."""
+"""Name of the feature that says when each trajectory was delivered; see `steps_to_json`."""
 
 
-def delivered_to_json(delivered: Sequence[tuple[int, int] | None]) -> Json:
-    """Return when trajectories were delivered as JSON: a pair of steps or null for each that is not null itself."""
-    return [None if steps is None else [*steps] for steps in delivered]
+def steps_to_json(found: Sequence[tuple[int, int] | None]) -> Json:
+    """Return first and last steps as JSON: a pair for each, or null."""
+    return [None if steps is None else [*steps] for steps in found]
 
 
-def delivered_from_json(document: Json) -> tuple[tuple[int, int] | None, ...] | None:
-    """Return when trajectories were delivered; None if it was not recorded.
+def steps_from_json(document: Json) -> tuple[tuple[int, int] | None, ...] | None:
+    """Return the first and last steps that `steps_to_json` wrote; None if they were not recorded.
 
     Args:
-        document: The feature `DELIVERED` of a result; any worker may have sent it.
+        document: A feature of a result, which any worker may have sent.
     """
     if not isinstance(document, list):
         return None

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 from brink.sim.bullet.engine import Engine
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import (
     Box,
     Command,
@@ -20,7 +20,6 @@ from brink.sim.driving.interface import (
     LightReading,
     LightState,
     Observation,
-    ObstacleLabel,
 )
 from brink.sim.requirements import Requirement, WorldSample
 from brink.sim.urban.behaviour import (
@@ -31,9 +30,8 @@ from brink.sim.urban.behaviour import (
 )
 from brink.sim.urban.facts import Facts
 from brink.sim.urban.recorder import Recorder
-from brink.sim.world.pedestrians import PERSON_HEIGHT_M
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.world import EGO_STEPS, STEP_S, World
+from brink.sim.world.world import EGO_STEPS, STEP_S, World, bodies_of
 
 Detects: TypeAlias = Callable[[float], tuple[Box, ...]]
 """Returns the detections of an obstacle detector at a simulated time."""
@@ -159,31 +157,9 @@ class Sensing:
         """Return the boxes of all bodies visible to the camera."""
         world = self._world
         ego = world.ego
-        bodies = [
-            Body(
-                ObstacleLabel.VEHICLE,
-                vehicle.x_m,
-                vehicle.y_m,
-                vehicle.yaw_rad,
-                vehicle.length_m,
-                vehicle.width_m,
-                vehicle.size.height_m,
-            )
-            for vehicle in world.vehicles
-        ]
-        bodies += [
-            Body(
-                ObstacleLabel.PERSON,
-                walker.x_m,
-                walker.y_m,
-                walker.yaw_rad,
-                walker.length_m,
-                walker.width_m,
-                PERSON_HEIGHT_M,
-            )
-            for walker in world.walkers
-        ]
-        return tuple(sight.box for sight in self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies))
+        return tuple(
+            sight.box for sight in self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies_of(world))
+        )
 
 
 CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / STEP_S)

@@ -1,4 +1,4 @@
-"""The simulator `brink-drive@2`: runs a specification and returns the result.
+"""The simulators of urban episodes: `brink-drive@2`, and `brink-drive-errors@1` with errors relative to the truth.
 
 The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
 episodes on the same class of processor: random draws come from streams addressed by position, all objects are created
@@ -9,9 +9,10 @@ import json
 import math
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from importlib.metadata import version
+from typing import Protocol
 
 from brink import __version__
 from brink.sim.bullet.engine import Engine, EngineError, discard_engine, engine_version, process_engine
@@ -23,14 +24,17 @@ from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verd
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.trace import VIOLATED_AT_S
-from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, delivered_to_json
-from brink.sim.urban.episode_loop import Outcome, run_loop
+from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, steps_to_json
+from brink.sim.urban.detection_errors import ERROR_STEPS, DetectionError, errors_from_json
+from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
+from brink.sim.urban.erroneous_detector import ErroneousDetector
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.ego import EgoCar, MakeEgo
 from brink.sim.world.scenario import UrbanScenario
-from brink.sim.world.world import make_world
+from brink.sim.world.world import World, make_world
 
 SIMULATOR_ID = "brink-drive@2"
+ERRORS_SIMULATOR_ID = "brink-drive-errors@1"
 MAX_DURATION_S = 600.0
 BICYCLE, WHEELS = "bicycle", "wheels"
 FIDELITIES = (BICYCLE, WHEELS)
@@ -40,8 +44,18 @@ FIDELITIES = (BICYCLE, WHEELS)
 class BrinkDrive:
     """Runs urban episodes. One instance serves a whole process and keeps no state between episodes."""
 
+    id = SIMULATOR_ID
+
     def __init__(self) -> None:
         self._camera = Camera()
+
+    def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
+        """Return the obstacle detector of an episode.
+
+        Raises:
+            InvalidEpisode: The specification describes none.
+        """
+        return _Injected(DetectorBehaviour.from_json(spec.behaviour, spec.duration_s))
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
@@ -54,10 +68,11 @@ class BrinkDrive:
             InvalidEpisode: The specification can never run.
             SimulationCrashed: The physics engine failed.
         """
-        scenario, behaviour = _read(spec)
+        scenario = _read_scenario(spec, self.id)
+        detector = self._detector(spec)
         requirements = make_requirements(spec.requirements)
         try:
-            return self._run(spec, scenario, behaviour, requirements, record=record)
+            return self._run(spec, scenario, detector, requirements, record=record)
         except EngineError as error:
             discard_engine()
             raise SimulationCrashed(f"the physics engine failed: {error}") from error
@@ -66,7 +81,7 @@ class BrinkDrive:
         self,
         spec: EpisodeSpec,
         scenario: UrbanScenario,
-        behaviour: DetectorBehaviour,
+        detector: "UrbanDetector",
         requirements: Mapping[str, Requirement],
         *,
         record: bool,
@@ -79,35 +94,94 @@ class BrinkDrive:
         outcome = run_loop(
             world,
             ModularDriving(world.route, camera=self._camera),
-            behaviour,
+            detector.behaviour,
             requirements,
             engine=engine,
             camera=self._camera,
             seed=spec.seed,
             duration_s=spec.duration_s,
             recorder=recorder,
+            detects=detector.start(world, self._camera),
         )
         verdicts = verdicts_of(requirements)
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
-            features={
-                **outcome_features(outcome),
-                **_injection_features(behaviour, outcome),
-                **features_of(requirements),
-            },
-            provenance=provenance(SIMULATOR_ID, cpu_s, simulated_s=outcome.last.time_s),
+            features={**outcome_features(outcome), **detector.features(outcome), **features_of(requirements)},
+            provenance=provenance(self.id, cpu_s, simulated_s=outcome.last.time_s),
             trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts)).to_bytes(),
         )
 
 
-def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
-    """Parse the scenario and behaviour of a specification.
+class BrinkDriveErrors(BrinkDrive):
+    """Runs urban episodes in which the obstacle detector reports the truth with errors."""
+
+    id = ERRORS_SIMULATOR_ID
+
+    def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
+        return _WithErrors(errors_from_json(spec.behaviour, spec.duration_s))
+
+
+class UrbanDetector(Protocol):
+    """The obstacle detector of one episode.
+
+    Attributes:
+        behaviour: What it reports, unless `start` returns a detector.
+    """
+
+    behaviour: DetectorBehaviour
+
+    def start(self, world: World, camera: Camera) -> Detects | None:
+        """Return what detects in place of `behaviour`, for a new world."""
+        ...
+
+    def features(self, outcome: Outcome) -> dict[str, Json]:
+        """Return the features that describe what the detector did."""
+        ...
+
+
+class _Injected:
+    """Injected trajectories, or the ground truth."""
+
+    def __init__(self, behaviour: DetectorBehaviour) -> None:
+        self.behaviour = behaviour
+
+    def start(self, world: World, camera: Camera) -> None:
+        return None
+
+    def features(self, outcome: Outcome) -> dict[str, Json]:
+        """Return when each injected trajectory was delivered; nothing if the detector reports the ground truth."""
+        if self.behaviour.mode is BehaviourMode.ORACLE:
+            return {}
+        return {DELIVERED: steps_to_json(outcome.delivered)}
+
+
+class _WithErrors:
+    """The ground truth with errors."""
+
+    def __init__(self, errors: Sequence[DetectionError]) -> None:
+        self.behaviour = DetectorBehaviour(mode=BehaviourMode.ORACLE)
+        self._errors = errors
+        self._started: ErroneousDetector | None = None
+
+    def start(self, world: World, camera: Camera) -> Detects:
+        self._started = ErroneousDetector(world, camera, self._errors)
+        return self._started
+
+    def features(self, outcome: Outcome) -> dict[str, Json]:
+        """Return when each error changed the output, and the greatest severity of those that did."""
+        steps = [] if self._started is None else self._started.steps
+        acted = [error.severity for error, at in zip(self._errors, steps, strict=True) if at is not None]
+        return {ERROR_STEPS: steps_to_json(steps), "severity": max(acted, default=0.0)}
+
+
+def _read_scenario(spec: EpisodeSpec, simulator: str) -> UrbanScenario:
+    """Parse the scenario and check the options of a specification.
 
     Raises:
         InvalidEpisode: The specification can never run.
     """
-    spec.check_for(SIMULATOR_ID, MAX_DURATION_S)
+    spec.check_for(simulator, MAX_DURATION_S)
     for name, value in spec.options.items():
         if name != "fidelity":
             raise InvalidEpisode(
@@ -115,8 +189,7 @@ def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
             )
         if not isinstance(value, str) or value not in FIDELITIES:
             raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
-    scenario = UrbanScenario.from_json(spec.scenario)
-    return scenario, DetectorBehaviour.from_json(spec.behaviour, spec.duration_s)
+    return UrbanScenario.from_json(spec.scenario)
 
 
 def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:
@@ -138,13 +211,6 @@ def outcome_features(outcome: Outcome) -> dict[str, Json]:
         "collision": None if hit is None else hit.kind.value,
         "collided_with": None if hit is None else hit.counterpart,
     }
-
-
-def _injection_features(behaviour: DetectorBehaviour, outcome: Outcome) -> dict[str, Json]:
-    """Return when each injected trajectory was delivered; nothing if the detector reports the ground truth."""
-    if behaviour.mode is BehaviourMode.ORACLE:
-        return {}
-    return {DELIVERED: delivered_to_json(outcome.delivered)}
 
 
 def trace_header(spec: EpisodeSpec, verdicts: Mapping[str, Verdict]) -> JsonObject:

@@ -5,8 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from brink.sim.driving.camera import Body
+from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.world.ego import EgoCar, EgoMotion, MakeEgo
-from brink.sim.world.pedestrians import Phase, Walker, make_people
+from brink.sim.world.pedestrians import PERSON_HEIGHT_M, Phase, Walker, make_people
 from brink.sim.world.road import (
     CYCLE_S,
     LaneRoute,
@@ -197,3 +199,32 @@ def signal_plan(scenario: UrbanScenario, seed: int) -> SignalPlan:
     offset_s = 0.19 * CYCLE_S * (3 * scenario.road_id + scenario.road_length)
     drift_s = float(generator(seed, Stream.SIGNALS).normal(0.0, 0.6))
     return SignalPlan(phase_s=(offset_s + drift_s) % CYCLE_S)
+
+
+def bodies_of(world: World) -> list[Body]:
+    """Return the bodies of all vehicles, then of all pedestrians, as the camera sees them."""
+    bodies = [
+        Body(
+            ObstacleLabel.VEHICLE,
+            vehicle.x_m,
+            vehicle.y_m,
+            vehicle.yaw_rad,
+            vehicle.length_m,
+            vehicle.width_m,
+            vehicle.size.height_m,
+        )
+        for vehicle in world.vehicles
+    ]
+    bodies += [
+        Body(
+            ObstacleLabel.PERSON,
+            walker.x_m,
+            walker.y_m,
+            walker.yaw_rad,
+            walker.length_m,
+            walker.width_m,
+            PERSON_HEIGHT_M,
+        )
+        for walker in world.walkers
+    ]
+    return bodies

@@ -13,7 +13,7 @@ from brink.search.document import Document
 from brink.search.errors import DocumentError, UnsupportedSpace
 from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE
 from brink.search.slots import Slots
-from brink.search.space import SearchSpace
+from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
 from brink.search.testing import ContractBroken, check_algorithm, example_spaces
 from brink.search.traffic.constraint import Participants
 from brink.sim.catalogue import load_plugin, plugin_ids
@@ -23,6 +23,7 @@ SIMOOD = "simood-ga@1"
 REPEAT = "repeat@1"
 EDGE = "edge@1"
 MINIMISE = "minimise@1"
+TOLERANCE = "tolerance@1"
 NEEDS: dict[str, tuple[type[Any], str]] = {
     SIMOOD: (Slots, "slots"),
     "nsga2@1": (Participants, "participants"),
@@ -30,7 +31,21 @@ NEEDS: dict[str, tuple[type[Any], str]] = {
     "mumoea@1": (Participants, "participants"),
 }
 """Constraint that a space must have for an algorithm, and what the error names."""
-SPACES = {**example_spaces(), "mtq": MTQ_SPACE, "onemax": ONEMAX_SPACE}
+ERRORS = SearchSpace(
+    (
+        Component("scenario", (Categorical("weather", ("dry", "wet")), Real("gap", 1.0, 60.0, "m"))),
+        Component(
+            "behaviour",
+            (
+                Categorical("type", ("none", "miss", "late")),
+                Real("onset", 0.0, 12.0, "s"),
+                Real("severity", 0.0, 1.0),
+            ),
+            (Dormant("type", "none", ("onset", "severity")),),
+        ),
+    )
+)
+SPACES = {**example_spaces(), "mtq": MTQ_SPACE, "onemax": ONEMAX_SPACE, "errors": ERRORS}
 
 
 def algorithm(plugin_id: str) -> Algorithm:
@@ -50,6 +65,11 @@ def config_for(checked: Algorithm, space: SearchSpace) -> Any:
         rng = np.random.default_rng(1)
         rows = [[space.join(space.sample(rng)).tolist() for _ in range(4)] for _ in range(2)]
         return checked.config_type(safe=rows[0], unsafe=rows[1])
+    if checked.id == TOLERANCE:
+        return checked.config_type(
+            cells={"type": ["miss", "late"]}, truth={"type": "none"}, without_error=10,
+            conditions=[{"weather": "dry"}, {"weather": "wet"}], generation_size=30,
+        )  # fmt: skip
     if checked.id != REPEAT:
         return checked.config_type()
     rng = np.random.default_rng(1)
@@ -57,12 +77,14 @@ def config_for(checked: Algorithm, space: SearchSpace) -> Any:
 
 
 def supports(plugin_id: str, space: SearchSpace) -> bool:
+    if plugin_id == TOLERANCE:
+        return space is ERRORS
     needed = NEEDS.get(plugin_id)
     rules = [rule for component in space.components for rule in component.constraints]
     return needed is None or any(isinstance(rule, needed[0]) for rule in rules)
 
 
-LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic"), (EDGE, "traffic"), (EDGE, "mixed")]
+LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic"), (EDGE, "traffic"), (EDGE, "mixed"), (EDGE, "errors")]
 """Combinations that take seconds; NSGA-II, on which two of them build, and edge@1 on other spaces run every time."""
 
 
@@ -79,13 +101,14 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
     checked = algorithm(plugin_id)
     assert checked.id == plugin_id
     if not supports(plugin_id, space):
-        with pytest.raises(UnsupportedSpace, match=NEEDS[plugin_id][1]):
+        needed = "severity" if plugin_id == TOLERANCE else NEEDS[plugin_id][1]
+        with pytest.raises(UnsupportedSpace, match=needed):
             checked.check(space, checked.config_type(), budget=170)
         return
     budget = 100 if plugin_id == EDGE else 170  # each of its many small generations grows trees
     run = check_algorithm(
         checked, space, budget=budget, config=config_for(checked, space),
-        ends_itself=plugin_id in {SIMOOD, MINIMISE}, repeats=plugin_id in {REPEAT, EDGE, MINIMISE},
+        ends_itself=plugin_id in {SIMOOD, MINIMISE}, repeats=plugin_id in {REPEAT, EDGE, MINIMISE, TOLERANCE},
     )  # fmt: skip
     assert len(run.generations) >= 2
 

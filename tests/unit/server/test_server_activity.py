@@ -14,7 +14,7 @@ from brink.server.problems.urban_injected import UrbanInjected
 from brink.sim.catalogue import make_simulator
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.episode import EpisodeResult
-from brink.sim.urban.behaviour import BOX_SIDES, InjectedTrajectory, delivered_from_json
+from brink.sim.urban.behaviour import BOX_SIDES, InjectedTrajectory, steps_from_json
 
 URBAN = UrbanInjected(UrbanInjected.params_type())
 NPC = NpcActions(NpcActions.params_type())
@@ -167,7 +167,7 @@ def test_inactive_parameters_do_not_change_the_episode(number: int) -> None:
     vectors = SPACE.sample(rng)
     result = run(vectors, number)
     found = known(vectors, as_result(result))
-    delivered = delivered_from_json(result.features["delivered_steps"])
+    delivered = steps_from_json(result.features["delivered_steps"])
     assert delivered is not None
     last_step = round(float(str(result.features["ended_at_s"])) / 0.1)
     assert all(steps is None or steps[1] <= last_step for steps in delivered)

@@ -10,7 +10,7 @@ from test_encounter_simulator import BRAKES, KEEPS, spec, stretch, user
 
 from brink.server.problems.npc_actions import NpcActionsParams
 from brink.sim.driving.camera import Camera
-from brink.sim.encounter.camera import BrinkEncounterCamera, EncounterCamera, street_scene
+from brink.sim.encounter.camera import BrinkEncounterCamera, EncounterCamera
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.encounter.world import make_encounter
@@ -18,6 +18,7 @@ from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.detector import find_detector
 from brink.sim.trace import Trace
+from brink.sim.urban.camera import street_scene
 from brink.sim.world.road import build_road
 from brink.sim.world.scenario import RoadCurve
 

@@ -1,4 +1,4 @@
-/** One campaign: status, map, convergence, boundary solutions, parameter dependence, findings, settings. */
+/** One campaign: status, tolerances, pairs, map, convergence, boundary solutions, parameter dependence, findings, settings. */
 
 import { download, isOpen } from "../api.js";
 import { h, replace, text } from "../dom.js";
@@ -10,6 +10,7 @@ import { boundaryCard, dependenceCard, findings, inWords, settingsCard } from ".
 import { convergenceCards, Generations } from "./campaign/convergence.js";
 import { mapCard } from "./campaign/map_card.js";
 import { pairsCard } from "./pairs.js";
+import { toleranceCard } from "./tolerance.js";
 
 export async function show(main, context, { parts, query }) {
   const [campaign, problems, algorithms] = await Promise.all([
@@ -34,6 +35,7 @@ export async function show(main, context, { parts, query }) {
   });
   const problem = problems.find((one) => one.id === body.problem.id);
   const found = findings(context, id, problem?.finds ?? []);
+  const tolerance = toleranceCard(context, id);
   const pairs = pairsCard(context, id);
   const dependence = dependenceCard(context, id, map.parameters);
 
@@ -43,7 +45,7 @@ export async function show(main, context, { parts, query }) {
     notes,
     h("div.stack", null,
       h("section.card", { "aria-label": "Progress" }, bar, figures, words),
-      pairs, map,
+      tolerance, pairs, map,
       h("div.grid-wide", null, convergence.dbs, h("div.stack", null, convergence.shares, convergence.fitness)),
       boundary, found, dependence,
       settingsCard(body, { problems, algorithms }),
@@ -84,8 +86,10 @@ export async function show(main, context, { parts, query }) {
     }
     map.news(read.generation);
     convergence.news(read, generations);
+    convergence.fitness.hidden = read.looks_for_tolerances; // it minimises nothing
     if (read.looks_for_boundary) boundary.news(read.generation, convergence.thresholds());
     found.news(`${read.sequence}`);
+    if (read.looks_for_tolerances && read.evaluated) tolerance.news(`${read.generation} ${ended}`);
     pairs.news(`${read.generation} ${ended}`);
     dependence.news(read.generation);
   }

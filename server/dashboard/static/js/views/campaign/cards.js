@@ -293,7 +293,7 @@ export function inWords(progress, generations, algorithm) {
   else if (progress.status === "running") {
     told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
   } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");
-  if (last?.best_fitness !== null && last?.best_fitness !== undefined) {
+  if (!progress.looks_for_tolerances && last?.best_fitness !== null && last?.best_fitness !== undefined) {
     told.push(`Fitness of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}; the algorithm step took ${figure(last.step_s, 2)} s.`);
   }
   const origins = Object.entries(progress.origins);

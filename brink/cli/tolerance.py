@@ -1,0 +1,479 @@
+"""`brink tolerance`: how gross a component's errors may be, and the requirement that follows."""
+
+import asyncio
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from brink.api.client import Api
+from brink.cli.draw import Drawing
+from brink.cli.options import (
+    AsJson,
+    CampaignId,
+    Database,
+    Server,
+    check_picture,
+    console,
+    plain_table,
+    print_json,
+    with_api,
+    write_json,
+)
+from brink.server.api.tolerance import (
+    AgreementView,
+    CellView,
+    DetectorBody,
+    DetectorView,
+    DriveBody,
+    Finding,
+    ToleranceView,
+)
+from brink.server.campaigns.detector_check import CheckResult
+from brink.server.errors import InvalidInput
+from brink.sim.urban.detection_files import CameraModel, read_coco, read_csv
+
+CELLS_SHOWN: Final = 24
+"""Cells shown at the end of a run."""
+
+
+class Format(StrEnum):
+    """How tolerances are written."""
+
+    TABLE = "table"
+    SENTENCES = "sentences"
+    CSV = "csv"
+    JSON = "json"
+
+
+def tolerance(
+    campaign: CampaignId,
+    form: Annotated[
+        Format | None,
+        typer.Option(
+            "--format", help="Format (default: by the name of --out, else table).", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write: .csv or .json.", show_default=False)
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the curves (.png or .svg).", show_default=False)
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            help="Compare with the fresh drives of another campaign instead: does it find what these predict?",
+        ),
+    ] = None,
+    episodes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            help="Hold a detector against it: that of a campaign with a camera in the loop, such as urban-camera@1.",
+        ),
+    ] = None,
+    detections: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            show_default=False,
+            help="Hold a detector against it: boxes beside the truth as CSV.",
+        ),
+    ] = None,
+    coco: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="TRUTH RESULTS",
+            show_default=False,
+            help="Hold a detector against it: sequences in COCO format, and the detections (.json).",
+        ),
+    ] = None,
+    camera: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            metavar="WIDTH HEIGHT FOV ABOVE",
+            show_default=False,
+            help="Camera of --detections or --coco: size in px, horizontal field of view in degrees, height in m "
+            "(default: 800 600 90 1.7).",
+        ),
+    ] = None,
+    threshold: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Smallest score of detections in --coco that count.")
+    ] = 0.5,
+    frames_per_s: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0, show_default=False, help="Frames per second of --coco, without times in the images."
+        ),
+    ] = None,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show how gross errors may be, by type of error, target and condition, with intervals.
+
+    The campaign must be a search for tolerances, such as that of examples/tolerance.yaml. It may still be running.
+
+    Example: brink tolerance 3f2a
+
+    Example: brink tolerance 3f2a --format sentences
+
+    Example: brink tolerance 3f2a --out requirement.csv --picture requirement.png
+
+    Example: brink tolerance 3f2a --against 9c01
+
+    Example: brink tolerance 3f2a --detections my-detector.csv --camera 1920 1080 60 1.4
+    """
+    given = [name for name, value in (("--against", against), ("--episodes", episodes), ("--detections", detections),
+                                      ("--coco", coco)) if value is not None]  # fmt: skip
+    if len(given) > 1:
+        raise InvalidInput.at(given[1], f"expected it without {given[0]}")
+    if episodes is not None or detections is not None or coco is not None:
+        body = None
+        if episodes is None:
+            body = _read_detector(detections, coco, camera, threshold, frames_per_s)
+        _hold_against(campaign, episodes, body, server, database, as_json=as_json)
+        return
+    if against is not None:
+        _compare(campaign, against, server, database, as_json=as_json)
+        return
+    wanted = _format(form, out, as_json=as_json)
+    check_picture(picture)
+
+    async def work(api: Api) -> None:
+        view = await fetch_tolerance(api, campaign)
+        if picture is not None:
+            await asyncio.to_thread(draw_tolerance, view, picture)
+        match wanted:
+            case Format.TABLE:
+                show_tolerance(console(), view)
+            case Format.SENTENCES:
+                for cell in view.cells:
+                    typer.echo(cell.sentence)
+            case Format.JSON:
+                document = view.model_dump(mode="json")
+                if out is None:
+                    print_json(document)
+                else:
+                    write_json(out, document)
+            case Format.CSV:
+                table = await fetch_csv(api, campaign)
+                if out is None:
+                    typer.echo(table.decode(), nl=False)
+                else:
+                    out.write_bytes(table)
+        for path in (out, picture):
+            if path is not None:
+                typer.echo(path)
+
+    with_api(server, database, work)
+
+
+def _read_detector(
+    detections: Path | None,
+    coco: tuple[Path, Path] | None,
+    camera: tuple[float, float, float, float] | None,
+    threshold: float,
+    frames_per_s: float | None,
+) -> DetectorBody:
+    """Return the errors of a detector from files.
+
+    Raises:
+        DetectionFileError: A file cannot be used.
+    """
+    model = None
+    if camera is not None:
+        width_px, height_px, fov_deg, height_m = camera
+        model = CameraModel(width_px=width_px, height_px=height_px, fov_deg=fov_deg, height_m=height_m)
+    if coco is not None:
+        drives = read_coco(*coco, threshold=threshold, frames_per_s=frames_per_s, camera=model)
+        name = coco[1].stem
+    elif detections is not None:
+        drives = read_csv(detections, model)
+        name = detections.stem
+    else:
+        raise InvalidInput.at("--detections", "expected a file")
+    return DetectorBody(
+        detector=name,
+        drives=[
+            DriveBody(
+                name=drive.name,
+                condition=drive.condition,
+                measures={
+                    target.value: {kind.value: magnitude for kind, magnitude in errors.items()}
+                    for target, errors in drive.measures.items()
+                },
+            )
+            for drive in drives
+        ],
+    )
+
+
+def _hold_against(
+    campaign: str,
+    episodes: str | None,
+    body: DetectorBody | None,
+    server: str | None,
+    database: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Print whether a detector keeps within the tolerances of a campaign."""
+    path = f"/campaigns/{campaign}/tolerance/detector"
+
+    async def work(api: Api) -> DetectorView:
+        if body is None:
+            return await api.read(DetectorView, path, {"episodes": episodes})
+        return await api.send(DetectorView, path, body.model_dump(mode="json"))
+
+    view = with_api(server, database, work)
+    if as_json:
+        print_json(view.model_dump(mode="json"))
+    else:
+        show_detector(console(), view)
+
+
+_RESULT_STYLES: Final = {
+    CheckResult.MET: "green", CheckResult.NOT_MET: "red", CheckResult.TOO_LITTLE: "yellow",
+    CheckResult.NOT_MEASURED: "dim",
+}  # fmt: skip
+
+
+def show_detector(screen: Console, view: DetectorView) -> None:
+    """Print a row for each cell, and how often the detector's own drives violated."""
+    screen.print(f"[bold]{escape(view.note)}[/bold]", soft_wrap=True)
+    screen.print(
+        f"[dim]met: with {view.confidence:.0%} confidence, errors of this size make at most {view.limit:.0%} of "
+        "drives violate; each type of error for itself[/dim]",
+        soft_wrap=True,
+    )
+    names = [name.rpartition(".")[2] for name in view.cells[0].choices]
+    table = plain_table(
+        *names, "condition", "drives", "median", "95% within", "beyond", "violate", "", "requirement", "worst",
+        right=("drives", "median", "95% within", "beyond", "violate"),
+    )  # fmt: skip
+    for cell in view.cells:
+        share, interval = "–", ""
+        if cell.share is not None and cell.low is not None and cell.high is not None:
+            share, interval = f"{cell.share:.1%}", f"[{cell.low:.1%}, {cell.high:.1%}]"
+        table.add_row(
+            *map(escape, cell.choices.values()), escape(cell.condition), str(cell.drives),
+            _with_unit(cell.typical, cell.unit), _with_unit(cell.grossest, cell.unit), str(cell.beyond), share,
+            escape(interval), f"[{_RESULT_STYLES[cell.result]}]{cell.result}[/]", escape(" ".join(cell.worst[:3])),
+        )  # fmt: skip
+    screen.print(table)
+    for one in view.conditions:
+        if one.violations is not None:
+            screen.print(
+                f"{escape(one.condition)}: {one.violations} of {one.drives} drives with this detector violate",
+                soft_wrap=True,
+            )
+
+
+def _with_unit(magnitude: float | None, unit: str) -> str:
+    if magnitude is None:
+        return "–"
+    return f"{magnitude:.0f}%" if unit == "%" else f"{magnitude:.1f} {unit}".rstrip()
+
+
+def _compare(campaign: str, fresh: str, server: str | None, database: str | None, *, as_json: bool) -> None:
+    """Print whether fresh drives are as predicted."""
+
+    async def work(api: Api) -> AgreementView:
+        return await api.read(AgreementView, f"/campaigns/{campaign}/tolerance/agreement", {"fresh": fresh})
+
+    view = with_api(server, database, work)
+    if as_json:
+        print_json(view.model_dump(mode="json"))
+        return
+    names = [name.rpartition(".")[2] for name in view.cells[0].choices]
+    table = plain_table(
+        *names, "condition", "drives", "caused", "predicted", "", right=("drives", "caused", "predicted")
+    )
+    for cell in view.cells:
+        table.add_row(
+            *map(escape, cell.choices.values()), escape(cell.condition), str(cell.drives), str(cell.caused),
+            f"{cell.low} to {cell.high}", "" if cell.agrees else "[yellow]not as predicted[/yellow]",
+        )  # fmt: skip
+    screen = console()
+    screen.print(table)
+    screen.print(view.note, soft_wrap=True)
+
+
+def _format(form: Format | None, out: Path | None, *, as_json: bool) -> Format:
+    """Return the format to write.
+
+    Raises:
+        InvalidInput: The options contradict each other.
+    """
+    if as_json:
+        if form is not None or out is not None:
+            raise InvalidInput.at("--json", "expected --json without --format and --out")
+        return Format.JSON
+    if out is None:
+        return form or Format.TABLE
+    named = out.suffix.removeprefix(".")
+    files = (Format.CSV.value, Format.JSON.value)
+    if named not in files or (form is not None and form != named):
+        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in .{form or 'csv or .json'}")
+    return Format(named)
+
+
+async def fetch_tolerance(api: Api, campaign: str) -> ToleranceView:
+    """Return the tolerances of a campaign."""
+    return await api.read(ToleranceView, f"/campaigns/{campaign}/tolerance")
+
+
+async def fetch_csv(api: Api, campaign: str) -> bytes:
+    """Return the tolerances of a campaign as CSV."""
+    response = await api.request("GET", f"/campaigns/{campaign}/tolerance", params={"format": "csv"})
+    return response.content
+
+
+def draw_tolerance(view: ToleranceView, path: Path) -> None:
+    """Draw the curves of a campaign to a file."""
+    from brink.plots.tolerance import figure_tolerance
+
+    figure_tolerance(view).savefig(path)
+
+
+def show_tolerance(screen: Console, view: ToleranceView, shown: int | None = None) -> None:
+    """Print the requirement: a row for each cell, then where more error is safer, and the drives without error."""
+    screen.print(f"[bold]{escape(view.name)}[/bold] ({view.campaign}): {view.note}", soft_wrap=True)
+    screen.print(
+        f"[dim]tolerated: the magnitude at which {view.limit:.0%} of drives violate because of the error, with an "
+        f"interval of {view.confidence:.0%}[/dim]",
+        soft_wrap=True,
+    )
+    screen.print(tolerance_table(view.cells[:shown]))
+    if shown is not None and len(view.cells) > shown:
+        screen.print(f"[dim]… and {len(view.cells) - shown} more in tolerance.csv[/dim]")
+    for cell in view.cells:
+        if cell.fall is not None:
+            name = ", ".join([*cell.choices.values(), cell.condition])
+            screen.print(f"{escape(name)}: {cell.fall.words}", soft_wrap=True)
+    screen.print("without any error, these shares of drives violate:")
+    table = plain_table("condition", "drives", "violate")
+    for one in view.baseline:
+        only = " or ".join(" ".join(choices.values()) for choices in one.choices if choices)
+        share = one.share
+        table.add_row(
+            escape(f"{one.condition}{f' ({only})' if only else ''}"), str(share.evaluated),
+            f"{share.unsafe / share.evaluated:.0%} [{share.low:.0%}, {share.high:.0%}]" if share.evaluated else "–",
+        )  # fmt: skip
+    screen.print(table)
+    if view.open:
+        screen.print(
+            f"[dim]of {view.open} violations it is not known yet whether the error caused them; they count as caused"
+            "[/dim]",
+            soft_wrap=True,
+        )
+
+
+def tolerance_table(cells: Sequence[CellView]) -> Table:
+    """Return a table of cells."""
+    names = [name.rpartition(".")[2] for name in (cells[0].choices if cells else ())]
+    table = plain_table(
+        *names, "condition", "tolerated", "", "drives", "caused", right=("tolerated", "drives", "caused")
+    )
+    for cell in cells:
+        table.add_row(
+            *(escape(choice) for choice in cell.choices.values()), escape(cell.condition),
+            *_tolerated(cell), str(cell.drives), str(cell.caused),
+        )  # fmt: skip
+    return table
+
+
+def _tolerated(cell: CellView) -> tuple[str, str]:
+    """Return the tolerated magnitude of a cell and its interval."""
+    found = cell.tolerated
+    ends = sorted(
+        (found.low, found.high), key=lambda one: (one.severity is None, _shown(one.magnitude, one.severity))
+    )
+    if cell.unit and cell.curve.magnitude and cell.curve.magnitude[0] > cell.curve.magnitude[-1]:
+        ends = [found.high, found.low]
+    interval = ", ".join(_amount(one.magnitude, one.severity) for one in ends)
+    if found.finding is Finding.THROUGHOUT:
+        return "any", ""
+    value = _amount(found.value.magnitude, found.value.severity)
+    unit = cell.unit if cell.unit == "%" else f" {cell.unit}".rstrip()
+    return (value if value == _BEYOND else f"{value}{unit}"), f"[{interval}]"
+
+
+_BEYOND: Final = "beyond"
+
+
+def _shown(magnitude: float | None, severity: float | None) -> float:
+    if magnitude is not None:
+        return magnitude
+    return severity if severity is not None else 0.0
+
+
+def _amount(magnitude: float | None, severity: float | None) -> str:
+    if severity is None:
+        return _BEYOND
+    value = _shown(magnitude, severity)
+    return f"{value:.0f}" if value >= 20 else f"{value:.1f}" if magnitude is not None else f"{value:.2f}"
+
+
+class ToleranceFindings:
+    """The tolerances of a campaign at the end of `brink run`.
+
+    Args:
+        view: The tolerances.
+        table: The same as CSV.
+    """
+
+    name = "tolerances"
+
+    def __init__(self, view: ToleranceView, table: bytes) -> None:
+        self._view = view
+        self._table = table
+
+    def sentence(self) -> str:
+        """Return the findings in one sentence."""
+        return self._view.note
+
+    def show(self, screen: Console) -> None:
+        """Print the requirement."""
+        show_tolerance(screen, self._view, CELLS_SHOWN)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write the requirement to files; return the files."""
+        files = [folder / "tolerance.csv", folder / "tolerance.json"]
+        files[0].write_bytes(self._table)
+        write_json(files[1], self._view.model_dump(mode="json"))
+        return files
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        """Draw the curves; return the file."""
+        path = drawing.folder / "tolerance.png"
+        await asyncio.to_thread(draw_tolerance, self._view, path)
+        return [path]
+
+    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
+        """Return commands to suggest to the user next, each with its purpose."""
+        hints = [(f"tolerance {campaign} --format sentences{database}", "the requirement in sentences")]
+        examples = [cell.examples[0].number for cell in self._view.cells if cell.examples]
+        if examples:
+            hints.append(
+                (
+                    f"replay {campaign} {examples[0]} --out replay.mp4{database}",
+                    "watch an error cause a violation",
+                )
+            )
+        return hints
+
+
+async def fetch_tolerance_findings(api: Api, campaign: str) -> ToleranceFindings:
+    """Return the tolerances of a campaign, and their table."""
+    return ToleranceFindings(await fetch_tolerance(api, campaign), await fetch_csv(api, campaign))

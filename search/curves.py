@@ -1,0 +1,312 @@
+"""Tolerance: how the probability of a violation grows with the severity of an error, and where it reaches a limit.
+
+A *cell* is a combination of choices, such as a type of error and a target, under one *condition*, such as rain at
+night. In each cell, drives are simulated with the error at several severities. A violation is *caused* by the error
+if the same drive, under the same episode seed, does not violate without it. The curve of a cell is the share of
+drives with a caused violation as a function of severity, and the *tolerated severity* is where it first reaches the
+limit.
+
+The prior is a library of curves, drawn once: two steps of any height, place and steepness on top of each other, and
+in some curves a fall after that. The results weight the curves of the library by their likelihood, which is the exact
+posterior but for the size of the library. It holds whichever severities the search chose, because the choice depends
+on results alone.
+
+Source: ours; see docs/explanation/tolerance.md.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brink.search.space import FloatArray, IntArray
+from brink.search.streams import Stream, generator
+
+LEVELS: Final = 32
+"""Steps of severity between 0 and 1; errors are simulated at whole steps."""
+LIBRARY: Final = 300_000
+"""Curves of the library; a search makes do with fewer."""
+FALLING: Final = 0.15
+"""Share of the library's curves that fall somewhere."""
+LEAST_FALL: Final = 0.02
+"""A smaller fall of a curve does not count as one."""
+LEAST_DRIVES: Final = 10
+"""Drives of a detector below which nothing is said of it."""
+DRAWS: Final = 2_000
+"""Curves that stand for the posterior of a cell."""
+_MOST_AT_A_TIME: Final = 50_000
+_LIBRARY_SEED: Final = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Counts:
+    """Simulated drives of all cells by level of severity.
+
+    Attributes:
+        drives: Drives with a verdict, shape ``(cells, LEVELS)``, for the levels 1 to `LEVELS`.
+        caused: Those with a violation that the error caused, same shape.
+    """
+
+    drives: IntArray
+    caused: IntArray
+
+    @classmethod
+    def empty(cls, cells: int) -> Self:
+        """Return the counts of no drives."""
+        return cls(drives=np.zeros((cells, LEVELS), np.int64), caused=np.zeros((cells, LEVELS), np.int64))
+
+
+def severities() -> FloatArray:
+    """Return the severities of all levels, with 0, shape ``(LEVELS + 1,)``."""
+    return np.arange(LEVELS + 1) / LEVELS
+
+
+def library(curves: int | None = None) -> NDArray[np.float32]:
+    """Return the library of curves: shares of caused violations, shape ``(curves, LEVELS + 1)``.
+
+    The first column is 0: severity 0 is no error. A curve at each place of the library is the same whatever its size.
+
+    Args:
+        curves: How many curves; `LIBRARY` by default.
+    """
+    return _library(LIBRARY if curves is None else curves)
+
+
+@cache
+def _library(curves: int) -> NDArray[np.float32]:
+    found = np.empty((curves, LEVELS + 1), np.float32)
+    for start in range(0, curves, _MOST_AT_A_TIME):
+        part = _library_part(start // _MOST_AT_A_TIME)
+        found[start : start + len(part)] = part[: curves - start]
+    found.flags.writeable = False
+    return found
+
+
+def _library_part(number: int) -> FloatArray:
+    rng = generator(_LIBRARY_SEED, Stream.TOLERANCE, 1, number)
+    shape = (_MOST_AT_A_TIME, 1)
+    safe = np.ones((_MOST_AT_A_TIME, LEVELS + 1))
+    for _ in range(2):
+        middle = rng.uniform(0.0, 1.2, shape)
+        height = np.exp(rng.uniform(math.log(0.001), 0.0, shape))
+        safe *= 1.0 - height * _step(middle, np.exp(rng.uniform(math.log(0.01), math.log(0.3), shape)))
+    middle = rng.uniform(0.05, 1.0, shape)
+    depth = rng.uniform(0.3, 1.0, shape) * (rng.random(shape) < FALLING)
+    fall = depth * _step(middle, np.exp(rng.uniform(math.log(0.02), math.log(0.2), shape)))
+    return np.asarray((1.0 - safe) * (1.0 - fall))
+
+
+def _step(middle: FloatArray, scale: FloatArray) -> FloatArray:
+    """Return logistic steps that begin at 0, shape ``(n, LEVELS + 1)``."""
+    at_zero = 1.0 / (1.0 + np.exp(middle / scale))
+    steps = 1.0 / (1.0 + np.exp(np.clip((middle - severities()) / scale, -50.0, 50.0)))
+    return np.asarray((steps - at_zero) / (1.0 - at_zero))
+
+
+def weights(counts: Counts, curves: NDArray[np.float32]) -> FloatArray:
+    """Return the posterior probability of each curve of a library in each cell, shape ``(cells, curves)``.
+
+    Args:
+        counts: The results.
+        curves: The library.
+    """
+    parts = []
+    drives, caused = counts.drives.astype(np.float64), counts.caused.astype(np.float64)
+    for start in range(0, len(curves), _MOST_AT_A_TIME):
+        shares = np.clip(curves[start : start + _MOST_AT_A_TIME, 1:].astype(np.float64), 1e-6, 1.0 - 1e-6)
+        parts.append(caused @ np.log(shares).T + (drives - caused) @ np.log1p(-shares).T)
+    likely = np.concatenate(parts, axis=1)
+    found = np.exp(likely - likely.max(axis=1, keepdims=True))
+    return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+@cache
+def reached(curves: int, limit: float) -> FloatArray:
+    """Return the severity at which each curve of the library first reaches a limit, infinite where it never does.
+
+    Args:
+        curves: Size of the library.
+        limit: The limit, in (0, 1).
+
+    Returns:
+        Severities, shape ``(curves,)``, interpolated between levels.
+    """
+    return severity_at(library(curves), limit)
+
+
+def severity_at(shares: NDArray[np.floating], limit: float) -> FloatArray:
+    """Return the severity at which curves first reach a limit, infinite where they never do.
+
+    Args:
+        shares: Shares at all severities, shape ``(n, LEVELS + 1)``.
+        limit: The limit, in (0, 1).
+    """
+    above = shares >= limit
+    first = np.argmax(above, axis=1)
+    rows = np.arange(len(shares))
+    high = shares[rows, first].astype(np.float64)
+    low = shares[rows, np.maximum(first - 1, 0)].astype(np.float64)
+    part = np.clip((limit - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
+    return np.where(above.any(axis=1), (np.maximum(first - 1, 0) + part) / LEVELS, np.inf)
+
+
+def quantiles_of_sorted(
+    values: NDArray[np.floating], probability: FloatArray, at: tuple[float, ...]
+) -> list[float]:
+    """Return quantiles of weighted values.
+
+    Args:
+        values: Ascending, shape ``(n,)``, possibly infinite.
+        probability: Their weights, shape ``(n,)``.
+        at: The wanted quantiles.
+    """
+    sums = np.cumsum(probability)
+    places = np.minimum(np.searchsorted(sums, np.array(at) * sums[-1]), len(values) - 1)
+    return [float(value) for value in values[places]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interval:
+    """An estimate with an interval.
+
+    Attributes:
+        value: Median.
+        low: Lower end.
+        high: Upper end.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fall:
+    """A stretch of severity over which more error is safer.
+
+    Attributes:
+        from_severity: Where the share is highest.
+        to_severity: Where it is lowest after that.
+        from_share: Share of caused violations there.
+        to_share: The lower one.
+    """
+
+    from_severity: float
+    to_severity: float
+    from_share: float
+    to_share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Curve:
+    """What is known of one cell.
+
+    Attributes:
+        drives: Drives with a verdict by level, for the levels 1 to `LEVELS`, shape ``(LEVELS,)``.
+        caused: Those with a violation that the error caused, same shape.
+        median: Median share of caused violations at each severity, shape ``(LEVELS + 1,)``.
+        low: Lower end of its interval, same shape.
+        high: Upper end of its interval, same shape.
+        tolerated: Severity at which the share reaches the limit; infinite where it probably never does.
+        fall: Where more error is safer; None if it nowhere clearly is.
+        places: Curves of the library drawn from the posterior, shape ``(draws,)``, for predictions.
+    """
+
+    drives: IntArray
+    caused: IntArray
+    median: FloatArray
+    low: FloatArray
+    high: FloatArray
+    tolerated: Interval
+    fall: Fall | None
+    places: IntArray
+
+    def predicted(self, levels: IntArray, rng: np.random.Generator, confidence: float) -> tuple[int, int]:
+        """Return the interval of the number of caused violations in fresh drives.
+
+        Args:
+            levels: Levels of severity of the drives, from 0.
+            rng: Draws the numbers.
+            confidence: Probability that the interval covers the number.
+        """
+        shares = library()[self.places][:, levels]
+        numbers = (rng.random(shares.shape) < shares).sum(axis=1)
+        tail = 0.5 * (1.0 - confidence)
+        low, high = np.quantile(numbers, [tail, 1.0 - tail], method="inverted_cdf")
+        return int(low), int(high)
+
+
+def expected_share(
+    curve: Curve, severity: FloatArray, rng: np.random.Generator, confidence: float
+) -> Interval:
+    """Return the share of drives with a caused violation that errors of given severities lead to.
+
+    The interval covers what is uncertain of the curve and, by a Bayesian bootstrap, of the drives.
+
+    Args:
+        curve: The curve of the error.
+        severity: How gross the error is in each of a detector's drives, shape ``(n,)``, n >= 1; above 1 counts as 1.
+        rng: Draws the weights of the drives.
+        confidence: Probability that the interval covers the share.
+    """
+    place = np.clip(severity, 0.0, 1.0) * LEVELS
+    below = np.minimum(place.astype(np.int64), LEVELS - 1)
+    part = place - below
+    shares = library()[curve.places].astype(np.float64)
+    by_drive = shares[:, below] * (1.0 - part) + shares[:, below + 1] * part
+    weight = rng.dirichlet(np.ones(len(severity)), len(shares))
+    tail = 0.5 * (1.0 - confidence)
+    low, high = np.quantile((by_drive * weight).sum(axis=1), [tail, 1.0 - tail]).tolist()
+    return Interval(value=float(by_drive.mean()), low=low, high=high)
+
+
+def curves_of(counts: Counts, *, limit: float, confidence: float) -> list[Curve]:
+    """Return the curves of all cells, with intervals.
+
+    Args:
+        counts: The results.
+        limit: Share of caused violations whose severity is wanted.
+        confidence: Probability that an interval covers the truth, in (0, 1).
+    """
+    curves = library()
+    severity = reached(len(curves), limit)
+    tail = 0.5 * (1.0 - confidence)
+    at = [0.5, tail, 1.0 - tail]
+    found = []
+    for cell, likely in enumerate(weights(counts, curves)):
+        sums = np.cumsum(likely)
+        places = np.minimum(
+            np.searchsorted(sums, (np.arange(DRAWS) + 0.5) / DRAWS * sums[-1]), len(curves) - 1
+        )
+        drawn = curves[places]
+        median, low, high = np.quantile(drawn, at, axis=0)
+        middle, first, last = np.quantile(severity[places], at, method="inverted_cdf").tolist()
+        found.append(
+            Curve(
+                drives=counts.drives[cell],
+                caused=counts.caused[cell],
+                median=median,
+                low=low,
+                high=high,
+                tolerated=Interval(value=middle, low=first, high=last),
+                fall=_fall(drawn, median, confidence),
+                places=places,
+            )
+        )
+    return found
+
+
+def _fall(drawn: NDArray[np.float32], median: FloatArray, confidence: float) -> Fall | None:
+    """Return the largest fall of the median curve if nearly all curves of the posterior fall there, too."""
+    to = int(np.argmax(np.maximum.accumulate(median) - median))
+    since = int(np.argmax(median[: to + 1]))
+    falls = drawn[:, since] - drawn[:, to]
+    if float((falls >= LEAST_FALL).mean()) < confidence:
+        return None
+    return Fall(
+        from_severity=since / LEVELS, to_severity=to / LEVELS,
+        from_share=float(median[since]), to_share=float(median[to]),
+    )  # fmt: skip

@@ -1,0 +1,652 @@
+"""Routes of tolerances: how gross an error may be before too many drives violate a requirement because of it."""
+
+import asyncio
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from brink.search.analysis.confirmation import Share
+from brink.search.curves import Curve, severities
+from brink.search.streams import Stream, generator
+from brink.server.api.context import Services
+from brink.server.api.pair_views import ShareView
+from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified
+from brink.server.api.schemas import View
+from brink.server.campaigns.detector_check import MOST_DRIVES, CheckResult, Drive, check_detector, read_drives
+from brink.server.campaigns.plan import Plan
+from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.tolerance import CampaignTolerance
+from brink.server.db.engine import read
+from brink.server.errors import InvalidInput
+from brink.server.problems.base import NamesRequirements, ScalesSeverity, SeverityScale
+from brink.server.problems.changes import as_sentence
+from brink.server.states import CampaignStatus
+
+router = APIRouter(prefix="/campaigns/{campaign_id}/tolerance", tags=["tolerance"])
+
+_NEARLY_ALL = 0.95
+"""Severity from which the end of the scale is not told apart."""
+EXAMPLES = 5
+"""Most violations listed for a cell."""
+
+
+class Finding(StrEnum):
+    """What is known of a cell."""
+
+    LIMIT = "limit"
+    """The limit is reached within the scale."""
+    THROUGHOUT = "throughout"
+    """The limit is not reached, however gross the error."""
+    UNDECIDED = "undecided"
+    """It may or may not be reached within the scale."""
+
+
+class Amount(View):
+    """A severity and the magnitude that it stands for; both are null beyond the scale."""
+
+    severity: float | None
+    magnitude: Annotated[float | None, Field(description="In the unit of the cell; null without one, too.")]
+
+
+class ToleratedView(View):
+    """The severity at which the share of caused violations reaches the limit, with its interval."""
+
+    finding: Finding
+    value: Amount
+    low: Annotated[Amount, Field(description="Lower end; above it, the limit may be exceeded.")]
+    high: Amount
+
+
+class CurveView(View):
+    """The share of drives with a violation that the error caused, by severity, as one list per column."""
+
+    severity: list[float]
+    magnitude: Annotated[list[float] | None, Field(description="In the unit of the cell.")]
+    share: Annotated[list[float], Field(description="Median.")]
+    low: list[float]
+    high: list[float]
+    drives: Annotated[list[int], Field(description="Simulated drives with the error.")]
+    caused: Annotated[list[int], Field(description="Those with a violation that the error caused.")]
+
+
+class FallView(View):
+    """A stretch of severity over which more error is safer."""
+
+    from_severity: float
+    to_severity: float
+    from_share: float
+    to_share: float
+    words: str
+
+
+class ExampleView(View):
+    """A drive with a violation that the error caused."""
+
+    number: int
+    severity: float
+    magnitude: float | None
+
+
+class CellView(View):
+    """One cell: a combination of choices under a condition."""
+
+    place: Annotated[int, Field(description="Its place in the list, from 1.")]
+    choices: dict[str, str]
+    condition: str
+    words: Annotated[str, Field(description="The error as an activity of the component, with its magnitude.")]
+    sentence: str
+    unit: Annotated[str, Field(description="Unit of magnitudes; empty for none.")]
+    decimals: Annotated[int, Field(description="Decimal places of magnitudes that matter.")]
+    meaning: str
+    drives: int
+    violations: int
+    caused: Annotated[int, Field(description="Violations that the error caused.")]
+    tolerated: ToleratedView
+    curve: CurveView
+    fall: FallView | None
+    examples: Annotated[list[ExampleView], Field(description="Mildest errors that caused a violation first.")]
+
+
+class BaselineView(View):
+    """How often drives violate a requirement without any error."""
+
+    condition: str
+    choices: Annotated[
+        list[dict[str, str]],
+        Field(description="Cells that it belongs to, by those of their choices that matter."),
+    ]
+    share: ShareView
+
+
+class ToleranceView(View):
+    """The tolerances of a campaign."""
+
+    campaign: str
+    name: str
+    status: CampaignStatus
+    complete: Annotated[bool, Field(description="Whether the campaign has ended.")]
+    requirements: list[str]
+    limit: float
+    confidence: float
+    note: str
+    simulations: Annotated[
+        int, Field(description="Simulations with a verdict, those without an error included.")
+    ]
+    open: Annotated[
+        int, Field(description="Violations of which it is not known whether the error caused them.")
+    ]
+    conditions: list[str]
+    baseline: list[BaselineView]
+    cells: list[CellView]
+
+
+@router.get("", responses={200: {"content": {"text/csv": {}}}, **NOT_MODIFIED})
+async def get_tolerance(
+    campaign_id: str,
+    services: Services,
+    request: Request,
+    response: Response,
+    format: Literal["json", "csv"] = "json",  # noqa: A002  (the name of the query parameter)
+) -> ToleranceView:
+    """Return how gross the errors of a component may be, by type, target and condition; CSV has one row per cell."""
+    campaign = await services.campaigns.get(campaign_id)
+    archive = await services.archives.get(campaign)
+    etag = etag_of(campaign.id, campaign.sequence, archive.generation, format)
+    if matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
+    found = await services.tolerances.get(campaign, archive)
+    view = tolerance_view(campaign, archive.plan, found)
+    if format == "json":
+        response.headers["ETag"] = etag
+        return view
+    return Response(  # type: ignore[return-value]
+        tolerance_csv(view), media_type="text/csv; charset=utf-8", headers={"ETag": etag}
+    )
+
+
+class DriveBody(BaseModel):
+    """The errors of a detector in one drive."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: Annotated[str, Field(max_length=200)]
+    condition: Annotated[
+        str | None,
+        Field(description="One of the campaign's conditions; null if the drive counts under each."),
+    ] = None
+    measures: Annotated[
+        dict[str, dict[str, FiniteFloat]],
+        Field(description="Magnitude of each type of error, by target; shares as fractions of 1."),
+    ]
+
+
+class DetectorBody(BaseModel):
+    """The errors of a detector in its drives."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    detector: Annotated[str, Field(max_length=200, description="What to call it.")]
+    drives: Annotated[list[DriveBody], Field(min_length=1, max_length=MOST_DRIVES)]
+
+
+class DetectorCell(View):
+    """A detector's errors of one cell."""
+
+    place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
+    choices: dict[str, str]
+    condition: str
+    result: CheckResult
+    drives: Annotated[int, Field(description="Drives of the detector under the condition.")]
+    typical: Annotated[float | None, Field(description="Median magnitude, in the unit of the cell.")]
+    grossest: Annotated[float | None, Field(description="Magnitude that 5% of the drives exceed.")]
+    unit: str
+    beyond: Annotated[int, Field(description="Drives with a grosser error than is tolerated.")]
+    share: Annotated[float | None, Field(description="Share of drives that such errors make violate.")]
+    low: float | None
+    high: float | None
+    worst: Annotated[list[str], Field(description="Drives with the grossest errors, grossest first.")]
+
+
+class DetectorConditionView(View):
+    """The detector's drives under one condition."""
+
+    condition: str
+    drives: int
+    violations: Annotated[
+        int | None, Field(description="Those that violated a requirement; null if unknown.")
+    ]
+
+
+class DetectorView(View):
+    """Whether a detector keeps within the tolerances of a campaign."""
+
+    campaign: str
+    detector: str
+    limit: float
+    confidence: float
+    note: str
+    conditions: list[DetectorConditionView]
+    cells: list[DetectorCell]
+
+
+@router.get("/detector")
+async def get_detector(
+    campaign_id: str,
+    services: Services,
+    episodes: Annotated[
+        str, Query(description="A campaign with a camera and a detector in the loop, such as urban-camera@1.")
+    ],
+) -> DetectorView:
+    """Return whether the detector of another campaign keeps within the tolerances of this one."""
+    campaign, other = await services.campaigns.get(campaign_id), await services.campaigns.get(episodes)
+    archive = await services.archives.get(campaign)
+    found = await services.tolerances.get(campaign, archive)
+    there = await services.archives.get(other)
+    drives = await read(services.engines, lambda c: read_drives(c, other, there, found.layout))
+    name = str(other.body.problem.params.get("detector", other.body.name))
+    return await asyncio.to_thread(detector_view, campaign, archive.plan, found, name, drives)
+
+
+@router.post("/detector")
+async def post_detector(campaign_id: str, services: Services, body: DetectorBody) -> DetectorView:
+    """Return whether a detector keeps within the tolerances of a campaign, given its errors in drives of its own."""
+    campaign = await services.campaigns.get(campaign_id)
+    archive = await services.archives.get(campaign)
+    found = await services.tolerances.get(campaign, archive)
+    drives = [Drive(name=one.name, condition=one.condition, measures=one.measures) for one in body.drives]
+    return await asyncio.to_thread(detector_view, campaign, archive.plan, found, body.detector, drives)
+
+
+def detector_view(
+    campaign: Campaign, plan: Plan, found: CampaignTolerance, name: str, drives: Sequence[Drive]
+) -> DetectorView:
+    """Return whether a detector keeps within tolerances.
+
+    Args:
+        campaign: The campaign with the tolerances.
+        plan: Its plan.
+        found: The tolerances.
+        name: Name of the detector.
+        drives: Its errors.
+
+    Raises:
+        InvalidInput: The errors do not fit the campaign.
+    """
+    checks = check_detector(found, plan.problem, drives, campaign.body.seed)
+    cells = []
+    for check in checks:
+        cell = found.layout.cells[check.cell]
+        choices = dict(zip(found.layout.names, cell.choices, strict=True))
+        scale = plan.problem.severity_scale(choices) if isinstance(plan.problem, ScalesSeverity) else None
+        middle, most = (
+            np.quantile(check.severity, [0.5, 0.95], method="inverted_cdf").tolist()
+            if check.drives
+            else (None, None)
+        )
+        share = check.share
+        cells.append(
+            DetectorCell(
+                place=check.cell + 1, choices=choices, condition=cell.condition, result=check.result,
+                drives=check.drives, typical=_in_unit(scale, middle), grossest=_in_unit(scale, most),
+                unit=scale.unit if scale else "", beyond=check.beyond,
+                share=share.value if share else None, low=share.low if share else None,
+                high=share.high if share else None, worst=list(check.worst),
+            )
+        )  # fmt: skip
+    results = [check.result for check in checks]
+    conditions = []
+    for condition in found.layout.conditions:
+        here = [drive for drive in drives if drive.condition in (None, condition)]
+        known = [drive.unsafe for drive in here if drive.unsafe is not None]
+        conditions.append(
+            DetectorConditionView(
+                condition=condition, drives=len(here), violations=sum(known) if known else None
+            )
+        )
+    counts = ", ".join(
+        f"{result.value} in {results.count(result)}" for result in CheckResult if result in results
+    )
+    return DetectorView(
+        campaign=campaign.id, detector=name, limit=found.config.limit, confidence=found.config.confidence,
+        note=f"{name}, {len(drives)} drives: {counts} of {len(cells)} cells", conditions=conditions, cells=cells,
+    )  # fmt: skip
+
+
+def _in_unit(scale: SeverityScale | None, severity: float | None) -> float | None:
+    if severity is None:
+        return None
+    return severity if scale is None else scale.at(severity)
+
+
+class AgreementCell(View):
+    """What fresh drives say of one cell."""
+
+    place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
+    choices: dict[str, str]
+    condition: str
+    drives: Annotated[int, Field(description="Fresh drives with the error.")]
+    caused: Annotated[int, Field(description="Fresh drives with a violation that the error caused.")]
+    low: Annotated[int, Field(description="Lower end of the interval in which that number was predicted.")]
+    high: int
+    agrees: bool
+
+
+class AgreementView(View):
+    """Whether the drives of another campaign are as the tolerances of a campaign predict."""
+
+    campaign: str
+    fresh: str
+    confidence: float
+    drives: int
+    agreeing: Annotated[int, Field(description="Cells whose number lies in its interval.")]
+    note: str
+    cells: list[AgreementCell]
+
+
+@router.get("/agreement")
+async def get_agreement(
+    campaign_id: str,
+    services: Services,
+    fresh: Annotated[
+        str, Query(description="Another campaign that searches for tolerances in the same cells.")
+    ],
+    confidence: Annotated[
+        float, Query(gt=0, lt=1, description="Probability that an interval covers the number.")
+    ] = 0.95,
+) -> AgreementView:
+    """Return whether the drives of another campaign, simulated afresh, are as these tolerances predict."""
+    campaign, other = await services.campaigns.get(campaign_id), await services.campaigns.get(fresh)
+    if campaign.id == other.id:
+        raise InvalidInput.at("/query/fresh", f"expected another campaign than {campaign.id} itself")
+    if campaign.body.seed == other.body.seed:
+        raise InvalidInput.at(
+            "/query/fresh",
+            f"expected a campaign with another seed than {campaign.body.seed}: its drives are the same",
+        )
+    known, found = [
+        await services.tolerances.get(one, await services.archives.get(one)) for one in (campaign, other)
+    ]
+    return agreement_view(campaign, other, known, found, confidence)
+
+
+def agreement_view(
+    campaign: Campaign, other: Campaign, known: CampaignTolerance, found: CampaignTolerance, confidence: float
+) -> AgreementView:
+    """Return whether fresh drives are as tolerances predict.
+
+    Args:
+        campaign: The campaign with the tolerances.
+        other: The campaign with the fresh drives.
+        known: The tolerances.
+        found: What the fresh drives say.
+        confidence: Probability that an interval covers the number of caused violations.
+
+    Raises:
+        InvalidInput: The campaigns have no cell in common.
+    """
+    places = {(cell.condition, cell.choices): place for place, cell in enumerate(found.layout.cells)}
+    cells = []
+    for place, (cell, curve) in enumerate(zip(known.layout.cells, known.curves, strict=True)):
+        there = places.get((cell.condition, cell.choices))
+        if there is None or known.layout.names != found.layout.names:
+            continue
+        fresh = found.curves[there]
+        levels = np.repeat(np.arange(1, len(fresh.drives) + 1), fresh.drives)
+        low, high = curve.predicted(
+            levels, generator(campaign.body.seed, Stream.TOLERANCE, 3, place), confidence
+        )
+        caused = int(fresh.caused.sum())
+        cells.append(
+            AgreementCell(
+                place=place + 1, choices=dict(zip(known.layout.names, cell.choices, strict=True)),
+                condition=cell.condition, drives=len(levels), caused=caused, low=low, high=high,
+                agrees=low <= caused <= high,
+            )
+        )  # fmt: skip
+    if not cells:
+        raise InvalidInput.at("/query/fresh", f"campaign {other.id} has no cell in common with {campaign.id}")
+    agreeing, drives = sum(cell.agrees for cell in cells), sum(cell.drives for cell in cells)
+    return AgreementView(
+        campaign=campaign.id, fresh=other.id, confidence=confidence, drives=drives, agreeing=agreeing,
+        note=f"{drives} fresh drives: in {agreeing} of {len(cells)} cells, as many violate because of the error as "
+        f"predicted, within intervals of {confidence:.0%}",
+        cells=cells,
+    )  # fmt: skip
+
+
+def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> ToleranceView:
+    """Return the tolerances of a campaign for people and programs.
+
+    Args:
+        campaign: The campaign.
+        plan: Its plan.
+        found: Its tolerances.
+    """
+    problem = plan.problem
+    requirements = list(problem.requirements) if isinstance(problem, NamesRequirements) else []
+    layout, config = found.layout, found.config
+    examples: dict[int, list[tuple[int, int]]] = {}
+    for at, level, number in found.tally.caused:
+        examples.setdefault(at, []).append((level, number))
+    cells = []
+    for place, (cell, curve) in enumerate(zip(layout.cells, found.curves, strict=True)):
+        choices = dict(zip(layout.names, cell.choices, strict=True))
+        words = _Words(problem, choices, requirements, config.limit)
+        cells.append(
+            CellView(
+                place=place + 1, choices=choices, condition=cell.condition,
+                words=words.activity(curve), sentence=words.sentence(cell.condition, curve),
+                unit=words.scale.unit if words.scale else "",
+                decimals=words.scale.decimals if words.scale else 2,
+                meaning=words.scale.meaning if words.scale else "severity of the error",
+                drives=int(curve.drives.sum()), violations=int(found.tally.violations[place]),
+                caused=int(curve.caused.sum()), tolerated=words.tolerated(curve),
+                curve=words.curve(curve), fall=words.fall(curve),
+                examples=[
+                    ExampleView(number=number, severity=level / len(curve.drives),
+                                magnitude=words.magnitude(level / len(curve.drives)))
+                    for level, number in examples.get(place, ())[:EXAMPLES]
+                ],
+            )
+        )  # fmt: skip
+    drives = int(found.tally.counts.drives.sum())
+    return ToleranceView(
+        campaign=campaign.id, name=campaign.body.name, status=campaign.status,
+        complete=campaign.status in ENDED, requirements=requirements, limit=config.limit,
+        confidence=config.confidence, simulations=campaign.evaluated, open=len(found.tally.open_numbers),
+        note=_note(cells, drives, config.limit, config.confidence),
+        conditions=list(layout.conditions), baseline=_baselines(found), cells=cells,
+    )  # fmt: skip
+
+
+def _note(cells: list[CellView], drives: int, limit: float, confidence: float) -> str:
+    findings = [cell.tolerated.finding for cell in cells]
+    reached, never = findings.count(Finding.LIMIT), findings.count(Finding.THROUGHOUT)
+    return (
+        f"{len(cells)} cells, {drives} drives with an error: in {reached} the error makes {limit:.0%} of drives "
+        f"violate at some magnitude, in {never} at none; {len(cells) - reached - never} undecided; intervals of "
+        f"{confidence:.0%}"
+    )
+
+
+def _baselines(found: CampaignTolerance) -> list[BaselineView]:
+    layout = found.layout
+    views = []
+    for population, (violating, drives) in enumerate(found.tally.baseline):
+        members = [cell for cell in layout.cells if cell.population == population]
+        others = [
+            cell for cell in layout.cells
+            if cell.condition == members[0].condition and cell.population != population
+        ]  # fmt: skip
+        kept = [
+            place for place, _ in enumerate(layout.names)
+            if others and {c.choices[place] for c in members}.isdisjoint(c.choices[place] for c in others)
+        ]  # fmt: skip
+        choices = {tuple((layout.names[place], cell.choices[place]) for place in kept) for cell in members}
+        views.append(
+            BaselineView(
+                condition=members[0].condition,
+                choices=[dict(one) for one in sorted(choices)],
+                share=ShareView.model_validate(Share.of(violating, drives), from_attributes=True),
+            )
+        )
+    return views
+
+
+class _Words:
+    """Puts what is known of a cell into words and units."""
+
+    def __init__(
+        self, problem: Any, choices: Mapping[str, str], requirements: list[str], limit: float
+    ) -> None:
+        self._problem = problem if isinstance(problem, ScalesSeverity) else None
+        self._choices = choices
+        self._requirements = requirements
+        self._limit = limit
+        self.scale: SeverityScale | None = (
+            self._problem.severity_scale(choices) if self._problem is not None else None
+        )
+
+    def magnitude(self, severity: float) -> float | None:
+        return None if self.scale is None else self.scale.at(severity)
+
+    def tolerated(self, curve: Curve) -> ToleratedView:
+        value, low, high = (self._amount(one) for one in _ends(curve))
+        return ToleratedView(finding=_finding(curve), value=value, low=low, high=high)
+
+    def _amount(self, severity: float) -> Amount:
+        if math.isinf(severity):
+            return Amount(severity=None, magnitude=None)
+        return Amount(severity=severity, magnitude=self.magnitude(severity))
+
+    def curve(self, curve: Curve) -> CurveView:
+        grid = severities().tolist()
+        return CurveView(
+            severity=grid,
+            magnitude=None if self.scale is None else [self.scale.at(one) for one in grid],
+            share=curve.median.tolist(), low=curve.low.tolist(), high=curve.high.tolist(),
+            drives=[0, *curve.drives.tolist()], caused=[0, *curve.caused.tolist()],
+        )  # fmt: skip
+
+    def activity(self, curve: Curve) -> str:
+        """Return the error with the magnitude at which the limit is reached, or with the largest one."""
+        value, low, high = _ends(curve)
+        if math.isinf(value):
+            return self._activity(self._number(1.0, unit=True))
+        if low == high:
+            return self._activity(self._number(value, unit=True))
+        return self._activity(f"{self._number(value, unit=True)} [{self._range(low, high)}]")
+
+    def _activity(self, magnitude: str) -> str:
+        if self._problem is None or self.scale is None:
+            choices = ", ".join(self._choices.values())
+            return f"{choices} at severity {magnitude}".lstrip()
+        return self._problem.error_words(self._choices, magnitude)
+
+    def _range(self, low: float, high: float) -> str:
+        ends = sorted((low, high), key=lambda one: self.magnitude(min(one, 1.0)) or min(one, 1.0))
+        texts = ["beyond" if math.isinf(one) else self._number(one) for one in ends]
+        return ", ".join(texts)
+
+    def _number(self, severity: float, *, unit: bool = False) -> str:
+        if self.scale is None:
+            return f"{severity:.2f}"
+        return self.scale.words(severity) if unit else self.scale.number(severity)
+
+    def sentence(self, condition: str, curve: Curve) -> str:
+        """Return the requirement that follows from a cell, with its interval."""
+        share = f"{self._limit:.0%}"
+        violated = _violated(self._requirements)
+        activity = self.activity(curve)
+        match _finding(curve):
+            case Finding.LIMIT:
+                words = f"{activity} makes {share} of drives {violated}"
+            case Finding.THROUGHOUT:
+                words = f"{activity} makes fewer than {share} of drives {violated}"
+            case Finding.UNDECIDED if not curve.drives.any():
+                words = f"{self._activity('any magnitude')}: nothing is known yet"
+            case Finding.UNDECIDED if math.isinf(curve.tolerated.value):
+                words = f"{activity} probably makes fewer than {share} of drives {violated}"
+                if curve.tolerated.low < _NEARLY_ALL:
+                    low = self._number(curve.tolerated.low, unit=True)
+                    words += f", but {self._activity(low)} may already make that many"
+            case Finding.UNDECIDED:
+                words = f"{activity} probably makes {share} of drives {violated}, or no magnitude does"
+        return f"{as_sentence(condition)}: {words}."
+
+    def fall(self, curve: Curve) -> FallView | None:
+        fall = curve.fall
+        if fall is None:
+            return None
+        words = (
+            f"more error is safer from {self._number(fall.from_severity, unit=True)} on: {fall.from_share:.0%} of "
+            f"drives violate because of it there, {fall.to_share:.0%} at {self._number(fall.to_severity, unit=True)}"
+        )
+        return FallView(
+            from_severity=fall.from_severity, to_severity=fall.to_severity,
+            from_share=fall.from_share, to_share=fall.to_share, words=words,
+        )  # fmt: skip
+
+
+def _ends(curve: Curve) -> tuple[float, float, float]:
+    return curve.tolerated.value, curve.tolerated.low, curve.tolerated.high
+
+
+def _finding(curve: Curve) -> Finding:
+    if math.isinf(curve.tolerated.low):
+        return Finding.THROUGHOUT
+    return Finding.UNDECIDED if math.isinf(curve.tolerated.high) else Finding.LIMIT
+
+
+_VIOLATIONS = {
+    "front-gap": "violate the front gap",
+    "no-collision": "collide",
+    "lane-keeping": "leave the lane",
+    "red-light": "run a red light",
+    "speed-limit": "exceed the speed limit",
+    "progress": "get stuck",
+}
+
+
+def _violated(requirements: list[str]) -> str:
+    """Return requirements as what violates them, such as ``violate the front gap or collide``."""
+    if not requirements:
+        return "violate the requirement"
+    names = [name.partition("@")[0] for name in requirements]
+    return " or ".join(_VIOLATIONS.get(name, f"violate {name}") for name in names)
+
+
+def tolerance_csv(view: ToleranceView) -> str:
+    """Return the tolerances as CSV, one row for each cell."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    names = list(view.cells[0].choices) if view.cells else []
+    ends = ("value", "low", "high")
+    writer.writerow(
+        [
+            *(name.rpartition(".")[2] for name in names), "condition", "finding", "unit",
+            *(f"tolerated_{end}" for end in ends), *(f"severity_{end}" for end in ends),
+            "limit", "confidence", "drives", "violations", "caused", "sentence",
+        ]
+    )  # fmt: skip
+    for cell in view.cells:
+        amounts = [getattr(cell.tolerated, end) for end in ends]
+        writer.writerow(
+            [
+                *(cell.choices[name] for name in names), cell.condition, cell.tolerated.finding.value, cell.unit,
+                *(_digits(one.magnitude) for one in amounts), *(_digits(one.severity) for one in amounts),
+                view.limit, view.confidence, cell.drives, cell.violations, cell.caused, cell.sentence,
+            ]
+        )  # fmt: skip
+    return out.getvalue()
+
+
+def _digits(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"

@@ -1,0 +1,106 @@
+"""The problem `urban-camera@1`: an urban scenario with a camera and an obstacle detector in the loop.
+
+The scenario is that of `urban-injected@1`. Episodes also tell how wrong the detector was, so that it can be held
+against a requirement (docs/how-to/set-a-requirement.md).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from brink.search.algorithm import Evaluation, Scored
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
+from brink.server.problems.base import Vectors, wrong_detector
+from brink.server.problems.urban_injected import (
+    REQUIREMENTS,
+    UrbanInjectedParams,
+    scenario_component,
+    scenario_of,
+)
+from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.perception.user_files import weights_digest
+from brink.sim.world.scenario import words_of_scenario
+from brink.worker.wire import Completed
+
+SIMULATOR = "brink-drive-camera@1"
+WITH_TRUTH = "brink-drive-errors@1"
+MEASURES = "detector_errors"
+"""Name of the feature with the detector's errors: the magnitude of each type, by target."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UrbanCameraParams(UrbanInjectedParams):
+    """Parameters of the problem."""
+
+    requirement: str | list[str] = field(
+        default_factory=lambda: ["front-gap@1", "no-collision@1"],
+        metadata={
+            "help": "Id of the requirement that gives the verdict, a list of several, or any for all built-in ones. "
+            "All built-in requirements are recorded in any case."
+        },
+    )
+    detector: str = setting(
+        "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
+    )
+    threshold: float = setting(0.5, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
+    timeout_s: float = setting(120.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
+
+
+class UrbanCamera:
+    """Urban driving with an obstacle detector on rendered camera images."""
+
+    id: ClassVar[str] = "urban-camera@1"
+    summary: ClassVar[str] = "Urban driving with a camera and an obstacle detector in the loop: 7 parameters."
+    params_type: ClassVar[type[Any]] = UrbanCameraParams
+    extra: ClassVar[str] = "vision"
+    modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
+
+    def __init__(self, params: UrbanCameraParams) -> None:
+        self.params = params
+        self.space = SearchSpace((scenario_component(),))
+        self.algorithm_defaults: Mapping[str, Any] = {}
+        self.requirements = params.requirements
+        self.needs = SIMULATOR
+        self.timeout_s = params.timeout_s
+        self._is_true = False
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return errors in the name or file of the detector."""
+        return wrong_detector(self.params.detector)
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode of a scenario."""
+        params = self.params
+        behaviour: dict[str, Json] = {"mode": "errors", "errors": []}
+        if not self._is_true:
+            behaviour = {"mode": "detector", "detector": params.detector, "threshold": params.threshold}
+            if digest := weights_digest(params.detector):
+                behaviour["weights"] = digest
+        return EpisodeSpec(
+            simulator=self.needs,
+            scenario=scenario_of(self.space.decode(tuple(vectors))["scenario"]),
+            behaviour=behaviour,
+            requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
+            seed=seed,
+            duration_s=params.duration_s,
+            options={"fidelity": params.fidelity},
+        )
+
+    def with_truth(self) -> "UrbanCamera | None":
+        """Return the problem with the ground truth in place of the detector; None if this is it."""
+        if self._is_true:
+            return None
+        found = type(self)(self.params)
+        found._is_true = True
+        found.needs = WITH_TRUTH
+        return found
+
+    def words(self, vectors: Vectors) -> str:
+        """Describe a candidate."""
+        return words_of_scenario(scenario_of(self.space.decode(tuple(vectors))["scenario"]))
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
+        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)

@@ -1,0 +1,284 @@
+"""The problem `urban-errors@1`: an urban scenario with an obstacle detector that is wrong in a few ways.
+
+The scenario is that of `urban-injected@1`. The behaviour is a number of errors relative to the truth;
+without any, the detector reports the truth. Source: ours; see docs/explanation/tolerance.md.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from brink.search.algorithm import Evaluation, Scored
+from brink.search.parameters import Parameter, Value
+from brink.search.settings import setting
+from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
+from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
+from brink.server.problems.changes import different
+from brink.server.problems.urban_changes import scenario_changes
+from brink.server.problems.urban_injected import (
+    REQUIREMENTS,
+    UrbanInjectedParams,
+    scenario_component,
+    scenario_of,
+)
+from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.urban.behaviour import steps_from_json
+from brink.sim.urban.detection_errors import (
+    ERROR_STEPS,
+    MAGNITUDES,
+    MAX_ERRORS,
+    MODE,
+    DetectionError,
+    ErrorType,
+    Onset,
+    Target,
+    activity_of_error,
+)
+from brink.sim.urban.error_meter import MEASURED
+from brink.sim.world.scenario import words_of_scenario
+from brink.worker.wire import Completed
+
+SIMULATOR = "brink-drive-errors@1"
+NO_ERROR: Final = "none"
+"""The type of an error that is none."""
+LATEST_ONSET_S: Final = 12.0
+_FIRST: Final = f"{BEHAVIOUR}.error_1"
+_FIELDS: Final = ("type", "target", "onset", "onset_s", "duration_s", "severity")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UrbanErrorsParams(UrbanInjectedParams):
+    """Parameters of the problem."""
+
+    requirement: str | list[str] = field(
+        default_factory=lambda: ["front-gap@1", "no-collision@1"],
+        metadata={
+            "help": "Id of the requirement that gives the verdict, a list of several, or any for all built-in ones. "
+            "All built-in requirements are recorded in any case."
+        },
+    )
+    errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Most errors in an episode.")
+
+
+def errors_component(count: int, duration_s: float) -> Component:
+    """Return the component of up to `count` errors of the detector in episodes of a length."""
+    parameters: list[Parameter] = []
+    constraints = []
+    for index in range(1, count + 1):
+        prefix = f"error_{index}."
+        parameters += [
+            Categorical(name=prefix + "type", choices=(NO_ERROR, *(item.value for item in ErrorType))),
+            Categorical(name=prefix + "target", choices=tuple(item.value for item in Target)),
+            Categorical(name=prefix + "onset", choices=tuple(item.value for item in Onset)),
+            Real(name=prefix + "onset_s", low=0.0, high=min(LATEST_ONSET_S, duration_s), unit="s"),
+            Real(name=prefix + "duration_s", low=0.0, high=duration_s, unit="s"),
+            Real(name=prefix + "severity", low=0.0, high=1.0, unit=""),
+        ]
+        constraints.append(
+            Dormant(
+                label=prefix + "type",
+                null_choice=NO_ERROR,
+                members=(prefix + "onset_s", prefix + "duration_s", prefix + "severity"),
+            )
+        )
+    return Component(
+        name=BEHAVIOUR,
+        parameters=tuple(parameters),
+        constraints=tuple(constraints),
+        interchangeable=()
+        if count == 1
+        else tuple(tuple(f"error_{index}.{name}" for name in _FIELDS) for index in range(1, count + 1)),
+    )
+
+
+class UrbanErrors:
+    """Urban driving with an obstacle detector that reports the truth with errors."""
+
+    id: ClassVar[str] = "urban-errors@1"
+    summary: ClassVar[str] = "Urban driving with errors of the obstacle detector relative to the truth."
+    params_type: ClassVar[type[Any]] = UrbanErrorsParams
+
+    def __init__(self, params: UrbanErrorsParams) -> None:
+        self.params = params
+        self.space = SearchSpace((scenario_component(), errors_component(params.errors, params.duration_s)))
+        others = {f"{BEHAVIOUR}.error_{index}.type": NO_ERROR for index in range(2, params.errors + 1)}
+        self.algorithm_defaults: Mapping[str, Any] = {
+            "severity": f"{_FIRST}.severity",
+            "fixed": {
+                **others, f"{_FIRST}.onset": Onset.TIME.value, f"{_FIRST}.duration_s": params.duration_s,
+            },
+            "truth": {f"{_FIRST}.type": NO_ERROR},
+            "needs": {f"{_FIRST}.target={Target.PEDESTRIAN.value}": {"scenario.pedestrians": ["18"]}},
+        }  # fmt: skip
+        self.requirements = params.requirements
+        self.needs = SIMULATOR
+        self.timeout_s = params.timeout_s
+        self._is_true = False
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode of a scenario and the errors in it."""
+        decoded = self.space.decode(tuple(vectors))
+        errors: list[Json] = (
+            [] if self._is_true else [error.to_json() for error in self._errors(decoded[BEHAVIOUR])]
+        )
+        return EpisodeSpec(
+            simulator=SIMULATOR,
+            scenario=scenario_of(decoded["scenario"]),
+            behaviour={"mode": MODE, "errors": list(errors)},
+            requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
+            seed=seed,
+            duration_s=self.params.duration_s,
+            options={"fidelity": self.params.fidelity},
+        )
+
+    def _errors(self, values: Mapping[str, Value]) -> list[DetectionError]:
+        found = (self._error(values, index) for index in range(1, self.params.errors + 1))
+        return [error for error in found if error is not None]
+
+    def _error(self, values: Mapping[str, Value], index: int) -> DetectionError | None:
+        """Return an error of a decoded behaviour; None if it is none."""
+        prefix = f"error_{index}."
+        if values[prefix + "type"] == NO_ERROR:
+            return None
+        kind = ErrorType(str(values[prefix + "type"]))
+        scale = MAGNITUDES[kind]
+        magnitude = scale.at(float(values[prefix + "severity"]))
+        if not scale.has_window:
+            return DetectionError(
+                type=kind, target=Target(str(values[prefix + "target"])), magnitude=magnitude
+            )
+        return DetectionError(
+            type=kind,
+            target=Target(str(values[prefix + "target"])),
+            magnitude=magnitude,
+            onset=Onset(str(values[prefix + "onset"])),
+            onset_s=float(values[prefix + "onset_s"]),
+            duration_s=float(values[prefix + "duration_s"]) if scale.has_duration else magnitude,
+        )
+
+    def with_truth(self) -> "UrbanErrors | None":
+        """Return the problem with a detector that reports the ground truth; None if this is it."""
+        if self._is_true:
+            return None
+        found = type(self)(self.params)
+        found._is_true = True
+        return found
+
+    def words(self, vectors: Vectors) -> str:
+        """Describe a candidate."""
+        decoded = self.space.decode(tuple(vectors))
+        errors = [] if self._is_true else self._errors(decoded[BEHAVIOUR])
+        words = " and ".join(error.words for error in errors) or "no error"
+        return f"{words_of_scenario(scenario_of(decoded['scenario']))}; {words}"
+
+    def words_of_change(
+        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
+    ) -> str:
+        """Describe what is different in the unsafe one of two candidates."""
+        old, new = (self.space.decode(tuple(one.vectors)) for one in (safe, unsafe))
+        parts = scenario_changes(old["scenario"], new["scenario"], changed)
+        for index in range(1, self.params.errors + 1):
+            prefix = f"{BEHAVIOUR}.error_{index}."
+            names = {name.removeprefix(prefix) for name in changed if name.startswith(prefix)}
+            if names:
+                before, after = self._error(old[BEHAVIOUR], index), self._error(new[BEHAVIOUR], index)
+                parts.append(_change(before, after, names))
+        return "; ".join(filter(None, parts))
+
+    def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
+        """Return what severities mean, given the type of the first error."""
+        kind = choices.get(f"{_FIRST}.type")
+        if kind is None or kind == NO_ERROR:
+            return None
+        scale = MAGNITUDES[ErrorType(kind)]
+        return SeverityScale(
+            unit=scale.shown_unit, none=scale.number(scale.none), most=scale.number(scale.most),
+            meaning=scale.meaning, decimals=0 if scale.shown_unit == "%" else 1,
+        )  # fmt: skip
+
+    def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
+        """Describe an error as an activity, such as ``not reporting the lead for 1.3 s``."""
+        kind, target = ErrorType(choices[f"{_FIRST}.type"]), choices.get(f"{_FIRST}.target")
+        return activity_of_error(kind, None if target is None else Target(target), magnitude)
+
+    def measured_severity(
+        self, choices: Mapping[str, str], measures: Mapping[str, Mapping[str, float]]
+    ) -> float | None:
+        """Return how severe an error was in a drive; None if errors of this type are not measured."""
+        kind = ErrorType(choices[f"{_FIRST}.type"])
+        target = choices.get(f"{_FIRST}.target")
+        if kind not in MEASURED or target is None:
+            return None
+        magnitude = measures.get(target, {}).get(kind.value)
+        return 0.0 if magnitude is None else MAGNITUDES[kind].severity(magnitude)
+
+    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
+        """Return which parameters had a part in an episode: those that the type of an error has, if it ever acted."""
+        steps = steps_from_json(features.get(ERROR_STEPS))
+        behaviour = self.space.components[1]
+        values = behaviour.decode(vectors[1])
+        present = [i for i in range(1, self.params.errors + 1) if self._error(values, i) is not None]
+        if self._is_true or steps is None or len(steps) != len(present):
+            return None
+        place = {parameter.name: column for column, parameter in enumerate(behaviour.parameters)}
+        acted = {index for index, at in zip(present, steps, strict=True) if at is not None}
+        active = np.ones(len(vectors[1]), dtype=np.bool_)
+        effective = np.array(vectors[1], dtype=np.float64)
+        for index in range(1, self.params.errors + 1):
+            prefix = f"error_{index}."
+            columns = [place[prefix + name] for name in _FIELDS]
+            if index not in acted:
+                # The type stays active where there is no error: another type would have been one.
+                active[columns if index in present else columns[1:]] = False
+                effective[columns[0]] = 0.0
+                effective[columns[3:]] = 0.0
+                continue
+            scale = MAGNITUDES[ErrorType(str(values[prefix + "type"]))]
+            if not scale.has_window:
+                active[[place[prefix + "onset"], place[prefix + "onset_s"]]] = False
+            if not scale.has_duration:
+                active[place[prefix + "duration_s"]] = False
+        return Activity(
+            active=np.concatenate([np.ones(len(vectors[0]), dtype=np.bool_), active]),
+            effective=np.concatenate([vectors[0], effective]),
+            idle=() if acted else (BEHAVIOUR,),
+        )
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
+        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
+
+
+def _change(old: DetectionError | None, new: DetectionError | None, changed: Collection[str]) -> str:
+    """Describe how an error differs, such as ``the lead is not reported for 1.5 s instead of 1.3 s``."""
+    if new is None:
+        return f"without the error that {old.words}" if old is not None else ""
+    if old is None:
+        return new.words
+    scale = MAGNITUDES[new.type]
+    if old.type is not new.type or old.target is not new.target:
+        return f"{new.words} (in the safe drive, {old.words})"
+    much, parts = scale.words(new.magnitude), []
+    if "severity" in changed and old.magnitude != new.magnitude:
+        much = _instead(scale.number(old.magnitude), scale.number(new.magnitude), scale.shown_unit)
+    if scale.has_window and (old.onset is not new.onset or old.onset_s != new.onset_s):
+        same_event = old.onset is new.onset
+        parts.append(
+            f"from {_instead(old.onset_s, new.onset_s, 's')}"
+            if same_event and new.onset is Onset.TIME
+            else f"{new.onset_words} instead of {old.onset_words}"
+        )
+    if scale.has_duration and "duration_s" in changed and old.duration_s != new.duration_s:
+        parts.append(f"for {_instead(old.duration_s, new.duration_s, 's')}")
+    if not parts and old.magnitude == new.magnitude:
+        return ""
+    return ", ".join([new.words_with(much), *parts])
+
+
+def _instead(old: float, new: float, unit: str) -> str:
+    before, after = different(old, new)
+    suffix = unit if unit == "%" else f" {unit}"
+    return f"{after}{suffix} instead of {before}{suffix}"

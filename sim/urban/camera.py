@@ -1,0 +1,235 @@
+"""The camera on urban roads: renders what the ego sees and returns a detector's boxes.
+
+`brink-drive-camera@1` runs urban episodes with the detector in the loop. Its results say how wrong the detector was,
+in the terms of `detection_errors`, so that it can be held against a requirement.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import cv2
+import numpy as np
+
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.episode import EpisodeSpec, Json, check_fields
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.detector import LABELS, Detector, find_detector
+from brink.sim.perception.user_files import weights_digest
+from brink.sim.rendering.renderer import Renderer
+from brink.sim.rendering.scene import (
+    Body,
+    BodyKind,
+    Ground,
+    Light,
+    Material,
+    PictureCamera,
+    StreetScene,
+    Tree,
+    Viewpoint,
+)
+from brink.sim.rendering.street import building_from_fixture, road_surfaces
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
+from brink.sim.urban.episode_loop import Detects, Outcome
+from brink.sim.urban.erroneous_detector import Observer
+from brink.sim.urban.error_meter import ErrorMeter
+from brink.sim.urban.simulator import BrinkDrive, UrbanDetector
+from brink.sim.world.ego import EgoMotion
+from brink.sim.world.pedestrians import PERSON_HEIGHT_M
+from brink.sim.world.road import Road
+from brink.sim.world.scenario import TimeOfDay, Weather
+from brink.sim.world.scenery import fixtures
+from brink.sim.world.world import World
+
+MODE: Final = "detector"
+SIMULATOR_ID: Final = "brink-drive-camera@1"
+SIZE_PX: Final = (640, 360)
+CROWN_M: Final = 3.0
+STEPS_PER_S: Final = 1.9
+"""Step rate of a walking person, for the pose of the legs."""
+MEASURES: Final = "detector_errors"
+"""Name of the feature with the detector's errors: the magnitude of each type, by target."""
+
+_GRASS_BEYOND_M: Final = 80.0
+_FIELDS: Final = ("mode", "detector", "threshold", "weights")
+_LABELS: Final = {"vehicle": ObstacleLabel.VEHICLE, "person": ObstacleLabel.PERSON}
+
+
+class RoadCamera:
+    """Renders what the ego's camera sees and returns a detector's boxes.
+
+    Args:
+        road: The road.
+        light: Time of day and weather.
+        seed: Selects the appearances.
+        detector: The detector.
+        threshold: Minimum score of a box.
+        camera: The driving system's camera, which defines the image of the returned boxes.
+
+    Attributes:
+        first_id: Smallest id of a body that is free for road users.
+    """
+
+    def __init__(
+        self, road: Road, light: Light, *, seed: int, detector: Detector, threshold: float, camera: Camera
+    ) -> None:
+        cv2.setNumThreads(1)
+        self._detector = detector
+        self._threshold = threshold
+        self._camera = camera
+        self._picture = PictureCamera(
+            width_px=SIZE_PX[0], height_px=SIZE_PX[1], fov_deg=camera.fov_deg, height_m=camera.height_m,
+            forward_m=camera.forward_m,
+        )  # fmt: skip
+        self.first_id = 1 + len(fixtures(road))
+        self._renderer = Renderer(street_scene(road), light, self._picture, seed)
+
+    def boxes(self, ego: EgoMotion, bodies: Sequence[Body], time_s: float) -> tuple[Box, ...]:
+        """Return the current detections, in pixels of the driving system's image."""
+        view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
+        found = self._detector.detect(self._renderer.frame(view, bodies, time_s).image)
+        sure = np.flatnonzero(found.scores >= self._threshold).tolist()
+        return tuple(self._to_driving_image(LABELS[found.labels[i]], *found.boxes[i].tolist()) for i in sure)
+
+    def _to_driving_image(self, label: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Box:
+        """Convert a box to the driving system's image: the same rays, different pixels."""
+        scale = self._camera.focal_px / self._picture.focal_px
+        middle_x, middle_y = 0.5 * SIZE_PX[0], 0.5 * SIZE_PX[1]
+        return Box(
+            label=_LABELS[label],
+            x_min_px=self._camera.centre_x_px + (x_min - middle_x) * scale,
+            x_max_px=self._camera.centre_x_px + (x_max - middle_x) * scale,
+            y_min_px=self._camera.horizon_px + (y_min - middle_y) * scale,
+            y_max_px=self._camera.horizon_px + (y_max - middle_y) * scale,
+        )
+
+
+def gait(speed_mps: float, time_s: float) -> float:
+    """Return the pose of the legs of a person, as an angle in [0, 2 pi); 0 while the person stands."""
+    return (2.0 * math.pi * STEPS_PER_S * time_s if speed_mps > 0.1 else 0.0) % (2.0 * math.pi)
+
+
+def street_scene(road: Road) -> StreetScene:
+    """Convert a road to a scene for rendering, with the surfaces and fixtures that replays show from above."""
+    still = fixtures(road)
+    return StreetScene(
+        ground=(_grass(road), *road_surfaces(road)),
+        buildings=tuple(
+            building_from_fixture(f, index) for index, f in enumerate(still) if f.kind == "building"
+        ),
+        trees=tuple(
+            Tree(x_m=f.x_m, y_m=f.y_m, height_m=f.height_m, crown_m=CROWN_M, look=index)
+            for index, f in enumerate(still)
+            if f.kind == "tree"
+        ),
+        parked=tuple(
+            Body(
+                id=index + 1, kind=BodyKind.VEHICLE, x_m=f.x_m, y_m=f.y_m, yaw_rad=f.yaw_rad,
+                length_m=f.length_m, width_m=f.width_m, height_m=f.height_m, look=index,
+            )
+            for index, f in enumerate(still)
+            if f.kind == "parked-car"
+        ),
+    )  # fmt: skip
+
+
+def _grass(road: Road) -> Ground:
+    stations = np.linspace(-_GRASS_BEYOND_M, road.length_m + _GRASS_BEYOND_M, 24)
+    points = np.array([road.centre.pose_at(float(station))[:2] for station in stations])
+    low, high = points.min(axis=0) - _GRASS_BEYOND_M, points.max(axis=0) + _GRASS_BEYOND_M
+    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+    return Ground(material=Material.GRASS, points=corners)
+
+
+def check_detector(behaviour: Mapping[str, Json]) -> None:
+    """Check a behaviour that names a detector.
+
+    Raises:
+        InvalidEpisode: It is not ``{"mode": "detector", "detector": …, "threshold": …}``, or the detector's file is
+            not the one that was meant.
+    """
+    check_fields("behaviour", {"weights": "", **behaviour}, _FIELDS)
+    if behaviour["mode"] != MODE:
+        raise InvalidEpisode(f"behaviour.mode: expected {MODE}, got {behaviour['mode']!r}")
+    threshold = behaviour["threshold"]
+    if isinstance(threshold, bool) or not isinstance(threshold, int | float) or not 0 < threshold < 1:
+        raise InvalidEpisode(f"behaviour.threshold: expected a number in (0, 1), got {threshold!r}")
+    if not isinstance(behaviour["detector"], str):
+        raise InvalidEpisode(
+            f"behaviour.detector: expected an id such as brink-det@1, got {behaviour['detector']!r}"
+        )
+    weights = behaviour.get("weights", "")
+    if weights and weights != weights_digest(behaviour["detector"]):
+        raise InvalidEpisode(
+            f"behaviour.detector: {behaviour['detector']} differs from the file that the campaign was submitted with"
+        )
+
+
+class BrinkDriveCamera(BrinkDrive):
+    """Runs urban episodes with a camera and a detector in the loop."""
+
+    id = SIMULATOR_ID
+
+    def _detector(self, spec: EpisodeSpec) -> UrbanDetector:
+        check_detector(spec.behaviour)
+        return _InTheLoop(spec)
+
+
+class _InTheLoop:
+    """A detector on rendered images, and how wrong it is."""
+
+    def __init__(self, spec: EpisodeSpec) -> None:
+        self.behaviour = DetectorBehaviour(mode=BehaviourMode.ORACLE)
+        self._spec = spec
+        self._meter: ErrorMeter | None = None
+
+    def start(self, world: World, camera: Camera) -> Detects:
+        spec = self._spec
+        light = Light(
+            time_of_day=TimeOfDay(str(spec.scenario["time_of_day"])),
+            weather=Weather(str(spec.scenario["weather"])),
+        )
+        eyes = RoadCamera(
+            world.road, light, seed=spec.seed, detector=find_detector(str(spec.behaviour["detector"])),
+            threshold=float(str(spec.behaviour["threshold"])), camera=camera,
+        )  # fmt: skip
+        observer = Observer(world, camera)
+        meter = self._meter = ErrorMeter(camera)
+
+        def detects(time_s: float) -> tuple[Box, ...]:
+            found = eyes.boxes(world.ego, _bodies(world, eyes.first_id, time_s), time_s)
+            meter.see(time_s, observer.look(time_s).true_boxes(), found)
+            return found
+
+        return detects
+
+    def features(self, outcome: Outcome) -> dict[str, Json]:
+        """Return the detector's errors."""
+        measures = {} if self._meter is None else self._meter.measures()
+        return {
+            MEASURES: {
+                target.value: {kind.value: magnitude for kind, magnitude in errors.items()}
+                for target, errors in measures.items()
+            }
+        }
+
+
+def _bodies(world: World, first_id: int, time_s: float) -> list[Body]:
+    bodies = [
+        Body(
+            id=first_id + index, kind=BodyKind.VEHICLE, x_m=vehicle.x_m, y_m=vehicle.y_m,
+            yaw_rad=vehicle.yaw_rad, length_m=vehicle.length_m, width_m=vehicle.width_m,
+            height_m=vehicle.size.height_m, look=7 * index + 3,
+        )
+        for index, vehicle in enumerate(world.vehicles)
+    ]  # fmt: skip
+    bodies += [
+        Body(
+            id=first_id + index, kind=BodyKind.PERSON, x_m=walker.x_m, y_m=walker.y_m, yaw_rad=walker.yaw_rad,
+            length_m=walker.length_m, width_m=walker.width_m, height_m=PERSON_HEIGHT_M, look=7 * index + 3,
+            phase=gait(walker.speed_mps, time_s + 0.1 * index),
+        )
+        for index, walker in enumerate(world.walkers, len(bodies))
+    ]  # fmt: skip
+    return bodies

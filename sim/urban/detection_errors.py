@@ -1,0 +1,395 @@
+"""Errors of the obstacle detector relative to the truth: their types, targets, time windows and magnitudes.
+
+The detector reports the truth, apart from a few errors. An error has a type, a target, usually a time window, and a
+magnitude in a physical unit. `brink.sim.urban.erroneous_detector` does to the boxes what is described here.
+
+*Severity* puts the magnitudes of a type on a scale from 0, no error, to 1, the grossest error that is studied. The
+two are proportional, so that half the severity is half the time, distance or share.
+
+This module has no heavy imports, so that code that builds a search space can read the parameters from here.
+
+Source: ours; see docs/explanation/tolerance.md.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Self, TypeVar
+
+from brink.sim.driving.settings import FollowSettings
+from brink.sim.episode import Json, JsonObject, check_fields, nearest
+from brink.sim.errors import InvalidEpisode
+
+MAX_ERRORS: Final = 8
+"""Most errors in an episode."""
+
+
+class ErrorType(StrEnum):
+    """What is wrong with the detector's output."""
+
+    MISS = "miss"
+    LATE = "late"
+    FLICKER = "flicker"
+    TOO_FAR = "too_far"
+    TOO_NEAR = "too_near"
+    LEFT = "left"
+    RIGHT = "right"
+    TOO_LARGE = "too_large"
+    TOO_SMALL = "too_small"
+    WRONG_LABEL = "wrong_label"
+    SHORT_RANGE = "short_range"
+    GHOST_ON_ROAD = "ghost_on_road"
+    GHOST_IN_IMAGE = "ghost_in_image"
+
+
+class Target(StrEnum):
+    """Whose boxes are wrong.
+
+    In a time window, ``lead`` is the nearest vehicle ahead in the ego's lane when the window opens, and
+    ``pedestrian`` the nearest pedestrian ahead within 3 m of the middle of that lane, or the one who steps out if
+    that opens the window. The window waits until there is one. Otherwise all of the kind are meant.
+    Vehicles are told apart by their heading relative to the ego's: up to 45 degrees (``lead``), from 135 degrees
+    (``oncoming``), and between (``crossing``).
+    """
+
+    LEAD = "lead"
+    ONCOMING = "oncoming"
+    CROSSING = "crossing"
+    PEDESTRIAN = "pedestrian"
+    EVERYBODY = "everybody"
+
+
+class Onset(StrEnum):
+    """What an error's window begins with."""
+
+    TIME = "time"
+    LEAD_BRAKES = "lead_brakes"
+    PEDESTRIAN_STEPS_OUT = "pedestrian_steps_out"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Magnitude:
+    """The magnitude of a type of error.
+
+    Attributes:
+        unit: Its unit; a share is a fraction of 1.
+        none: The magnitude without effect, at severity 0.
+        most: The magnitude at severity 1.
+        meaning: What it measures.
+        has_window: Whether the error begins at an onset; otherwise it holds for the whole episode.
+        has_duration: Whether the window's length is a parameter of its own, and not the magnitude.
+    """
+
+    unit: str
+    none: float
+    most: float
+    meaning: str
+    has_window: bool = True
+    has_duration: bool = False
+
+    def at(self, severity: float) -> float:
+        """Return the magnitude of a severity in [0, 1]."""
+        return self.none + severity * (self.most - self.none)
+
+    def severity(self, magnitude: float) -> float:
+        """Return the severity of a magnitude, which is above 1 beyond the grossest that is studied."""
+        return max((magnitude - self.none) / (self.most - self.none), 0.0)
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit in which people are shown the magnitude."""
+        return "%" if self.unit == "share" else self.unit
+
+    def number(self, magnitude: float) -> float:
+        """Return a magnitude in the unit in which people are shown it."""
+        return 100.0 * magnitude if self.unit == "share" else magnitude
+
+    def words(self, magnitude: float) -> str:
+        """Return a magnitude with its unit, such as ``1.3 s`` or ``18%``."""
+        return f"{100.0 * magnitude:.0f}%" if self.unit == "share" else f"{magnitude:.1f} {self.unit}"
+
+
+LONGEST_S: Final = 8.0
+RELEVANT_M: Final = FollowSettings().range_m
+"""Distance beyond which the driving system ignores vehicles; a range of this or more counts as no error."""
+
+MAGNITUDES: Final[Mapping[ErrorType, Magnitude]] = {
+    ErrorType.MISS: Magnitude(unit="s", none=0.0, most=LONGEST_S, meaning="how long the target is not reported"),
+    ErrorType.LATE: Magnitude(
+        unit="s", none=0.0, most=LONGEST_S, has_window=False,
+        meaning="how long after it first was visible the target is first reported",
+    ),
+    ErrorType.FLICKER: Magnitude(
+        unit="share", none=0.0, most=1.0, has_duration=True,
+        meaning="share of each period of 2 s in which the target is not reported",
+    ),
+    ErrorType.TOO_FAR: Magnitude(
+        unit="share", none=0.0, most=1.0, has_duration=True,
+        meaning="how much farther away the box's bottom edge puts the target, as a share of its distance",
+    ),
+    ErrorType.TOO_NEAR: Magnitude(
+        unit="share", none=0.0, most=0.8, has_duration=True,
+        meaning="how much nearer the box's bottom edge puts the target, as a share of its distance",
+    ),
+    ErrorType.LEFT: Magnitude(
+        unit="m", none=0.0, most=4.0, has_duration=True,
+        meaning="how far to the left of the target its box lies, at the target's distance",
+    ),
+    ErrorType.RIGHT: Magnitude(
+        unit="m", none=0.0, most=4.0, has_duration=True,
+        meaning="how far to the right of the target its box lies, at the target's distance",
+    ),
+    ErrorType.TOO_LARGE: Magnitude(
+        unit="share", none=0.0, most=1.0, has_duration=True,
+        meaning="how much wider and higher the box is, about its centre",
+    ),
+    ErrorType.TOO_SMALL: Magnitude(
+        unit="share", none=0.0, most=0.8, has_duration=True,
+        meaning="how much narrower and lower the box is, about its centre",
+    ),
+    ErrorType.WRONG_LABEL: Magnitude(
+        unit="s", none=0.0, most=LONGEST_S,
+        meaning="how long a vehicle is reported as a person, or a person as a vehicle",
+    ),
+    ErrorType.SHORT_RANGE: Magnitude(
+        unit="m", none=RELEVANT_M, most=0.0, has_window=False,
+        meaning="distance beyond which the target is not reported",
+    ),
+    ErrorType.GHOST_ON_ROAD: Magnitude(
+        unit="s", none=0.0, most=LONGEST_S,
+        meaning="how long a target that is not there is reported at a place on the road",
+    ),
+    ErrorType.GHOST_IN_IMAGE: Magnitude(
+        unit="s", none=0.0, most=LONGEST_S,
+        meaning="how long a target that is not there is reported at a place in the image",
+    ),
+}  # fmt: skip
+
+GHOSTS: Final = frozenset({ErrorType.GHOST_ON_ROAD, ErrorType.GHOST_IN_IMAGE})
+WINDOW_FIELDS: Final = ("onset", "onset_s")
+_E = TypeVar("_E", bound=StrEnum)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectionError:
+    """One error of the obstacle detector.
+
+    Attributes:
+        type: What is wrong.
+        target: Whose boxes are wrong; of ghosts, what they look like.
+        magnitude: How wrong, in the unit of the type.
+        onset: What the window begins with.
+        onset_s: Begin of the window or, with an event as onset, the earliest time at which the event counts.
+        duration_s: Length of the window.
+    """
+
+    type: ErrorType
+    target: Target
+    magnitude: float
+    onset: Onset = Onset.TIME
+    onset_s: float = 0.0
+    duration_s: float = math.inf
+
+    def to_json(self) -> JsonObject:
+        """Return the error as a JSON object, with the fields that its type has."""
+        scale = MAGNITUDES[self.type]
+        document: JsonObject = {
+            "type": self.type.value,
+            "target": self.target.value,
+            "magnitude": self.magnitude,
+        }
+        if scale.has_window:
+            document |= {"onset": self.onset.value, "onset_s": self.onset_s}
+        if scale.has_duration:
+            document["duration_s"] = self.duration_s
+        return document
+
+    @classmethod
+    def from_json(cls, where: str, document: Json, duration_s: float) -> Self:
+        """Parse an error.
+
+        Args:
+            where: Where it stands, for messages.
+            document: Fields ``type``, ``target`` and ``magnitude``, and those of the window that the type has.
+            duration_s: Length of the episode, which bounds times.
+
+        Raises:
+            InvalidEpisode: A field is missing, unknown, or outside its unit.
+        """
+        if not isinstance(document, Mapping):
+            raise InvalidEpisode(f"{where}: expected an object, got {document!r:.80}")
+        kind = _word(f"{where}.type", document.get("type"), ErrorType)
+        scale = MAGNITUDES[kind]
+        fields: tuple[str, ...] = ("type", "target", "magnitude")
+        fields += WINDOW_FIELDS if scale.has_window else ()
+        fields += ("duration_s",) if scale.has_duration else ()
+        check_fields(where, document, fields)
+        lowest, highest = sorted((scale.none, scale.most))
+        if scale.unit == "s":
+            highest = max(highest, duration_s)
+        magnitude = _number(f"{where}.magnitude", document["magnitude"], lowest, highest, scale.unit)
+        error = cls(
+            type=kind, target=_word(f"{where}.target", document["target"], Target), magnitude=magnitude
+        )
+        if not scale.has_window:
+            return error
+        return cls(
+            type=kind,
+            target=error.target,
+            magnitude=magnitude,
+            onset=_word(f"{where}.onset", document["onset"], Onset),
+            onset_s=_number(f"{where}.onset_s", document["onset_s"], 0.0, duration_s, "s"),
+            duration_s=_number(f"{where}.duration_s", document["duration_s"], 0.0, duration_s, "s")
+            if scale.has_duration
+            else magnitude,
+        )
+
+    @property
+    def severity(self) -> float:
+        """How gross the error is, 0 without effect."""
+        return MAGNITUDES[self.type].severity(self.magnitude)
+
+    @property
+    def words(self) -> str:
+        """The error in words, such as ``the lead is not reported for 1.3 s from 4.2 s on``."""
+        scale = MAGNITUDES[self.type]
+        words = self.words_with(scale.words(self.magnitude))
+        return f"{words} {self.onset_words}" if scale.has_window else words
+
+    def words_with(self, magnitude: str) -> str:
+        """Return what is wrong in words, with the magnitude as given and without the onset."""
+        many = self.target in (Target.ONCOMING, Target.CROSSING) or not MAGNITUDES[self.type].has_window
+        return words_of_error(self.type, self.target, magnitude, many=many)
+
+    @property
+    def onset_words(self) -> str:
+        """The onset in words, such as ``from 4.2 s on`` or ``when the lead brakes after 4.2 s``."""
+        match self.onset:
+            case Onset.TIME:
+                return f"from {self.onset_s:.1f} s on"
+            case Onset.LEAD_BRAKES:
+                return f"when the lead brakes after {self.onset_s:.1f} s"
+            case Onset.PEDESTRIAN_STEPS_OUT:
+                return f"when a pedestrian steps out after {self.onset_s:.1f} s"
+
+
+_SINGLE: Final = {
+    Target.LEAD: "the lead",
+    Target.ONCOMING: "oncoming traffic",
+    Target.CROSSING: "crossing traffic",
+    Target.PEDESTRIAN: "the nearest pedestrian",
+    Target.EVERYBODY: "everybody",
+}
+_KIND: Final = {**_SINGLE, Target.LEAD: "traffic going the same way", Target.PEDESTRIAN: "every pedestrian"}
+_GHOST: Final = {
+    Target.LEAD: "a vehicle that is not there",
+    Target.ONCOMING: "an oncoming vehicle that is not there",
+    Target.CROSSING: "a crossing vehicle that is not there",
+    Target.PEDESTRIAN: "a person who is not there",
+    Target.EVERYBODY: "a vehicle and a person that are not there",
+}
+_WORDS: Final = {
+    ErrorType.MISS: "{who} is not reported for {much}",
+    ErrorType.LATE: "{who} is first reported {much} late",
+    ErrorType.FLICKER: "{who} is not reported {much} of the time",
+    ErrorType.TOO_FAR: "{who} is reported {much} too far away",
+    ErrorType.TOO_NEAR: "{who} is reported {much} too near",
+    ErrorType.LEFT: "{who} is reported {much} too far left",
+    ErrorType.RIGHT: "{who} is reported {much} too far right",
+    ErrorType.TOO_LARGE: "{who} is reported {much} too large",
+    ErrorType.TOO_SMALL: "{who} is reported {much} too small",
+    ErrorType.WRONG_LABEL: "{who} is reported with the wrong label for {much}",
+    ErrorType.SHORT_RANGE: "{who} is reported only within {much}",
+    ErrorType.GHOST_ON_ROAD: "{who} {are} reported on the road for {much}",
+    ErrorType.GHOST_IN_IMAGE: "{who} {are} reported at a fixed place in the image for {much}",
+}
+
+
+def words_of_error(kind: ErrorType, target: Target, magnitude: str, *, many: bool = False) -> str:
+    """Return an error in words, without its onset.
+
+    Args:
+        kind: What is wrong.
+        target: Whose boxes are wrong.
+        magnitude: How wrong, with the unit.
+        many: Whether all of the kind are meant, rather than a single one.
+    """
+    who = (_GHOST if kind in GHOSTS else _KIND if many else _SINGLE)[target]
+    are = "are" if target is Target.EVERYBODY else "is"
+    return _WORDS[kind].format(who=who, are=are, much=magnitude)
+
+
+def errors_from_json(document: Mapping[str, Json], duration_s: float) -> tuple[DetectionError, ...]:
+    """Parse the errors of an episode.
+
+    Args:
+        document: ``{"mode": "errors", "errors": [...]}``.
+        duration_s: Length of the episode, which bounds times.
+
+    Raises:
+        InvalidEpisode: A field is missing, unknown, or outside its unit.
+    """
+    check_fields("behaviour", document, ("mode", "errors"))
+    if document["mode"] != MODE:
+        raise InvalidEpisode(f"behaviour.mode: expected {MODE}, got {document['mode']!r}")
+    items = document["errors"]
+    if not isinstance(items, list) or len(items) > MAX_ERRORS:
+        raise InvalidEpisode(
+            f"behaviour.errors: expected a list of at most {MAX_ERRORS} errors, got {items!r:.80}"
+        )
+    return tuple(
+        DetectionError.from_json(f"behaviour.errors[{i}]", item, duration_s) for i, item in enumerate(items)
+    )
+
+
+MODE: Final = "errors"
+"""The mode of a behaviour that consists of errors."""
+ERROR_STEPS: Final = "error_steps"
+"""Name of the feature that says when each error changed the output; see `behaviour.steps_to_json`."""
+
+
+def _word(where: str, value: Json, words: type[_E]) -> _E:
+    known = tuple(item.value for item in words)
+    if not isinstance(value, str) or value not in known:
+        raise InvalidEpisode(
+            f"{where}: expected one of {', '.join(known)}; got {value!r}{nearest(value, known)}"
+        )
+    return words(value)
+
+
+def _number(where: str, value: Json, low: float, high: float, unit: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise InvalidEpisode(f"{where}: expected a number in [{low:g}, {high:g}] {unit}, got {value!r}")
+    return float(value)
+
+
+_ACTIVITIES: Final = {
+    ErrorType.MISS: "not reporting {who} for {much}",
+    ErrorType.LATE: "first reporting {who} {much} late",
+    ErrorType.FLICKER: "not reporting {who} {much} of the time",
+    ErrorType.TOO_FAR: "reporting {who} {much} too far away",
+    ErrorType.TOO_NEAR: "reporting {who} {much} too near",
+    ErrorType.LEFT: "reporting {who} {much} too far left",
+    ErrorType.RIGHT: "reporting {who} {much} too far right",
+    ErrorType.TOO_LARGE: "reporting {who} {much} too large",
+    ErrorType.TOO_SMALL: "reporting {who} {much} too small",
+    ErrorType.WRONG_LABEL: "reporting {who} with the wrong label for {much}",
+    ErrorType.SHORT_RANGE: "reporting {who} only within {much}",
+    ErrorType.GHOST_ON_ROAD: "reporting {who} on the road for {much}",
+    ErrorType.GHOST_IN_IMAGE: "reporting {who} at a fixed place in the image for {much}",
+}
+
+
+def activity_of_error(kind: ErrorType, target: Target | None, magnitude: str) -> str:
+    """Return an error as an activity of the detector, such as ``not reporting the lead for 1.3 s``.
+
+    Args:
+        kind: What is wrong.
+        target: Whose boxes are wrong; None if it varies.
+        magnitude: How wrong, with the unit.
+    """
+    many = not MAGNITUDES[kind].has_window
+    names = _GHOST if kind in GHOSTS else _KIND if many else _SINGLE
+    anybody = "somebody who is not there" if kind in GHOSTS else "road users"
+    return _ACTIVITIES[kind].format(who=anybody if target is None else names[target], much=magnitude)

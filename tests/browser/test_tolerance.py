@@ -1,0 +1,121 @@
+"""The tolerances of a campaign on its page: curves, requirements with examples, drives without any error."""
+
+import csv
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Locator, Page
+from playwright.sync_api import expect as shown
+from support.api import eventually, expect, progress, submit
+
+from browser.served import API, PATIENCE_S, Served
+from browser.test_browser_accessibility import RULES, faults
+from browser.visits import Browse, Theme, Visits
+
+PHONE_PX = 390
+
+TOLERANCE: dict[str, Any] = {
+    "name": "how wrong it may be",
+    "problem": {"id": "urban-errors@1", "params": {"errors": 1, "duration_s": 8.0}},
+    "algorithm": {
+        "id": "tolerance@1",
+        "params": {
+            "cells": {"type": ["miss", "left"], "target": ["lead"]},
+            "conditions": [{"name": "by night", "time_of_day": "night"}],
+            "without_error": 8, "generation_size": 20,
+        },
+    },
+    "budget": {"simulations": 60},
+    "seed": 1,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def campaign(site: Served) -> str:
+    """A finished search for tolerances."""
+    made = submit(site.client, TOLERANCE)
+    eventually(
+        lambda: progress(site.client, made)["status"] == "finished", "the tolerances are found", PATIENCE_S
+    )
+    return made
+
+
+@pytest.fixture
+def told(site: Served, campaign: str) -> Any:
+    """What the coordinator says of the tolerances."""
+    return expect(site.client.get(f"{API}/campaigns/{campaign}/tolerance"))
+
+
+@pytest.fixture
+def page(browse: Browse, campaign: str) -> Page:
+    """The page of the campaign, with its tolerances drawn."""
+    page = browse(f"#/campaigns/{campaign}")
+    shown(page.locator("table.tolerances tbody tr").first).to_be_visible()
+    return page
+
+
+def card_of(page: Page) -> Locator:
+    return page.get_by_role("region", name="Tolerances", exact=True)
+
+
+def test_the_card_shows_a_curve_for_each_error_and_says_each_requirement(
+    page: Page, campaign: str, told: Any
+) -> None:
+    card = card_of(page)
+    shown(card).to_contain_text(told["note"][1:])
+    shown(card.get_by_role("img", name=re.compile("^Miss, lead: share of drives"))).to_be_visible()
+    shown(card.locator(".curves figure")).to_have_count(2)
+    shown(card.get_by_role("list", name="Conditions")).to_contain_text("by night")
+    rows = card.get_by_role("region", name="Table of tolerances").locator("tbody tr")
+    shown(rows).to_have_count(len(told["cells"]))
+    for cell in told["cells"]:
+        row = rows.filter(has_text=cell["sentence"])
+        shown(row).to_have_attribute("title", cell["sentence"])
+        for example in cell["examples"][:1]:
+            shown(row.get_by_role("link")).to_have_attribute(
+                "href", f"#/campaigns/{campaign}/solutions/{example['number']}"
+            )
+    share = told["baseline"][0]["share"]
+    shown(card.get_by_role("region", name="Drives that violate a requirement")).to_contain_text(
+        f"{share['unsafe']} of {share['evaluated']}"
+    )
+
+
+def test_what_a_search_for_tolerances_does_not_look_for_is_hidden(page: Page) -> None:
+    shown(page.get_by_role("heading", name="Unsafe share")).to_be_visible()
+    for name in ("Fitness by generation", "Distinct boundary solutions", "Boundary solutions"):
+        shown(page.get_by_role("heading", name=name, exact=True)).to_be_hidden()
+
+
+def test_other_campaigns_have_no_tolerances(site: Served, visit: Visits) -> None:
+    asked: list[str] = []
+    page = visit(site.url)
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(f"{site.url}/#/campaigns/{site.ball}")
+    shown(page.get_by_role("heading", name="Fitness by generation")).to_be_visible()
+    shown(page.get_by_role("heading", name="Parameter dependence")).to_be_visible()
+    shown(card_of(page)).to_be_hidden()
+    assert not [url for url in asked if url.endswith("/tolerance")]
+
+
+def test_tolerances_are_saved_as_csv(page: Page, campaign: str, told: Any) -> None:
+    with page.expect_download() as saved:
+        card_of(page).get_by_role("button", name="CSV").click()
+    assert saved.value.suggested_filename == f"tolerance-{campaign}.csv"
+    rows = list(csv.DictReader(io.StringIO(Path(saved.value.path()).read_text())))
+    assert [row["sentence"] for row in rows] == [cell["sentence"] for cell in told["cells"]]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_tolerances_are_accessible(page: Page, theme: Theme) -> None:
+    page.emulate_media(color_scheme=theme)
+    assert faults(page, RULES[theme]) == []
+
+
+def test_the_page_does_not_scroll_sideways_on_a_phone(page: Page) -> None:
+    page.set_viewport_size({"width": PHONE_PX, "height": 844})
+    shown(card_of(page)).to_be_visible()
+    assert page.evaluate("document.scrollingElement.scrollWidth") <= PHONE_PX

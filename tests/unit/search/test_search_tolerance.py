@@ -1,0 +1,370 @@
+"""Tolerances: curves of caused violations, and the search that chooses where to simulate."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brink.search import curves as analysis
+from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
+from brink.search.algorithms.tolerance import Layout, Tally, Tolerance, ToleranceConfig, ToleranceState, tally
+from brink.search.curves import LEVELS, Counts, Curve, curves_of, library, severities, severity_at, weights
+from brink.search.document import Document
+from brink.search.errors import ConfigError, UnsupportedSpace
+from brink.search.space import Categorical, Component, Dormant, FloatArray, Real, SearchSpace
+
+SPACE = SearchSpace(
+    (
+        Component(
+            "scenario",
+            (
+                Categorical("weather", ("dry", "wet", "fog")),
+                Categorical("people", ("0", "18")),
+                Real("gap", 1.0, 60.0, "m"),
+            ),
+        ),
+        Component(
+            "behaviour",
+            (
+                Categorical("error_1.type", ("none", "miss", "late", "left")),
+                Categorical("error_1.target", ("lead", "pedestrian")),
+                Real("error_1.onset", 0.0, 12.0, "s"),
+                Real("error_1.severity", 0.0, 1.0),
+                Categorical("error_2.type", ("none", "miss")),
+            ),
+            (Dormant("error_1.type", "none", ("error_1.onset", "error_1.severity")),),
+        ),
+    )
+)
+SETTINGS: dict[str, Any] = {
+    "severity": "behaviour.error_1.severity",
+    "cells": {"error_1.type": ["miss", "late"], "target": ["lead", "pedestrian"]},
+    "conditions": [{"name": "by day", "weather": ["dry", "wet"]}, {"weather": "fog"}],
+    "fixed": {"error_2.type": "none"},
+    "truth": {"error_1.type": "none"},
+    "needs": {"target=pedestrian": {"people": ["18"]}},
+    "without_error": 20,
+    "generation_size": 30,
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def smaller_library() -> Iterator[None]:
+    """Compare with a fifth of the curves, which these coarse checks do with."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(analysis, "LIBRARY", 60_000)
+        yield
+
+
+def steps(at: float, height: float, scale: float = 0.05) -> FloatArray:
+    """Return a curve that rises from 0 to a height around a severity."""
+    rise = 1.0 / (1.0 + np.exp((at - severities()) / scale))
+    return np.asarray(height * (rise - rise[0]) / (1.0 - rise[0]))
+
+
+def simulated(curve: FloatArray, drives: int, rng: np.random.Generator) -> Counts:
+    """Return the counts of one cell with drives at random severities."""
+    levels = rng.integers(1, LEVELS, drives, endpoint=True)
+    counts = Counts.empty(1)
+    np.add.at(counts.drives[0], levels - 1, 1)
+    np.add.at(counts.caused[0], levels - 1, rng.random(drives) < curve[levels])
+    return counts
+
+
+def joined(all_counts: list[Counts]) -> Counts:
+    return Counts(
+        drives=np.concatenate([one.drives for one in all_counts]),
+        caused=np.concatenate([one.caused for one in all_counts]),
+    )
+
+
+# The curves.
+
+
+def test_every_curve_of_the_library_is_a_share_that_begins_at_zero() -> None:
+    curves = library(5_000)
+    assert curves.shape == (5_000, LEVELS + 1)
+    assert (curves[:, 0] == 0).all()
+    assert curves.min() >= 0
+    assert curves.max() <= 1
+    falling = (np.diff(curves, axis=1) < -1e-6).any(axis=1).mean()
+    assert 0.05 < falling < 0.2
+
+
+def test_a_smaller_library_is_the_beginning_of_a_larger_one() -> None:
+    assert np.array_equal(library(60_000)[:5_000], library(5_000))
+
+
+def test_severity_at_a_limit_is_interpolated_and_infinite_where_it_is_not_reached() -> None:
+    shares = np.vstack([severities() * 0.32, severities() * 0.04, np.where(severities() >= 0.5, 0.4, 0.0)])
+    assert severity_at(shares, 0.05) == pytest.approx([0.05 / 0.32, np.inf, 15 / 32 + 0.125 / 32])
+
+
+@cache
+def found(kind: str) -> list[tuple[FloatArray, Curve]]:
+    """Return true curves and what 150 drives at random severities say of them."""
+    rng = np.random.default_rng(3)
+    if kind == "rising":
+        curves = [
+            steps(rng.uniform(0.1, 0.9), rng.choice([0.02, 0.1, 0.3, 0.6]), rng.uniform(0.02, 0.15))
+            for _ in range(40)
+        ]
+    else:
+        curves = [steps(0.25, 0.4, 0.04) * (1.0 - steps(0.6, 0.95, 0.05)) for _ in range(5)]
+    counts = joined([simulated(curve, 150 if kind == "rising" else 300, rng) for curve in curves])
+    return list(zip(curves, curves_of(counts, limit=0.05, confidence=0.9), strict=True))
+
+
+def test_intervals_cover_the_tolerated_severity_and_the_curve_as_often_as_they_say() -> None:
+    covered, inside = [], []
+    for curve, known in found("rising"):
+        true = float(severity_at(curve[None], 0.05)[0])
+        covered.append(known.tolerated.low <= true <= known.tolerated.high)
+        assert known.tolerated.low <= known.tolerated.value <= known.tolerated.high
+        relevant = curve > 0.005
+        inside += ((known.low <= curve) & (curve <= known.high))[relevant].tolist()
+    assert np.mean(covered) >= 0.8
+    assert np.mean(inside) >= 0.8
+
+
+def test_a_fall_is_reported_where_there_is_one_and_nowhere_else() -> None:
+    assert [known.fall for _, known in found("rising") if known.fall is not None] == []
+    for curve, known in found("falling"):
+        assert known.fall is not None
+        assert known.fall.from_severity == pytest.approx(float(severities()[np.argmax(curve)]), abs=0.2)
+        assert known.fall.from_severity < known.fall.to_severity
+        assert known.fall.from_share > known.fall.to_share + 0.1
+
+
+def test_fresh_drives_lie_in_the_predicted_interval() -> None:
+    rng = np.random.default_rng(8)
+    hits = []
+    for curve, known in found("rising"):
+        levels = rng.integers(1, LEVELS, 40, endpoint=True)
+        low, high = known.predicted(levels, rng, 0.95)
+        hits.append(low <= int((rng.random(40) < curve[levels]).sum()) <= high)
+    assert np.mean(hits) >= 0.85
+
+
+def test_more_drives_narrow_the_interval() -> None:
+    rng = np.random.default_rng(1)
+    curve = steps(0.5, 0.4)
+    widths = []
+    for drives in (30, 1_000):
+        (known,) = curves_of(simulated(curve, drives, rng), limit=0.05, confidence=0.9)
+        widths.append(min(known.tolerated.high, 1.0) - known.tolerated.low)
+    assert widths[1] < widths[0] / 2
+
+
+def test_an_error_without_effect_is_tolerated_throughout() -> None:
+    counts = Counts.empty(1)
+    counts.drives[0, -1] = 200
+    (known,) = curves_of(counts, limit=0.05, confidence=0.9)
+    assert np.isinf(known.tolerated.low)
+    assert known.high[-1] < 0.05
+
+
+def test_without_drives_the_weights_are_those_of_the_prior() -> None:
+    likely = weights(Counts.empty(2), library(1_000))
+    assert likely == pytest.approx(np.full((2, 1_000), 1e-3))
+
+
+# The search.
+
+TRUE = {"miss": steps(0.3, 0.5), "late": steps(0.7, 0.3)}
+
+
+def drive(candidate: Candidate, root: int) -> Scored:
+    """Violate with a probability that grows with severity; some drives violate without any error."""
+    row = SPACE.decode(candidate.vectors)
+    values = row["behaviour"]
+    chance = np.random.default_rng([root, int(row["scenario"]["people"])]).random(2)
+    kind = str(values["error_1.type"])
+    share = 0.0 if kind == "none" else TRUE[kind][round(float(values["error_1.severity"]) * LEVELS)]
+    unsafe = bool(chance[0] < 0.1 or chance[1] < share)
+    return Scored(unsafe=unsafe, robustness=-1.0 if unsafe else 1.0)
+
+
+@dataclasses.dataclass
+class Played:
+    """A finished search with all that it asked for."""
+
+    state: ToleranceState
+    asked: list[Candidate]
+
+    @property
+    def layout(self) -> Layout:
+        return Layout(SPACE, self.state.config)
+
+    @property
+    def tally(self) -> Tally:
+        archive = self.state.archive
+        numbers = archive.numbers.tolist()
+        return tally(
+            self.layout, archive.vectors, numbers, archive.unsafe, [self.state.drives[n] for n in numbers]
+        )
+
+
+def play(
+    budget: int = 900, seed: int = 1, *, failing: int = 0, reload: bool = False, **changes: Any
+) -> Played:
+    algorithm, asked = Tolerance(), list[Candidate]()
+    config = ToleranceConfig(**{**SETTINGS, **changes})
+    state = algorithm.start(SPACE, config, seed=seed, budget=budget)
+    roots: dict[int, int] = {}
+    while not algorithm.finished(state):
+        state, generations = ask_all(algorithm, state)
+        asked += [candidate for generation in generations for candidate in generation]
+        told: dict[int, Evaluation] = {}
+        for candidate in state.pending:
+            root = candidate.number if candidate.seed_number is None else candidate.seed_number
+            roots[candidate.number] = root
+            told[candidate.number] = drive(candidate, root)
+            if failing and candidate.number % failing == 1:
+                told[candidate.number] = Failed(reason="it crashed")
+        state = algorithm.tell(state, told)
+        if reload:
+            document = Document.from_bytes(algorithm.dump(state).to_bytes())
+            state = algorithm.load(SPACE, config, document, state.archive)
+    return Played(state, asked)
+
+
+@pytest.fixture(scope="module")
+def played() -> Played:
+    return play()
+
+
+def test_the_search_finds_the_tolerated_severities(played: Played) -> None:
+    curves = curves_of(played.tally.counts, limit=0.05, confidence=0.9)
+    hits = []
+    for cell, curve in zip(played.layout.cells, curves, strict=True):
+        true = float(severity_at(0.9 * TRUE[cell.choices[0]][None], 0.05)[0])
+        hits.append(curve.tolerated.low - 0.05 <= true <= curve.tolerated.high + 0.05)
+    assert sum(hits) >= 7
+    assert len(hits) == 8
+
+
+def test_the_whole_budget_is_spent_and_every_violation_explained(played: Played) -> None:
+    assert len(played.asked) == 900
+    assert len(played.tally.open_numbers) <= 3
+
+
+def test_drives_of_all_cells_are_the_same_but_for_what_cell_and_condition_prescribe(played: Played) -> None:
+    space, layout = SPACE, played.layout
+    gaps: dict[int, set[float]] = {}
+    seeds: dict[int, set[int]] = {}
+    for candidate in played.asked:
+        number = played.state.drives[candidate.number]
+        row = space.decode(candidate.vectors)
+        gaps.setdefault(number, set()).add(float(row["scenario"]["gap"]))
+        root = candidate.number if candidate.seed_number is None else candidate.seed_number
+        seeds.setdefault(number, set()).add(root)
+        if row["behaviour"]["error_1.target"] == "pedestrian" and row["behaviour"]["error_1.type"] != "none":
+            assert row["scenario"]["people"] == "18"
+        assert row["behaviour"]["error_2.type"] == "none"
+    assert {len(found) for found in gaps.values()} == {1}
+    assert {len(found) for found in seeds.values()} == {1}
+    assert len({next(iter(found)) for found in seeds.values()}) == len(seeds)
+    cells = layout.cells_of(np.array([space.join(c.vectors) for c in played.asked]))
+    per_cell = Counter(
+        zip(cells.tolist(), [played.state.drives[c.number] for c in played.asked], strict=True)
+    )
+    assert {count for (cell, _), count in per_cell.items() if cell >= 0} == {1}
+
+
+def test_a_violation_that_happens_without_the_error_was_not_caused_by_it(played: Played) -> None:
+    result = played.tally
+    assert result.violations.sum() > result.counts.caused.sum()
+    unsafe_anyway = [violating for violating, _ in result.baseline]
+    assert sum(unsafe_anyway) > 0
+    assert all(drives == 20 for _, drives in result.baseline)
+    rows = dict(zip(played.state.archive.numbers.tolist(), played.state.archive.vectors, strict=True))
+    for cell, level, number in result.caused:
+        row = rows[number]
+        assert played.layout.cells_of(row[None])[0] == cell
+        assert played.layout.levels_of(row[None])[0] == level
+    assert [level for _, level, _ in result.caused] == sorted(level for _, level, _ in result.caused)
+
+
+def test_simulations_go_where_the_limit_may_be_reached(played: Played) -> None:
+    adaptive, uniform = played, play(design="uniform")
+    widths = []
+    for one in (adaptive, uniform):
+        curves = curves_of(one.tally.counts, limit=0.05, confidence=0.9)
+        widths.append(np.mean([min(c.tolerated.high, 1.0) - min(c.tolerated.low, 1.0) for c in curves]))
+    assert widths[0] < widths[1]
+    drives = uniform.tally.counts.drives
+    assert np.ptp(drives.sum(axis=1)) <= 1
+    assert set(np.flatnonzero(drives.sum(axis=0)) + 1) == set(range(4, 33, 4))
+
+
+def test_the_random_design_draws_severities_by_chance() -> None:
+    drives = play(design="random").tally.counts.drives
+    assert np.ptp(drives.sum(axis=1)) <= 1
+    assert (drives.sum(axis=0) > 0).sum() > 25
+
+
+def test_the_search_ends_when_all_intervals_are_narrow_enough() -> None:
+    ended = play(6_000, width=0.35)
+    assert 500 < len(ended.asked) < 4_000
+    curves = curves_of(ended.tally.counts, limit=0.05, confidence=0.9)
+    assert max(min(c.tolerated.high, 1.1) - min(c.tolerated.low, 1.1) for c in curves) < 0.4
+
+
+def test_failed_drives_count_nowhere_and_are_not_repeated() -> None:
+    ended = play(600, failing=7)
+    assert len(ended.asked) == 600
+    assert ended.tally.counts.drives.sum() + sum(drives for _, drives in ended.tally.baseline) < 600 - 80
+
+
+def test_a_stored_search_continues_as_if_it_had_not_been_stored(played: Played) -> None:
+    again = play(reload=True)
+    assert np.array_equal(again.state.archive.vectors, played.state.archive.vectors)
+    assert [c.seed_number for c in again.asked] == [c.seed_number for c in played.asked]
+
+
+def test_without_cells_there_is_one_for_each_condition() -> None:
+    layout = Layout(SPACE, ToleranceConfig(**{**SETTINGS, "cells": {}, "needs": {}}))
+    assert [(cell.choices, cell.condition) for cell in layout.cells] == [((), "by day"), ((), "fog")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "words"),
+    [
+        ({"cells": {"typ": ["miss"]}}, "cells", "unknown parameter 'typ'"),
+        ({"cells": {"type": ["miss"]}}, "cells", "may be any of behaviour.error_1.type, behaviour.error_2.type"),
+        ({"cells": {"error_1.type": ["misss"]}}, "cells", "did you mean 'miss'"),
+        ({"cells": {"error_1.type": []}}, "cells", "one or more distinct choices"),
+        ({"cells": {"gap": ["1"]}}, "cells", "a parameter with choices"),
+        ({"severity": "gap"}, "severity", "a number from 0 to 1"),
+        ({"conditions": []}, "conditions", "one condition or more"),
+        ({"conditions": [{"weather": "snow"}]}, "conditions", "expected one of dry, wet, fog"),
+        ({"conditions": [{"weather": "dry"}, {"weather": ["dry", "fog"]}]}, "conditions", "overlap"),
+        ({"conditions": [{"weather": "dry"}, {"people": "0"}]}, "conditions", "overlap"),
+        ({"conditions": [{"name": "a", "weather": "dry"}, {"name": "a", "weather": "wet"}]}, "conditions", "own"),
+        ({"conditions": [{"target": "lead"}]}, "conditions", "distinguishes the cells"),
+        ({"conditions": [{"people": "0"}]}, "conditions", "pedestrian under 0: expected scenario.people to allow 18"),
+        ({"fixed": {"gap": 100.0}}, "fixed", "expected a number in"),
+        ({"levels": 5}, "levels", "a divisor of 32"),
+        ({"design": "clever"}, "design", "expected one of"),
+    ],
+)  # fmt: skip
+def test_settings_that_do_not_fit_are_refused(changes: dict[str, Any], field: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as refused:
+        Tolerance().check(SPACE, ToleranceConfig(**{**SETTINGS, **changes}), budget=10_000)
+    assert refused.value.field == field
+
+
+def test_a_budget_that_does_not_reach_every_cell_is_refused() -> None:
+    with pytest.raises(ConfigError, match="expected at least the 144 simulations"):
+        Tolerance().check(SPACE, ToleranceConfig(**SETTINGS), budget=143)
+
+
+def test_a_space_without_severity_is_refused() -> None:
+    space = SearchSpace((Component("scenario", (Real("gap", 1.0, 60.0, "m"),)),))
+    with pytest.raises(UnsupportedSpace, match="severity"):
+        Tolerance().check(space, ToleranceConfig(), budget=1_000)
