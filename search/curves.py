@@ -6,6 +6,11 @@ if the same drive, under the same episode seed, does not violate without it. The
 drives with a caused violation as a function of severity, and the *tolerated severity* is where it first reaches the
 limit.
 
+Where a grossest error is known, such as never reporting the target, every drive is *screened* with it first. Drives
+that hold then are taken to hold with any milder error, and only the *vulnerable* ones are simulated with those. The
+curve is then the share of vulnerable drives times the curve among them. Audits simulate some of the others, too: what
+they find is added.
+
 The prior is a library of curves, drawn once: two steps of any height, place and steepness on top of each other, and
 in some curves a fall after that. The results weight the curves of the library by their likelihood, which is the exact
 posterior but for the size of the library. It holds whichever severities the search chose, because the choice depends
@@ -15,6 +20,7 @@ Source: ours; see docs/explanation/tolerance.md.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Final, Self
@@ -37,6 +43,8 @@ LEAST_DRIVES: Final = 10
 """Drives of a detector below which nothing is said of it."""
 DRAWS: Final = 2_000
 """Curves that stand for the posterior of a cell."""
+_AUDITS_ASSUMED: Final = 50.0
+"""Audits without a finding that the prior stands for."""
 _MOST_AT_A_TIME: Final = 50_000
 _LIBRARY_SEED: Final = 0
 
@@ -123,20 +131,6 @@ def weights(counts: Counts, curves: NDArray[np.float32]) -> FloatArray:
     return np.asarray(found / found.sum(axis=1, keepdims=True))
 
 
-@cache
-def reached(curves: int, limit: float) -> FloatArray:
-    """Return the severity at which each curve of the library first reaches a limit, infinite where it never does.
-
-    Args:
-        curves: Size of the library.
-        limit: The limit, in (0, 1).
-
-    Returns:
-        Severities, shape ``(curves,)``, interpolated between levels.
-    """
-    return severity_at(library(curves), limit)
-
-
 def severity_at(shares: NDArray[np.floating], limit: float) -> FloatArray:
     """Return the severity at which curves first reach a limit, infinite where they never do.
 
@@ -212,7 +206,7 @@ class Curve:
         high: Upper end of its interval, same shape.
         tolerated: Severity at which the share reaches the limit; infinite where it probably never does.
         fall: Where more error is safer; None if it nowhere clearly is.
-        places: Curves of the library drawn from the posterior, shape ``(draws,)``, for predictions.
+        draws: Curves drawn from the posterior, shape ``(DRAWS, LEVELS + 1)``.
     """
 
     drives: IntArray
@@ -222,7 +216,7 @@ class Curve:
     high: FloatArray
     tolerated: Interval
     fall: Fall | None
-    places: IntArray
+    draws: FloatArray
 
     def predicted(self, levels: IntArray, rng: np.random.Generator, confidence: float) -> tuple[int, int]:
         """Return the interval of the number of caused violations in fresh drives.
@@ -232,7 +226,7 @@ class Curve:
             rng: Draws the numbers.
             confidence: Probability that the interval covers the number.
         """
-        shares = library()[self.places][:, levels]
+        shares = self.draws[:, levels]
         numbers = (rng.random(shares.shape) < shares).sum(axis=1)
         tail = 0.5 * (1.0 - confidence)
         low, high = np.quantile(numbers, [tail, 1.0 - tail], method="inverted_cdf")
@@ -255,7 +249,7 @@ def expected_share(
     place = np.clip(severity, 0.0, 1.0) * LEVELS
     below = np.minimum(place.astype(np.int64), LEVELS - 1)
     part = place - below
-    shares = library()[curve.places].astype(np.float64)
+    shares = curve.draws
     by_drive = shares[:, below] * (1.0 - part) + shares[:, below + 1] * part
     weight = rng.dirichlet(np.ones(len(severity)), len(shares))
     tail = 0.5 * (1.0 - confidence)
@@ -263,27 +257,54 @@ def expected_share(
     return Interval(value=float(by_drive.mean()), low=low, high=high)
 
 
-def curves_of(counts: Counts, *, limit: float, confidence: float) -> list[Curve]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Screening:
+    """How often the grossest error causes a violation, and whether that covers milder errors.
+
+    Attributes:
+        vulnerable: Screened drives with a violation that the grossest error caused.
+        screened: All screened drives.
+        leaks: Audited drives that held with the grossest error and violated with a milder one, of all cells.
+        audited: All audited drives, of all cells.
+    """
+
+    vulnerable: int
+    screened: int
+    leaks: int
+    audited: int
+
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Draw the share of vulnerable drives, and the share of the others that violate, shape ``(count,)`` each."""
+        return (
+            rng.beta(self.vulnerable + 0.5, self.screened - self.vulnerable + 0.5, count),
+            rng.beta(self.leaks + 0.5, self.audited - self.leaks + _AUDITS_ASSUMED, count),
+        )
+
+
+def curves_of(
+    counts: Counts, screenings: Sequence[Screening | None], *, limit: float, confidence: float
+) -> list[Curve]:
     """Return the curves of all cells, with intervals.
 
     Args:
-        counts: The results.
+        counts: The results; of screened cells, those of vulnerable drives alone.
+        screenings: The screening of each cell; None if there is none.
         limit: Share of caused violations whose severity is wanted.
         confidence: Probability that an interval covers the truth, in (0, 1).
     """
     curves = library()
-    severity = reached(len(curves), limit)
     tail = 0.5 * (1.0 - confidence)
     at = [0.5, tail, 1.0 - tail]
     found = []
-    for cell, likely in enumerate(weights(counts, curves)):
+    for cell, (likely, screening) in enumerate(zip(weights(counts, curves), screenings, strict=True)):
         sums = np.cumsum(likely)
-        places = np.minimum(
-            np.searchsorted(sums, (np.arange(DRAWS) + 0.5) / DRAWS * sums[-1]), len(curves) - 1
-        )
-        drawn = curves[places]
-        median, low, high = np.quantile(drawn, at, axis=0)
-        middle, first, last = np.quantile(severity[places], at, method="inverted_cdf").tolist()
+        steps = (np.arange(DRAWS) + 0.5) / DRAWS * sums[-1]
+        draws = curves[np.minimum(np.searchsorted(sums, steps), len(curves) - 1)].astype(np.float64)
+        if screening is not None:
+            vulnerable, leaks = screening.draw(DRAWS, generator(_LIBRARY_SEED, Stream.TOLERANCE, 5, cell))
+            draws[:, 1:] = vulnerable[:, None] * draws[:, 1:] + ((1.0 - vulnerable) * leaks)[:, None]
+        median, low, high = np.quantile(draws, at, axis=0)
+        middle, first, last = np.quantile(severity_at(draws, limit), at, method="inverted_cdf").tolist()
         found.append(
             Curve(
                 drives=counts.drives[cell],
@@ -292,14 +313,14 @@ def curves_of(counts: Counts, *, limit: float, confidence: float) -> list[Curve]
                 low=low,
                 high=high,
                 tolerated=Interval(value=middle, low=first, high=last),
-                fall=_fall(drawn, median, confidence),
-                places=places,
+                fall=_fall(draws, median, confidence),
+                draws=draws,
             )
         )
     return found
 
 
-def _fall(drawn: NDArray[np.float32], median: FloatArray, confidence: float) -> Fall | None:
+def _fall(drawn: FloatArray, median: FloatArray, confidence: float) -> Fall | None:
     """Return the largest fall of the median curve if nearly all curves of the posterior fall there, too."""
     to = int(np.argmax(np.maximum.accumulate(median) - median))
     since = int(np.argmax(median[: to + 1]))

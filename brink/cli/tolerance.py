@@ -371,6 +371,12 @@ def show_tolerance(screen: Console, view: ToleranceView, shown: int | None = Non
             f"{share.unsafe / share.evaluated:.0%} [{share.low:.0%}, {share.high:.0%}]" if share.evaluated else "–",
         )  # fmt: skip
     screen.print(table)
+    if view.audited:
+        screen.print(
+            f"[dim]drives that hold although the target is never reported are taken to hold with milder errors; of "
+            f"{view.audited} that were simulated all the same, {view.leaks} violated[/dim]",
+            soft_wrap=True,
+        )
     if view.open:
         screen.print(
             f"[dim]of {view.open} violations it is not known yet whether the error caused them; they count as caused"
@@ -383,12 +389,14 @@ def tolerance_table(cells: Sequence[CellView]) -> Table:
     """Return a table of cells."""
     names = [name.rpartition(".")[2] for name in (cells[0].choices if cells else ())]
     table = plain_table(
-        *names, "condition", "tolerated", "", "drives", "caused", right=("tolerated", "drives", "caused")
-    )
+        *names, "condition", "tolerated", "", "screened", "vulnerable", "drives", "caused",
+        right=("tolerated", "screened", "vulnerable", "drives", "caused"),
+    )  # fmt: skip
     for cell in cells:
         table.add_row(
             *(escape(choice) for choice in cell.choices.values()), escape(cell.condition),
-            *_tolerated(cell), str(cell.drives), str(cell.caused),
+            *_tolerated(cell), str(cell.screened or ""), str(cell.vulnerable if cell.screened else ""),
+            str(cell.drives), str(cell.caused),
         )  # fmt: skip
     return table
 

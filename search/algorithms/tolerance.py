@@ -5,13 +5,15 @@ choices are the *cells*. In each cell and under each *condition* the search esti
 that the error causes, and the severity at which it reaches a limit (`brink.search.curves`).
 
 All cells share one list of drives: drive number i has the same scenario, onset and episode seed in all of them, apart
-from what a cell or condition prescribes. Within a cell every drive is simulated once, at one severity: another drive
-tells more about the share than the same drive at another severity. The first drives are simulated without any error
-as well, and so is every later drive that violates with one: only a violation that goes away with the error was caused
-by it.
+from what a cell or condition prescribes. The first drives are simulated without any error as well, and so is every
+later drive that violates with one: only a violation that goes away with the error was caused by it.
 
-Simulations go to the cells whose intervals they are expected to narrow most, and there to the severities at which the
-limit may be reached.
+Drives are screened with the grossest error, where there is one, and milder errors are simulated in vulnerable drives
+alone (`brink.search.curves`). Within a cell every drive is simulated once, at one severity: another drive tells more
+about the share than the same drive at another severity.
+
+Simulations go to the cells whose intervals they are expected to narrow most for what they cost, screening included,
+and there to the severities that tell most about where the limit is reached.
 
 Source: ours; see docs/explanation/tolerance.md.
 """
@@ -20,15 +22,25 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from brink.search.algorithm import Evaluation
 from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState
-from brink.search.archive import Archive
-from brink.search.curves import LEVELS, Counts, library, quantiles_of_sorted, reached, weights
+from brink.search.curves import (
+    LEVELS,
+    Counts,
+    Curve,
+    Screening,
+    curves_of,
+    library,
+    quantiles_of_sorted,
+    severity_at,
+    weights,
+)
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError, SpaceError, UnsupportedSpace
 from brink.search.parameters import Categorical, Value, did_you_mean
@@ -36,22 +48,24 @@ from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 from brink.search.streams import Stream, generator
 
-FIRST_LEVELS: Final = (8, 16, 24, 32)
-"""Levels of severity at which every cell is simulated first."""
-FIRST_DRIVES: Final = 2
-"""Drives at each of these levels."""
 MOST_CELLS: Final = 2_000
+FIRST_SCREENED: Final = 40
+"""Drives of each group that are screened first."""
+FIRST_DRIVES: Final = 8
+"""Drives of a cell that a budget must allow."""
 _CURVES: Final = 20_000
 """Curves of the library that the search makes do with."""
 _BEYOND: Final = 1.1
 """Stands for a severity beyond the scale in the width of an interval, so that "never" is told from "at its end"."""
 _NARROW: Final = 1e-3
 """Width of an interval below which a narrower one is no better."""
-# What is drawn, as the first index of the stream; the library has 1.
 _CHOICE, _DRIVE = 0, 2
+# What is drawn, as the first index of the stream; the curves have 1 and 5.
 
-Choices = Mapping[int, tuple[float, ...]]
+Choices: TypeAlias = Mapping[int, tuple[float, ...]]
 """The values that some columns of a row may have."""
+DriveKey: TypeAlias = tuple[int, bytes]
+"""What a drive with an error and the same drive without it have in common."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +99,23 @@ class ToleranceConfig(BoundaryConfig):
         le=1,
     )
     without_error: int = setting(
-        60, help="Drives without an error that each condition begins with.", ge=1, le=100_000
+        40, help="Drives without an error that each condition begins with.", ge=1, le=100_000
+    )
+    grossest: dict[str, str] = field(
+        default_factory=dict,
+        metadata={
+            "help": "The choice that, at severity 1, stands for the grossest error: drives that hold with it are "
+            "taken to hold with the errors that it covers."
+        },
+    )
+    covers: dict[str, list[str]] = field(
+        default_factory=dict, metadata={"help": "Choices that stand for errors that the grossest one covers."}
+    )
+    audit: float = setting(
+        0.05,
+        help="Share of the simulations of covered errors in drives that are taken to hold.",
+        ge=0,
+        le=0.5,
     )
     explore: float = setting(
         0.05,
@@ -132,6 +162,23 @@ class Cell:
         choices: The choices, in the order of the setting ``cells``.
         condition: Name of the condition.
         population: Number of its population: the drives from which its drives are drawn.
+        group: Number of the group of cells whose drives are screened together; None if they are not screened.
+    """
+
+    choices: tuple[str, ...]
+    condition: str
+    population: int
+    group: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """Cells whose drives are screened with the same grossest error.
+
+    Attributes:
+        choices: The choices of the grossest error.
+        condition: Name of the condition.
+        population: Number of the population.
     """
 
     choices: tuple[str, ...]
@@ -152,6 +199,8 @@ class Layout:
     Attributes:
         names: Columns of the cells' choices.
         cells: All cells; those of a condition follow each other.
+        groups: Groups of cells whose drives are screened together.
+        populations: The values that the columns of each population's drives are limited to.
         conditions: Names of the conditions, in their order.
     """
 
@@ -186,12 +235,12 @@ class Layout:
             for name, value in config.truth.items()
         }
         self.conditions, limits = self._conditions()
-        self.cells, self.populations = self._populated(limits, [choices for _, choices in chosen.values()])
+        cells, self.populations = self._populated(limits, [choices for _, choices in chosen.values()])
+        self.cells, self.groups = self._grouped(cells)
         if len(self.cells) > MOST_CELLS:
             raise ConfigError("cells", f"expected at most {MOST_CELLS} cells, got {len(self.cells)}")
-        self._codes_of_cells = [
-            (self._cell_codes(cell), self.conditions.index(cell.condition)) for cell in self.cells
-        ]
+        self._codes_of_cells = [self._codes_of(cell) for cell in self.cells]
+        self._codes_of_groups = [self._codes_of(group) for group in self.groups]
         self._limits = limits
 
     def _column(self, setting_name: str, name: str) -> int:
@@ -301,19 +350,58 @@ class Layout:
             )
         needed[column] = left
 
-    def _cell_codes(self, cell: Cell) -> tuple[float, ...]:
+    def _grouped(self, cells: Sequence[Cell]) -> tuple[tuple[Cell, ...], tuple[Group, ...]]:
+        """Return the cells with their groups, and the groups."""
+        config = self._config
+        if not config.grossest or config.design != "adaptive":
+            return tuple(cells), ()
+        grossest = {}
+        for name, choice in config.grossest.items():
+            self._value("grossest", name, choice)
+            grossest[self._column("grossest", name)] = choice
+        covered = {
+            self._column("covers", name): {*choices, grossest.get(self._column("covers", name), "")}
+            for name, choices in config.covers.items()
+        }
+        for name, choices in config.covers.items():
+            self._codes("covers", self._column("covers", name), name, choices)
+        if grossest.keys() != covered.keys():
+            raise ConfigError("covers", f"expected the same parameters as in grossest, got {config.covers!r}")
+        groups: list[Group] = []
+        found = []
+        for cell in cells:
+            columns = dict(zip(self._cell_columns, cell.choices, strict=True))
+            if any(columns.get(column) not in choices for column, choices in covered.items()):
+                found.append(cell)
+                continue
+            group = Group(
+                choices=tuple({**columns, **grossest}.values()),
+                condition=cell.condition,
+                population=cell.population,
+            )
+            if group not in groups:
+                groups.append(group)
+            found.append(replace(cell, group=groups.index(group)))
+        return tuple(found), tuple(groups)
+
+    def _codes_of(self, one: Cell | Group) -> tuple[tuple[float, ...], int]:
+        return self._choice_codes(one.choices), self.conditions.index(one.condition)
+
+    def _choice_codes(self, choices: Sequence[str]) -> tuple[float, ...]:
         return tuple(
-            self._value("cells", name, choice) for name, choice in zip(self.names, cell.choices, strict=True)
+            self._value("cells", name, choice) for name, choice in zip(self.names, choices, strict=True)
         )
 
-    def row(self, seed: int, population: int, drive: int, cell: Cell | None, level: int) -> FloatArray:
+    def row(
+        self, seed: int, population: int, drive: int, choices: Sequence[str] | None, level: int
+    ) -> FloatArray:
         """Return a drive as a row of the space.
 
         Args:
             seed: Seed of the search.
             population: The population that it belongs to.
             drive: Number of the drive.
-            cell: The cell; None without an error.
+            choices: Those of its cell or group; None without an error.
             level: Level of severity.
         """
         shares = generator(seed, Stream.TOLERANCE, _DRIVE, drive).random(self._space.dimension)
@@ -331,11 +419,11 @@ class Layout:
         for column, value in self._fixed.items():
             row[column] = value
         row[self.severity] = level / LEVELS
-        if cell is None:
+        if choices is None:
             for column, value in self._truth.items():
                 row[column] = value
         else:
-            row[list(self._cell_columns)] = self._cell_codes(cell)
+            row[list(self._cell_columns)] = self._choice_codes(choices)
         repaired = self._space.repair(self._space.split(row), np.random.Generator(np.random.PCG64(0)))
         return self._space.join(repaired)
 
@@ -361,11 +449,17 @@ class Layout:
 
     def cells_of(self, rows: FloatArray) -> IntArray:
         """Return the place of each row's cell, shape ``(n,)``; -1 for a drive without an error or of no cell."""
+        return self._found(rows, self._codes_of_cells)
+
+    def groups_of(self, rows: FloatArray) -> IntArray:
+        """Return the group that each row screens a drive of, shape ``(n,)``; -1 for none."""
+        found = self._found(rows, self._codes_of_groups)
+        return np.where(rows[:, self.severity] == 1.0, found, -1)
+
+    def _found(self, rows: FloatArray, codes_of: Sequence[tuple[tuple[float, ...], int]]) -> IntArray:
         found = np.full(len(rows), -1, np.int64)
-        is_true = np.ones(len(rows), np.bool_)
-        for column, value in self._truth.items():
-            is_true &= rows[:, column] == value
-        for place, (codes, condition) in enumerate(self._codes_of_cells):
+        is_true = self.without_error(rows)
+        for place, (codes, condition) in enumerate(codes_of):
             is_here = ~is_true
             for column, code in zip(self._cell_columns, codes, strict=True):
                 is_here &= rows[:, column] == code
@@ -374,11 +468,18 @@ class Layout:
             found[is_here] = place
         return found
 
+    def without_error(self, rows: FloatArray) -> BoolArray:
+        """Return which rows are drives without an error, shape ``(n,)``."""
+        is_true = np.full(len(rows), bool(self._truth))
+        for column, value in self._truth.items():
+            is_true &= rows[:, column] == value
+        return is_true
+
     def levels_of(self, rows: FloatArray) -> IntArray:
         """Return the level of severity of each row, shape ``(n,)``."""
         return np.rint(rows[:, self.severity] * LEVELS).astype(np.int64)
 
-    def drive_key(self, row: FloatArray, seed: int) -> tuple[int, bytes]:
+    def drive_key(self, row: FloatArray, seed: int) -> DriveKey:
         """Return what a drive with an error and the same drive without it have in common."""
         return seed, np.delete(row, self._component).tobytes()
 
@@ -398,18 +499,34 @@ class Tally:
     """What the simulations of a search say.
 
     Attributes:
-        counts: Drives with an error and violations caused by it, by cell and level.
-        violations: All violations of drives with an error by cell, caused or not, shape ``(cells,)``.
+        counts: Drives with an error and violations caused by it, by cell and level; of screened cells, those of
+            vulnerable drives.
+        screenings: The screening of each group.
+        vulnerable: The vulnerable drives of each group, by `Layout.drive_key`, in the order of their simulation.
+        immune: The drives of each group that held with the grossest error, in the same form.
         baseline: Of the first drives of each population, those that violate without an error, and all.
         open_numbers: Numbers of the violations of which it is not known yet whether the error caused them.
         caused: Cell, level and number of the violations that the error is known to have caused, by severity.
     """
 
     counts: Counts
-    violations: IntArray
+    screenings: tuple[Screening, ...]
+    vulnerable: tuple[tuple[DriveKey, ...], ...]
+    immune: tuple[tuple[DriveKey, ...], ...]
     baseline: tuple[tuple[int, int], ...]
     open_numbers: tuple[int, ...]
     caused: tuple[tuple[int, int, int], ...]
+
+    def curves(self, layout: Layout, *, limit: float, confidence: float) -> list[Curve]:
+        """Return the curve of each cell.
+
+        Args:
+            layout: The cells.
+            limit: Share of caused violations whose severity is wanted.
+            confidence: Probability that an interval covers the truth.
+        """
+        screenings = [None if cell.group is None else self.screenings[cell.group] for cell in layout.cells]
+        return curves_of(self.counts, screenings, limit=limit, confidence=confidence)
 
 
 def tally(
@@ -417,47 +534,92 @@ def tally(
 ) -> Tally:
     """Count the drives of a search.
 
-    Violations of which it is not known yet whether the error caused them count as drives and as caused.
+    In cells that are not screened, violations of which it is not known yet whether the error caused them count as
+    caused. A screened drive counts once it is known.
 
     Args:
         layout: The cells.
-        rows: Simulated solutions, shape ``(n, d)``.
+        rows: Simulated solutions, shape ``(n, d)``, in the order of their numbers.
         numbers: Their numbers.
         unsafe: Their verdicts, shape ``(n,)``.
         seeds: For each, its episode seed or anything else that is the same exactly for the same seed.
     """
-    counts = Counts.empty(len(layout.cells))
-    violations = np.zeros(len(layout.cells), np.int64)
+    cells, levels, groups = layout.cells_of(rows), layout.levels_of(rows), layout.groups_of(rows)
+    keys = [layout.drive_key(row, seed) for row, seed in zip(rows, seeds, strict=True)]
     baseline = [(0, 0) for _ in layout.populations]
-    cells, levels = layout.cells_of(rows), layout.levels_of(rows)
-    without: dict[tuple[int, bytes], bool] = {}
-    for place in np.flatnonzero(cells < 0).tolist():
+    without: dict[DriveKey, bool] = {}
+    for place in np.flatnonzero(layout.without_error(rows)).tolist():
+        without[keys[place]] = bool(unsafe[place])
         population = layout.population_of(numbers[place])
         if population is not None:
             violating, drives = baseline[population]
             baseline[population] = violating + int(unsafe[place]), drives + 1
-        without[layout.drive_key(rows[place], seeds[place])] = bool(unsafe[place])
-    has_error = cells >= 0
-    np.add.at(counts.drives, (cells[has_error], levels[has_error] - 1), 1)
     open_numbers: list[int] = []
-    caused: list[tuple[int, int, int]] = []
-    for place in np.flatnonzero(has_error & unsafe).tolist():
-        cell = int(cells[place])
-        violations[cell] += 1
-        truth = without.get(layout.drive_key(rows[place], seeds[place]))
-        if truth is None:
+    vulnerable: list[dict[DriveKey, int]] = [{} for _ in layout.groups]
+    immune: list[dict[DriveKey, None]] = [{} for _ in layout.groups]
+    screened = [0 for _ in layout.groups]
+    for place in np.flatnonzero(groups >= 0).tolist():
+        group, key = int(groups[place]), keys[place]
+        truth = without.get(key)
+        if unsafe[place] and truth is None:
             open_numbers.append(numbers[place])
+            continue
+        screened[group] += 1
+        if not unsafe[place]:
+            immune[group][key] = None
         elif not truth:
-            caused.append((cell, int(levels[place]), numbers[place]))
-        if not truth:
-            counts.caused[cell, levels[place] - 1] += 1
+            vulnerable[group][key] = numbers[place]
+    counts = Counts.empty(len(layout.cells))
+    caused: list[tuple[int, int, int]] = []
+    leaks = audited = 0
+    for place in np.flatnonzero(cells >= 0).tolist():
+        cell, level, key, verdict = int(cells[place]), int(levels[place]), keys[place], bool(unsafe[place])
+        own = layout.cells[cell].group
+        if own is not None and groups[place] >= 0:
+            continue  # counted with its group
+        if own is not None and key not in vulnerable[own]:
+            if key in immune[own]:
+                audited, leaks = audited + 1, leaks + verdict
+            continue
+        truth = False if own is not None else without.get(key)
+        counts.drives[cell, level - 1] += 1
+        if verdict and not truth:
+            counts.caused[cell, level - 1] += 1
+        if verdict and truth is None:
+            open_numbers.append(numbers[place])
+        elif verdict and not truth:
+            caused.append((cell, level, numbers[place]))
+    for place, one in enumerate(layout.cells):
+        if one.group is not None and one.choices == layout.groups[one.group].choices:
+            found = vulnerable[one.group]
+            counts.drives[place, -1] += len(found)
+            counts.caused[place, -1] += len(found)
+            caused += [(place, LEVELS, number) for number in found.values()]
     return Tally(
         counts=counts,
-        violations=violations,
+        screenings=tuple(
+            Screening(vulnerable=len(found), screened=count, leaks=leaks, audited=audited)
+            for found, count in zip(vulnerable, screened, strict=True)
+        ),
+        vulnerable=tuple(tuple(found) for found in vulnerable),
+        immune=tuple(tuple(found) for found in immune),
         baseline=tuple(baseline),
-        open_numbers=tuple(open_numbers),
+        open_numbers=tuple(sorted(open_numbers)),
         caused=tuple(sorted(caused, key=lambda one: (one[1], one[2]))),
     )
+
+
+class Purpose(IntEnum):
+    """Why a candidate is simulated. The numbers are stored."""
+
+    TRUTH = 0
+    """Without an error; of a population."""
+    SCREENING = 1
+    """With the grossest error; of a group."""
+    ERROR = 2
+    """Of a cell."""
+    AUDIT = 3
+    """Of a cell, in a drive that is taken to hold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -466,15 +628,19 @@ class ToleranceState(LedgerState):
 
     Attributes:
         config: Settings.
-        planned: Drives of each cell that were planned so far, failed ones included, shape ``(cells,)``.
+        jobs: Purpose, population, group or cell, and drive of each candidate, by its number, shape ``(n, 3)``.
         roots: Number of the candidate whose episode seed a drive has, by the number of the drive.
-        drives: The drive of each candidate, by its number.
     """
 
     config: ToleranceConfig
-    planned: IntArray
+    jobs: IntArray
     roots: tuple[int, ...]
-    drives: tuple[int, ...]
+
+    @property
+    def drives(self) -> list[int]:
+        """The drive of each candidate, by its number."""
+        found: list[int] = self.jobs[:, 2].tolist()
+        return found
 
 
 class Tolerance(LedgerAlgorithm[ToleranceConfig, ToleranceState]):
@@ -496,17 +662,16 @@ class Tolerance(LedgerAlgorithm[ToleranceConfig, ToleranceState]):
         layout = Layout(space, config)
         if LEVELS % config.levels:
             raise ConfigError("levels", f"expected a divisor of {LEVELS}, got {config.levels}")
-        first = {"adaptive": len(FIRST_LEVELS) * FIRST_DRIVES, "uniform": config.levels, "random": 1}[
-            config.design
-        ]
-        return len(layout.populations) * config.without_error + len(layout.cells) * first
+        first = {"adaptive": FIRST_DRIVES, "uniform": config.levels, "random": 1}[config.design]
+        return (
+            len(layout.populations) * config.without_error
+            + len(layout.groups) * FIRST_SCREENED
+            + len(layout.cells) * first
+        )
 
     def _first_state(self, ledger: Ledger, config: ToleranceConfig) -> ToleranceState:
-        layout = Layout(ledger.space, config)
-        state = ToleranceState(
-            config=config, ledger=ledger, planned=np.zeros(len(layout.cells), np.int64), roots=(), drives=()
-        )
-        return _planned(state, layout)
+        state = ToleranceState(config=config, ledger=ledger, jobs=np.empty((0, 3), np.int64), roots=())
+        return _planned(state, Layout(ledger.space, config))
 
     def tell(self, state: ToleranceState, evaluations: Mapping[int, Evaluation]) -> ToleranceState:
         """Return the state after the pending generation was evaluated."""
@@ -517,26 +682,15 @@ class Tolerance(LedgerAlgorithm[ToleranceConfig, ToleranceState]):
         return _planned(state, Layout(state.ledger.space, state.config))
 
     def _content(self, state: ToleranceState) -> tuple[dict[str, Any], dict[str, Any]]:
-        return {}, {
-            "planned": state.planned,
-            "roots": np.array(state.roots, np.int64),
-            "drives": np.array(state.drives, np.int64),
-        }
+        return {}, {"jobs": state.jobs, "roots": np.array(state.roots, np.int64)}
 
     def _restored(self, ledger: Ledger, config: ToleranceConfig, document: Document) -> ToleranceState:
-        found = {}
-        for name in ("planned", "roots", "drives"):
-            array = document.arrays.get(name)
-            if array is None or array.ndim != 1 or array.dtype != np.int64:
-                raise DocumentError(f"{name}: expected whole numbers, got {array!r:.80}")
-            found[name] = array
-        return ToleranceState(
-            config=config,
-            ledger=ledger,
-            planned=found["planned"],
-            roots=tuple(found["roots"].tolist()),
-            drives=tuple(found["drives"].tolist()),
-        )
+        jobs, roots = (document.arrays.get(name) for name in ("jobs", "roots"))
+        if jobs is None or jobs.dtype != np.int64 or jobs.ndim != 2 or jobs.shape[1] != 3:
+            raise DocumentError(f"jobs: expected rows of 3 whole numbers, got {jobs!r:.80}")
+        if roots is None or roots.dtype != np.int64 or roots.ndim != 1:
+            raise DocumentError(f"roots: expected whole numbers, got {roots!r:.80}")
+        return ToleranceState(config=config, ledger=ledger, jobs=jobs, roots=tuple(roots.tolist()))
 
 
 class _Plan:
@@ -545,32 +699,56 @@ class _Plan:
     def __init__(self, state: ToleranceState, layout: Layout, room: int) -> None:
         self._layout = layout
         self._seed = state.ledger.seed
-        self._next = len(state.drives)
+        self._jobs = [tuple(job) for job in state.jobs.tolist()]
         self.room = room
-        self.planned = state.planned.copy()
         self.roots = list(state.roots)
-        self.drives = list(state.drives)
         self.rows: list[FloatArray] = []
         self.seeds: list[int | None] = []
+        errors = state.jobs[state.jobs[:, 0] >= Purpose.ERROR]
+        self.planned = np.bincount(errors[:, 1], minlength=len(layout.cells))
+        screens = state.jobs[state.jobs[:, 0] == Purpose.SCREENING]
+        self.screened = np.bincount(screens[:, 1], minlength=len(layout.groups))
 
-    def add(self, population: int, drive: int, cell: int | None, level: int) -> None:
-        """Plan a drive; its number is the next one."""
+    @property
+    def jobs(self) -> IntArray:
+        """The jobs of all candidates, with those that were planned."""
+        return np.array(self._jobs, np.int64).reshape(-1, 3)
+
+    def _add(
+        self,
+        purpose: Purpose,
+        of: int,
+        population: int,
+        drive: int,
+        choices: Sequence[str] | None,
+        level: int,
+    ) -> None:
+        number = len(self._jobs)
         known = drive < len(self.roots)
         if not known:
-            self.roots.append(self._next)
-        found = None if cell is None else self._layout.cells[cell]
-        self.rows.append(self._layout.row(self._seed, population, drive, found, level))
+            self.roots.append(number)
+        self.rows.append(self._layout.row(self._seed, population, drive, choices, level))
         self.seeds.append(self.roots[drive] if known else None)
-        self.drives.append(drive)
-        self._next += 1
+        self._jobs.append((int(purpose), of, drive))
         self.room -= 1
 
-    def add_to(self, cell: int, level: int) -> None:
-        """Plan the next drive of a cell."""
-        drive = int(self.planned[cell])
+    def add_truth(self, population: int, drive: int) -> None:
+        """Plan a drive without an error."""
+        self._add(Purpose.TRUTH, population, population, drive, None, 0)
+
+    def add_screening(self, group: int) -> None:
+        """Plan the next drive of a group with the grossest error."""
+        found, drive = self._layout.groups[group], int(self.screened[group])
+        self.screened[group] += 1
+        self._add(Purpose.SCREENING, group, found.population, drive, found.choices, LEVELS)
+
+    def add_error(self, cell: int, level: int, drive: int | None = None, *, audit: bool = False) -> None:
+        """Plan a drive of a cell, by default the next one."""
+        found = self._layout.cells[cell]
+        number = int(self.planned[cell]) if drive is None else drive
         self.planned[cell] += 1
-        # A cell that is ahead of all others uses new drives one by one, so a drive is never skipped.
-        self.add(self._layout.cells[cell].population, drive, cell, level)
+        purpose = Purpose.AUDIT if audit else Purpose.ERROR
+        self._add(purpose, cell, found.population, number, found.choices, level)
 
 
 def _planned(state: ToleranceState, layout: Layout) -> ToleranceState:
@@ -582,28 +760,26 @@ def _planned(state: ToleranceState, layout: Layout) -> ToleranceState:
     if room <= 0:
         return state
     plan = _Plan(state, layout, room)
-    begun = len(state.drives)
-    first = len(layout.populations) * config.without_error
+    begun, first = len(state.jobs), len(layout.populations) * config.without_error
     for number in range(begun, min(first, begun + room)):
-        plan.add(number // config.without_error, number % config.without_error, None, 0)
-    if plan.room and begun + len(plan.rows) >= first:
+        plan.add_truth(number // config.without_error, number % config.without_error)
+    for group in range(len(layout.groups)):
+        while plan.room and plan.screened[group] < FIRST_SCREENED:
+            plan.add_screening(group)
+    if plan.room:
+        rng = generator(ledger.seed, Stream.TOLERANCE, _CHOICE, ledger.planned_generation)
         results = _Results(state, layout)
         results.plan_truth(plan)
         if config.design == "uniform":
             _plan_uniform(plan, config)
         elif config.design == "random":
-            _plan_random(plan, generator(ledger.seed, Stream.TOLERANCE, _CHOICE, ledger.planned_generation))
+            _plan_random(plan, rng)
         elif not results.is_done():
-            _plan_first(plan)
-            results.plan_adaptively(plan)
-        elif not plan.rows and not ledger.flight:
-            return state
+            results.plan_adaptively(plan, rng)
+    if not plan.rows:
+        return state
     return replace(
-        state,
-        ledger=ledger.plan(plan.rows, seed_numbers=plan.seeds),
-        planned=plan.planned,
-        roots=tuple(plan.roots),
-        drives=tuple(plan.drives),
+        state, ledger=ledger.plan(plan.rows, seed_numbers=plan.seeds), jobs=plan.jobs, roots=tuple(plan.roots)
     )
 
 
@@ -612,20 +788,13 @@ def _plan_uniform(plan: _Plan, config: ToleranceConfig) -> None:
     step = LEVELS // config.levels
     while plan.room:
         cell = int(np.argmin(plan.planned))
-        plan.add_to(cell, step * (1 + int(plan.planned[cell]) % config.levels))
+        plan.add_error(cell, step * (1 + int(plan.planned[cell]) % config.levels))
 
 
 def _plan_random(plan: _Plan, rng: np.random.Generator) -> None:
     """Plan equally many drives at random severities in every cell."""
     while plan.room:
-        plan.add_to(int(np.argmin(plan.planned)), int(rng.integers(1, LEVELS, endpoint=True)))
-
-
-def _plan_first(plan: _Plan) -> None:
-    """Plan the first drives of every cell."""
-    most = len(FIRST_LEVELS) * FIRST_DRIVES
-    while plan.room and (cell := int(np.argmin(plan.planned))) is not None and plan.planned[cell] < most:
-        plan.add_to(cell, FIRST_LEVELS[int(plan.planned[cell]) % len(FIRST_LEVELS)])
+        plan.add_error(int(np.argmin(plan.planned)), int(rng.integers(1, LEVELS, endpoint=True)))
 
 
 class _Results:
@@ -635,80 +804,128 @@ class _Results:
         self._state = state
         self._layout = layout
         archive = state.ledger.archive
+        drives = state.drives
         self._tally = tally(
-            layout, archive.vectors, archive.numbers.tolist(), archive.unsafe, _drives_of(state, archive)
-        )
+            layout, archive.vectors, archive.numbers.tolist(), archive.unsafe,
+            [drives[number] for number in archive.numbers.tolist()],
+        )  # fmt: skip
 
     def plan_truth(self, plan: _Plan) -> None:
         """Plan the drives without an error that tell whether it caused a violation."""
-        state, layout, space = self._state, self._layout, self._state.ledger.space
-        flying = [c for generation in state.ledger.flight for c in generation]
-        rows = np.reshape([space.join(c.vectors) for c in flying], (len(flying), space.dimension))
-        without = np.flatnonzero(layout.cells_of(rows) < 0).tolist()
-        known = {layout.drive_key(rows[place], state.drives[flying[place].number]) for place in without}
-        archive = state.ledger.archive
-        places = {number: place for place, number in enumerate(archive.numbers.tolist())}
-        cells = layout.cells_of(archive.vectors)
+        state, layout, jobs = self._state, self._layout, self._state.jobs
+        truths = jobs[jobs[:, 0] == Purpose.TRUTH]
+        known = set(map(tuple, truths[:, 1:].tolist()))
         for number in self._tally.open_numbers:
             if not plan.room:
                 return
-            place, drive = places[number], state.drives[number]
-            key = layout.drive_key(archive.vectors[place], drive)
-            if key not in known:
-                known.add(key)
-                plan.add(layout.cells[cells[place]].population, drive, None, 0)
+            purpose, of, drive = jobs[number].tolist()
+            owner = layout.groups[of] if purpose == Purpose.SCREENING else layout.cells[of]
+            if (owner.population, drive) not in known:
+                known.add((owner.population, drive))
+                plan.add_truth(owner.population, drive)
         # What is left must suffice to tell the cause of the violations that are still to come.
-        drives = int(self._tally.counts.drives.sum())
-        share = (int(self._tally.violations.sum()) + 1) / (drives + 10)
-        coming = len(flying) - len(without) + plan.room
-        spare = state.ledger.left - len(plan.rows) - math.ceil(share * coming)
+        flying = [c.number for generation in state.ledger.flight for c in generation]
+        archive = state.ledger.archive
+        share = (float(archive.unsafe.sum()) + 1.0) / (len(archive) + 10.0)
+        spare = state.ledger.left - len(plan.rows) - math.ceil(share * (len(flying) + plan.room))
         if flying or plan.rows:
             plan.room = min(plan.room, max(int(spare), 0))
 
     def is_done(self) -> bool:
         """Return whether all intervals are as narrow as wanted."""
         wanted = self._state.config.width
-        if not wanted or self._tally.counts.drives.sum(axis=1).min() == 0:
-            return False
-        return bool((self._widths < wanted).all())
+        return bool(wanted) and bool((self._judged.widths < wanted).all())
 
     @cached_property
-    def _severity(self) -> FloatArray:
-        """The severity at which each curve of the library reaches the limit, `_BEYOND` where it never does."""
-        return np.minimum(reached(_CURVES, self._state.config.limit), _BEYOND)
+    def _judged(self) -> "_Judged":
+        """How well the tolerated severity of each cell is known, and what a drive would tell."""
+        layout, config = self._layout, self._state.config
+        likely = weights(self._tally.counts, library(_CURVES))
+        shares = library(_CURVES)[:, 1:].astype(np.float64)
+        tail = 0.5 * (1.0 - config.confidence)
+        widths, gains = np.empty(len(layout.cells)), np.empty((len(layout.cells), LEVELS))
+        for owner in {cell.group for cell in layout.cells}:
+            among = 1.0 if owner is None else self._vulnerable(owner)
+            # Among vulnerable drives, the limit is reached where more of them violate.
+            severity = np.minimum(severity_at(library(_CURVES), config.limit / among), _BEYOND)
+            order = np.argsort(severity, kind="stable")
+            for place in (i for i, cell in enumerate(layout.cells) if cell.group == owner):
+                chances = likely[place]
+                low, high = quantiles_of_sorted(severity[order], chances[order], (tail, 1.0 - tail))
+                widths[place] = high - low
+                mean, unsafe = chances @ severity, np.clip(chances @ shares, 1e-9, 1.0 - 1e-9)
+                common = (chances * severity) @ shares - mean * unsafe
+                gains[place] = np.maximum(common**2 / (unsafe * (1.0 - unsafe)), 1e-15)
+        return _Judged(widths, gains)
 
-    @cached_property
-    def _likely(self) -> FloatArray:
-        """The posterior probability of each curve of the library, shape ``(cells, _CURVES)``."""
-        return weights(self._tally.counts, library(_CURVES))
+    def _vulnerable(self, group: int) -> float:
+        """Return the estimated share of vulnerable drives of a group."""
+        found = self._tally.screenings[group]
+        return (found.vulnerable + 0.5) / (found.screened + 1.0)
 
-    @cached_property
-    def _widths(self) -> FloatArray:
-        """The widths of the intervals of the tolerated severities, shape ``(cells,)``."""
-        tail = 0.5 * (1.0 - self._state.config.confidence)
-        order = np.argsort(self._severity, kind="stable")
-        ends = [
-            quantiles_of_sorted(self._severity[order], likely[order], (tail, 1.0 - tail))
-            for likely in self._likely
-        ]
-        return np.array([high - low for low, high in ends])
-
-    def plan_adaptively(self, plan: _Plan) -> None:
-        """Plan drives where the intervals of tolerated severities are wide, at severities that these may have."""
+    def plan_adaptively(self, plan: _Plan, rng: np.random.Generator) -> None:
+        """Plan drives where they narrow the intervals of tolerated severities most for what they cost."""
+        config, layout = self._state.config, self._layout
         if not plan.room:
             return
-        state = self._state
-        level = np.clip(np.rint(self._severity * LEVELS), 1, LEVELS).astype(np.int64)
-        rng = generator(state.ledger.seed, Stream.TOLERANCE, _CHOICE, state.ledger.planned_generation)
+        groups = [-1 if cell.group is None else cell.group for cell in layout.cells]
+        waiting = [_Drives(self._state, layout, self._tally, cell) for cell in range(len(groups))]
+        cost = np.array([1.0 if group < 0 else 2.0 + 1.0 / self._vulnerable(group) for group in groups])
+        drives = plan.planned.astype(np.float64)
         while plan.room:
-            # Drives narrow an interval with the root of their number, so this many more of them narrow it most.
-            cell = int(np.argmax(np.maximum(self._widths, _NARROW) / (plan.planned + 1.0)))
-            if rng.random() < state.config.explore:
-                plan.add_to(cell, int(rng.integers(1, LEVELS, endpoint=True)))
+            free = np.array([group < 0 or bool(one.free) for group, one in zip(groups, waiting, strict=True)])
+            # An interval narrows with the root of the number of drives.
+            worth = np.maximum(self._judged.widths, _NARROW) / (drives + 1.0)
+            cell = int(np.argmax(worth / np.where(free, 1.0, cost)))
+            if not free[cell]:
+                plan.add_screening(groups[cell])
+                drives[cell] += self._vulnerable(groups[cell])
                 continue
-            chances = np.bincount(level, weights=self._likely[cell], minlength=LEVELS + 1)
-            plan.add_to(cell, int(rng.choice(LEVELS + 1, p=chances / chances.sum())))
+            level = int(rng.integers(1, LEVELS, endpoint=True))
+            if rng.random() >= config.explore:
+                chances = self._judged.gains[cell] ** 2
+                level = 1 + int(rng.choice(LEVELS, p=chances / chances.sum()))
+            if groups[cell] < 0:
+                plan.add_error(cell, level)
+                drives[cell] += 1.0
+                continue
+            if layout.cells[cell].choices == layout.groups[groups[cell]].choices:
+                level = min(level, LEVELS - 1)  # the last level is that of the screening
+            audit = bool(waiting[cell].held) and rng.random() < config.audit
+            plan.add_error(cell, level, waiting[cell].take(audit=audit), audit=audit)
+            drives[cell] += not audit
 
 
-def _drives_of(state: ToleranceState, archive: Archive) -> list[int]:
-    return [state.drives[number] for number in archive.numbers.tolist()]
+class _Judged(NamedTuple):
+    """What is known of the tolerated severities.
+
+    Attributes:
+        widths: Widths of the intervals, shape ``(cells,)``.
+        gains: By how much a drive at each level is expected to reduce the variance, shape ``(cells, LEVELS)``.
+    """
+
+    widths: FloatArray
+    gains: FloatArray
+
+
+class _Drives:
+    """The drives of a group that one of its cells has not used yet.
+
+    Attributes:
+        free: Vulnerable ones, the latest first.
+        held: Those that are taken to hold, the latest first.
+    """
+
+    def __init__(self, state: ToleranceState, layout: Layout, known: Tally, cell: int) -> None:
+        group, jobs = layout.cells[cell].group, state.jobs
+        self.free: list[int] = []
+        self.held: list[int] = []
+        if group is not None:
+            mine = jobs[(jobs[:, 0] >= Purpose.ERROR) & (jobs[:, 1] == cell)]
+            used = set(mine[:, 2].tolist())
+            self.free = [drive for drive, _ in known.vulnerable[group] if drive not in used][::-1]
+            self.held = [drive for drive, _ in known.immune[group] if drive not in used][::-1]
+
+    def take(self, *, audit: bool) -> int:
+        """Return the next drive, and leave it out from then on."""
+        return (self.held if audit else self.free).pop()

@@ -105,9 +105,12 @@ class CellView(View):
     unit: Annotated[str, Field(description="Unit of magnitudes; empty for none.")]
     decimals: Annotated[int, Field(description="Decimal places of magnitudes that matter.")]
     meaning: str
-    drives: int
-    violations: int
-    caused: Annotated[int, Field(description="Violations that the error caused.")]
+    drives: Annotated[int, Field(description="Drives with the error; of screened cells, vulnerable ones.")]
+    caused: Annotated[int, Field(description="Those with a violation that the error caused.")]
+    screened: Annotated[
+        int, Field(description="Drives that were screened with the grossest error; 0 for none.")
+    ]
+    vulnerable: Annotated[int, Field(description="Those with a violation that the grossest error caused.")]
     tolerated: ToleratedView
     curve: CurveView
     fall: FallView | None
@@ -144,6 +147,11 @@ class ToleranceView(View):
     ]
     conditions: list[str]
     baseline: list[BaselineView]
+    audited: Annotated[
+        int,
+        Field(description="Drives simulated with a milder error although they hold with the grossest one."),
+    ]
+    leaks: Annotated[int, Field(description="Those that violated all the same.")]
     cells: list[CellView]
 
 
@@ -439,15 +447,20 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
     for place, (cell, curve) in enumerate(zip(layout.cells, found.curves, strict=True)):
         choices = dict(zip(layout.names, cell.choices, strict=True))
         words = _Words(problem, choices, requirements, config.limit)
+        screening = None if cell.group is None else found.tally.screenings[cell.group]
         cells.append(
             CellView(
                 place=place + 1, choices=choices, condition=cell.condition,
-                words=words.activity(curve), sentence=words.sentence(cell.condition, curve),
+                words=words.activity(curve), sentence=words.sentence(
+                    cell.condition, curve, known=bool(curve.drives.any() or (screening and screening.screened))
+                ),
                 unit=words.scale.unit if words.scale else "",
                 decimals=words.scale.decimals if words.scale else 2,
                 meaning=words.scale.meaning if words.scale else "severity of the error",
-                drives=int(curve.drives.sum()), violations=int(found.tally.violations[place]),
-                caused=int(curve.caused.sum()), tolerated=words.tolerated(curve),
+                drives=int(curve.drives.sum()),
+                caused=int(curve.caused.sum()),
+                screened=0 if screening is None else screening.screened,
+                vulnerable=0 if screening is None else screening.vulnerable, tolerated=words.tolerated(curve),
                 curve=words.curve(curve), fall=words.fall(curve),
                 examples=[
                     ExampleView(number=number, severity=level / len(curve.drives),
@@ -456,13 +469,15 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
                 ],
             )
         )  # fmt: skip
-    drives = int(found.tally.counts.drives.sum())
+    drives = sum(cell.drives for cell in cells)
     return ToleranceView(
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
         complete=campaign.status in ENDED, requirements=requirements, limit=config.limit,
         confidence=config.confidence, simulations=campaign.evaluated, open=len(found.tally.open_numbers),
         note=_note(cells, drives, config.limit, config.confidence),
         conditions=list(layout.conditions), baseline=_baselines(found), cells=cells,
+        audited=max((one.audited for one in found.tally.screenings), default=0),
+        leaks=max((one.leaks for one in found.tally.screenings), default=0),
     )  # fmt: skip
 
 
@@ -560,8 +575,14 @@ class _Words:
             return f"{severity:.2f}"
         return self.scale.words(severity) if unit else self.scale.number(severity)
 
-    def sentence(self, condition: str, curve: Curve) -> str:
-        """Return the requirement that follows from a cell, with its interval."""
+    def sentence(self, condition: str, curve: Curve, *, known: bool) -> str:
+        """Return the requirement that follows from a cell, with its interval.
+
+        Args:
+            condition: Its condition.
+            curve: Its curve.
+            known: Whether anything was simulated.
+        """
         share = f"{self._limit:.0%}"
         violated = _violated(self._requirements)
         activity = self.activity(curve)
@@ -570,7 +591,7 @@ class _Words:
                 words = f"{activity} makes {share} of drives {violated}"
             case Finding.THROUGHOUT:
                 words = f"{activity} makes fewer than {share} of drives {violated}"
-            case Finding.UNDECIDED if not curve.drives.any():
+            case Finding.UNDECIDED if not known:
                 words = f"{self._activity('any magnitude')}: nothing is known yet"
             case Finding.UNDECIDED if math.isinf(curve.tolerated.value):
                 words = f"{activity} probably makes fewer than {share} of drives {violated}"
@@ -633,7 +654,7 @@ def tolerance_csv(view: ToleranceView) -> str:
         [
             *(name.rpartition(".")[2] for name in names), "condition", "finding", "unit",
             *(f"tolerated_{end}" for end in ends), *(f"severity_{end}" for end in ends),
-            "limit", "confidence", "drives", "violations", "caused", "sentence",
+            "limit", "confidence", "screened", "vulnerable", "drives", "caused", "sentence",
         ]
     )  # fmt: skip
     for cell in view.cells:
@@ -642,7 +663,7 @@ def tolerance_csv(view: ToleranceView) -> str:
             [
                 *(cell.choices[name] for name in names), cell.condition, cell.tolerated.finding.value, cell.unit,
                 *(_digits(one.magnitude) for one in amounts), *(_digits(one.severity) for one in amounts),
-                view.limit, view.confidence, cell.drives, cell.violations, cell.caused, cell.sentence,
+                view.limit, view.confidence, cell.screened, cell.vulnerable, cell.drives, cell.caused, cell.sentence,
             ]
         )  # fmt: skip
     return out.getvalue()

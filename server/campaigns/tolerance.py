@@ -5,7 +5,7 @@ from dataclasses import InitVar, dataclass, field
 from typing import Final
 
 from brink.search.algorithms.tolerance import Layout, Tally, Tolerance, ToleranceConfig, tally
-from brink.search.curves import Curve, curves_of
+from brink.search.curves import Curve
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import CACHED, ReadArchive
 from brink.server.campaigns.store import Campaign
@@ -91,5 +91,5 @@ class Tolerances:
             config=config,
             layout=layout,
             tally=found,
-            curves=tuple(curves_of(found.counts, limit=config.limit, confidence=config.confidence)),
+            curves=tuple(found.curves(layout, limit=config.limit, confidence=config.confidence)),
         )

@@ -44,6 +44,11 @@ SIMULATOR = "brink-drive-errors@1"
 NO_ERROR: Final = "none"
 """The type of an error that is none."""
 LATEST_ONSET_S: Final = 12.0
+COVERED: Final = (
+    ErrorType.MISS, ErrorType.LATE, ErrorType.FLICKER, ErrorType.TOO_FAR, ErrorType.LEFT, ErrorType.RIGHT,
+    ErrorType.TOO_SMALL, ErrorType.SHORT_RANGE,
+)  # fmt: skip
+"""Errors that are milder than never reporting the target: they hide it, or put it where it is in nobody's way."""
 _FIRST: Final = f"{BEHAVIOUR}.error_1"
 _FIELDS: Final = ("type", "target", "onset", "onset_s", "duration_s", "severity")
 
@@ -110,6 +115,8 @@ class UrbanErrors:
                 **others, f"{_FIRST}.onset": Onset.TIME.value, f"{_FIRST}.duration_s": params.duration_s,
             },
             "truth": {f"{_FIRST}.type": NO_ERROR},
+            "grossest": {f"{_FIRST}.type": ErrorType.SHORT_RANGE.value},
+            "covers": {f"{_FIRST}.type": [kind.value for kind in COVERED]},
             "needs": {f"{_FIRST}.target={Target.PEDESTRIAN.value}": {"scenario.pedestrians": ["18"]}},
         }  # fmt: skip
         self.requirements = params.requirements

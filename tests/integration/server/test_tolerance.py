@@ -68,7 +68,8 @@ def judge(job: LeasedJob) -> Completed | JobFailed:
     for error in spec["behaviour"]["errors"]:
         severity = MAGNITUDES[ErrorType(error["type"])].severity(error["magnitude"])
         share = 0.9 if spec["scenario"]["time_of_day"] == "night" else 0.5
-        if error["type"] == "miss" and error["target"] == "lead" and severity > 0.25:
+        is_hidden = error["type"] == "short_range" and severity == 1.0
+        if error["target"] == "lead" and (is_hidden or (error["type"] == "miss" and severity > 0.25)):
             unsafe = unsafe or bool(chance[1] < share)
     return outcome(unsafe, {"error_steps": [[10, 20] for _ in spec["behaviour"]["errors"]], "severity": 0.0})
 
@@ -153,8 +154,9 @@ def test_violations_without_an_error_are_counted_apart(service: Service) -> None
     assert [one["choices"] for one in view["baseline"]][:2] == [
         [{"behaviour.error_1.target": "lead"}], [{"behaviour.error_1.target": "pedestrian"}],
     ]  # fmt: skip
-    lead = [cell for cell in view["cells"] if cell["choices"]["behaviour.error_1.target"] == "lead"]
-    assert sum(cell["violations"] for cell in lead) > sum(cell["caused"] for cell in lead)
+    assert all(cell["screened"] >= 40 for cell in view["cells"])
+    assert all(cell["vulnerable"] <= cell["screened"] for cell in view["cells"])
+    assert view["audited"] > view["leaks"] == 0
 
 
 def test_csv_has_one_row_for_each_cell(service: Service) -> None:

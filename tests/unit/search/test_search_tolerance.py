@@ -11,8 +11,27 @@ import pytest
 
 from brink.search import curves as analysis
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
-from brink.search.algorithms.tolerance import Layout, Tally, Tolerance, ToleranceConfig, ToleranceState, tally
-from brink.search.curves import LEVELS, Counts, Curve, curves_of, library, severities, severity_at, weights
+from brink.search.algorithms.tolerance import (
+    FIRST_SCREENED,
+    Layout,
+    Purpose,
+    Tally,
+    Tolerance,
+    ToleranceConfig,
+    ToleranceState,
+    tally,
+)
+from brink.search.curves import (
+    LEVELS,
+    Counts,
+    Curve,
+    Screening,
+    curves_of,
+    library,
+    severities,
+    severity_at,
+    weights,
+)
 from brink.search.document import Document
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.space import Categorical, Component, Dormant, FloatArray, Real, SearchSpace
@@ -82,6 +101,10 @@ def joined(all_counts: list[Counts]) -> Counts:
     )
 
 
+def rated(counts: Counts) -> list[Curve]:
+    return curves_of(counts, [None] * len(counts.drives), limit=0.05, confidence=0.9)
+
+
 # The curves.
 
 
@@ -116,7 +139,7 @@ def found(kind: str) -> list[tuple[FloatArray, Curve]]:
     else:
         curves = [steps(0.25, 0.4, 0.04) * (1.0 - steps(0.6, 0.95, 0.05)) for _ in range(5)]
     counts = joined([simulated(curve, 150 if kind == "rising" else 300, rng) for curve in curves])
-    return list(zip(curves, curves_of(counts, limit=0.05, confidence=0.9), strict=True))
+    return list(zip(curves, rated(counts), strict=True))
 
 
 def test_intervals_cover_the_tolerated_severity_and_the_curve_as_often_as_they_say() -> None:
@@ -155,7 +178,7 @@ def test_more_drives_narrow_the_interval() -> None:
     curve = steps(0.5, 0.4)
     widths = []
     for drives in (30, 1_000):
-        (known,) = curves_of(simulated(curve, drives, rng), limit=0.05, confidence=0.9)
+        (known,) = rated(simulated(curve, drives, rng))
         widths.append(min(known.tolerated.high, 1.0) - known.tolerated.low)
     assert widths[1] < widths[0] / 2
 
@@ -163,7 +186,7 @@ def test_more_drives_narrow_the_interval() -> None:
 def test_an_error_without_effect_is_tolerated_throughout() -> None:
     counts = Counts.empty(1)
     counts.drives[0, -1] = 200
-    (known,) = curves_of(counts, limit=0.05, confidence=0.9)
+    (known,) = rated(counts)
     assert np.isinf(known.tolerated.low)
     assert known.high[-1] < 0.05
 
@@ -173,15 +196,32 @@ def test_without_drives_the_weights_are_those_of_the_prior() -> None:
     assert likely == pytest.approx(np.full((2, 1_000), 1e-3))
 
 
+def test_a_screened_curve_is_the_share_of_vulnerable_drives_times_the_curve_among_them() -> None:
+    counts = Counts.empty(1)
+    counts.drives[0, -1], counts.caused[0, -1] = 300, 150
+    few_audits = Screening(vulnerable=200, screened=1_000, leaks=0, audited=2)
+    (plain,) = rated(counts)
+    (screened,) = curves_of(counts, [few_audits], limit=0.05, confidence=0.9)
+    assert plain.median[-1] == pytest.approx(0.5, abs=0.02)
+    assert screened.median[-1] == pytest.approx(0.1, abs=0.02)
+    leaking = Screening(vulnerable=200, screened=1_000, leaks=30, audited=150)
+    (leaky,) = curves_of(counts, [leaking], limit=0.05, confidence=0.9)
+    assert leaky.median[-1] == pytest.approx(0.1 + 0.8 * 30 / 200, abs=0.02)
+    none_of_many = Screening(vulnerable=0, screened=200, leaks=0, audited=100)
+    (safe,) = curves_of(Counts.empty(1), [none_of_many], limit=0.05, confidence=0.9)
+    assert np.isinf(safe.tolerated.low)
+
+
 # The search.
 
-TRUE = {"miss": steps(0.3, 0.5), "late": steps(0.7, 0.3)}
+TRUE = {"miss": steps(0.3, 0.5), "late": steps(0.7, 0.3), "left": steps(0.5, 0.55)}
 
 
 def drive(candidate: Candidate, root: int) -> Scored:
     """Violate with a probability that grows with severity; some drives violate without any error."""
     row = SPACE.decode(candidate.vectors)
     values = row["behaviour"]
+    # One number says how vulnerable a drive is, so that the gross errors cover the milder ones.
     chance = np.random.default_rng([root, int(row["scenario"]["people"])]).random(2)
     kind = str(values["error_1.type"])
     share = 0.0 if kind == "none" else TRUE[kind][round(float(values["error_1.severity"]) * LEVELS)]
@@ -207,6 +247,13 @@ class Played:
         return tally(
             self.layout, archive.vectors, numbers, archive.unsafe, [self.state.drives[n] for n in numbers]
         )
+
+    @property
+    def curves(self) -> list[Curve]:
+        return self.tally.curves(self.layout, limit=0.05, confidence=0.9)
+
+    def jobs(self, purpose: Purpose) -> Any:
+        return self.state.jobs[self.state.jobs[:, 0] == purpose]
 
 
 def play(
@@ -239,7 +286,7 @@ def played() -> Played:
 
 
 def test_the_search_finds_the_tolerated_severities(played: Played) -> None:
-    curves = curves_of(played.tally.counts, limit=0.05, confidence=0.9)
+    curves = played.curves
     hits = []
     for cell, curve in zip(played.layout.cells, curves, strict=True):
         true = float(severity_at(0.9 * TRUE[cell.choices[0]][None], 0.05)[0])
@@ -277,12 +324,12 @@ def test_drives_of_all_cells_are_the_same_but_for_what_cell_and_condition_prescr
 
 
 def test_a_violation_that_happens_without_the_error_was_not_caused_by_it(played: Played) -> None:
-    result = played.tally
-    assert result.violations.sum() > result.counts.caused.sum()
-    unsafe_anyway = [violating for violating, _ in result.baseline]
-    assert sum(unsafe_anyway) > 0
+    result, archive = played.tally, played.state.archive
+    cells = played.layout.cells_of(archive.vectors)
+    assert (archive.unsafe & (cells >= 0)).sum() > result.counts.caused.sum()
+    assert sum(violating for violating, _ in result.baseline) > 0
     assert all(drives == 20 for _, drives in result.baseline)
-    rows = dict(zip(played.state.archive.numbers.tolist(), played.state.archive.vectors, strict=True))
+    rows = dict(zip(archive.numbers.tolist(), archive.vectors, strict=True))
     for cell, level, number in result.caused:
         row = rows[number]
         assert played.layout.cells_of(row[None])[0] == cell
@@ -290,11 +337,62 @@ def test_a_violation_that_happens_without_the_error_was_not_caused_by_it(played:
     assert [level for _, level, _ in result.caused] == sorted(level for _, level, _ in result.caused)
 
 
+# Screening.
+
+SCREENED: dict[str, Any] = {
+    "cells": {"error_1.type": ["miss", "late", "left"], "target": ["lead", "pedestrian"]},
+    "grossest": {"error_1.type": "left"},
+    "covers": {"error_1.type": ["miss", "late"]},
+}
+
+
+@pytest.fixture(scope="module")
+def screened() -> Played:
+    return play(1_500, **SCREENED)
+
+
+def test_only_vulnerable_drives_are_simulated_with_milder_errors(screened: Played) -> None:
+    layout, known = screened.layout, screened.tally
+    assert len(layout.groups) == 4
+    assert [one.choices[0] for one in layout.groups] == ["left"] * 4
+    for group, screening in enumerate(known.screenings):
+        assert screening.vulnerable == len(known.vulnerable[group])
+        assert (
+            FIRST_SCREENED
+            <= screening.screened
+            <= len(known.vulnerable[group]) + len(known.immune[group]) + 30
+        )
+        assert 0.3 < screening.vulnerable / screening.screened < 0.75
+    vulnerable = [{drive for drive, _ in found} for found in known.vulnerable]
+    immune = [{drive for drive, _ in found} for found in known.immune]
+    for _, cell, drive in screened.jobs(Purpose.ERROR).tolist():
+        assert drive in vulnerable[layout.cells[cell].group or 0]
+    audits = screened.jobs(Purpose.AUDIT).tolist()
+    assert all(drive in immune[layout.cells[cell].group or 0] for _, cell, drive in audits)
+    assert known.screenings[0].audited == len(audits) > 10
+    assert known.screenings[0].leaks == 0
+
+
+def test_screening_finds_the_same_severities(screened: Played) -> None:
+    hits = []
+    for cell, curve in zip(screened.layout.cells, screened.curves, strict=True):
+        true = float(severity_at(0.9 * TRUE[cell.choices[0]][None], 0.05)[0])
+        hits.append(curve.tolerated.low - 0.05 <= true <= curve.tolerated.high + 0.05)
+    assert len(hits) == 12
+    assert sum(hits) >= 10
+
+
+def test_a_search_without_a_grossest_error_does_not_screen(played: Played) -> None:
+    assert played.layout.groups == ()
+    assert len(played.jobs(Purpose.SCREENING)) == 0
+    assert played.tally.screenings == ()
+
+
 def test_simulations_go_where_the_limit_may_be_reached(played: Played) -> None:
     adaptive, uniform = played, play(design="uniform")
     widths = []
     for one in (adaptive, uniform):
-        curves = curves_of(one.tally.counts, limit=0.05, confidence=0.9)
+        curves = one.curves
         widths.append(np.mean([min(c.tolerated.high, 1.0) - min(c.tolerated.low, 1.0) for c in curves]))
     assert widths[0] < widths[1]
     drives = uniform.tally.counts.drives
@@ -311,7 +409,7 @@ def test_the_random_design_draws_severities_by_chance() -> None:
 def test_the_search_ends_when_all_intervals_are_narrow_enough() -> None:
     ended = play(6_000, width=0.35)
     assert 500 < len(ended.asked) < 4_000
-    curves = curves_of(ended.tally.counts, limit=0.05, confidence=0.9)
+    curves = ended.curves
     assert max(min(c.tolerated.high, 1.1) - min(c.tolerated.low, 1.1) for c in curves) < 0.4
 
 
@@ -349,6 +447,9 @@ def test_without_cells_there_is_one_for_each_condition() -> None:
         ({"conditions": [{"target": "lead"}]}, "conditions", "distinguishes the cells"),
         ({"conditions": [{"people": "0"}]}, "conditions", "pedestrian under 0: expected scenario.people to allow 18"),
         ({"fixed": {"gap": 100.0}}, "fixed", "expected a number in"),
+        ({"grossest": {"error_1.type": "gone"}}, "grossest", "expected one of none, miss, late, left"),
+        ({"grossest": {"error_1.type": "left"}}, "covers", "the same parameters as in grossest"),
+        ({**SCREENED, "covers": {"error_1.type": ["gone"]}}, "covers", "expected one of none, miss, late, left"),
         ({"levels": 5}, "levels", "a divisor of 32"),
         ({"design": "clever"}, "design", "expected one of"),
     ],
