@@ -21,11 +21,13 @@ from brink.sim.replay.scene import (
     SKETCHED_TO_M,
     Points,
     SurfaceStyle,
+    has_errors,
     label_index,
     pictures_shown,
     score_threshold,
     shared_area,
     surface_style,
+    wrong_boxes,
 )
 from brink.sim.replay.style import (
     BLURRED_PEDESTRIAN,
@@ -98,10 +100,12 @@ class SketchView:
 
         Args:
             sample: The sample.
-            reports: Reported boxes to draw, by default those of the episode.
+            reports: Reported boxes to draw, by default those of the episode; where it has errors, the wrong ones.
         """
         if reports is None:
-            reports = [Reported(self._trace.given_boxes.at(sample), GHOST, "")]
+            trace = self._trace
+            boxes = wrong_boxes(trace, sample) if has_errors(trace) else trace.given_boxes.at(sample)
+            reports = [Reported(boxes, GHOST, "")]
         width, height = (side * SUPERSAMPLING for side in self._size)
         image = Image.new("RGB", (width, height), SKY)
         draw = ImageDraw.Draw(image)

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw
 
 from brink.sim.replay.camera_view import camera_view, draw_film_legend
 from brink.sim.replay.map_view import MapView
-from brink.sim.replay.scene import PERSON, EpisodeScene, ReplayError
+from brink.sim.replay.scene import PERSON, EpisodeScene, ReplayError, count_wrong, has_errors
 from brink.sim.replay.story import (
     Judged,
     Story,
@@ -438,7 +438,12 @@ class _TimeBar:
         return self._left + (time_s - self._start_s) / self._span_s * (self._right - self._left)
 
     def _reported(self) -> NDArray[np.int64]:
-        """Return the number of reported boxes at each sample, shape ``(n,)``; with recorded images, only people."""
+        """Return the number of reported boxes at each sample, shape ``(n,)``.
+
+        With recorded images only people count, and with errors what is wrong or missing.
+        """
+        if has_errors(self._trace):
+            return count_wrong(self._trace)
         if self._trace.film is None:
             return np.asarray(np.diff(self._trace.given_boxes.first), np.int64)
         return reported(self._trace, PERSON)

@@ -20,6 +20,7 @@ from brink.sim.replay.scene import (
     Points,
     front_gap,
     gap_words,
+    has_errors,
     is_car,
     label_index,
     map_centres,
@@ -416,6 +417,8 @@ class MapView:
                 for one, other in ((0, 2), (1, 3)):
                     diagonal = np.vstack([corners[one], corners[other]])
                     draw.line(diagonal.ravel().tolist(), fill=style.colour, width=SUPERSAMPLING)
+            if not ghost and has_errors(self._scene.trace):
+                continue  # what is perceived where it is needs no words
             captions = style.nothing_there if ghost else style.there
             anchor = float(corners[:, 0].mean()), float(corners[:, 1].min())
             labels.append(Label(_reduced(anchor, -0.85), captions[label], style.colour, _around(corners)))

@@ -18,11 +18,15 @@ from brink.sim.episode import Json
 from brink.sim.errors import SimulatorError
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import ActorTrack, Film, Trace
+from brink.sim.urban.detection_errors import MODE
 
 Points: TypeAlias = NDArray[np.float64]
 """Corners, shape ``(k, 2)``."""
 
 Flags: TypeAlias = NDArray[np.bool_]
+IntArray: TypeAlias = NDArray[np.int64]
+BoxRows: TypeAlias = NDArray[np.float32]
+"""Boxes, shape ``(n, 5)``; columns as in `brink.sim.trace.BOX_COLUMNS`."""
 
 LABELS: Final = ("vehicle", "person", "obstacle")
 """Names of the labels 0 and 1 of boxes and obstacles; the last one is for any other label."""
@@ -353,7 +357,32 @@ def gap_to(trace: Trace, sample: int, actor: int, gap_m: float | None = None) ->
 
 def is_injected(trace: Trace) -> bool:
     """Return whether the reported boxes were injected: then no detector looked at what is there."""
-    return trace.film is None and spec_part(trace, "behaviour").get("mode") not in ("detector", "oracle")
+    return trace.film is None and spec_part(trace, "behaviour").get("mode") not in (
+        "detector",
+        "oracle",
+        MODE,
+    )
+
+
+def has_errors(trace: Trace) -> bool:
+    """Return whether the reported boxes are the true ones with errors."""
+    return spec_part(trace, "behaviour").get("mode") == MODE
+
+
+def wrong_boxes(trace: Trace, sample: int) -> BoxRows:
+    """Return the reported boxes of a sample that are not true ones."""
+    true = set(map(bytes, trace.seen_boxes.at(sample)))
+    given = trace.given_boxes.at(sample)
+    return given[[bytes(row) not in true for row in given]]
+
+
+def count_wrong(trace: Trace) -> IntArray:
+    """Return how many boxes are wrong or missing at each sample, shape ``(n,)``."""
+    counts = []
+    for sample in range(len(trace.time_s)):
+        true, given = (set(map(bytes, boxes.at(sample))) for boxes in (trace.seen_boxes, trace.given_boxes))
+        counts.append(max(len(true - given), len(given - true)))
+    return np.array(counts, np.int64)
 
 
 def obstacles_on(scene: EpisodeScene, sample: int, actor: int) -> list[int]:

@@ -7,9 +7,20 @@ from typing import Final, TypeAlias, TypeVar
 import numpy as np
 
 from brink.sim.aeb.specification import describe_perturbations, describe_street
-from brink.sim.replay.scene import LABELS, PERSON, ReplayError, is_injected, plain_name, spec_part
+from brink.sim.errors import InvalidEpisode
+from brink.sim.replay.scene import (
+    LABELS,
+    PERSON,
+    ReplayError,
+    count_wrong,
+    has_errors,
+    is_injected,
+    plain_name,
+    spec_part,
+)
 from brink.sim.requirements import CollisionKind
 from brink.sim.trace import ACTION, VIOLATED_AT_S, Event, Trace
+from brink.sim.urban.detection_errors import errors_from_json
 from brink.sim.verdict import held_words, violated_words
 from brink.sim.world.scenario import words_of_scenario
 
@@ -31,6 +42,8 @@ _MOST_MOMENTS: Final = 6
 _LEAD_UP_S: Final = (1.0, 2.5, 5.0)
 """How long before the decisive moment to look for other moments."""
 
+_LONGEST_S: Final = 600.0
+"""No episode is longer; bounds the times in its errors."""
 T = TypeVar("T")
 Judged: TypeAlias = str | Sequence[str] | None
 """Ids of the requirements that a replay is about, with or without version."""
@@ -233,6 +246,13 @@ def _lead_up(trace: Trace, decisive: int) -> list[Moment]:
             Moment(sample=sample, reason=f"injected {label}")
             for sample, label in _injections(trace, decisive)
         ]
+    if has_errors(trace):
+        wrong = count_wrong(trace) > 0
+        found += [
+            Moment(sample=i, reason="error begins" if wrong[i] else "error ends")
+            for i in range(1, decisive + 1)
+            if wrong[i] != wrong[i - 1]
+        ][:2]
     changes = [i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]]
     found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]
     for event in reversed(notable_events(trace)):
@@ -293,9 +313,21 @@ def scenario_words(trace: Trace) -> str:
     words = ""
     if scenario:
         words = describe_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
+    if has_errors(trace):
+        words = "; ".join([*([words] if words else []), error_words(trace)])
     if spec_part(trace, "behaviour").get("trajectories") and not len(trace.given_boxes.rows):
         words += "; ends before the first injection"
     return words
+
+
+def error_words(trace: Trace) -> str:
+    """Describe the errors of the detector."""
+    behaviour = spec_part(trace, "behaviour")
+    try:
+        errors = errors_from_json(behaviour, _LONGEST_S)
+    except InvalidEpisode:
+        return "unknown errors"  # any worker may have written the trace
+    return " and ".join(error.words for error in errors) or "no error"
 
 
 def perturbation_words(trace: Trace) -> str:
@@ -307,9 +339,15 @@ def perturbation_words(trace: Trace) -> str:
 
 
 def report_word(trace: Trace) -> str:
-    """Return how the reported boxes arose: ``injected``, ``detected`` in images, or ``seen`` (the ground truth)."""
+    """Return how the reported boxes arose.
+
+    Returns:
+        ``injected``, ``wrong`` (of the truth with errors), ``detected`` in images, or ``seen`` (the ground truth).
+    """
     if is_injected(trace):
         return "injected"
+    if has_errors(trace):
+        return "wrong"
     oracle = trace.film is None and spec_part(trace, "behaviour").get("mode") == "oracle"
     return "seen" if oracle else "detected"
 

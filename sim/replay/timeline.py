@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from brink.sim.replay.scene import LABELS, PERSON
+from brink.sim.replay.scene import LABELS, PERSON, count_wrong, has_errors
 from brink.sim.replay.story import (
     Judged,
     Story,
@@ -146,6 +146,8 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
 def _plot_bands(axes: Axes, trace: Trace) -> None:
     scripts = scripts_of(trace)
     reports = {} if scripts else {f"{report_word(trace)} {LABELS[i]}": i for i in range(PERSON + 1)}
+    if has_errors(trace):
+        reports = {"wrong or missing": -1}
     names = ["plan", *(["light"] if any(trace.lights) else []), *reports, *scripts]
     for row, name in enumerate(names):
         axes.axhspan(row - 0.36, row + 0.36, color="#f0f2f4", linewidth=0)
@@ -161,7 +163,8 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
                 colour = VEHICLE if action in QUIET else GHOST
                 _band(axes, trace, row, first, last, colour, action.replace("_", " "))
         else:
-            for count, first, last in runs(reported(trace, reports[name]).tolist()):
+            counts = count_wrong(trace) if has_errors(trace) else reported(trace, reports[name])
+            for count, first, last in runs(counts.tolist()):
                 if count:
                     _band(axes, trace, row, first, last, GHOST, f"{count}" if count != 1 else "")
     axes.set_ylim(len(names) - 0.5, -0.5)

@@ -1,0 +1,61 @@
+"""Replays of drives in which the detector reports the truth with errors."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from brink.sim.episode import EpisodeSpec
+from brink.sim.replay import render
+from brink.sim.replay.scene import count_wrong, has_errors, is_injected, wrong_boxes
+from brink.sim.replay.story import error_words, report_word, scenario_words
+from brink.sim.trace import Trace
+from brink.sim.urban.simulator import BrinkDriveErrors
+
+SPEC = EpisodeSpec(
+    simulator="brink-drive-errors@1",
+    scenario={
+        "time_of_day": "noon", "weather": "clear", "pedestrians": 0, "road_curve": "straight", "road_id": 0,
+        "road_length": 0, "driving_task": "follow_road",
+    },
+    behaviour={"mode": "errors", "errors": [
+        {"type": "left", "target": "lead", "magnitude": 1.0, "onset": "time", "onset_s": 1.0, "duration_s": 1.5},
+    ]},
+    requirements=("front-gap@1",), seed=3, duration_s=4.0, options={"fidelity": "bicycle"},
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def trace() -> Trace:
+    recorded = BrinkDriveErrors().run(SPEC, record=True).trace
+    assert recorded is not None
+    return Trace.from_bytes(recorded)
+
+
+def test_only_what_is_wrong_is_shown_as_reported(trace: Trace) -> None:
+    assert has_errors(trace)
+    assert not is_injected(trace)
+    counts = count_wrong(trace)
+    assert np.flatnonzero(counts).tolist() == list(range(10, 25))
+    assert set(counts.tolist()) == {0, 1}
+    assert [len(wrong_boxes(trace, sample)) for sample in (5, 12, 30)] == [0, 1, 0]
+
+
+def test_the_title_names_the_error(trace: Trace) -> None:
+    assert report_word(trace) == "wrong"
+    assert error_words(trace) == "the lead is reported 1.0 m too far left from 1.0 s on"
+    assert scenario_words(trace).endswith("task: follow the road; " + error_words(trace))
+
+
+def test_a_trace_with_errors_that_cannot_be_read_is_drawn_all_the_same(trace: Trace) -> None:
+    spoilt = replace(
+        trace, about={"spec": {**SPEC.to_json(), "behaviour": {"mode": "errors", "errors": [3]}}}
+    )
+    assert error_words(spoilt) == "unknown errors"
+
+
+def test_a_drive_with_errors_is_drawn(trace: Trace, tmp_path: Path) -> None:
+    file = tmp_path / "drive.png"
+    render(trace, file, requirement=("front-gap@1",))
+    assert file.stat().st_size > 20_000
