@@ -25,6 +25,7 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
+from brink.report.tolerance import requirement_document
 from brink.server.api.tolerance import (
     AgreementView,
     CellView,
@@ -49,6 +50,7 @@ class Format(StrEnum):
     SENTENCES = "sentences"
     CSV = "csv"
     JSON = "json"
+    MARKDOWN = "md"
 
 
 def tolerance(
@@ -60,7 +62,7 @@ def tolerance(
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File to write: .csv or .json.", show_default=False)
+        Path | None, typer.Option(help="File to write: .csv, .json or .md.", show_default=False)
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the curves (.png or .svg).", show_default=False)
@@ -165,6 +167,12 @@ def tolerance(
                     print_json(document)
                 else:
                     write_json(out, document)
+            case Format.MARKDOWN:
+                text = requirement_document(view, None if picture is None else picture.name)
+                if out is None:
+                    typer.echo(text, nl=False)
+                else:
+                    out.write_text(text, encoding="utf-8")
             case Format.CSV:
                 table = await fetch_csv(api, campaign)
                 if out is None:
@@ -322,9 +330,11 @@ def _format(form: Format | None, out: Path | None, *, as_json: bool) -> Format:
     if out is None:
         return form or Format.TABLE
     named = out.suffix.removeprefix(".")
-    files = (Format.CSV.value, Format.JSON.value)
+    files = (Format.CSV.value, Format.JSON.value, Format.MARKDOWN.value)
     if named not in files or (form is not None and form != named):
-        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in .{form or 'csv or .json'}")
+        raise InvalidInput.at(
+            "--out", f"{out}: expected a file name that ends in .{form or 'csv, .json or .md'}"
+        )
     return Format(named)
 
 
@@ -373,8 +383,8 @@ def show_tolerance(screen: Console, view: ToleranceView, shown: int | None = Non
     screen.print(table)
     if view.audited:
         screen.print(
-            f"[dim]drives that hold although the target is never reported are taken to hold with milder errors; of "
-            f"{view.audited} that were simulated all the same, {view.leaks} violated[/dim]",
+            f"[dim]drives that hold with the grossest error are taken to hold with milder ones; of {view.audited} "
+            f"that were simulated all the same, {view.leaks} violated[/dim]",
             soft_wrap=True,
         )
     if view.open:
@@ -457,9 +467,10 @@ class ToleranceFindings:
 
     def write(self, folder: Path) -> list[Path]:
         """Write the requirement to files; return the files."""
-        files = [folder / "tolerance.csv", folder / "tolerance.json"]
+        files = [folder / f"tolerance.{ending}" for ending in ("csv", "json", "md")]
         files[0].write_bytes(self._table)
         write_json(files[1], self._view.model_dump(mode="json"))
+        files[2].write_text(requirement_document(self._view, "tolerance.png"), encoding="utf-8")
         return files
 
     async def draw(self, drawing: Drawing) -> list[Path]:

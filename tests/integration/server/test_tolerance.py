@@ -314,6 +314,12 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     assert len(table.read_text().splitlines()) == 9
     assert picture.stat().st_size > 20_000
     assert len(json.loads(tolerance("--json"))["cells"]) == 8
+    document = tmp_path / "requirement.md"
+    tolerance("--out", str(document))
+    text = document.read_text()
+    assert text.startswith("# Requirement on the component: tolerance-1\n")
+    assert text.count("\n- By ") == 8
+    assert "## Tolerated however gross" in text
     good = detections(tmp_path / "good.csv", drives=60, missed_s=0.3)
     bad = detections(tmp_path / "bad.csv", drives=20, missed_s=4.0)
     for file, result in ((good, "met"), (bad, "not met")):
@@ -330,7 +336,7 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--out", "requirement.txt"], "ends in .csv or .json"),
+        (["--out", "requirement.txt"], "ends in .csv, .json or .md"),
         (["--json", "--format", "csv"], "--json without --format"),
         (["--against", "x", "--episodes", "y"], "expected it without --against"),
         (["--picture", "curves.gif"], "ends in .png, .svg or .pdf"),

@@ -692,3 +692,23 @@ def test_each_simulator_takes_only_its_own_behaviours(simulator: BrinkDriveError
         simulator.run(replace(STRAIGHT, simulator="brink-drive@2"))
     with pytest.raises(InvalidEpisode, match=r"behaviour\.mode: expected one of injected, oracle"):
         BrinkDrive().run(replace(STRAIGHT, simulator="brink-drive@2"))
+
+
+def test_late_withholds_nobody_who_was_reported_before() -> None:
+    # A car that joins from a side street turns into the ego's direction long after it was first visible.
+    scenario: JsonObject = {
+        "time_of_day": "noon", "weather": "clear", "pedestrians": 0, "road_curve": "right", "road_id": 1,
+        "road_length": 0, "driving_task": "follow_road",
+    }  # fmt: skip
+    spec = EpisodeSpec(
+        simulator="brink-drive-errors@1", scenario=scenario, requirements=("front-gap@1",), seed=3,
+        behaviour={"mode": "errors", "errors": [{"type": "late", "target": "lead", "magnitude": 1.5}]},
+        duration_s=12.0, options={"fidelity": "bicycle"},
+    )  # fmt: skip
+    recorded = BrinkDriveErrors().run(spec, record=True).trace
+    assert recorded is not None
+    trace = Trace.from_bytes(recorded)
+    shown = [len(trace.given_boxes.at(step)) for step in range(len(trace.time_s))]
+    true = [len(trace.seen_boxes.at(step)) for step in range(len(trace.time_s))]
+    assert shown[:15] != true[:15]
+    assert shown[77:95] == true[77:95]

@@ -33,8 +33,11 @@ export function toleranceCard(context, id) {
     card.hidden = read.simulations === 0;
     text(about, `How gross an error may be before it makes ${percent(read.limit)} of drives violate a requirement that they would have held without it.`);
     text(words, said(read.note));
-    text(unknown, read.open ? `Whether the error caused ${plural(read.open, "more violation")} is not known yet.` : "");
-    unknown.hidden = read.open === 0;
+    text(unknown, [
+      read.audited > 0 && `Drives that hold with the grossest error are taken to hold with milder ones; of ${count(read.audited)} that were simulated all the same, ${count(read.leaks)} violated.`,
+      read.open > 0 && `Whether the error caused ${plural(read.open, "more violation")} is not known yet.`,
+    ].filter(Boolean).join(" "));
+    unknown.hidden = read.open + read.audited === 0;
     const groups = grouped(read);
     drawLegend(read);
     const top = ceiling(read);
@@ -92,6 +95,11 @@ function shortName(parameter) {
   return spaced(parameter.split(".").at(-1));
 }
 
+/** Return whether anything was simulated of a cell; screening alone may say that it tolerates any error. */
+function isKnown(cell) {
+  return cell.drives + cell.screened > 0;
+}
+
 /** ``Too far, pedestrian``. */
 function name(cell) {
   return capital(Object.values(cell.choices).map(spaced).join(", ")) || "Any error";
@@ -145,7 +153,7 @@ function curves(cells, read, top) {
   const points = (severity, values) => values.map((value, place) => `${x(severity[place]).toFixed(1)},${y(value).toFixed(1)}`);
   const line = (given) => h("line", { "vector-effect": "non-scaling-stroke", ...given });
   const across = (at, more) => line({ x1: 0, x2: WIDTH, y1: y(at), y2: y(at), ...more });
-  const known = cells.filter((cell) => cell.drives > 0).map((cell) => {
+  const known = cells.filter(isKnown).map((cell) => {
     const place = read.conditions.indexOf(cell.condition);
     return { ...cell, colour: colourOf(place), dotted: place >= COLOURS };
   });
@@ -177,7 +185,7 @@ function number(cell, severity, unit = false) {
 /** ``2.2 s [1.4, 2.8]``; ``any, up to 8.0 s``. */
 function tolerated(cell) {
   const { finding, value, low, high } = cell.tolerated;
-  if (cell.drives === 0) return "unknown";
+  if (!isKnown(cell)) return "unknown";
   const falling = cell.curve.magnitude !== null && cell.curve.magnitude.at(-1) < cell.curve.magnitude[0];
   if (finding === "throughout") return `any, ${falling ? "down" : "up"} to ${number(cell, 1, true)}`;
   const probably = finding === "undecided" ? "probably " : "";
@@ -208,7 +216,7 @@ function toleranceTable(id) {
     if (known !== heads.join()) {
       known = heads.join();
       replace(head, heads.map((words) => h("th", { scope: "col" }, words)),
-        h("th.right", { scope: "col", title: "Simulated drives with the error" }, "Drives"),
+        h("th.right", { scope: "col", title: "Simulated drives with the error, after screening" }, "Drives"),
         h("th.right", { scope: "col", title: "Drives in which the error caused a violation" }, "Caused"),
         h("th", { scope: "col", title: "Drive with the smallest error that caused a violation" }, "Mildest example"));
     }
