@@ -61,9 +61,11 @@ class Findings(Protocol):
 
     Attributes:
         name: The kind, in one word.
+        examples: Numbers of solutions that are worth a replay, best first.
     """
 
     name: str
+    examples: Sequence[int]
 
     def sentence(self) -> str:
         """Return the findings in one sentence."""
@@ -126,6 +128,7 @@ class CombinationFindings:
     """Hazardous chains of techniques."""
 
     name = "combinations"
+    examples: Sequence[int] = ()
 
     def __init__(self, found: Combinations) -> None:
         self._found = found
@@ -319,6 +322,7 @@ class ViolationFindings:
     """
 
     name = "violations"
+    examples: Sequence[int] = ()
 
     def __init__(self, found: Violations, fetched: FetchedArchive) -> None:
         self._found = found

@@ -180,13 +180,16 @@ async def _write_all(
     with session.screen.status("looking for pairs") as status:
         fetched = await fetch_archive(api, campaign)
         pairs = await fetch_pair_findings(api, fetched)
-        files += pairs.write(folder)
+        if not progress.looks_for_tolerances:
+            files += pairs.write(folder)
         files += [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
         found = await fetch_findings(api, fetched)
         for findings in found:
             files += findings.write(folder)
         status.update("comparing with a control")
-        control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
+        control = []
+        if not progress.looks_for_tolerances:
+            control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
         report = Report(
             boundary=boundary, files=files, control=control, pairs=pairs, findings=found,
             outcomes=fetched.outcomes,
@@ -199,15 +202,18 @@ async def _write_all(
         )
         status.update("drawing a pair")
         files += await pairs.draw(drawing)
-        status.update("drawing figures")
-        files += await asyncio.to_thread(
-            draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
-            pairs=pairs.view if pairs.searched else None,
-        )  # fmt: skip
+        if not progress.looks_for_tolerances:
+            status.update("drawing figures")
+            files += await asyncio.to_thread(
+                draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+                pairs=pairs.view if pairs.searched else None,
+            )  # fmt: skip
         for findings in found:
             status.update(f"drawing {findings.name}")
             files += await findings.draw(drawing)
         numbers = [solution.number for solution in boundary.solutions if solution.spec is not None]
+        if progress.looks_for_tolerances:
+            numbers = [number for findings in found for number in findings.examples]
         status.update("drawing replays")
         files += await write_replays(drawing, numbers[:replays])
     log.info("drawing figures took %.1f s", time.monotonic() - began)
@@ -286,13 +292,13 @@ def _print_summary(
             "[/dim]",
             soft_wrap=True,
         )
-    elif not report.pairs.searched and _about_the_boundary(progress, boundary):
+    elif _about_the_boundary(progress, report):
         screen.print(f"[bold]{_boundary_words(boundary)}[/bold]", soft_wrap=True)
         if boundary.solutions:
             screen.print(solution_table(boundary))
         screen.print(grid_table(boundary.grid))
         screen.print(f"[dim]{boundary.note}[/dim]")
-    if not report.pairs.searched:
+    if not report.pairs.searched and not progress.looks_for_tolerances:
         for line in report.control:
             screen.print(line, soft_wrap=True)
         report.pairs.show(screen)
@@ -317,10 +323,10 @@ def _print_next(
 ) -> None:
     """Print commands to continue with."""
     campaign, boundary = progress.id, report.boundary
-    searched = report.pairs.searched
-    about_boundary = _about_the_boundary(progress, boundary) and not searched
+    searched = report.pairs.searched or progress.looks_for_tolerances
+    about_boundary = _about_the_boundary(progress, report)
     replayed = any("replay-" in path.name for path in report.files)
-    hints = report.pairs.hints(campaign, database) if searched else []
+    hints = report.pairs.hints(campaign, database) if report.pairs.searched else []
     hints += [hint for findings in report.findings for hint in findings.hints(campaign, database)]
     hints.append((f"serve{database}", "open the dashboard, with replays"))
     if not searched:
@@ -356,6 +362,8 @@ def _print_next(
         )
 
 
-def _about_the_boundary(progress: Progress, boundary: Boundary) -> bool:
-    """Return whether the search looked for the boundary, or found boundary solutions although it did not."""
-    return progress.looks_for_boundary or boundary.dbs > 0
+def _about_the_boundary(progress: Progress, report: Report) -> bool:
+    """Return whether the boundary is worth showing: the search looked for it, or found some and nothing better."""
+    if report.pairs.searched or progress.looks_for_tolerances:
+        return False
+    return progress.looks_for_boundary or report.boundary.dbs > 0

@@ -456,6 +456,7 @@ class ToleranceFindings:
     def __init__(self, view: ToleranceView, table: bytes) -> None:
         self._view = view
         self._table = table
+        self.examples: Sequence[int] = [cell.examples[0].number for cell in view.cells if cell.examples]
 
     def sentence(self) -> str:
         """Return the findings in one sentence."""
@@ -482,14 +483,9 @@ class ToleranceFindings:
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
         hints = [(f"tolerance {campaign} --format sentences{database}", "the requirement in sentences")]
-        examples = [cell.examples[0].number for cell in self._view.cells if cell.examples]
-        if examples:
-            hints.append(
-                (
-                    f"replay {campaign} {examples[0]} --out replay.mp4{database}",
-                    "watch an error cause a violation",
-                )
-            )
+        if self.examples:
+            replay = f"replay {campaign} {self.examples[0]} --out replay.mp4{database}"
+            hints.append((replay, "watch an error cause a violation"))
         return hints
 
 
