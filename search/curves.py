@@ -27,6 +27,7 @@ from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import beta
 
 from brink.search.space import FloatArray, IntArray
 from brink.search.streams import Stream, generator
@@ -34,18 +35,19 @@ from brink.search.streams import Stream, generator
 LEVELS: Final = 32
 """Steps of severity between 0 and 1; errors are simulated at whole steps."""
 LIBRARY: Final = 300_000
-"""Curves of the library; a search makes do with fewer."""
+"""Curves of the library; a search uses fewer."""
 FALLING: Final = 0.15
 """Share of the library's curves that fall somewhere."""
 LEAST_FALL: Final = 0.02
 """A smaller fall of a curve does not count as one."""
 LEAST_DRIVES: Final = 10
-"""Drives of a detector below which nothing is said of it."""
+"""Drives of a detector below which no verdict is given."""
 DRAWS: Final = 2_000
 """Curves that stand for the posterior of a cell."""
 _AUDITS_ASSUMED: Final = 50.0
 """Audits without a finding that the prior stands for."""
 _MOST_AT_A_TIME: Final = 50_000
+_CELLS_AT_A_TIME: Final = 12
 _LIBRARY_SEED: Final = 0
 
 
@@ -112,6 +114,11 @@ def _step(middle: FloatArray, scale: FloatArray) -> FloatArray:
     at_zero = 1.0 / (1.0 + np.exp(middle / scale))
     steps = 1.0 / (1.0 + np.exp(np.clip((middle - severities()) / scale, -50.0, 50.0)))
     return np.asarray((steps - at_zero) / (1.0 - at_zero))
+
+
+def scaled(curves: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a library of curves that end at 1, for the grossest error in the drives that are vulnerable to it."""
+    return np.minimum(curves / np.maximum(curves[:, -1:], 1e-6), 1.0)
 
 
 def weights(counts: Counts, curves: NDArray[np.float32]) -> FloatArray:
@@ -216,7 +223,7 @@ class Curve:
     high: FloatArray
     tolerated: Interval
     fall: Fall | None
-    draws: FloatArray
+    draws: NDArray[np.float32]
 
     def predicted(self, levels: IntArray, rng: np.random.Generator, confidence: float) -> tuple[int, int]:
         """Return the interval of the number of caused violations in fresh drives.
@@ -242,19 +249,18 @@ def expected_share(
 
     Args:
         curve: The curve of the error.
-        severity: How gross the error is in each of a detector's drives, shape ``(n,)``, n >= 1; above 1 counts as 1.
+        severity: How gross the error is in each of a detector's drives, shape ``(n,)``, n >= 1; above 1 counts as 1,
+            and between two levels the nearer one counts.
         rng: Draws the weights of the drives.
         confidence: Probability that the interval covers the share.
     """
-    place = np.clip(severity, 0.0, 1.0) * LEVELS
-    below = np.minimum(place.astype(np.int64), LEVELS - 1)
-    part = place - below
-    shares = curve.draws
-    by_drive = shares[:, below] * (1.0 - part) + shares[:, below + 1] * part
-    weight = rng.dirichlet(np.ones(len(severity)), len(shares))
+    levels = np.rint(np.clip(severity, 0.0, 1.0) * LEVELS).astype(np.int64)
+    present, drives = np.unique(levels, return_counts=True)
+    shares = curve.draws[:, present].astype(np.float64)
+    by_draw = (shares * rng.dirichlet(drives.astype(np.float64), len(shares))).sum(axis=1)
     tail = 0.5 * (1.0 - confidence)
-    low, high = np.quantile((by_drive * weight).sum(axis=1), [tail, 1.0 - tail]).tolist()
-    return Interval(value=float(by_drive.mean()), low=low, high=high)
+    middle, low, high = np.quantile(by_draw, [0.5, tail, 1.0 - tail]).tolist()
+    return Interval(value=middle, low=low, high=high)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,8 +279,22 @@ class Screening:
     leaks: int
     audited: int
 
+    def estimates(self, at: tuple[float, ...]) -> FloatArray:
+        """Return quantiles of the share of vulnerable drives, shape ``(len(at),)``."""
+        rest = self.screened - self.vulnerable
+        found: FloatArray = beta.ppf(np.array(at), self.vulnerable + 0.5, rest + 0.5)
+        return found
+
+    @property
+    def leak(self) -> float:
+        """The estimated share of the other drives that violate with the grossest of the milder errors."""
+        return (self.leaks + 0.5) / (self.audited + 0.5 + _AUDITS_ASSUMED)
+
     def draw(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw the share of vulnerable drives, and the share of the others that violate, shape ``(count,)`` each."""
+        """Draw the share of vulnerable drives, and that of the others that violate, shape ``(count,)`` each.
+
+        The latter grows in proportion to severity.
+        """
         return (
             rng.beta(self.vulnerable + 0.5, self.screened - self.vulnerable + 0.5, count),
             rng.beta(self.leaks + 0.5, self.audited - self.leaks + _AUDITS_ASSUMED, count),
@@ -282,42 +302,70 @@ class Screening:
 
 
 def curves_of(
-    counts: Counts, screenings: Sequence[Screening | None], *, limit: float, confidence: float
+    counts: Counts,
+    screenings: Sequence[Screening | None],
+    grossest: Sequence[bool],
+    *,
+    limit: float,
+    confidence: float,
 ) -> list[Curve]:
     """Return the curves of all cells, with intervals.
 
     Args:
         counts: The results; of screened cells, those of vulnerable drives alone.
         screenings: The screening of each cell; None if there is none.
+        grossest: Whether each cell is that of the error with which drives are screened. All vulnerable drives violate
+            at severity 1 of that one, which is not counted.
         limit: Share of caused violations whose severity is wanted.
         confidence: Probability that an interval covers the truth, in (0, 1).
     """
-    curves = library()
+    found: list[Curve | None] = [None] * len(screenings)
+    for is_grossest in (False, True):
+        places = [place for place, one in enumerate(grossest) if one is is_grossest]
+        if places:
+            curves = scaled(library()) if is_grossest else library()
+            for start in range(0, len(places), _CELLS_AT_A_TIME):
+                some = places[start : start + _CELLS_AT_A_TIME]
+                part = Counts(drives=counts.drives[some], caused=counts.caused[some])
+                for place, likely in zip(some, weights(part, curves), strict=True):
+                    rng = generator(_LIBRARY_SEED, Stream.TOLERANCE, 5, place)
+                    draws = _draws(curves, likely, screenings[place], rng)
+                    found[place] = _curve(
+                        counts.drives[place], counts.caused[place], draws, limit=limit, confidence=confidence
+                    )
+    return [curve for curve in found if curve is not None]
+
+
+def _draws(
+    curves: NDArray[np.float32], likely: FloatArray, screening: Screening | None, rng: np.random.Generator
+) -> FloatArray:
+    """Draw curves from the posterior of a cell, shape ``(DRAWS, LEVELS + 1)``."""
+    sums = np.cumsum(likely)
+    steps = (np.arange(DRAWS) + 0.5) / DRAWS * sums[-1]
+    draws = curves[np.minimum(np.searchsorted(sums, steps), len(curves) - 1)].astype(np.float64)
+    if screening is not None:
+        vulnerable, leaks = screening.draw(DRAWS, rng)
+        draws = vulnerable[:, None] * draws + ((1.0 - vulnerable) * leaks)[:, None] * severities()
+    return np.asarray(draws, np.float64)
+
+
+def _curve(
+    drives: IntArray, caused: IntArray, draws: FloatArray, *, limit: float, confidence: float
+) -> Curve:
     tail = 0.5 * (1.0 - confidence)
     at = [0.5, tail, 1.0 - tail]
-    found = []
-    for cell, (likely, screening) in enumerate(zip(weights(counts, curves), screenings, strict=True)):
-        sums = np.cumsum(likely)
-        steps = (np.arange(DRAWS) + 0.5) / DRAWS * sums[-1]
-        draws = curves[np.minimum(np.searchsorted(sums, steps), len(curves) - 1)].astype(np.float64)
-        if screening is not None:
-            vulnerable, leaks = screening.draw(DRAWS, generator(_LIBRARY_SEED, Stream.TOLERANCE, 5, cell))
-            draws[:, 1:] = vulnerable[:, None] * draws[:, 1:] + ((1.0 - vulnerable) * leaks)[:, None]
-        median, low, high = np.quantile(draws, at, axis=0)
-        middle, first, last = np.quantile(severity_at(draws, limit), at, method="inverted_cdf").tolist()
-        found.append(
-            Curve(
-                drives=counts.drives[cell],
-                caused=counts.caused[cell],
-                median=median,
-                low=low,
-                high=high,
-                tolerated=Interval(value=middle, low=first, high=last),
-                fall=_fall(draws, median, confidence),
-                draws=draws,
-            )
-        )
-    return found
+    median, low, high = np.quantile(draws, at, axis=0)
+    middle, first, last = np.quantile(severity_at(draws, limit), at, method="inverted_cdf").tolist()
+    return Curve(
+        drives=drives,
+        caused=caused,
+        median=median,
+        low=low,
+        high=high,
+        tolerated=Interval(value=middle, low=first, high=last),
+        fall=_fall(draws, median, confidence),
+        draws=draws.astype(np.float32),
+    )
 
 
 def _fall(drawn: FloatArray, median: FloatArray, confidence: float) -> Fall | None:

@@ -1,4 +1,4 @@
-"""`tolerance@1`: how gross an error may be before a given share of drives is violated because of it.
+"""`tolerance@1`: how gross an error may be before it makes a given share of drives violate.
 
 The search space has a parameter for the *severity* of an error, and others, such as its type and target, whose
 choices are the *cells*. In each cell and under each *condition* the search estimates a curve, the share of violations
@@ -20,6 +20,7 @@ Source: ours; see docs/explanation/tolerance.md.
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -38,6 +39,7 @@ from brink.search.curves import (
     curves_of,
     library,
     quantiles_of_sorted,
+    scaled,
     severity_at,
     weights,
 )
@@ -48,17 +50,21 @@ from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 from brink.search.streams import Stream, generator
 
-MOST_CELLS: Final = 2_000
+MOST_CELLS: Final = 500
 FIRST_SCREENED: Final = 40
 """Drives of each group that are screened first."""
+MOST_TRIES: Final = 3
+"""Simulations of a drive without an error, if they fail."""
 FIRST_DRIVES: Final = 8
 """Drives of a cell that a budget must allow."""
 _CURVES: Final = 20_000
-"""Curves of the library that the search makes do with."""
+"""Curves of the library that the search uses."""
 _BEYOND: Final = 1.1
 """Stands for a severity beyond the scale in the width of an interval, so that "never" is told from "at its end"."""
 _NARROW: Final = 1e-3
 """Width of an interval below which a narrower one is no better."""
+_QUANTILES: Final = (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
+"""Where the share of vulnerable drives is looked up; the middle one is the median."""
 _CHOICE, _DRIVE = 0, 2
 # What is drawn, as the first index of the stream; the curves have 1 and 5.
 
@@ -99,7 +105,10 @@ class ToleranceConfig(BoundaryConfig):
         le=1,
     )
     without_error: int = setting(
-        40, help="Drives without an error that each condition begins with.", ge=1, le=100_000
+        40,
+        help="Drives without an error that each condition begins with, for each kind of scenario that cells need.",
+        ge=1,
+        le=100_000,
     )
     grossest: dict[str, str] = field(
         default_factory=dict,
@@ -380,6 +389,11 @@ class Layout:
                 population=cell.population,
             )
             if group not in groups:
+                if any((one.choices, one.condition) == (group.choices, group.condition) for one in groups):
+                    raise ConfigError(
+                        "needs",
+                        f"expected cells that are screened with {', '.join(group.choices)} to need the same",
+                    )
                 groups.append(group)
             found.append(replace(cell, group=groups.index(group)))
         return tuple(found), tuple(groups)
@@ -391,6 +405,10 @@ class Layout:
         return tuple(
             self._value("cells", name, choice) for name, choice in zip(self.names, choices, strict=True)
         )
+
+    def is_grossest(self, cell: Cell) -> bool:
+        """Return whether a cell is that of the error with which its drives are screened."""
+        return cell.group is not None and cell.choices == self.groups[cell.group].choices
 
     def row(
         self, seed: int, population: int, drive: int, choices: Sequence[str] | None, level: int
@@ -526,7 +544,8 @@ class Tally:
             confidence: Probability that an interval covers the truth.
         """
         screenings = [None if cell.group is None else self.screenings[cell.group] for cell in layout.cells]
-        return curves_of(self.counts, screenings, limit=limit, confidence=confidence)
+        grossest = [layout.is_grossest(cell) for cell in layout.cells]
+        return curves_of(self.counts, screenings, grossest, limit=limit, confidence=confidence)
 
 
 def tally(
@@ -534,8 +553,8 @@ def tally(
 ) -> Tally:
     """Count the drives of a search.
 
-    In cells that are not screened, violations of which it is not known yet whether the error caused them count as
-    caused. A screened drive counts once it is known.
+    Violations of which it is not known yet whether the error caused them count as caused, but a drive is only
+    simulated as a vulnerable one once that is known.
 
     Args:
         layout: The cells.
@@ -557,49 +576,42 @@ def tally(
     open_numbers: list[int] = []
     vulnerable: list[dict[DriveKey, int]] = [{} for _ in layout.groups]
     immune: list[dict[DriveKey, None]] = [{} for _ in layout.groups]
-    screened = [0 for _ in layout.groups]
+    screened, unexplained = [0 for _ in layout.groups], [0 for _ in layout.groups]
+    caused: list[tuple[int, int, int]] = []
     for place in np.flatnonzero(groups >= 0).tolist():
         group, key = int(groups[place]), keys[place]
         truth = without.get(key)
-        if unsafe[place] and truth is None:
-            open_numbers.append(numbers[place])
-            continue
         screened[group] += 1
         if not unsafe[place]:
             immune[group][key] = None
+        elif truth is None:
+            open_numbers.append(numbers[place])
+            unexplained[group] += 1
         elif not truth:
             vulnerable[group][key] = numbers[place]
     counts = Counts.empty(len(layout.cells))
-    caused: list[tuple[int, int, int]] = []
     leaks = audited = 0
-    for place in np.flatnonzero(cells >= 0).tolist():
+    for place in np.flatnonzero((cells >= 0) & (groups < 0)).tolist():
         cell, level, key, verdict = int(cells[place]), int(levels[place]), keys[place], bool(unsafe[place])
         own = layout.cells[cell].group
-        if own is not None and groups[place] >= 0:
-            continue  # counted with its group
-        if own is not None and key not in vulnerable[own]:
-            if key in immune[own]:
-                audited, leaks = audited + 1, leaks + verdict
-            continue
-        truth = False if own is not None else without.get(key)
-        counts.drives[cell, level - 1] += 1
-        if verdict and not truth:
-            counts.caused[cell, level - 1] += 1
+        truth = without.get(key)
         if verdict and truth is None:
             open_numbers.append(numbers[place])
-        elif verdict and not truth:
-            caused.append((cell, level, numbers[place]))
+        if own is None or key in vulnerable[own]:
+            counts.drives[cell, level - 1] += 1
+            counts.caused[cell, level - 1] += int(verdict and not truth)
+            if verdict and truth is False:
+                caused.append((cell, level, numbers[place]))
+        elif key in immune[own]:
+            audited, leaks = audited + 1, leaks + int(verdict and not truth)
     for place, one in enumerate(layout.cells):
-        if one.group is not None and one.choices == layout.groups[one.group].choices:
-            found = vulnerable[one.group]
-            counts.drives[place, -1] += len(found)
-            counts.caused[place, -1] += len(found)
-            caused += [(place, LEVELS, number) for number in found.values()]
+        if one.group is not None and layout.is_grossest(one):
+            caused += [(place, LEVELS, number) for number in vulnerable[one.group].values()]
     return Tally(
         counts=counts,
         screenings=tuple(
-            Screening(vulnerable=len(found), screened=count, leaks=leaks, audited=audited)
-            for found, count in zip(vulnerable, screened, strict=True)
+            Screening(vulnerable=len(found) + more, screened=count, leaks=leaks, audited=audited)
+            for found, more, count in zip(vulnerable, unexplained, screened, strict=True)
         ),
         vulnerable=tuple(tuple(found) for found in vulnerable),
         immune=tuple(tuple(found) for found in immune),
@@ -647,9 +659,7 @@ class Tolerance(LedgerAlgorithm[ToleranceConfig, ToleranceState]):
     """The search for tolerances."""
 
     id = "tolerance@1"
-    summary = (
-        "Tolerances: how gross an error may be before a given share of drives is violated because of it."
-    )
+    summary = "Tolerances: how gross an error may be before it makes a given share of drives violate."
     config_type = ToleranceConfig
 
     def _min_budget(self, space: SearchSpace, config: ToleranceConfig) -> int:
@@ -813,8 +823,11 @@ class _Results:
     def plan_truth(self, plan: _Plan) -> None:
         """Plan the drives without an error that tell whether it caused a violation."""
         state, layout, jobs = self._state, self._layout, self._state.jobs
-        truths = jobs[jobs[:, 0] == Purpose.TRUTH]
-        known = set(map(tuple, truths[:, 1:].tolist()))
+        tried = Counter(map(tuple, jobs[jobs[:, 0] == Purpose.TRUTH][:, 1:].tolist()))
+        flying = [c.number for generation in state.ledger.flight for c in generation]
+        alive = jobs[[*state.ledger.archive.numbers.tolist(), *flying]]
+        known = set(map(tuple, alive[alive[:, 0] == Purpose.TRUTH][:, 1:].tolist()))
+        known |= {drive for drive, count in tried.items() if count >= MOST_TRIES}
         for number in self._tally.open_numbers:
             if not plan.room:
                 return
@@ -824,7 +837,6 @@ class _Results:
                 known.add((owner.population, drive))
                 plan.add_truth(owner.population, drive)
         # What is left must suffice to tell the cause of the violations that are still to come.
-        flying = [c.number for generation in state.ledger.flight for c in generation]
         archive = state.ledger.archive
         share = (float(archive.unsafe.sum()) + 1.0) / (len(archive) + 10.0)
         spare = state.ledger.left - len(plan.rows) - math.ceil(share * (len(flying) + plan.room))
@@ -833,30 +845,49 @@ class _Results:
 
     def is_done(self) -> bool:
         """Return whether all intervals are as narrow as wanted."""
-        wanted = self._state.config.width
-        return bool(wanted) and bool((self._judged.widths < wanted).all())
+        config = self._state.config
+        if not config.width or not (self._estimates.widths < config.width).all():
+            return False
+        curves = self._tally.curves(self._layout, limit=config.limit, confidence=config.confidence)
+        ends = [(curve.tolerated.low, curve.tolerated.high) for curve in curves]
+        return all(min(high, _BEYOND) - min(low, _BEYOND) < config.width for low, high in ends)
 
     @cached_property
-    def _judged(self) -> "_Judged":
+    def _estimates(self) -> "_Estimates":
         """How well the tolerated severity of each cell is known, and what a drive would tell."""
         layout, config = self._layout, self._state.config
-        likely = weights(self._tally.counts, library(_CURVES))
-        shares = library(_CURVES)[:, 1:].astype(np.float64)
         tail = 0.5 * (1.0 - config.confidence)
         widths, gains = np.empty(len(layout.cells)), np.empty((len(layout.cells), LEVELS))
-        for owner in {cell.group for cell in layout.cells}:
-            among = 1.0 if owner is None else self._vulnerable(owner)
-            # Among vulnerable drives, the limit is reached where more of them violate.
-            severity = np.minimum(severity_at(library(_CURVES), config.limit / among), _BEYOND)
-            order = np.argsort(severity, kind="stable")
-            for place in (i for i, cell in enumerate(layout.cells) if cell.group == owner):
-                chances = likely[place]
-                low, high = quantiles_of_sorted(severity[order], chances[order], (tail, 1.0 - tail))
+        kinds = {(cell.group, layout.is_grossest(cell)) for cell in layout.cells}
+        for group, is_grossest in sorted(kinds, key=str):
+            curves = scaled(library(_CURVES)) if is_grossest else library(_CURVES)
+            places = [
+                place for place, cell in enumerate(layout.cells)
+                if (cell.group, layout.is_grossest(cell)) == (group, is_grossest)
+            ]  # fmt: skip
+            counts = self._tally.counts
+            likely = weights(Counts(drives=counts.drives[places], caused=counts.caused[places]), curves)
+            limits = self._limits(group)
+            severity = np.stack([np.minimum(severity_at(curves, limit), _BEYOND) for limit in limits])
+            order = np.argsort(severity.ravel(), kind="stable")
+            for place, chances in zip(places, likely, strict=True):
+                pooled = np.tile(chances, len(limits))[order]
+                low, high = quantiles_of_sorted(severity.ravel()[order], pooled, (tail, 1.0 - tail))
                 widths[place] = high - low
-                mean, unsafe = chances @ severity, np.clip(chances @ shares, 1e-9, 1.0 - 1e-9)
-                common = (chances * severity) @ shares - mean * unsafe
-                gains[place] = np.maximum(common**2 / (unsafe * (1.0 - unsafe)), 1e-15)
-        return _Judged(widths, gains)
+            shares, middle = curves[:, 1:].astype(np.float64), severity[len(limits) // 2]
+            mean, unsafe = likely @ middle, np.clip(likely @ shares, 1e-9, 1.0 - 1e-9)
+            common = (likely * middle) @ shares - mean[:, None] * unsafe
+            gains[places] = np.maximum(common**2 / (unsafe * (1.0 - unsafe)), 1e-15)
+        return _Estimates(widths, gains)
+
+    def _limits(self, group: int | None) -> list[float]:
+        """Return the shares among vulnerable drives at which the limit may be reached; some may be above 1."""
+        limit = self._state.config.limit
+        if group is None:
+            return [limit]
+        screening = self._tally.screenings[group]
+        shares = np.maximum(screening.estimates(_QUANTILES), 1e-6)
+        return [max(float(limit - (1.0 - share) * screening.leak), 1e-3) / float(share) for share in shares]
 
     def _vulnerable(self, group: int) -> float:
         """Return the estimated share of vulnerable drives of a group."""
@@ -869,34 +900,37 @@ class _Results:
         if not plan.room:
             return
         groups = [-1 if cell.group is None else cell.group for cell in layout.cells]
-        waiting = [_Drives(self._state, layout, self._tally, cell) for cell in range(len(groups))]
+        unused = [_Unused(self._state, layout, self._tally, cell) for cell in range(len(groups))]
         cost = np.array([1.0 if group < 0 else 2.0 + 1.0 / self._vulnerable(group) for group in groups])
         drives = plan.planned.astype(np.float64)
         while plan.room:
-            free = np.array([group < 0 or bool(one.free) for group, one in zip(groups, waiting, strict=True)])
+            free = np.array(
+                [group < 0 or bool(one.vulnerable) for group, one in zip(groups, unused, strict=True)]
+            )
             # An interval narrows with the root of the number of drives.
-            worth = np.maximum(self._judged.widths, _NARROW) / (drives + 1.0)
+            worth = np.maximum(self._estimates.widths, _NARROW) / (drives + 1.0)
             cell = int(np.argmax(worth / np.where(free, 1.0, cost)))
-            if not free[cell]:
-                plan.add_screening(groups[cell])
-                drives[cell] += self._vulnerable(groups[cell])
-                continue
             level = int(rng.integers(1, LEVELS, endpoint=True))
             if rng.random() >= config.explore:
-                chances = self._judged.gains[cell] ** 2
+                chances = self._estimates.gains[cell] ** 2
                 level = 1 + int(rng.choice(LEVELS, p=chances / chances.sum()))
             if groups[cell] < 0:
                 plan.add_error(cell, level)
                 drives[cell] += 1.0
                 continue
-            if layout.cells[cell].choices == layout.groups[groups[cell]].choices:
+            if layout.is_grossest(layout.cells[cell]):
                 level = min(level, LEVELS - 1)  # the last level is that of the screening
-            audit = bool(waiting[cell].held) and rng.random() < config.audit
-            plan.add_error(cell, level, waiting[cell].take(audit=audit), audit=audit)
-            drives[cell] += not audit
+            if unused[cell].immune and rng.random() < config.audit:
+                plan.add_error(cell, level, unused[cell].immune.pop(), audit=True)
+            elif free[cell]:
+                plan.add_error(cell, level, unused[cell].vulnerable.pop())
+                drives[cell] += 1.0
+            else:
+                plan.add_screening(groups[cell])
+                drives[cell] += self._vulnerable(groups[cell])
 
 
-class _Judged(NamedTuple):
+class _Estimates(NamedTuple):
     """What is known of the tolerated severities.
 
     Attributes:
@@ -908,24 +942,20 @@ class _Judged(NamedTuple):
     gains: FloatArray
 
 
-class _Drives:
-    """The drives of a group that one of its cells has not used yet.
+class _Unused:
+    """The screened drives that a cell has not used yet.
 
     Attributes:
-        free: Vulnerable ones, the latest first.
-        held: Those that are taken to hold, the latest first.
+        vulnerable: Vulnerable ones, the latest first.
+        immune: Those that hold with the grossest error, the latest first.
     """
 
     def __init__(self, state: ToleranceState, layout: Layout, known: Tally, cell: int) -> None:
         group, jobs = layout.cells[cell].group, state.jobs
-        self.free: list[int] = []
-        self.held: list[int] = []
+        self.vulnerable: list[int] = []
+        self.immune: list[int] = []
         if group is not None:
             mine = jobs[(jobs[:, 0] >= Purpose.ERROR) & (jobs[:, 1] == cell)]
             used = set(mine[:, 2].tolist())
-            self.free = [drive for drive, _ in known.vulnerable[group] if drive not in used][::-1]
-            self.held = [drive for drive, _ in known.immune[group] if drive not in used][::-1]
-
-    def take(self, *, audit: bool) -> int:
-        """Return the next drive, and leave it out from then on."""
-        return (self.held if audit else self.free).pop()
+            self.vulnerable = [drive for drive, _ in known.vulnerable[group] if drive not in used][::-1]
+            self.immune = [drive for drive, _ in known.immune[group] if drive not in used][::-1]

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from brink.search.analysis.confirmation import Share
 from brink.search.curves import Curve, severities
@@ -28,6 +28,8 @@ from brink.server.errors import InvalidInput
 from brink.server.problems.base import NamesRequirements, ScalesSeverity, SeverityScale
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus
+from brink.sim.urban.detection_errors import Target
+from brink.sim.urban.error_meter import MEASURED
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/tolerance", tags=["tolerance"])
 
@@ -179,6 +181,10 @@ async def get_tolerance(
     )
 
 
+_TARGETS = tuple(target.value for target in Target)
+_TYPES = tuple(kind.value for kind in MEASURED)
+
+
 class DriveBody(BaseModel):
     """The errors of a detector in one drive."""
 
@@ -193,6 +199,19 @@ class DriveBody(BaseModel):
         dict[str, dict[str, FiniteFloat]],
         Field(description="Magnitude of each type of error, by target; shares as fractions of 1."),
     ]
+
+    @field_validator("measures")
+    @classmethod
+    def _known(cls, measures: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+        for target, errors in measures.items():
+            if target not in _TARGETS:
+                raise ValueError(f"expected targets of {', '.join(_TARGETS)}; got {target!r}")
+            for kind, magnitude in errors.items():
+                if kind not in _TYPES:
+                    raise ValueError(f"{target}: expected types of {', '.join(_TYPES)}; got {kind!r}")
+                if magnitude < 0.0:
+                    raise ValueError(f"{target}.{kind}: expected a magnitude >= 0, got {magnitude:g}")
+        return measures
 
 
 class DetectorBody(BaseModel):
@@ -378,10 +397,20 @@ async def get_agreement(
             "/query/fresh",
             f"expected a campaign with another seed than {campaign.body.seed}: its drives are the same",
         )
+    if campaign.body.problem != other.body.problem:
+        raise InvalidInput.at(
+            "/query/fresh", "expected a campaign on the same problem with the same parameters"
+        )
     known, found = [
         await services.tolerances.get(one, await services.archives.get(one)) for one in (campaign, other)
     ]
-    return agreement_view(campaign, other, known, found, confidence)
+    if found.layout.groups or found.config.fixed != known.config.fixed:
+        raise InvalidInput.at(
+            "/query/fresh",
+            "expected a campaign that does not screen its drives, such as one with design: random, and with the same "
+            "fixed parameters",
+        )  # fmt: skip
+    return await asyncio.to_thread(agreement_view, campaign, other, known, found, confidence)
 
 
 def agreement_view(

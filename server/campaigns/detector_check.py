@@ -109,23 +109,22 @@ def _checked(
 ) -> CellCheck:
     cell, curve = found.layout.cells[place], found.curves[place]
     choices = dict(zip(found.layout.names, cell.choices, strict=True))
-    known: list[tuple[float, str]] = []
-    for drive in drives:
-        if drive.condition in (None, cell.condition):
-            measured = problem.measured_severity(choices, drive.measures)
-            if measured is None:
-                return CellCheck(
-                    cell=place, drives=0, severity=np.zeros(0), share=None, beyond=0,
-                    result=CheckResult.NOT_MEASURED, worst=(),
-                )  # fmt: skip
-            known.append((measured, drive.name))
+    here = [drive for drive in drives if drive.condition in (None, cell.condition)]
+    rated = [(problem.measured_severity(choices, drive.measures), drive.name) for drive in here]
+    known = [(severity, name) for severity, name in rated if severity is not None]
+    if here and not known:
+        return CellCheck(
+            cell=place, drives=0, severity=np.zeros(0), share=None, beyond=0, result=CheckResult.NOT_MEASURED,
+            worst=(),
+        )  # fmt: skip
+    concerned = sum(bool(drive.measures) for drive in here)
     severity = np.array([one for one, _ in known])
     share = None
     if known:
         rng = generator(seed, Stream.TOLERANCE, 4, place)
         share = expected_share(curve, severity, rng, found.config.confidence)
     result = CheckResult.TOO_LITTLE
-    if share is not None and len(known) >= LEAST_DRIVES:
+    if share is not None and min(len(known), concerned) >= LEAST_DRIVES:
         if share.high <= found.config.limit:
             result = CheckResult.MET
         elif share.low > found.config.limit:

@@ -218,8 +218,10 @@ class UrbanErrors:
         target = choices.get(f"{_FIRST}.target")
         if kind not in MEASURED or target is None:
             return None
-        magnitude = measures.get(target, {}).get(kind.value)
-        return 0.0 if magnitude is None else MAGNITUDES[kind].severity(magnitude)
+        if target not in measures:
+            return 0.0
+        magnitude = measures[target].get(kind.value)
+        return None if magnitude is None else MAGNITUDES[kind].severity(magnitude)
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
         """Return which parameters had a part in an episode: those that the type of an error has, if it ever acted."""

@@ -166,6 +166,8 @@ MAGNITUDES: Final[Mapping[ErrorType, Magnitude]] = {
     ),
 }  # fmt: skip
 
+PEDESTRIAN_WITHIN_M: Final = 3.0
+"""A single pedestrian is a target within this distance of the middle of the ego's lane."""
 GHOSTS: Final = frozenset({ErrorType.GHOST_ON_ROAD, ErrorType.GHOST_IN_IMAGE})
 WINDOW_FIELDS: Final = ("onset", "onset_s")
 _E = TypeVar("_E", bound=StrEnum)

@@ -19,14 +19,13 @@ from typing import Any, Final, NamedTuple
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.errors import SimulatorError
-from brink.sim.urban.detection_errors import Target
+from brink.sim.urban.detection_errors import PEDESTRIAN_WITHIN_M, Target
 from brink.sim.urban.error_meter import HALF_LANE_M, SUSTAINED_S, ErrorMeter, MeasuredDrive, TrueBox
 
 COLUMNS: Final = ("drive", "time_s", "source", "id", "label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
 """Columns of a CSV file. `source` is truth or detection; `id` names a true road user within its drive."""
 OPTIONAL: Final = ("target", "condition")
 """Further columns: what a true vehicle is (lead, oncoming or crossing), and the condition of its drive."""
-SOURCES: Final = ("truth", "detection")
 LABELS: Final[Mapping[str, ObstacleLabel]] = {
     "vehicle": ObstacleLabel.VEHICLE, "car": ObstacleLabel.VEHICLE, "truck": ObstacleLabel.VEHICLE,
     "bus": ObstacleLabel.VEHICLE, "van": ObstacleLabel.VEHICLE, "person": ObstacleLabel.PERSON,
@@ -35,7 +34,7 @@ LABELS: Final[Mapping[str, ObstacleLabel]] = {
 KINDS: Final = {target.value: target for target in (Target.LEAD, Target.ONCOMING, Target.CROSSING)}
 STEPS_S: Final = (0.02, 0.5)
 """Shortest and longest time between images."""
-PEDESTRIAN_WITHIN_M: Final = 3.0
+_IDS: Final = ("id", "image_id", "category_id")
 _PLACES: Final = 3
 """Decimal places of times: images within a millisecond are one."""
 
@@ -122,7 +121,7 @@ def read_csv(path: Path, camera: CameraModel | None = None) -> list[MeasuredDriv
             _check_columns(path, reader.fieldnames or ())
             for number, row in enumerate(reader, 2):
                 _add_row(f"{path}:{number}", row, drives, model, own)
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DetectionFileError(f"{path}: {error}") from error
     return _measured(str(path), drives)
 
@@ -149,13 +148,7 @@ def _add_row(
             f"{where}: expected x_min_px < x_max_px and y_min_px < y_max_px, got {sides}"
         )
     drive = drives.setdefault((row["drive"] or "").strip(), _Drive())
-    condition = (row.get("condition") or "").strip() or None
-    if condition is not None:
-        if drive.condition not in (None, condition):
-            raise DetectionFileError(
-                f"{where}: condition: expected {drive.condition!r} throughout drive {row['drive']}, got {condition!r}"
-            )
-        drive.condition = condition
+    _set_condition(where, str(row["drive"]), drive, (row.get("condition") or "").strip() or None)
     box = model.box(LABELS[label], sides, own)
     time_s = round(time_s, _PLACES)
     source = (row["source"] or "").strip().lower()
@@ -167,12 +160,30 @@ def _add_row(
     track = (row["id"] or "").strip()
     if not track:
         raise DetectionFileError(f"{where}: id: expected the id of a true road user, got nothing")
-    kind = (row.get("target") or "").strip()
-    if kind and kind not in KINDS and kind != Target.PEDESTRIAN:
+    kind = _kind_of(where, (row.get("target") or "").strip())
+    _add_truth(where, drive, time_s, _True(track, box, kind))
+
+
+def _kind_of(where: str, name: object) -> Target | None:
+    """Return what a true vehicle is said to be; None if nothing is said, or of a pedestrian."""
+    if name in ("", Target.PEDESTRIAN.value):
+        return None
+    if not isinstance(name, str) or name not in KINDS:
         raise DetectionFileError(
-            f"{where}: target: expected one of {', '.join(KINDS)}, or nothing; got {kind!r}"
+            f"{where}: target: expected one of {', '.join(KINDS)}, or nothing; got {name!r}"
         )
-    _add_truth(where, drive, time_s, _True(track, box, KINDS.get(kind)))
+    return KINDS[name]
+
+
+def _set_condition(where: str, name: str, drive: _Drive, condition: object) -> None:
+    if condition is None:
+        return
+    if not isinstance(condition, str) or drive.condition not in (None, condition):
+        expected = "a name" if drive.condition is None else repr(drive.condition)
+        raise DetectionFileError(
+            f"{where}: condition: expected {expected} throughout drive {name}, got {condition!r}"
+        )
+    drive.condition = condition
 
 
 def _add_truth(where: str, drive: _Drive, time_s: float, one: _True) -> None:
@@ -230,7 +241,7 @@ def read_coco(
             raise DetectionFileError(f"{truth}: image {key}: expected video_id or sequence")
         times[key] = str(name), _time_of(truth, image, frames_per_s)
         drive = drives.setdefault(str(name), _Drive())
-        drive.condition = image.get("condition", drive.condition)
+        _set_condition(f"{truth}: image {key}", str(name), drive, image.get("condition"))
         drive.truth.setdefault(times[key][1], [])
         models[key] = camera or CameraModel(width_px=image["width"], height_px=image["height"])
     for one in _objects(truth, document, "annotations", ("image_id", "category_id", "bbox")):
@@ -243,7 +254,7 @@ def read_coco(
         if label is not None:
             name, time_s = times[one["image_id"]]
             box = models[one["image_id"]].box(label, _sides(where, one["bbox"]), own)
-            kind = KINDS.get(str(one.get("target", "")))
+            kind = _kind_of(where, one.get("target") or "")
             _add_truth(where, drives[name], time_s, _True(str(one["track_id"]), box, kind))
     for place, one in enumerate(found):
         where = f"{results}: result {place}"
@@ -276,6 +287,15 @@ def _objects(path: Path, document: Mapping[str, Any], name: str, fields: Sequenc
         missing = [one for one in fields if not isinstance(item, dict) or one not in item]
         if missing:
             raise DetectionFileError(f"{path}: {name}[{place}]: missing {', '.join(missing)}")
+        for one in fields:
+            if one in _IDS and not isinstance(item[one], int | str):
+                raise DetectionFileError(
+                    f"{path}: {name}[{place}].{one}: expected an id, got {item[one]!r:.80}"
+                )
+            if one in ("width", "height") and not (_is_number(item[one]) and item[one] > 0):
+                raise DetectionFileError(
+                    f"{path}: {name}[{place}].{one}: expected a positive number, got {item[one]!r:.80}"
+                )
     return items
 
 
@@ -302,8 +322,12 @@ def _time_of(path: Path, image: Mapping[str, Any], frames_per_s: float | None) -
     )
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
 def _sides(where: str, bbox: Any) -> tuple[float, float, float, float]:
-    if not (isinstance(bbox, list) and len(bbox) == 4 and all(isinstance(n, int | float) for n in bbox)):
+    if not (isinstance(bbox, list) and len(bbox) == 4 and all(map(_is_number, bbox))):
         raise DetectionFileError(f"{where}: bbox: expected x, y, width and height, got {bbox!r:.80}")
     x, y, wide, high = bbox
     if not (wide > 0 and high > 0):

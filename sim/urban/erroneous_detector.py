@@ -12,7 +12,15 @@ from typing import Final, TypeAlias
 from brink.sim.driving.camera import Body, Camera, Sighting
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.urban.behaviour import PERCEPTION_STEP_S
-from brink.sim.urban.detection_errors import GHOSTS, MAGNITUDES, DetectionError, ErrorType, Onset, Target
+from brink.sim.urban.detection_errors import (
+    GHOSTS,
+    MAGNITUDES,
+    PEDESTRIAN_WITHIN_M,
+    DetectionError,
+    ErrorType,
+    Onset,
+    Target,
+)
 from brink.sim.urban.error_meter import TrueBox
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M, PERSON_LENGTH_M, PERSON_WIDTH_M, Phase, Walker
 from brink.sim.world.vehicle import CAR
@@ -25,8 +33,6 @@ BRAKES_ABOVE_MPS2: Final = 1.5
 """The lead brakes if it loses speed faster than this."""
 STEPS_OUT_WITHIN_M: Final = 40.0
 """A pedestrian who steps onto the road counts within this distance ahead of the ego."""
-PEDESTRIAN_WITHIN_M: Final = 3.0
-"""A single pedestrian is a target within this distance of the middle of the ego's lane."""
 
 _LEAST_PX: Final = 1.0
 """Narrower or lower boxes are not reported."""

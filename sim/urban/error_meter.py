@@ -6,10 +6,11 @@ type of error and target, the measure is the worst of the drive:
 - `miss`, `wrong_label`: the longest time, after the first detection;
 - `late`: the longest delay from first sight to first detection, of road users that become a target;
 - `flicker` and errors of place and size: the worst mean over `SUSTAINED_S`;
-- `short_range`: the farthest distance of a detection, if there was something to detect beyond it;
+- `short_range`: the distance from which on fewer than half of the sightings are detections;
 - `ghost_on_road`: the longest time of a detection in the ego's lane where there is nothing.
 
-All but `late` and `short_range` concern road users within the distance that matters to the driving system. Ghosts
+Concerning a target that stands for several road users, an error is one of all of them at a time, as in
+`detection_errors`. All but `late` concern road users within the distance that matters to the driving system. Ghosts
 that stay in the image are not told apart from those on the road, and are not measured.
 
 This module has no heavy imports: detections from other sources are measured in the same way.
@@ -23,7 +24,7 @@ from typing import Final, NamedTuple
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.urban.behaviour import PERCEPTION_STEP_S
-from brink.sim.urban.detection_errors import RELEVANT_M, ErrorType, Target
+from brink.sim.urban.detection_errors import GHOSTS, MAGNITUDES, RELEVANT_M, ErrorType, Target
 
 SUSTAINED_S: Final = 4.0
 """Errors of place, size and share are means over this time."""
@@ -35,8 +36,10 @@ NOTHING_BELOW: Final = 0.1
 """A detection that overlaps every true box by less than this is a ghost."""
 GHOST_WITHIN_M: Final = 40.0
 HALF_LANE_M: Final = 1.75
-_BEYOND_M: Final = 2.0
+_BIN_M: Final = 5.0
 
+_NOTHING_THERE: Final = {kind: MAGNITUDES[kind].none for kind in ErrorType if kind not in GHOSTS}
+"""The errors concerning a target that a drive lacks: none."""
 MEASURED: Final = tuple(kind for kind in ErrorType if kind is not ErrorType.GHOST_IN_IMAGE)
 Measures = Mapping[Target, Mapping[ErrorType, float]]
 """Magnitude of each type of error, by target; targets that a drive lacks are missing."""
@@ -179,8 +182,8 @@ class ErrorMeter:
             (ObstacleLabel.PERSON, Target.PEDESTRIAN),
         ):
             held_s = self._longest_s([(time_s, label in labels) for time_s, labels in self._ghosts])
-            if held_s > 0.0:
-                found.setdefault(target, {})[ErrorType.GHOST_ON_ROAD] = held_s
+            if held_s > 0.0 or target in found:
+                found.setdefault(target, dict(_NOTHING_THERE))[ErrorType.GHOST_ON_ROAD] = held_s
         return found
 
     def _series(self, samples: Sequence[_Sample], *, split: bool) -> list[list[list[_Sample]]]:
@@ -264,10 +267,20 @@ class ErrorMeter:
 
 
 def _range_m(samples: Sequence[_Sample]) -> float:
-    """Return the distance beyond which nothing is detected; `RELEVANT_M` unless there was something beyond it."""
-    farthest = max((s.depth_m for s in samples if s.is_seen), default=0.0)
-    beyond = max(s.depth_m for s in samples) - farthest
-    return RELEVANT_M if beyond < _BEYOND_M else min(farthest, RELEVANT_M)
+    """Return the distance from which on fewer than half of the sightings are detections; `RELEVANT_M` for none.
+
+    Distances count in bins of `_BIN_M`, from the farthest that has a sighting.
+    """
+    bins: dict[int, list[bool]] = {}
+    for sample in samples:
+        if sample.depth_m <= RELEVANT_M:
+            bins.setdefault(int(sample.depth_m / _BIN_M), []).append(sample.is_seen)
+    range_m = RELEVANT_M
+    for number in sorted(bins, reverse=True):
+        if 2 * sum(bins[number]) >= len(bins[number]):
+            break
+        range_m = number * _BIN_M
+    return range_m
 
 
 def _area(box: Box) -> float:

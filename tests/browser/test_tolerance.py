@@ -25,7 +25,7 @@ TOLERANCE: dict[str, Any] = {
         "params": {
             "cells": {"type": ["miss", "left"], "target": ["lead"]},
             "conditions": [{"name": "by night", "time_of_day": "night"}],
-            "without_error": 8, "generation_size": 20,
+            "without_error": 8, "generation_size": 20, "grossest": {},
         },
     },
     "budget": {"simulations": 60},

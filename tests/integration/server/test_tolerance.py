@@ -192,6 +192,12 @@ def test_a_campaign_is_not_compared_with_its_own_drives(service: Service) -> Non
     assert "another campaign" in problem["errors"][0]["message"]
 
 
+def test_only_drives_that_were_not_screened_are_fresh(service: Service) -> None:
+    other = finished(service.client, body(6, 400))
+    problem = service.get("/agreement", 422, fresh=other)
+    assert "does not screen its drives" in problem["errors"][0]["message"]
+
+
 def test_a_detector_is_held_against_the_tolerances(service: Service) -> None:
     view = service.get("/detector", episodes=service.camera)
     assert view["detector"] == "brink-det@1"
@@ -206,9 +212,19 @@ def test_a_detector_is_held_against_the_tolerances(service: Service) -> None:
     assert sum(one["violations"] for one in view["conditions"]) < 20
 
 
+def test_drives_without_the_target_say_too_little_and_without_the_type_nothing(service: Service) -> None:
+    path = f"{API}/{service.campaign}/tolerance/detector"
+    for measures, result in (({}, "not enough data"), ({"lead": {"left": 0.1}}, "not measured")):
+        drives = [{"name": f"d{i}", "measures": measures} for i in range(40)]
+        view = expect(service.client.post(path, json={"detector": "mine", "drives": drives}))
+        assert view["cells"][0]["choices"]["behaviour.error_1.type"] == "miss"
+        assert view["cells"][0]["result"] == result
+
+
 def test_few_drives_say_too_little(service: Service) -> None:
     drives = [
-        {"name": f"d{i}", "condition": "by night", "measures": {"lead": {"miss": 0.1}}} for i in range(9)
+        {"name": f"d{i}", "condition": "by night", "measures": {"lead": {"miss": 0.1, "left": 0.0}}}
+        for i in range(9)
     ]
     path = f"{API}/{service.campaign}/tolerance/detector"
     view = expect(service.client.post(path, json={"detector": "mine", "drives": drives}))
@@ -226,6 +242,9 @@ def test_few_drives_say_too_little(service: Service) -> None:
         ),
         ([{"name": "a", "measures": {"lead": {"miss": "long"}}}], "number"),
         ([{"name": "a", "measures": {}, "speed": 3}], "speed"),
+        ([{"name": "a", "measures": {"laed": {"miss": 1.0}}}], "expected targets of lead, oncoming"),
+        ([{"name": "a", "measures": {"lead": {"Miss": 1.0}}}], "expected types of miss, late"),
+        ([{"name": "a", "measures": {"lead": {"miss": -1.0}}}], "expected a magnitude >= 0"),
     ],
 )
 def test_errors_that_do_not_fit_are_refused(service: Service, drives: list[Any], words: str) -> None:

@@ -102,7 +102,8 @@ def joined(all_counts: list[Counts]) -> Counts:
 
 
 def rated(counts: Counts) -> list[Curve]:
-    return curves_of(counts, [None] * len(counts.drives), limit=0.05, confidence=0.9)
+    cells = len(counts.drives)
+    return curves_of(counts, [None] * cells, [False] * cells, limit=0.05, confidence=0.9)
 
 
 # The curves.
@@ -201,14 +202,14 @@ def test_a_screened_curve_is_the_share_of_vulnerable_drives_times_the_curve_amon
     counts.drives[0, -1], counts.caused[0, -1] = 300, 150
     few_audits = Screening(vulnerable=200, screened=1_000, leaks=0, audited=2)
     (plain,) = rated(counts)
-    (screened,) = curves_of(counts, [few_audits], limit=0.05, confidence=0.9)
+    (screened,) = curves_of(counts, [few_audits], [False], limit=0.05, confidence=0.9)
     assert plain.median[-1] == pytest.approx(0.5, abs=0.02)
     assert screened.median[-1] == pytest.approx(0.1, abs=0.02)
     leaking = Screening(vulnerable=200, screened=1_000, leaks=30, audited=150)
-    (leaky,) = curves_of(counts, [leaking], limit=0.05, confidence=0.9)
+    (leaky,) = curves_of(counts, [leaking], [False], limit=0.05, confidence=0.9)
     assert leaky.median[-1] == pytest.approx(0.1 + 0.8 * 30 / 200, abs=0.02)
     none_of_many = Screening(vulnerable=0, screened=200, leaks=0, audited=100)
-    (safe,) = curves_of(Counts.empty(1), [none_of_many], limit=0.05, confidence=0.9)
+    (safe,) = curves_of(Counts.empty(1), [none_of_many], [False], limit=0.05, confidence=0.9)
     assert np.isinf(safe.tolerated.low)
 
 
@@ -469,3 +470,39 @@ def test_a_space_without_severity_is_refused() -> None:
     space = SearchSpace((Component("scenario", (Real("gap", 1.0, 60.0, "m"),)),))
     with pytest.raises(UnsupportedSpace, match="severity"):
         Tolerance().check(space, ToleranceConfig(), budget=1_000)
+
+
+def test_few_vulnerable_drives_of_few_screened_leave_the_answer_open() -> None:
+    few = Screening(vulnerable=3, screened=40, leaks=0, audited=100)
+    (curve,) = curves_of(Counts.empty(1), [few], [False], limit=0.05, confidence=0.9)
+    assert np.isfinite(curve.tolerated.low)
+
+
+def test_all_vulnerable_drives_violate_with_the_grossest_error(screened: Played) -> None:
+    for cell, curve in zip(screened.layout.cells, screened.curves, strict=True):
+        if screened.layout.is_grossest(cell):
+            share = screened.tally.screenings[cell.group or 0]
+            assert curve.median[-1] == pytest.approx(share.vulnerable / share.screened, abs=0.03)
+            assert curve.drives[-1] == 0
+
+
+def test_an_audited_drive_that_violates_anyway_is_no_leak(screened: Played) -> None:
+    archive, state = screened.state.archive, screened.state
+    audits = [n for n in archive.numbers.tolist() if state.jobs[n, 0] == Purpose.AUDIT]
+    unsafe = dict(zip(archive.numbers.tolist(), archive.unsafe.tolist(), strict=True))
+    assert not any(unsafe[number] for number in audits)
+    verdicts = archive.unsafe.copy()
+    places = {number: place for place, number in enumerate(archive.numbers.tolist())}
+    verdicts[places[audits[0]]] = True
+    drives = [state.drives[n] for n in archive.numbers.tolist()]
+    changed = tally(screened.layout, archive.vectors, archive.numbers.tolist(), verdicts, drives)
+    truth_known = audits[0] not in changed.open_numbers
+    assert changed.screenings[0].leaks == 1
+    assert truth_known or audits[0] in changed.open_numbers
+
+
+def test_a_failed_drive_without_an_error_is_simulated_again() -> None:
+    ended = play(900, failing=5, **SCREENED)
+    tries = Counter((of, drive) for _, of, drive in ended.jobs(Purpose.TRUTH).tolist())
+    assert 2 <= max(tries.values()) <= 3
+    assert len(ended.tally.open_numbers) <= 8

@@ -103,6 +103,14 @@ def test_a_range_is_short_only_if_there_was_something_beyond_it() -> None:
     assert measured(lambda step, box: box)[Target.LEAD][ErrorType.SHORT_RANGE] == RELEVANT_M
 
 
+def test_a_few_far_detections_are_no_range() -> None:
+    meter = ErrorMeter(CAMERA)
+    for step in range(STEPS):
+        box = standing(58.0 - 0.5 * step)
+        meter.see(step / 10, [TrueBox(1, box, Target.LEAD, True)], [box] if step in (1, 50) else [])
+    assert meter.measures()[Target.LEAD][ErrorType.SHORT_RANGE] < 10.0
+
+
 def test_what_is_missed_beyond_the_relevant_distance_does_not_count() -> None:
     far = standing(RELEVANT_M + 5.0)
     assert Target.LEAD not in measured(lambda step, box: None, far)
@@ -114,7 +122,7 @@ def test_a_detection_in_the_lane_where_nothing_is_counts_as_a_ghost() -> None:
         boxes = [far, ghost] if step < 7 else [far]
         meter.see(step / 10, [TrueBox(1, far, Target.LEAD, True)], boxes)
     assert meter.measures()[Target.LEAD][ErrorType.GHOST_ON_ROAD] == pytest.approx(0.7)
-    assert ErrorType.GHOST_ON_ROAD not in measured(lambda step, box: box)[Target.LEAD]
+    assert measured(lambda step, box: box)[Target.LEAD][ErrorType.GHOST_ON_ROAD] == 0.0
 
 
 def test_a_target_that_is_hardly_there_is_not_measured() -> None:
