@@ -80,7 +80,7 @@ def tolerance(
         typer.Option(
             metavar="ID",
             show_default=False,
-            help="Hold a detector against it: that of a campaign with a camera in the loop, such as urban-camera@1.",
+            help="Check a detector against it: that of a campaign with a camera, such as urban-camera@1.",
         ),
     ] = None,
     detections: Annotated[
@@ -88,7 +88,7 @@ def tolerance(
         typer.Option(
             metavar="FILE.csv",
             show_default=False,
-            help="Hold a detector against it: boxes beside the truth as CSV.",
+            help="Check a detector against it: its boxes beside the truth as CSV.",
         ),
     ] = None,
     coco: Annotated[
@@ -96,7 +96,7 @@ def tolerance(
         typer.Option(
             metavar="TRUTH RESULTS",
             show_default=False,
-            help="Hold a detector against it: sequences in COCO format, and the detections (.json).",
+            help="Check a detector against it: sequences in COCO format, and the detections (.json).",
         ),
     ] = None,
     camera: Annotated[

@@ -232,10 +232,6 @@ class SeverityScale:
         """Return the magnitude of a severity."""
         return self.none + severity * (self.most - self.none)
 
-    def severity(self, magnitude: float) -> float:
-        """Return the severity of a magnitude."""
-        return (magnitude - self.none) / (self.most - self.none)
-
     def number(self, severity: float) -> str:
         """Return the magnitude of a severity in digits, without its unit."""
         return f"{self.at(severity):.{self.decimals}f}"
