@@ -5,7 +5,7 @@ type of error and target, the measure is the worst of the drive:
 
 - `miss`, `wrong_label`: the longest time, after the first detection;
 - `late`: the longest delay from first sight to first detection, of road users that become a target;
-- `flicker` and errors of place and size: the worst mean over `SUSTAINED_S`;
+- `flicker` and errors of place and size: the mean while the target is there, if it is for `SUSTAINED_S` or longer;
 - `short_range`: the distance from which on fewer than half of the sightings are detections;
 - `ghost_on_road`: the longest time of a detection in the ego's lane where there is nothing.
 
@@ -27,7 +27,7 @@ from brink.sim.urban.behaviour import PERCEPTION_STEP_S
 from brink.sim.urban.detection_errors import GHOSTS, MAGNITUDES, RELEVANT_M, ErrorType, Target
 
 SUSTAINED_S: Final = 4.0
-"""Errors of place, size and share are means over this time."""
+"""Errors of place, size and share are means over the time for which the target is there, if it is this long."""
 SHORTEST_S: Final = 1.0
 """Targets that are visible for less time are not measured."""
 MATCHES_FROM: Final = 0.3
@@ -219,7 +219,7 @@ class ErrorMeter:
                 worst[kind] = value
 
         seen_before: set[int] = set()
-        window = round(SUSTAINED_S / self._step_s)
+        long_enough = round(SUSTAINED_S / self._step_s)
         for run in runs:
             missed: list[tuple[float, bool]] = []
             wrong: list[tuple[float, bool]] = []
@@ -231,24 +231,22 @@ class ErrorMeter:
                 wrong.append((frame[0].time_s, bool(seen) and all(s.is_wrong for s in seen)))
             note(ErrorType.MISS, self._longest_s(missed))
             note(ErrorType.WRONG_LABEL, self._longest_s(wrong))
-            if len(run) * self._step_s < SHORTEST_S:
+            if len(run) < long_enough:
                 continue
-            for start in range(max(len(run) - window, 0) + 1):
-                frames = run[start : start + window]
-                note(ErrorType.FLICKER, sum(off for _, off in missed[start : start + window]) / len(frames))
-                seen = [s for frame in frames for s in frame if s.is_seen]
-                if len(seen) * self._step_s < SHORTEST_S:
-                    continue
-                far, right_m, size = (
-                    sum(values) / len(seen)
-                    for values in zip(*((s.far, s.right_m, s.size) for s in seen), strict=True)
-                )
-                note(ErrorType.TOO_FAR, far)
-                note(ErrorType.TOO_NEAR, -far)
-                note(ErrorType.RIGHT, right_m)
-                note(ErrorType.LEFT, -right_m)
-                note(ErrorType.TOO_LARGE, size)
-                note(ErrorType.TOO_SMALL, -size)
+            note(ErrorType.FLICKER, sum(off for _, off in missed) / len(run))
+            seen = [s for frame in run for s in frame if s.is_seen]
+            if len(seen) * self._step_s < SHORTEST_S:
+                continue
+            far, right_m, size = (
+                sum(values) / len(seen)
+                for values in zip(*((s.far, s.right_m, s.size) for s in seen), strict=True)
+            )
+            note(ErrorType.TOO_FAR, far)
+            note(ErrorType.TOO_NEAR, -far)
+            note(ErrorType.RIGHT, right_m)
+            note(ErrorType.LEFT, -right_m)
+            note(ErrorType.TOO_LARGE, size)
+            note(ErrorType.TOO_SMALL, -size)
         return worst
 
     def _longest_s(self, flags: Sequence[tuple[float, bool]]) -> float:
