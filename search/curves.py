@@ -34,6 +34,8 @@ from brink.search.streams import Stream, generator
 
 LEVELS: Final = 32
 """Steps of severity between 0 and 1; errors are simulated at whole steps."""
+BEYOND: Final = 1.1
+"""Stands for a severity beyond the scale in the width of an interval, so that "never" is told from "at its end"."""
 LIBRARY: Final = 300_000
 """Curves of the library; a search uses fewer."""
 FALLING: Final = 0.15
@@ -182,6 +184,11 @@ class Interval:
     value: float
     low: float
     high: float
+
+    @property
+    def width(self) -> float:
+        """Width of an interval of severities; what lies beyond the scale counts as `BEYOND`."""
+        return min(self.high, BEYOND) - min(self.low, BEYOND)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

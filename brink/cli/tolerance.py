@@ -235,7 +235,7 @@ def _hold_against(
     *,
     as_json: bool,
 ) -> None:
-    """Print whether a detector keeps within the tolerances of a campaign."""
+    """Print whether a detector meets the requirement of a campaign."""
     path = f"/campaigns/{campaign}/tolerance/detector"
 
     async def work(api: Api) -> DetectorView:
@@ -361,7 +361,7 @@ def show_tolerance(screen: Console, view: ToleranceView, shown: int | None = Non
     screen.print(f"[bold]{escape(view.name)}[/bold] ({view.campaign}): {view.note}", soft_wrap=True)
     screen.print(
         f"[dim]tolerated: the magnitude at which {view.limit:.0%} of drives violate because of the error, with an "
-        f"interval of {view.confidence:.0%}[/dim]",
+        f"interval of {view.confidence:.0%}; mean width of the intervals: {view.mean_width:.3f} of the scale[/dim]",
         soft_wrap=True,
     )
     screen.print(tolerance_table(view.cells[:shown]))

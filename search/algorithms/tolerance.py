@@ -32,6 +32,7 @@ import numpy as np
 from brink.search.algorithm import Evaluation
 from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState
 from brink.search.curves import (
+    BEYOND,
     LEVELS,
     Counts,
     Curve,
@@ -59,8 +60,6 @@ FIRST_DRIVES: Final = 8
 """Drives of a cell that a budget must allow."""
 _CURVES: Final = 20_000
 """Curves of the library that the search uses."""
-_BEYOND: Final = 1.1
-"""Stands for a severity beyond the scale in the width of an interval, so that "never" is told from "at its end"."""
 _NARROW: Final = 1e-3
 """Width of an interval below which a narrower one is no better."""
 _QUANTILES: Final = (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
@@ -71,7 +70,7 @@ _CHOICE, _DRIVE = 0, 2
 Choices: TypeAlias = Mapping[int, tuple[float, ...]]
 """The values that some columns of a row may have."""
 DriveKey: TypeAlias = tuple[int, bytes]
-"""What a drive with an error and the same drive without it have in common."""
+"""Identifies a drive, whatever the error in it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -497,9 +496,15 @@ class Layout:
         """Return the level of severity of each row, shape ``(n,)``."""
         return np.rint(rows[:, self.severity] * LEVELS).astype(np.int64)
 
-    def drive_key(self, row: FloatArray, seed: int) -> DriveKey:
-        """Return what a drive with an error and the same drive without it have in common."""
-        return seed, np.delete(row, self._component).tobytes()
+    def drive_keys(self, rows: FloatArray, seeds: Sequence[int]) -> list[DriveKey]:
+        """Return a key of each row's drive, which does not depend on the error in it.
+
+        Args:
+            rows: Shape ``(n, d)``.
+            seeds: For each row, its episode seed or anything else that is the same exactly for the same seed.
+        """
+        rest = np.delete(rows, self._component, axis=1)
+        return [(seed, row.tobytes()) for seed, row in zip(seeds, rest, strict=True)]
 
 
 def _component_of(space: SearchSpace, column: int) -> slice:
@@ -520,7 +525,7 @@ class Tally:
         counts: Drives with an error and violations caused by it, by cell and level; of screened cells, those of
             vulnerable drives.
         screenings: The screening of each group.
-        vulnerable: The vulnerable drives of each group, by `Layout.drive_key`, in the order of their simulation.
+        vulnerable: The vulnerable drives of each group, by `Layout.drive_keys`, in the order of their simulation.
         immune: The drives of each group that held with the grossest error, in the same form.
         baseline: Of the first drives of each population, those that violate without an error, and all.
         open_numbers: Numbers of the violations of which it is not known yet whether the error caused them.
@@ -564,7 +569,7 @@ def tally(
         seeds: For each, its episode seed or anything else that is the same exactly for the same seed.
     """
     cells, levels, groups = layout.cells_of(rows), layout.levels_of(rows), layout.groups_of(rows)
-    keys = [layout.drive_key(row, seed) for row, seed in zip(rows, seeds, strict=True)]
+    keys = layout.drive_keys(rows, seeds)
     baseline = [(0, 0) for _ in layout.populations]
     without: dict[DriveKey, bool] = {}
     for place in np.flatnonzero(layout.without_error(rows)).tolist():
@@ -709,7 +714,8 @@ class _Plan:
     def __init__(self, state: ToleranceState, layout: Layout, room: int) -> None:
         self._layout = layout
         self._seed = state.ledger.seed
-        self._jobs = [tuple(job) for job in state.jobs.tolist()]
+        self._known_jobs = state.jobs
+        self._new_jobs: list[tuple[int, int, int]] = []
         self.room = room
         self.roots = list(state.roots)
         self.rows: list[FloatArray] = []
@@ -722,7 +728,7 @@ class _Plan:
     @property
     def jobs(self) -> IntArray:
         """The jobs of all candidates, with those that were planned."""
-        return np.array(self._jobs, np.int64).reshape(-1, 3)
+        return np.concatenate([self._known_jobs, np.array(self._new_jobs, np.int64).reshape(-1, 3)])
 
     def _add(
         self,
@@ -733,13 +739,13 @@ class _Plan:
         choices: Sequence[str] | None,
         level: int,
     ) -> None:
-        number = len(self._jobs)
+        number = len(self._known_jobs) + len(self._new_jobs)
         known = drive < len(self.roots)
         if not known:
             self.roots.append(number)
         self.rows.append(self._layout.row(self._seed, population, drive, choices, level))
         self.seeds.append(self.roots[drive] if known else None)
-        self._jobs.append((int(purpose), of, drive))
+        self._new_jobs.append((int(purpose), of, drive))
         self.room -= 1
 
     def add_truth(self, population: int, drive: int) -> None:
@@ -849,8 +855,7 @@ class _Results:
         if not config.width or not (self._estimates.widths < config.width).all():
             return False
         curves = self._tally.curves(self._layout, limit=config.limit, confidence=config.confidence)
-        ends = [(curve.tolerated.low, curve.tolerated.high) for curve in curves]
-        return all(min(high, _BEYOND) - min(low, _BEYOND) < config.width for low, high in ends)
+        return all(curve.tolerated.width < config.width for curve in curves)
 
     @cached_property
     def _estimates(self) -> "_Estimates":
@@ -868,7 +873,7 @@ class _Results:
             counts = self._tally.counts
             likely = weights(Counts(drives=counts.drives[places], caused=counts.caused[places]), curves)
             limits = self._limits(group)
-            severity = np.stack([np.minimum(severity_at(curves, limit), _BEYOND) for limit in limits])
+            severity = np.stack([np.minimum(severity_at(curves, limit), BEYOND) for limit in limits])
             order = np.argsort(severity.ravel(), kind="stable")
             for place, chances in zip(places, likely, strict=True):
                 pooled = np.tile(chances, len(limits))[order]

@@ -147,6 +147,7 @@ class ToleranceView(View):
     open: Annotated[
         int, Field(description="Violations of which it is not known whether the error caused them.")
     ]
+    mean_width: Annotated[float, Field(description="Mean width of the intervals, as a share of the scale.")]
     conditions: list[str]
     baseline: list[BaselineView]
     audited: Annotated[
@@ -252,7 +253,7 @@ class DetectorConditionView(View):
 
 
 class DetectorView(View):
-    """Whether a detector keeps within the tolerances of a campaign."""
+    """Whether a detector meets the requirement of a campaign."""
 
     campaign: str
     detector: str
@@ -271,7 +272,7 @@ async def get_detector(
         str, Query(description="A campaign with a camera and a detector in the loop, such as urban-camera@1.")
     ],
 ) -> DetectorView:
-    """Return whether the detector of another campaign keeps within the tolerances of this one."""
+    """Return whether the detector of another campaign meets the requirement of this one."""
     campaign, other = await services.campaigns.get(campaign_id), await services.campaigns.get(episodes)
     archive = await services.archives.get(campaign)
     found = await services.tolerances.get(campaign, archive)
@@ -283,7 +284,7 @@ async def get_detector(
 
 @router.post("/detector")
 async def post_detector(campaign_id: str, services: Services, body: DetectorBody) -> DetectorView:
-    """Return whether a detector keeps within the tolerances of a campaign, given its errors in drives of its own."""
+    """Return whether a detector meets the requirement of a campaign, given its errors in drives of its own."""
     campaign = await services.campaigns.get(campaign_id)
     archive = await services.archives.get(campaign)
     found = await services.tolerances.get(campaign, archive)
@@ -294,7 +295,7 @@ async def post_detector(campaign_id: str, services: Services, body: DetectorBody
 def detector_view(
     campaign: Campaign, plan: Plan, found: CampaignTolerance, name: str, drives: Sequence[Drive]
 ) -> DetectorView:
-    """Return whether a detector keeps within tolerances.
+    """Return whether a detector meets a requirement.
 
     Args:
         campaign: The campaign with the tolerances.
@@ -505,6 +506,7 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         confidence=config.confidence, simulations=campaign.evaluated, open=len(found.tally.open_numbers),
         note=_note(cells, drives, config.limit, config.confidence),
         conditions=list(layout.conditions), baseline=_baselines(found), cells=cells,
+        mean_width=sum(curve.tolerated.width for curve in found.curves) / len(found.curves),
         audited=max((one.audited for one in found.tally.screenings), default=0),
         leaks=max((one.leaks for one in found.tally.screenings), default=0),
     )  # fmt: skip

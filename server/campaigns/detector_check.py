@@ -1,4 +1,4 @@
-"""Whether a detector keeps within the tolerances of a campaign, judged by its errors in drives of its own."""
+"""Whether a detector meets the requirement of a campaign, judged by its errors in drives of its own."""
 
 import json
 import math
@@ -19,7 +19,7 @@ from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import RatesMeasuredErrors
-from brink.server.problems.urban_camera import MEASURES
+from brink.sim.urban.error_meter import MEASURES
 
 MOST_DRIVES = 10_000
 WORST = 5

@@ -25,8 +25,6 @@ from brink.worker.wire import Completed
 
 SIMULATOR = "brink-drive-camera@1"
 WITH_TRUTH = "brink-drive-errors@1"
-MEASURES = "detector_errors"
-"""Name of the feature with the detector's errors: the magnitude of each type, by target."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -440,7 +440,7 @@ class _TimeBar:
     def _reported(self) -> NDArray[np.int64]:
         """Return the number of reported boxes at each sample, shape ``(n,)``.
 
-        With recorded images only people count, and with errors what is wrong or missing.
+        With recorded images, only people are counted; with errors, wrong and missing boxes.
         """
         if has_errors(self._trace):
             return count_wrong(self._trace)

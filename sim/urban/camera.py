@@ -33,7 +33,7 @@ from brink.sim.rendering.street import building_from_fixture, road_surfaces
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome
 from brink.sim.urban.erroneous_detector import Observer
-from brink.sim.urban.error_meter import ErrorMeter
+from brink.sim.urban.error_meter import MEASURES, ErrorMeter
 from brink.sim.urban.simulator import BrinkDrive, UrbanDetector
 from brink.sim.world.ego import EgoMotion
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M
@@ -48,8 +48,6 @@ SIZE_PX: Final = (640, 360)
 CROWN_M: Final = 3.0
 STEPS_PER_S: Final = 1.9
 """Step rate of a walking person, for the pose of the legs."""
-MEASURES: Final = "detector_errors"
-"""Name of the feature with the detector's errors: the magnitude of each type, by target."""
 
 _GRASS_BEYOND_M: Final = 80.0
 _FIELDS: Final = ("mode", "detector", "threshold", "weights")

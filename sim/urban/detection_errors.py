@@ -291,25 +291,26 @@ _GHOST: Final = {
     Target.PEDESTRIAN: "a person who is not there",
     Target.EVERYBODY: "a vehicle and a person that are not there",
 }
-_WORDS: Final = {
-    ErrorType.MISS: "{who} is not reported for {much}",
-    ErrorType.LATE: "{who} is first reported {much} late",
-    ErrorType.FLICKER: "{who} is not reported {much} of the time",
-    ErrorType.TOO_FAR: "{who} is reported {much} too far away",
-    ErrorType.TOO_NEAR: "{who} is reported {much} too near",
-    ErrorType.LEFT: "{who} is reported {much} too far left",
-    ErrorType.RIGHT: "{who} is reported {much} too far right",
-    ErrorType.TOO_LARGE: "{who} is reported {much} too large",
-    ErrorType.TOO_SMALL: "{who} is reported {much} too small",
-    ErrorType.WRONG_LABEL: "{who} is reported with the wrong label for {much}",
-    ErrorType.SHORT_RANGE: "{who} is reported only within {much}",
-    ErrorType.GHOST_ON_ROAD: "{who} {are} reported on the road for {much}",
-    ErrorType.GHOST_IN_IMAGE: "{who} {are} reported at a fixed place in the image for {much}",
+_REPORTS: Final[Mapping[ErrorType, tuple[str, str]]] = {
+    ErrorType.MISS: ("not ", "for {much}"),
+    ErrorType.LATE: ("first ", "{much} late"),
+    ErrorType.FLICKER: ("not ", "{much} of the time"),
+    ErrorType.TOO_FAR: ("", "{much} too far away"),
+    ErrorType.TOO_NEAR: ("", "{much} too near"),
+    ErrorType.LEFT: ("", "{much} too far left"),
+    ErrorType.RIGHT: ("", "{much} too far right"),
+    ErrorType.TOO_LARGE: ("", "{much} too large"),
+    ErrorType.TOO_SMALL: ("", "{much} too small"),
+    ErrorType.WRONG_LABEL: ("", "with the wrong label for {much}"),
+    ErrorType.SHORT_RANGE: ("", "only within {much}"),
+    ErrorType.GHOST_ON_ROAD: ("", "on the road for {much}"),
+    ErrorType.GHOST_IN_IMAGE: ("", "at a fixed place in the image for {much}"),
 }
+"""The words before and after "reported" or "reporting"."""
 
 
 def words_of_error(kind: ErrorType, target: Target, magnitude: str, *, many: bool = False) -> str:
-    """Return an error in words, without its onset.
+    """Return an error in words, without its onset, such as ``the lead is not reported for 1.3 s``.
 
     Args:
         kind: What is wrong.
@@ -317,9 +318,25 @@ def words_of_error(kind: ErrorType, target: Target, magnitude: str, *, many: boo
         magnitude: How wrong, with the unit.
         many: Whether all of the kind are meant, rather than a single one.
     """
+    before, after = _REPORTS[kind]
     who = (_GHOST if kind in GHOSTS else _KIND if many else _SINGLE)[target]
-    are = "are" if target is Target.EVERYBODY else "is"
-    return _WORDS[kind].format(who=who, are=are, much=magnitude)
+    verb = "are" if kind in GHOSTS and target is Target.EVERYBODY else "is"
+    return f"{who} {verb} {before}reported {after.format(much=magnitude)}"
+
+
+def activity_of_error(kind: ErrorType, target: Target | None, magnitude: str) -> str:
+    """Return an error as an activity of the detector, such as ``not reporting the lead for 1.3 s``.
+
+    Args:
+        kind: What is wrong.
+        target: Whose boxes are wrong; None if it varies.
+        magnitude: How wrong, with the unit.
+    """
+    before, after = _REPORTS[kind]
+    names = _GHOST if kind in GHOSTS else _SINGLE if MAGNITUDES[kind].has_window else _KIND
+    anybody = "somebody who is not there" if kind in GHOSTS else "road users"
+    who = anybody if target is None else names[target]
+    return f"{before}reporting {who} {after.format(much=magnitude)}"
 
 
 def errors_from_json(document: Mapping[str, Json], duration_s: float) -> tuple[DetectionError, ...]:
@@ -364,34 +381,3 @@ def _number(where: str, value: Json, low: float, high: float, unit: str) -> floa
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise InvalidEpisode(f"{where}: expected a number in [{low:g}, {high:g}] {unit}, got {value!r}")
     return float(value)
-
-
-_ACTIVITIES: Final = {
-    ErrorType.MISS: "not reporting {who} for {much}",
-    ErrorType.LATE: "first reporting {who} {much} late",
-    ErrorType.FLICKER: "not reporting {who} {much} of the time",
-    ErrorType.TOO_FAR: "reporting {who} {much} too far away",
-    ErrorType.TOO_NEAR: "reporting {who} {much} too near",
-    ErrorType.LEFT: "reporting {who} {much} too far left",
-    ErrorType.RIGHT: "reporting {who} {much} too far right",
-    ErrorType.TOO_LARGE: "reporting {who} {much} too large",
-    ErrorType.TOO_SMALL: "reporting {who} {much} too small",
-    ErrorType.WRONG_LABEL: "reporting {who} with the wrong label for {much}",
-    ErrorType.SHORT_RANGE: "reporting {who} only within {much}",
-    ErrorType.GHOST_ON_ROAD: "reporting {who} on the road for {much}",
-    ErrorType.GHOST_IN_IMAGE: "reporting {who} at a fixed place in the image for {much}",
-}
-
-
-def activity_of_error(kind: ErrorType, target: Target | None, magnitude: str) -> str:
-    """Return an error as an activity of the detector, such as ``not reporting the lead for 1.3 s``.
-
-    Args:
-        kind: What is wrong.
-        target: Whose boxes are wrong; None if it varies.
-        magnitude: How wrong, with the unit.
-    """
-    many = not MAGNITUDES[kind].has_window
-    names = _GHOST if kind in GHOSTS else _KIND if many else _SINGLE
-    anybody = "somebody who is not there" if kind in GHOSTS else "road users"
-    return _ACTIVITIES[kind].format(who=anybody if target is None else names[target], much=magnitude)

@@ -26,6 +26,8 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.urban.behaviour import PERCEPTION_STEP_S
 from brink.sim.urban.detection_errors import GHOSTS, MAGNITUDES, RELEVANT_M, ErrorType, Target
 
+MEASURES: Final = "detector_errors"
+"""Name of the feature with the detector's errors: the magnitude of each type, by target."""
 SUSTAINED_S: Final = 4.0
 """Errors of place, size and share are means over the time for which the target is there, if it is this long."""
 SHORTEST_S: Final = 1.0

@@ -487,18 +487,27 @@ def test_all_vulnerable_drives_violate_with_the_grossest_error(screened: Played)
 
 
 def test_an_audited_drive_that_violates_anyway_is_no_leak(screened: Played) -> None:
-    archive, state = screened.state.archive, screened.state
-    audits = [n for n in archive.numbers.tolist() if state.jobs[n, 0] == Purpose.AUDIT]
-    unsafe = dict(zip(archive.numbers.tolist(), archive.unsafe.tolist(), strict=True))
-    assert not any(unsafe[number] for number in audits)
-    verdicts = archive.unsafe.copy()
-    places = {number: place for place, number in enumerate(archive.numbers.tolist())}
-    verdicts[places[audits[0]]] = True
-    drives = [state.drives[n] for n in archive.numbers.tolist()]
-    changed = tally(screened.layout, archive.vectors, archive.numbers.tolist(), verdicts, drives)
-    truth_known = audits[0] not in changed.open_numbers
-    assert changed.screenings[0].leaks == 1
-    assert truth_known or audits[0] in changed.open_numbers
+    archive, state, layout = screened.state.archive, screened.state, screened.layout
+    numbers = archive.numbers.tolist()
+    truths = {
+        (of, drive): n
+        for n in numbers
+        for kind, of, drive in [state.jobs[n].tolist()]
+        if kind == Purpose.TRUTH
+    }
+    audit, truth = next(
+        (n, truths[layout.cells[cell].population, drive])
+        for n in numbers
+        for kind, cell, drive in [state.jobs[n].tolist()]
+        if kind == Purpose.AUDIT and (layout.cells[cell].population, drive) in truths
+    )
+    drives = [state.drives[n] for n in numbers]
+    for also, leaks in ((False, 1), (True, 0)):
+        verdicts = archive.unsafe.copy()
+        verdicts[numbers.index(audit)], verdicts[numbers.index(truth)] = True, also
+        changed = tally(layout, archive.vectors, numbers, verdicts, drives)
+        assert {one.leaks for one in changed.screenings} == {leaks}
+        assert audit not in changed.open_numbers
 
 
 def test_a_failed_drive_without_an_error_is_simulated_again() -> None:

@@ -76,7 +76,7 @@ class Drive(NamedTuple):
         return [step for step in self.steps if not np.array_equal(self.seen(step), self.given(step))]
 
     def names(self, step: int) -> list[str]:
-        """Return whose boxes are seen at a step, found by where they are."""
+        """Return the road users whose boxes are visible at a step, identified by their positions."""
         x_m, y_m, yaw_rad = map(float, self.trace.ego[step, :3])
         boxes = {}
         for actor in self.trace.actors:

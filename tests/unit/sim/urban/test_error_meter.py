@@ -10,10 +10,10 @@ import pytest
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeSpec
-from brink.sim.urban.camera import MEASURES, BrinkDriveCamera
+from brink.sim.urban.camera import BrinkDriveCamera
 from brink.sim.urban.detection_errors import MAGNITUDES, RELEVANT_M, ErrorType, Target
 from brink.sim.urban.detection_files import CameraModel, DetectionFileError, read_coco, read_csv
-from brink.sim.urban.error_meter import ErrorMeter, Measures, TrueBox
+from brink.sim.urban.error_meter import MEASURES, ErrorMeter, Measures, TrueBox
 
 CAMERA = Camera()
 STEPS = 100
