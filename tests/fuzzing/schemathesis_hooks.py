@@ -44,10 +44,22 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
         body["solutions"] = KNOWN["solutions"]
         body.pop("threshold", None)
         case.path_parameters["campaign_id"] = KNOWN["campaigns"][0]
+    if "/tolerance" in case.path and _rng.random() < SHARE:
+        _ask_for_tolerances(case, body)
     if case.path.endswith("/pairs/follow-ups") and body and _rng.random() < SHARE:
         body.pop("repeats", None)
         body |= {"kind": "confirm", "eps": 1.0, "d_th": 0.0, "limit": 1}
         case.path_parameters["campaign_id"] = KNOWN["campaigns"][0]
+
+
+def _ask_for_tolerances(case: Any, body: dict[str, Any]) -> None:
+    """Name campaigns and drives between which there is something to compare."""
+    known = KNOWN["tolerances"][0]
+    case.path_parameters["campaign_id"] = known["campaign"]
+    if isinstance(case.query, dict):
+        case.query |= {name: known[name] for name in ("fresh", "episodes") if name in case.query}
+    if body:
+        body["drives"] = [{"name": "1", "condition": "all", "measures": {"lead": {"miss": 0.5}}}]
 
 
 def _would_wait(query: Any) -> bool:

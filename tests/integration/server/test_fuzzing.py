@@ -19,6 +19,8 @@ import pytest
 from support.api import FakeWorker, ball, expect, listening_coordinator, progress, submit
 from support.databases import on_sqlite
 from support.problems import REQUIREMENT, SIMULATOR
+from support.tolerance import body, camera
+from support.tolerance import finished as finished_drives
 from support.traces import filmed
 from support.traffic import traffic_worker
 
@@ -110,6 +112,10 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
     violations = expect(client.get(f"/api/v1/campaigns/{traffic}/violations"))["violations"]
     assert violations
     drawn = _traced(client, traffic)
+    cells: dict[str, Any] = {"cells": {"type": ["miss"], "target": ["lead"]}, "conditions": [{"name": "all"}]}
+    tolerances = finished_drives(client, body(1, 100, **cells))
+    fresh = finished_drives(client, body(2, 60, **cells, design="random"))
+    drives = finished_drives(client, camera())
     running = submit(client, ball(seed=2, execution={"cache": False}))
     leases, retried = _worked_on(client)
     nobodys: dict[str, Any] = {"problem": {"id": "ball@1", "params": {"needs": "nobody-has-it@1"}}}
@@ -131,6 +137,7 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
         "numbers": [0, 1, 2, 3, 19],
         "jobs": [*retried, *(lease["job"] for lease in leases)],
         "leases": leases,
+        "tolerances": [{"campaign": tolerances, "fresh": fresh, "episodes": drives}],
         "violations": [_place(one, traffic) for one in violations],
         "traced": [{"campaign_id": traffic, "number": drawn}, {"campaign_id": unrunnable, "number": 1}],
     }
