@@ -34,16 +34,17 @@ from brink.sim.aeb.specification import (
     check_weights,
 )
 from brink.sim.aeb.street import CRUISE_MPS, KERB_M, LANE_M, LANE_Y_M, PERSON_SIZE_M, STRIP_M, make_street
+from brink.sim.bullet.engine import bullet_versions
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.perception.boxes import GroundTruth, LabelledFrame, curves
 from brink.sim.perception.detector import LABELS, Picture, find_detector
 from brink.sim.perception.user_files import CocoPicture, DatasetError, read_coco
 from brink.sim.perturbations import Pipeline
+from brink.sim.provenance import provenance
 from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
-from brink.sim.urban.simulator import provenance
 from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
@@ -218,7 +219,7 @@ class DatasetEvaluator:
             verdicts={},
             objectives={"alpha": alpha},
             features={f"average_precision:{name}": value for name, value in by_class.items()},
-            provenance=provenance(EVALUATOR_ID, cpu_s, frames=len(frames)),
+            provenance=provenance(EVALUATOR_ID, cpu_s, bullet_versions(), frames=len(frames)),
         )
 
 

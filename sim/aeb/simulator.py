@@ -11,14 +11,14 @@ from brink.sim.aeb.recorder import AebRecorder
 from brink.sim.aeb.sight import CameraSight, InjectedSight, OracleSight, Sight
 from brink.sim.aeb.specification import AebScenario, Behaviour, Options, SightMode, check_weights
 from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
-from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.bullet.engine import EngineError, bullet_versions, discard_engine, process_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import SimulationCrashed
 from brink.sim.perception.detector import find_detector
+from brink.sim.provenance import provenance, trace_header
 from brink.sim.rendering.scene import Light
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.urban.simulator import provenance, trace_header
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.weather import conditions
 
@@ -118,12 +118,13 @@ def _result(
         scores = {name: value for name, value in asdict(sight.scores()).items() if math.isfinite(value)}
     if "alpha" in scores:
         objectives["alpha"] = scores["alpha"]
+    versions = bullet_versions()
     return EpisodeResult(
         verdicts=verdicts,
         objectives=objectives,
         features={**_features(outcome, requirements), **scores},
-        provenance=provenance(SIMULATOR_ID, cpu_s, simulated_s=outcome.time_s),
-        trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts)).to_bytes(),
+        provenance=provenance(SIMULATOR_ID, cpu_s, versions, simulated_s=outcome.time_s),
+        trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts, versions)).to_bytes(),
     )
 
 

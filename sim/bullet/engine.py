@@ -7,13 +7,15 @@ zero or less.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple, NewType
 
 import pybullet
+
+from brink.sim.provenance import versions_with
 
 BodyId = NewType("BodyId", int)
 EngineError: type[Exception] = pybullet.error
@@ -146,6 +148,8 @@ def discard_engine() -> None:
         engine.close()
 
 
-def engine_version() -> str:
-    """Return the version of the physics engine."""
-    return str(pybullet.getAPIVersion(physicsClientId=process_engine().client))
+@cache
+def bullet_versions() -> Mapping[str, str]:
+    """Return the versions of everything that determines an episode in this physics engine."""
+    api = str(pybullet.getAPIVersion(physicsClientId=process_engine().client))
+    return {**versions_with("pybullet"), "pybullet_api": api}

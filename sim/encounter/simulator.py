@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.bullet.engine import EngineError, bullet_versions, discard_engine, process_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
@@ -17,11 +17,12 @@ from brink.sim.encounter.witness import EncounterWitness
 from brink.sim.encounter.world import EncounterWorld, make_encounter
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, check_fields
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.simulator import outcome_features, provenance, trace_header
+from brink.sim.urban.simulator import outcome_features
 
 MAX_DURATION_S: Final = 120.0
 MAX_GAP_M: Final = 200.0
@@ -109,6 +110,7 @@ class BrinkEncounter:
         gaps = {
             f"gap_{index}_m": min(gap_m, MAX_GAP_M) for index, gap_m in enumerate(witness.gaps_m, start=1)
         }
+        versions = bullet_versions()
         return EpisodeResult(
             verdicts=verdicts,
             objectives={
@@ -117,8 +119,10 @@ class BrinkEncounter:
                 **gaps,
             },
             features={**_features(outcome, requirements), "violations": list(witness.violations)},
-            provenance=provenance(self.id, cpu_s, simulated_s=outcome.last.time_s),
-            trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts)).to_bytes(),
+            provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
+            trace=None
+            if recorder is None
+            else recorder.trace(trace_header(spec, verdicts, versions)).to_bytes(),
         )
 
 

@@ -5,25 +5,20 @@ episodes on the same class of processor: random draws come from streams addresse
 anew, and the physics engine is emptied first.
 """
 
-import json
-import math
-import platform
 import time
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
-from importlib.metadata import version
+from functools import partial
 from typing import Protocol
 
-from brink import __version__
-from brink.sim.bullet.engine import Engine, EngineError, discard_engine, engine_version, process_engine
+from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discard_engine, process_engine
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict, nearest
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.trace import VIOLATED_AT_S
 from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, steps_to_json
 from brink.sim.urban.detection_errors import ERROR_STEPS, DetectionError, errors_from_json
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
@@ -104,12 +99,15 @@ class BrinkDrive:
             detects=detector.start(world, self._camera),
         )
         verdicts = verdicts_of(requirements)
+        versions = bullet_versions()
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
             features={**outcome_features(outcome), **detector.features(outcome), **features_of(requirements)},
-            provenance=provenance(self.id, cpu_s, simulated_s=outcome.last.time_s),
-            trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts)).to_bytes(),
+            provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
+            trace=None
+            if recorder is None
+            else recorder.trace(trace_header(spec, verdicts, versions)).to_bytes(),
         )
 
 
@@ -211,56 +209,3 @@ def outcome_features(outcome: Outcome) -> dict[str, Json]:
         "collision": None if hit is None else hit.kind.value,
         "collided_with": None if hit is None else hit.counterpart,
     }
-
-
-def trace_header(spec: EpisodeSpec, verdicts: Mapping[str, Verdict]) -> JsonObject:
-    """Return what every trace says about its episode: what it was, and when requirements were first violated."""
-    moments = {name: one.violated_at_s for name, one in verdicts.items() if one.violated_at_s is not None}
-    # From the canonical text, so that the trace does not depend on the order of fields.
-    return {
-        "spec": json.loads(spec.canonical_json()),
-        "versions": dict(versions()),
-        VIOLATED_AT_S: dict(sorted(moments.items())),
-    }
-
-
-def provenance(simulator: str, cpu_s: float, **facts: Json) -> dict[str, Json]:
-    """Return the provenance of a result.
-
-    Args:
-        simulator: Id of the simulator.
-        cpu_s: CPU time of this process when the episode began.
-        facts: Additional entries.
-    """
-    return {
-        "simulator": simulator,
-        **versions(),
-        "instruction_set": instruction_set(),
-        "cpu_s": time.process_time() - cpu_s,
-        **facts,
-    }
-
-
-@cache
-def versions() -> Mapping[str, str]:
-    """Return the versions of everything that determines an episode."""
-    return {
-        "brink": __version__,
-        "python": platform.python_version(),
-        "numpy": version("numpy"),
-        "pybullet": version("pybullet"),
-        "pybullet_api": engine_version(),
-    }
-
-
-@cache
-def instruction_set() -> str:
-    """Return the processor architecture with a fingerprint of its floating-point arithmetic.
-
-    Machines with the same value give the same episodes. The fingerprint is made of the low bits of functions whose
-    last digits may depend on the mathematics library and the processor.
-    """
-    probes = [math.sin(1e5 + 0.1 * i) * math.exp(0.37 * i) * math.atan2(i, 3.3) for i in range(1, 40)]
-    digits = "".join(value.hex()[-8:] for value in probes)
-    total = sum(ord(char) * (index + 1) for index, char in enumerate(digits))
-    return f"{platform.machine()}-{total % 2**32:08x}"
