@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from brink.api.client import Api
-from brink.cli.draw import FetchedArchive, fetch_archive
+from brink.api.results import FetchedArchive, fetch_archive
 from brink.cli.options import AsJson, Database, Server, console, plain_table, print_json, with_api
 from brink.search.analysis.comparison import ComparedCampaign, Row, control_summaries
 from brink.search.analysis.comparison import compare as compare_campaigns

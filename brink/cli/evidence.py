@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from brink import __version__
 from brink.api.client import Api, CoordinatorError
-from brink.cli.draw import (
+from brink.api.results import (
     FetchedArchive,
     NoTrace,
     fetch_archive,

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from brink.api.client import Api
-from brink.cli.draw import Drawing, FetchedArchive
+from brink.api.results import FetchedArchive
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -30,6 +30,7 @@ from brink.cli.options import (
     write_json,
 )
 from brink.cli.tolerance import fetch_tolerance_findings
+from brink.report.figures import Drawing
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of

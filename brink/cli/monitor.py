@@ -11,7 +11,7 @@ import typer
 
 from brink import __version__
 from brink.api.client import Api
-from brink.cli.draw import FetchedArchive, fetch_archive
+from brink.api.results import FetchedArchive, fetch_archive
 from brink.cli.options import (
     AsJson,
     Database,

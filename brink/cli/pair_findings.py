@@ -8,9 +8,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from brink.api.client import Api, CoordinatorError
-from brink.cli.draw import Drawing, FetchedArchive, NoTrace, read_all_pairs
-from brink.cli.pair_pictures import write_pair
+from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
 from brink.cli.pairs import chance_words, legend, pairs_table
+from brink.report.figures import Drawing
+from brink.report.pair_pictures import write_pair
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView

@@ -34,7 +34,8 @@ from brink.cli.options import (
     settings_with,
     with_api,
 )
-from brink.cli.pair_pictures import FILMS, PICTURES, check_file, chosen_pair, draw_pair
+from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
+from brink.report.pair_pictures import FILMS
 from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation
 from brink.server.api.pair_views import (
     MOST_PAIRS,

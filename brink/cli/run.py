@@ -14,9 +14,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from brink.api.client import Api
+from brink.api.results import fetch_archive
 from brink.cli.campaigns import grid_table, solution_table, within_budget
 from brink.cli.compare import compared_archives
-from brink.cli.draw import Drawing, draw_figures, fetch_archive, write_replays, write_results
+from brink.cli.draw import write_results
 from brink.cli.findings import Findings, fetch_findings
 from brink.cli.local import RunOptions, Session, check_extra, run_to_end
 from brink.cli.options import (
@@ -34,6 +35,7 @@ from brink.cli.options import (
 )
 from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
+from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.repeats import RepeatsView

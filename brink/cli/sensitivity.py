@@ -9,7 +9,7 @@ import typer
 import yaml
 from rich.table import Table
 
-from brink.cli.draw import fetch_archive
+from brink.api.results import fetch_archive
 from brink.cli.experiment_run import repeats_of, run_experiment
 from brink.cli.local import RunOptions
 from brink.cli.options import (

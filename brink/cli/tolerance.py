@@ -12,7 +12,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from brink.api.client import Api
-from brink.cli.draw import Drawing
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -25,6 +24,7 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
+from brink.report.figures import Drawing
 from brink.report.tolerance import requirement_document
 from brink.server.api.tolerance import (
     AgreementView,

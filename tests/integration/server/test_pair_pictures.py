@@ -10,10 +10,10 @@ from PIL import Image
 from support.traces import make_trace
 from typer.testing import CliRunner
 
-import brink.cli.pair_pictures
+import brink.report.pair_pictures
 from brink.cli.commands import app
-from brink.cli.pair_pictures import facts, findings, headline, share_words
 from brink.plots.style import WIDTH_PX
+from brink.report.pair_pictures import facts, findings, headline, share_words
 from brink.search.analysis.confirmation import Confirmation
 from brink.server.api.pair_views import (
     ComponentPart,
@@ -95,8 +95,8 @@ def test_drives_are_drawn_with_the_words_of_the_pair(
     async def front_gap(_api: object, _campaign: str) -> tuple[str, ...]:
         return ("front-gap@1",)
 
-    monkeypatch.setattr(brink.cli.pair_pictures, "run_episode", trace_of)
-    monkeypatch.setattr(brink.cli.pair_pictures, "fetch_requirements", front_gap)
+    monkeypatch.setattr(brink.report.pair_pictures, "run_episode", trace_of)
+    monkeypatch.setattr(brink.report.pair_pictures, "fetch_requirements", front_gap)
     monkeypatch.setattr("brink.cli.pairs.fetch_pairs", simulated)
     picture = tmp_path / "pair.png"
     said = pairs(disc, "--picture", "1", str(picture))

@@ -1,0 +1,125 @@
+"""The figures of a campaign and replays of its solutions, as files."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from brink.api.client import Api, CoordinatorError
+from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace
+from brink.search.errors import TooManyPairs
+from brink.server.api.pair_views import PairsView
+from brink.server.states import OutcomeKind
+from brink.sim.replay import render
+from brink.sim.trace import Trace
+
+if TYPE_CHECKING:
+    from brink.plots.inputs import VerdictWords
+
+
+def draw_figures(
+    fetched: FetchedArchive,
+    folder: Path,
+    *,
+    t_b: float,
+    d_th: float,
+    pairs: PairsView | TooManyPairs | None = None,
+    formats: tuple[str, ...] = ("png",),
+) -> list[Path]:
+    """Draw the figures of a campaign.
+
+    Args:
+        fetched: The campaign.
+        folder: Folder to write to.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
+        pairs: The pairs to mark in place of boundary solutions, if the campaign searched for them; none are marked
+            if there are too many.
+        formats: File formats.
+
+    Returns:
+        The files.
+    """
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots import CampaignFigures, write_campaign_figures
+
+    figures = CampaignFigures(
+        archive=fetched.archive,
+        active=fetched.active,
+        space=fetched.plan.problem.space,
+        title=fetched.body.name,
+        generation_ends=fetched.generations,
+        t_b=t_b,
+        d_th=d_th,
+        words=_verdict_words(fetched),
+        pairs=None if pairs is None else _numbers_of(pairs),
+        too_many_pairs=isinstance(pairs, TooManyPairs),
+    )
+    return write_campaign_figures(figures, folder, formats=formats)
+
+
+def _numbers_of(pairs: PairsView | TooManyPairs) -> tuple[tuple[int, int], ...]:
+    if isinstance(pairs, TooManyPairs):
+        return ()
+    return tuple((pair.safe.number, pair.unsafe.number) for pair in pairs.pairs)
+
+
+def _verdict_words(fetched: FetchedArchive) -> "VerdictWords":
+    from brink.plots.inputs import VerdictWords
+
+    view = fetched.outcomes
+    kinds = {
+        number: view.groups[group].kind
+        for number, group in zip(view.number or (), view.group or (), strict=True)
+    }
+    numbers = fetched.archive.numbers.tolist()
+    return VerdictWords(
+        held=view.kinds[OutcomeKind.HELD], other=view.kinds[OutcomeKind.OTHER],
+        violated=view.kinds[OutcomeKind.VIOLATED],
+        others=np.array([kinds.get(number) is OutcomeKind.OTHER for number in numbers], np.bool_),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """The campaign whose episodes are drawn, and the folder for the pictures.
+
+    Attributes:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        folder: Folder for the pictures.
+        stop: Once set, no further picture is drawn.
+        timeout_s: How long to wait for a trace.
+    """
+
+    api: Api
+    campaign: str
+    folder: Path
+    stop: asyncio.Event
+    timeout_s: float
+
+    async def trace(self, number: int) -> Trace | None:
+        """Return the trace of a solution; None if it is not available."""
+        try:
+            return await fetch_trace(self.api, self.campaign, number, self.timeout_s)
+        except (NoTrace, CoordinatorError):
+            return None
+
+
+async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
+    """Draw replays of solutions as PNG files, skipping solutions without a trace; return the files."""
+    files = []
+    requirement = await fetch_requirements(drawing.api, drawing.campaign)
+    for number in numbers:
+        if drawing.stop.is_set():
+            break
+        trace = await drawing.trace(number)
+        if trace is None:
+            continue
+        path = drawing.folder / f"replay-{number}.png"
+        await asyncio.to_thread(render, trace, path, requirement=requirement)
+        files.append(path)
+    return files

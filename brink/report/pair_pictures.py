@@ -1,0 +1,182 @@
+"""A pair as a picture or a film of both drives, or as a figure if there is nothing to replay, with its words."""
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from brink.api.client import Api
+from brink.api.results import (
+    TRACE_TIMEOUT_S,
+    FetchedArchive,
+    NothingToReplay,
+    fetch_archive,
+    fetch_requirements,
+    fetch_trace,
+    run_episode,
+)
+from brink.search.analysis.confirmation import SAFE_AT_MOST, UNSAFE_AT_LEAST, Confirmation
+from brink.server.api.pair_views import (
+    ComponentPart,
+    ConfirmationView,
+    Minimality,
+    PairsView,
+    PairView,
+    ShareView,
+)
+from brink.server.problems.changes import as_sentence
+from brink.sim.replay import DrivePair, Side, render_pair
+from brink.sim.verdict import held_words
+
+FILMS: Final = (".mp4", ".gif")
+_MOST_LETTERS: Final = 230
+"""A longer headline is cut to the change alone."""
+_GAP_HELD: Final = held_words(["front-gap"])
+_REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
+_KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
+
+
+async def write_pair(
+    api: Api,
+    view: PairsView,
+    pair: PairView,
+    path: Path,
+    *,
+    workers: bool,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Draw a pair to a file and show no progress; otherwise as `draw_pair`.
+
+    Args:
+        api: Coordinator of the campaign.
+        view: The pairs of the campaign.
+        pair: The pair.
+        path: A picture (.png) or a film (.mp4, .gif).
+        workers: Whether the coordinator's workers run the drives again; otherwise this machine does.
+        on_progress: Called with the number of pictures drawn so far, and of all.
+
+    Raises:
+        NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
+    """
+    try:
+        drives = await _drives(api, view, pair, workers=workers)
+    except NothingToReplay:
+        if path.suffix in FILMS:
+            raise
+        fetched = await fetch_archive(api, view.campaign)
+        await asyncio.to_thread(_draw_figure, fetched, view, pair, path)
+        return
+    await asyncio.to_thread(render_pair, drives, path, on_progress=on_progress)
+
+
+async def _drives(api: Api, view: PairsView, pair: PairView, *, workers: bool) -> DrivePair:
+    """Return both drives of a pair with the words of the pair."""
+    if view.computed:
+        raise NothingToReplay("verdicts are computed, so there is no drive to film: ask for --picture")
+    sides = []
+    again = pair.confirmation
+    for side, share in ((pair.safe, again.safe), (pair.unsafe, again.unsafe)):
+        trace = (
+            await fetch_trace(api, view.campaign, side.number, TRACE_TIMEOUT_S)
+            if workers
+            else await run_episode(api, view.campaign, side.number)
+        )
+        sides.append(Side(number=side.number, trace=trace, outcome=side.outcome, again=share_words(share)))
+    return DrivePair(
+        safe=sides[0], unsafe=sides[1], change=headline(pair), findings=tuple(findings(pair)),
+        facts=tuple(facts(view, pair)), requirement=await fetch_requirements(api, view.campaign),
+    )  # fmt: skip
+
+
+def headline(pair: PairView) -> str:
+    """Return the change and what it did, or the change alone if that is long."""
+    words = pair.words if len(pair.words) <= _MOST_LETTERS else pair.change
+    return as_sentence(words)
+
+
+def findings(pair: PairView) -> list[str]:
+    """Return what the follow-ups of a pair found about the component and about chance, in sentences."""
+    found = []
+    if pair.component.state in _KNOWN_PARTS:
+        found.append(_component_words(pair))
+    again = pair.confirmation
+    if again.state is Confirmation.CONFIRMED:
+        found.append(f"Confirmed with {_drives_a_side(again)} other seeds a side.")
+    elif again.state is Confirmation.NOT_CONFIRMED:
+        # First, because it limits what the rest says.
+        found.insert(0, f"Not confirmed, so chance may decide: with other seeds, {_doubt(again)}.")
+    return found
+
+
+def _component_words(pair: PairView) -> str:
+    """Say whether the unsafe drive is safe with ground truth in place of the component, and what that means."""
+    first, _, rest = pair.component.outcome.partition("; ")
+    others = f" (but {rest})" if rest else ""
+    if pair.component.state is ComponentPart.SCENARIO:
+        what = f" ({pair.component.outcome})" if pair.component.outcome else ""
+        return f"With a detector that reports the truth, this drive is unsafe too{what}: the scenario is to blame."
+    keeps = "keeps its gap" if first == _GAP_HELD else "is safe"
+    return f"With a detector that reports the truth, this drive {keeps}{others}: the component is to blame."
+
+
+def _drives_a_side(again: ConfirmationView) -> str:
+    counts = sorted({again.safe.evaluated, again.unsafe.evaluated})
+    return " to ".join(str(count) for count in counts)
+
+
+def _doubt(again: ConfirmationView) -> str:
+    """Say which side did not keep its verdict with other seeds."""
+    said = []
+    if again.safe.unsafe > SAFE_AT_MOST * again.safe.evaluated:
+        said.append(f"the safe side was unsafe in {again.safe.unsafe} of {again.safe.evaluated}")
+    if again.unsafe.unsafe < UNSAFE_AT_LEAST * again.unsafe.evaluated:
+        was = "" if said else " was unsafe"
+        said.append(f"the unsafe side{was} in only {again.unsafe.unsafe} of {again.unsafe.evaluated}")
+    return " and ".join(said)
+
+
+def facts(view: PairsView, pair: PairView) -> list[str]:
+    """Return what else is known of a pair, in sentences."""
+    found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
+    if not view.computed and pair.confirmation.state not in _REPEATED:
+        found.append(
+            "Both verdicts held with another seed in the search."
+            if pair.checked
+            else "Each side was simulated once by the search."
+        )
+    less = pair.minimality
+    if less.state is Minimality.DIFFERENT_SEEDS:
+        found.append("The two had different episode seeds, so chance may be the reason for the verdicts.")
+    elif less.state is Minimality.MINIMAL:
+        how = " (tried by simulation)" if less.tried else ""  # a single difference needs no simulation
+        found.append(f"No part of the change can be left out{how}.")
+    elif less.unsafe is not None:
+        enough, differing = len(less.unsafe.changes), len(pair.changes)
+        found.append(f"{enough} of the {differing} differences {'is' if enough == 1 else 'are'} enough.")
+    return found
+
+
+def share_words(share: ShareView) -> str:
+    """Return how often a side was unsafe with other seeds; empty if that was not tried."""
+    if share.evaluated == 0 or share.probability is None:
+        return ""
+    counts = f"unsafe in {share.unsafe} of {share.evaluated} simulations with other seeds"
+    interval = f"95% interval {100 * share.low:.0f} to {100 * share.high:.0f}%"
+    return f"{counts}: {100 * share.probability:.0f}%, {interval}"
+
+
+def _draw_figure(fetched: FetchedArchive, view: PairsView, pair: PairView, path: Path) -> None:
+    """Draw the parameters in which the sides of a pair differ."""
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots import CampaignFigures, PairFigure, figure_pair
+
+    inputs = CampaignFigures(
+        archive=fetched.archive, active=fetched.active, space=fetched.plan.problem.space, title=fetched.body.name,
+        generation_ends=fetched.generations, t_b=0.0, d_th=view.d_th,
+    )  # fmt: skip
+    told = " ".join([*findings(pair), *facts(view, pair)])
+    figure = figure_pair(
+        inputs,
+        PairFigure(safe=pair.safe.number, unsafe=pair.unsafe.number, change=headline(pair), facts=(told,)),
+    )
+    figure.savefig(path)
