@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from brink.api.client import Api, CoordinatorError
-from brink.cli.live import CampaignDisplay, spark
+from brink.api.live import CampaignDisplay, spark
 from brink.cli.options import (
     AsJson,
     CampaignFile,

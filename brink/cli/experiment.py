@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from brink.api.client import Api
-from brink.cli.live import duration, rate_of
+from brink.api.live import duration, rate_of
 from brink.cli.options import (
     RESULTS,
     AsJson,

@@ -7,7 +7,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from brink.cli.live import LiveDisplay, budget_bar, duration, rate_of
+from brink.api.live import LiveDisplay, budget_bar, duration, rate_of
 from brink.cli.options import plain_table
 from brink.server.api.schemas import ExperimentProgress, MemberView
 from brink.server.states import CampaignStatus

@@ -6,7 +6,6 @@ submits a `Workload` or resumes it, watches it, and pauses it on Ctrl-C.
 
 import asyncio
 import contextlib
-import secrets
 import signal
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,18 +14,16 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 import httpx
-from pydantic import SecretStr
 from rich.console import Console
 
 from brink.api.client import TIMEOUT, Api, CoordinatorError
-from brink.cli.live import CampaignDisplay
+from brink.api.live import CampaignDisplay
 from brink.cli.options import database_option, program, settings_with
 from brink.search.errors import install_command
 from brink.server.api.schemas import ExperimentProgress, Progress
 from brink.server.errors import Conflict, InvalidInput, Unavailable
 from brink.server.problems.base import NeedsExtra, Problem
-from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
-from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_dead_workers
+from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus
 
@@ -185,27 +182,16 @@ def run_locally(
             )  # fmt: skip
             return await work(session)
 
-    with _coordinator(settings, worker_log) as (url, token, processes):
+    with _default_signals_afterwards(), local_coordinator(settings, worker_log) as (url, token, processes):
         return asyncio.run(run(url, token, processes))
 
 
 @contextlib.contextmanager
-def _coordinator(settings: Settings, worker_log: Path) -> Iterator[tuple[str, str | None, WorkerProcesses]]:
-    """Yield URL, token and workers of a coordinator that is stopped at the end of the block."""
-    prepare_database(settings)
-    if settings.token is None and has_tokens(settings, valid_only=False):
-        # The database belongs to a coordinator with tokens: this command and its workers share a separate token.
-        settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
-    release_leases_of_dead_workers(settings)
-    coordinator = EmbeddedCoordinator(settings)
-    coordinator.start()
-    token = settings.token.get_secret_value() if settings.token else None
-    processes = WorkerProcesses(url=coordinator.url, log_file=worker_log, token=token)
+def _default_signals_afterwards() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end this process again after the block, in which `stopping` may have ignored them."""
     try:
-        yield coordinator.url, token, processes
+        yield
     finally:
-        processes.stop()
-        coordinator.stop()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 

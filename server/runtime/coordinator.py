@@ -1,23 +1,27 @@
 """Running a coordinator in this process, and worker processes alongside it."""
 
+import contextlib
 import logging
 import os
 import resource
+import secrets
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import uvicorn
+from pydantic import SecretStr
 
 from brink.server.app import create_app
 from brink.server.errors import ServerError
-from brink.server.runtime.database import has_tokens
+from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_dead_workers
 from brink.server.runtime.request_timeout import protocol_with_timeout
 from brink.server.settings import LOOPBACK, Settings
 
@@ -126,16 +130,24 @@ class EmbeddedCoordinator:
 
 @dataclass(slots=True)
 class WorkerProcesses:
-    """Worker processes of this command. They exit when the command does, even if it is killed."""
+    """Worker processes of this process. They exit when it does, even if it is killed.
+
+    Attributes:
+        url: The coordinator.
+        log_file: File to which they log.
+        token: Their token; None if the coordinator needs none.
+        environment: Environment variables that they get besides those of this process.
+    """
 
     url: str
     log_file: Path
     token: str | None
+    environment: Mapping[str, str] = field(default_factory=dict)
     _running: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def start(self, count: int) -> None:
         """Start more workers."""
-        environment = dict(os.environ)
+        environment = {**os.environ, **self.environment}
         if self.token is not None:
             environment["BRINK_TOKEN"] = self.token
         self.log_file.parent.mkdir(parents=True, exist_ok=True)
@@ -181,6 +193,36 @@ class WorkerProcesses:
             if process.stdin is not None:
                 process.stdin.close()
         self._running.clear()
+
+
+@contextlib.contextmanager
+def local_coordinator(
+    settings: Settings, worker_log: Path
+) -> Iterator[tuple[str, str | None, WorkerProcesses]]:
+    """Yield URL, token and workers of a coordinator in this process; all are stopped at the end of the block.
+
+    Args:
+        settings: Settings of the coordinator. Its database is created or upgraded.
+        worker_log: Log file of the workers, none of which is started yet.
+
+    Raises:
+        DatabaseError: The database is unusable.
+        CannotListen: The coordinator failed to start.
+    """
+    prepare_database(settings)
+    if settings.token is None and has_tokens(settings, valid_only=False):
+        # The database belongs to a coordinator with tokens: this process and its workers share a separate token.
+        settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
+    release_leases_of_dead_workers(settings)
+    coordinator = EmbeddedCoordinator(settings)
+    coordinator.start()
+    token = settings.token.get_secret_value() if settings.token else None
+    processes = WorkerProcesses(url=coordinator.url, log_file=worker_log, token=token)
+    try:
+        yield coordinator.url, token, processes
+    finally:
+        processes.stop()
+        coordinator.stop()
 
 
 _MAX_OPEN_FILES: Final = 65_536

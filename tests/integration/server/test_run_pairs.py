@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 import brink.cli.pair_findings
 from brink.api.client import Api
+from brink.api.live import CampaignDisplay
 from brink.api.results import NoTrace, fetch_archive
 from brink.cli.commands import app
-from brink.cli.live import CampaignDisplay
 from brink.cli.options import with_api
 from brink.cli.pair_findings import PairFindings, fetch_pair_findings
 from brink.cli.pairs import fetch_pairs, legend, pairs_table

@@ -15,9 +15,9 @@ from support.databases import Databases
 from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
+from brink.api.live import CampaignDisplay
 from brink.cli.commands import app
 from brink.cli.findings import draw_types, violations_sentence, write_violations
-from brink.cli.live import CampaignDisplay
 from brink.search.analysis.violations import RULES_VERSION
 from brink.server.api.schemas import Progress, Violations
 
