@@ -12,7 +12,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check install dev chromium screenshots clean
+.PHONY: help run test test-all check install dev chromium screenshots reference clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -57,6 +57,9 @@ test-all: test $(VENV)/.all  ## run `test`, then the tests that take longer, whi
 
 screenshots: $(VENV)/.dev  ## retake the documentation's pictures of the dashboard in Chromium
 	PYTHONPATH=tests:tests/plugins $(BIN)/python -m browser.screenshots
+
+reference: $(VENV)/.dev  ## write the reference of the Python interface from its docstrings
+	PYTHONPATH=tests $(BIN)/python -m support.python_reference
 
 chromium:  ## install Chromium for the tests of the dashboard, unless it is installed
 	@sh tests/browser/install_chromium.sh

@@ -22,6 +22,7 @@ _HELD: Final = {
     "speed-limit": ("speed limit kept", "kept the speed limit"),
     "progress": ("no long standstill", "had no long standstill"),
     "no-dangerous-stop": ("no dangerous stop", "made no dangerous stop"),
+    "function": ("requirement held", "held the requirement"),
 }
 """What a requirement that held is called, alone and after the word drives, by id without version."""
 _VIOLATED: Final = {
@@ -31,6 +32,7 @@ _VIOLATED: Final = {
     "speed-limit": "exceeded the speed limit",
     "progress": "stood still too long",
     "no-dangerous-stop": "made a dangerous stop",
+    "function": "violated the requirement",
 }
 _COLLIDED: Final = {
     CollisionKind.VEHICLE: "hit a vehicle",

@@ -18,6 +18,7 @@ from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import ServerError
+from brink.server.problems.base import records_traces
 from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result
 from brink.worker.wire import JobFailed
@@ -133,7 +134,10 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
     Raises:
         NoTrace: The solution was not simulated, or its episode failed on this machine.
     """
+    body = (await api.read(CampaignView, f"/campaigns/{campaign}")).body
     spec = (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")).spec
+    if not records_traces(make_plan(body).problem):
+        raise NothingToReplay(f"{body.problem.id} has no drives to replay")
     if spec is None:
         raise NothingToReplay(f"solution {number} was not simulated: it has no replay")
 

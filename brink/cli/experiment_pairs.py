@@ -9,8 +9,7 @@ from rich.markup import escape
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
-from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
-from brink.cli.follow_ups import (
+from brink.api.follow_ups import (
     OPEN,
     SIMULATED,
     continue_follow_up,
@@ -18,7 +17,8 @@ from brink.cli.follow_ups import (
     follow_up_requests,
     pause_follow_up,
 )
-from brink.cli.local import Session, check_extra, run_locally, stopping
+from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
+from brink.cli.local import Session, run_locally, stopping
 from brink.cli.options import RESULTS, plain_table, settings_with, with_api
 from brink.report.experiment_pairs import (
     COLUMNS,
@@ -33,6 +33,7 @@ from brink.server.api.pair_views import FollowUpView
 from brink.server.api.schemas import ExperimentProgress, ExperimentView
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 
 

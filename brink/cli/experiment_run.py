@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from brink.api.client import Api
+from brink.api.follow_ups import OPEN
 from brink.cli.experiment_pairs import (
     fetch_experiment_pairs,
     pair_repeats_of,
@@ -16,8 +17,7 @@ from brink.cli.experiment_pairs import (
     run_follow_ups,
 )
 from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
-from brink.cli.follow_ups import OPEN
-from brink.cli.local import RunOptions, Session, check_extra, run_to_end
+from brink.cli.local import RunOptions, Session, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
 from brink.report.experiment import ReportedPairs, html_report, markdown_report, sentences
 from brink.search.analysis.comparison import Repeat, duels, standings
@@ -40,6 +40,7 @@ from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody
 from brink.server.experiments.pairs import check_pairs
+from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 
 

@@ -9,7 +9,6 @@ import contextlib
 import signal
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -19,10 +18,8 @@ from rich.console import Console
 from brink.api.client import TIMEOUT, Api, CoordinatorError
 from brink.api.live import CampaignDisplay
 from brink.cli.options import database_option, program, settings_with
-from brink.search.errors import install_command
 from brink.server.api.schemas import ExperimentProgress, Progress
-from brink.server.errors import Conflict, InvalidInput, Unavailable
-from brink.server.problems.base import NeedsExtra, Problem
+from brink.server.errors import Conflict, Unavailable
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus
@@ -282,17 +279,3 @@ async def stopping(stop: asyncio.Event) -> AsyncIterator[None]:
         for number in STOP_SIGNALS:
             loop.remove_signal_handler(number)
             signal.signal(number, signal.SIG_IGN)
-
-
-def check_extra(problem: Problem) -> None:
-    """Check that workers on this machine have the optional dependencies that a problem needs.
-
-    Raises:
-        InvalidInput: An optional dependency is not installed.
-    """
-    if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
-        message = (
-            f"{problem.id} needs the {problem.extra} extra, which is not installed: "
-            f"{install_command(problem.extra)}"
-        )
-        raise InvalidInput.at("/problem/id", message)

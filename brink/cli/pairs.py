@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from brink.api.client import Api
-from brink.cli.follow_ups import (
+from brink.api.follow_ups import (
     OPEN,
     SIMULATED,
     continue_follow_up,
@@ -20,7 +20,7 @@ from brink.cli.follow_ups import (
     follow_up_requests,
     pause_follow_up,
 )
-from brink.cli.local import Session, check_extra, run_locally, stopping
+from brink.cli.local import Session, run_locally, stopping
 from brink.cli.options import (
     RESULTS,
     AsJson,
@@ -50,6 +50,7 @@ from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.errors import InvalidInput
+from brink.server.problems.catalogue import check_extra
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus
 

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from brink.api.client import Api, CoordinatorError
-from brink.cli.local import Session, check_extra, run_locally, stopping
+from brink.cli.local import Session, run_locally, stopping
 from brink.cli.options import (
     RESULTS,
     AsJson,
@@ -30,6 +30,7 @@ from brink.server.api.repeats import DEFAULT_REPEATS, RepeatedSolution, RepeatsV
 from brink.server.api.schemas import CampaignView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_plan
+from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 
 SOLUTIONS_SHOWN = 20

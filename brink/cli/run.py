@@ -19,7 +19,7 @@ from brink.cli.campaigns import grid_table, solution_table, within_budget
 from brink.cli.compare import compared_archives
 from brink.cli.draw import write_results
 from brink.cli.findings import Findings, fetch_findings
-from brink.cli.local import RunOptions, Session, check_extra, run_to_end
+from brink.cli.local import RunOptions, Session, run_to_end
 from brink.cli.options import (
     RESULTS,
     CampaignFile,
@@ -42,6 +42,7 @@ from brink.server.api.repeats import RepeatsView
 from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import check_submission
+from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 
 PAPER_BUDGET = 1300

@@ -12,12 +12,15 @@ from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView
+from brink.server.errors import InvalidInput
 from brink.server.states import OutcomeKind
 from brink.sim.replay import render
 from brink.sim.trace import Trace
 
 if TYPE_CHECKING:
-    from brink.plots.inputs import VerdictWords
+    from matplotlib.figure import Figure
+
+    from brink.plots.inputs import CampaignFigures, VerdictWords
 
 
 def draw_figures(
@@ -43,10 +46,45 @@ def draw_figures(
     Returns:
         The files.
     """
-    # matplotlib takes half a second to load: only commands that draw wait for it.
-    from brink.plots import CampaignFigures, write_campaign_figures
+    # matplotlib takes half a second to load: only what draws waits for it.
+    from brink.plots import write_campaign_figures
 
-    figures = CampaignFigures(
+    return write_campaign_figures(_inputs(fetched, t_b, d_th, pairs), folder, formats=formats)
+
+
+def campaign_figure(
+    name: str,
+    fetched: FetchedArchive,
+    *,
+    t_b: float,
+    d_th: float,
+    pairs: PairsView | TooManyPairs | None = None,
+) -> "Figure":
+    """Return one of the figures that `draw_figures` draws.
+
+    Args:
+        name: Stem of its file name: ``map``, ``parameters``, ``dbs`` or ``fitness``.
+        fetched: The campaign.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
+        pairs: As for `draw_figures`.
+
+    Raises:
+        InvalidInput: There is no such figure.
+    """
+    from brink.plots import FIGURES
+
+    if name not in FIGURES:
+        raise InvalidInput.at("what", f"expected one of {', '.join(FIGURES)}; got {name!r}")
+    return FIGURES[name](_inputs(fetched, t_b, d_th, pairs))
+
+
+def _inputs(
+    fetched: FetchedArchive, t_b: float, d_th: float, pairs: PairsView | TooManyPairs | None
+) -> "CampaignFigures":
+    from brink.plots import CampaignFigures
+
+    return CampaignFigures(
         archive=fetched.archive,
         active=fetched.active,
         space=fetched.plan.problem.space,
@@ -58,7 +96,6 @@ def draw_figures(
         pairs=None if pairs is None else _numbers_of(pairs),
         too_many_pairs=isinstance(pairs, TooManyPairs),
     )
-    return write_campaign_figures(figures, folder, formats=formats)
 
 
 def _numbers_of(pairs: PairsView | TooManyPairs) -> tuple[tuple[int, int], ...]:

@@ -63,12 +63,12 @@ from brink.server.db.engine import read
 from brink.server.errors import Conflict, InvalidInput, NotFound
 from brink.server.problems.base import (
     ExplainsChanges,
-    InProcessProblem,
     NamesRequirements,
     Problem,
     SimulatedSolution,
     activity_of,
     describe_candidate,
+    ignores_seeds,
 )
 from brink.server.problems.changes import Change, as_sentence, change_words, changes_between
 from brink.server.states import CampaignStatus, SolutionVerdict
@@ -208,7 +208,7 @@ def pairs_view(
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
         complete=campaign.status in ENDED, generation=found.generation, evaluated=len(found.archive),
         eps=pairs.settings.eps, d_th=pairs.settings.d_th,
-        searched=searches_for_pairs(campaign.body.algorithm.id), computed=isinstance(problem, InProcessProblem),
+        searched=searches_for_pairs(campaign.body.algorithm.id), computed=ignores_seeds(problem),
         note=_note(campaign, found, pairs, deciding, counts),
         terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
@@ -555,7 +555,7 @@ def _note(
     counts: Mapping[str, int],
 ) -> str:
     """Return the result in one sentence."""
-    computed = isinstance(found.plan.problem, InProcessProblem)
+    computed = ignores_seeds(found.plan.problem)
     words = _result_words(pairs, deciding, counts, computed=computed)
     if campaign.status in ENDED:
         return words

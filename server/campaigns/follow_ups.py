@@ -36,7 +36,7 @@ from brink.server.campaigns.repeats import (
 )
 from brink.server.campaigns.store import Campaign
 from brink.server.errors import Conflict
-from brink.server.problems.base import InProcessProblem
+from brink.server.problems.base import ignores_seeds
 
 MOST_PAIRS_FOLLOWED = MOST // 2
 """Maximum number of pairs in a follow-up, checked ones first."""
@@ -125,7 +125,7 @@ def plan_minimisation(
 
 def has_one_seed(plan: Plan, pair: Pair) -> bool:
     """Return whether only the differences between the sides of a pair can explain their verdicts, not the seeds."""
-    return pair.same_seed or isinstance(plan.problem, InProcessProblem)
+    return pair.same_seed or ignores_seeds(plan.problem)
 
 
 def reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> tuple[list[Pair], Reductions]:

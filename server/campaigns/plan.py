@@ -30,6 +30,7 @@ from brink.server.problems.base import (
     ReplacesComponent,
     SimulatedProblem,
     SupportsSeeds,
+    ignores_seeds,
 )
 from brink.server.problems.catalogue import (
     config_field_error,
@@ -173,7 +174,7 @@ def check_repeatable(plan: Plan) -> None:
     Raises:
         InvalidInput: The problem is computed, not simulated.
     """
-    if isinstance(plan.problem, InProcessProblem):
+    if ignores_seeds(plan.problem):
         message = f"{plan.body.problem.id} is computed, not simulated: other seeds give the same verdicts"
         raise InvalidInput.at("/repeats", message)
 

@@ -122,6 +122,28 @@ class NeedsExtra(Protocol):
 
 
 @runtime_checkable
+class IgnoresSeeds(Protocol):
+    """A simulated problem that says whether chance has a part in its verdicts.
+
+    Attributes:
+        ignores_seeds: Whether every seed gives the same verdict.
+    """
+
+    ignores_seeds: bool
+
+
+@runtime_checkable
+class RecordsTraces(Protocol):
+    """A simulated problem that says whether its simulator records traces; any other's does.
+
+    Attributes:
+        records_traces: Whether there are drives to replay.
+    """
+
+    records_traces: bool
+
+
+@runtime_checkable
 class DescribesCandidates(Protocol):
     """A problem that can describe its candidates."""
 
@@ -328,6 +350,20 @@ class SupportsSeeds(Protocol):
 
 
 Problem: TypeAlias = SimulatedProblem | InProcessProblem
+
+
+def ignores_seeds(problem: Problem) -> bool:
+    """Return whether chance has no part in the verdicts of a problem."""
+    return isinstance(problem, InProcessProblem) or (
+        isinstance(problem, IgnoresSeeds) and problem.ignores_seeds
+    )
+
+
+def records_traces(problem: Problem) -> bool:
+    """Return whether episodes of a problem can be replayed."""
+    if isinstance(problem, InProcessProblem):
+        return False
+    return problem.records_traces if isinstance(problem, RecordsTraces) else True
 
 
 def activity_of(problem: Problem, vectors: Vectors, result: Mapping[str, Any] | None) -> Activity | None:

@@ -6,17 +6,24 @@ pydantic models, which validate and describe the input.
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields
+from importlib.util import find_spec
 from typing import Any, Literal, cast, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
 
 from brink.search.algorithm import Algorithm
-from brink.search.errors import ConfigError, UnsupportedSpace
+from brink.search.errors import ConfigError, UnsupportedSpace, install_command
 from brink.search.slots import slots_of
 from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
-from brink.server.problems.base import InProcessProblem, Problem, ReportsViolations, SimulatedProblem
+from brink.server.problems.base import (
+    InProcessProblem,
+    NeedsExtra,
+    Problem,
+    ReportsViolations,
+    SimulatedProblem,
+)
 from brink.sim.catalogue import load_plugin, plugin_ids
 
 PROBLEMS = "brink.problems"
@@ -143,6 +150,20 @@ def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
             f"plug-in {problem_id}: expected a class with the methods episode and evaluation, or with evaluate"
         )
     return problem
+
+
+def check_extra(problem: Problem) -> None:
+    """Check that workers on this machine have the optional dependencies that a problem needs.
+
+    Raises:
+        InvalidInput: An optional dependency is not installed.
+    """
+    if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
+        message = (
+            f"{problem.id} needs the {problem.extra} extra, which is not installed: "
+            f"{install_command(problem.extra)}"
+        )
+        raise InvalidInput.at("/problem/id", message)
 
 
 def describe_problems() -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import brink.search.analysis.neighbours
+from brink.search.analysis import neighbours
 from brink.search.analysis.monitor import Answer, Model, Monitor
 from brink.search.analysis.monitor_evaluation import evaluate_monitor, evaluate_pairs
 from brink.search.analysis.neighbours import Neighbours
@@ -67,7 +67,7 @@ def test_blocks_do_not_change_the_scores(monkeypatch: pytest.MonkeyPatch) -> Non
     monitor = Monitor.of(PLANE, (8, 2), rows, unsafe, threshold=0.5)
     asked, _ = plane(70, seed=9)
     at_once = monitor.score(asked)
-    monkeypatch.setattr(brink.search.analysis.neighbours, "BLOCK_PAIRS", 700)
+    monkeypatch.setattr(neighbours, "BLOCK_PAIRS", 700)
     in_blocks = monitor.score(asked)
     assert in_blocks.probability == pytest.approx(at_once.probability)
     assert in_blocks.neighbours == pytest.approx(at_once.neighbours)
@@ -124,8 +124,8 @@ def test_monitor_survives_storage(tmp_path: Path) -> None:
 
 def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     rows, unsafe = plane(400)
-    monkeypatch.setattr(brink.search.analysis.neighbours, "MAX_LEARNED", 150)
-    monkeypatch.setattr(brink.search.analysis.neighbours, "MAX_PREDICTED", 100)
+    monkeypatch.setattr(neighbours, "MAX_LEARNED", 150)
+    monkeypatch.setattr(neighbours, "MAX_PREDICTED", 100)
     first, again = (Monitor.fitted(PLANE, rows, unsafe, threshold=0.5, seed=3) for _ in range(2))
     assert (weights_of(first) == weights_of(again)).all()
     assert len(first) == 400, "a fitted monitor uses all solutions"

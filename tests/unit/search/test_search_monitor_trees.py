@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import brink.search.analysis.boosted_trees
+from brink.search.analysis import boosted_trees
 from brink.search.analysis.boosted_trees import FOLDS, _folds
 from brink.search.analysis.coverage import Coverage
 from brink.search.analysis.monitor import Answer, Model, Monitor, default_model
@@ -111,7 +111,7 @@ def test_trees_are_compared_with_neighbours(monitor: Monitor) -> None:
 def test_missing_scikit_learn_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     rows, unsafe = drawn(60, 1)
     assert default_model(unsafe) is Model.TREES
-    monkeypatch.setattr(brink.search.analysis.boosted_trees, "find_spec", lambda name: None)
+    monkeypatch.setattr(boosted_trees, "find_spec", lambda name: None)
     with pytest.raises(
         MissingExtra, match=r"scikit-learn, which is not installed: pip install .*\[analysis\]"
     ):

@@ -1,4 +1,4 @@
-"""Follow-ups of pairs, as the commands ask for them: what they simulate, and how they are paused and continued."""
+"""Follow-ups of pairs, as clients ask for them: what they simulate, and how they are paused and continued."""
 
 import contextlib
 from collections.abc import Mapping, Sequence

@@ -1,0 +1,70 @@
+"""A campaign as it is written in Python, and every other form that `brink.run` and `Client.submit` take."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from brink.server.campaigns.body import CampaignBody, parse_body, read_campaign_file
+
+CampaignLike: TypeAlias = "Campaign | CampaignBody | Mapping[str, Any] | str | Path"
+"""A campaign, or its file, or the content of its file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Campaign:
+    """A campaign: a problem, an algorithm and a budget.
+
+    `brink plugins` lists problems and algorithms, and docs/reference/problems.md their parameters.
+
+    Attributes:
+        problem: Id of the problem, such as ``urban-injected@1``.
+        algorithm: Id of the algorithm.
+        simulations: Number of simulations.
+        name: Name of the campaign.
+        seed: Seed of the search: the same campaign with the same seed gives the same result.
+        problem_params: Parameters of the problem that differ from their defaults.
+        algorithm_params: The same for the algorithm.
+        start_from: Known points and results: ``{"campaign": ID}`` or ``{"solutions": [...]}``.
+        more: Further fields of the campaign file, such as ``repeats`` or ``execution``.
+    """
+
+    problem: str
+    simulations: int
+    algorithm: str = "edge@1"
+    name: str = ""
+    seed: int = 1
+    problem_params: Mapping[str, Any] = field(default_factory=dict)
+    algorithm_params: Mapping[str, Any] = field(default_factory=dict)
+    start_from: Mapping[str, Any] | None = None
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """Return the campaign as a campaign file has it."""
+        document = {
+            "name": self.name or f"{self.problem.partition('@')[0]}, {self.algorithm.partition('@')[0]}",
+            "problem": {"id": self.problem, "params": dict(self.problem_params)},
+            "algorithm": {"id": self.algorithm, "params": dict(self.algorithm_params)},
+            "budget": {"simulations": self.simulations},
+            "seed": self.seed,
+            **self.more,
+        }
+        if self.start_from is not None:
+            document["start_from"] = dict(self.start_from)
+        return document
+
+
+def body_of(campaign: CampaignLike) -> CampaignBody:
+    """Return the body of a campaign, however it is given.
+
+    Args:
+        campaign: A `Campaign`, the path of a campaign file, or its content.
+
+    Raises:
+        InvalidInput: A field is missing, unknown or invalid, or the file cannot be read.
+    """
+    if isinstance(campaign, CampaignBody):
+        return campaign
+    if isinstance(campaign, str | Path):
+        return read_campaign_file(Path(campaign))
+    return parse_body(campaign.document() if isinstance(campaign, Campaign) else dict(campaign))

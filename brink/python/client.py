@@ -1,0 +1,282 @@
+"""Campaigns of a coordinator, or of a database of this machine: submitting, watching and fetching them.
+
+`AsyncClient` does the work; `Client` offers the same without ``await``.
+"""
+
+import asyncio
+import os
+import time
+from typing import Final
+
+from brink.api.client import Api
+from brink.python.campaign import CampaignLike, body_of
+from brink.python.connection import Connection, Coordinator, LocalDatabase, wait_for
+from brink.python.display import Display, display_of
+from brink.python.result import AsyncResult, CampaignUnfinished, Result
+from brink.server.api.schemas import CampaignList, CampaignView, Progress
+from brink.server.settings import Settings
+from brink.server.states import CampaignStatus
+
+POLL_S: Final = 0.5
+_PAGE: Final = 200
+
+
+async def watch(api: Api, campaign: str, display: Display, timeout_s: float | None = None) -> Progress:
+    """Show the progress of a campaign until it no longer runs, and return its last progress.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Its id.
+        display: What shows the progress.
+        timeout_s: How long to wait; None waits for ever.
+
+    Raises:
+        TimeoutError: It still runs after that time.
+    """
+    deadline = None if timeout_s is None else time.monotonic() + timeout_s
+    while True:
+        params = {"since": display.generations}
+        progress = await api.read(Progress, f"/campaigns/{campaign}/progress", params)
+        display.show(progress)
+        if progress.status is not CampaignStatus.RUNNING:
+            return progress
+        if deadline is not None and time.monotonic() >= deadline:
+            raise TimeoutError(
+                f"campaign {campaign} still runs after {timeout_s:g} s: {progress.simulations:,} of "
+                f"{progress.budget:,} simulations, {progress.workers or 'no'} workers"
+            )
+        await asyncio.sleep(POLL_S)
+
+
+def check_finished(progress: Progress) -> None:
+    """Check that a campaign has finished.
+
+    Raises:
+        CampaignUnfinished: It was cancelled, or paused by a user or after too many failures.
+    """
+    if progress.status is not CampaignStatus.FINISHED:
+        reason = f": {progress.status_reason}" if progress.status_reason else ""
+        raise CampaignUnfinished(f"campaign {progress.id} is {progress.status}{reason}")
+
+
+class AsyncSubmitted:
+    """A campaign of a coordinator: the methods of `Submitted`, with ``await``."""
+
+    def __init__(self, connection: Connection, campaign: str, name: str) -> None:
+        self._connection = connection
+        self.id = campaign
+        self.name = name
+
+    def __repr__(self) -> str:
+        return f"<campaign {self.id}, {self.name}>"
+
+    async def progress(self) -> Progress:
+        """Return its progress."""
+        async with self._connection.open() as api:
+            return await api.read(Progress, f"/campaigns/{self.id}/progress")
+
+    async def wait(self, *, timeout_s: float | None = None, progress: bool = True) -> AsyncResult:
+        """Wait until it has finished, and return its result."""
+        async with self._connection.open() as api:
+            with display_of(progress) as display:
+                check_finished(await watch(api, self.id, display, timeout_s))
+        return await self.result()
+
+    async def result(self) -> AsyncResult:
+        """Return what it has found so far."""
+        return await AsyncResult.fetch(self._connection, self.id)
+
+    async def pause(self) -> None:
+        """Pause it."""
+        await self._post("pause")
+
+    async def resume(self) -> None:
+        """Resume it."""
+        await self._post("resume")
+
+    async def cancel(self) -> None:
+        """Cancel it."""
+        await self._post("cancel")
+
+    async def _post(self, action: str) -> None:
+        async with self._connection.open() as api:
+            await api.post(f"/campaigns/{self.id}/{action}")
+
+
+class AsyncClient:
+    """The campaigns of a place: the methods of `Client`, with ``await``."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def __repr__(self) -> str:
+        return f"<campaigns of {self._connection.where}>"
+
+    async def submit(self, campaign: CampaignLike) -> AsyncSubmitted:
+        """Submit a campaign, and return it."""
+        body = body_of(campaign)
+        async with self._connection.open() as api:
+            view = await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))
+        return AsyncSubmitted(self._connection, view.id, view.name)
+
+    async def campaign(self, campaign: str) -> AsyncSubmitted:
+        """Return a campaign by its id."""
+        async with self._connection.open() as api:
+            view = await api.read(CampaignView, f"/campaigns/{campaign}")
+        return AsyncSubmitted(self._connection, view.id, view.name)
+
+    async def campaigns(self, status: str | None = None) -> list[AsyncSubmitted]:
+        """Return all campaigns, newest first."""
+        params: dict[str, str | int] = {"limit": _PAGE} | ({} if status is None else {"status": status})
+        found: list[AsyncSubmitted] = []
+        async with self._connection.open() as api:
+            while True:
+                page = await api.read(CampaignList, "/campaigns", params)
+                found += [AsyncSubmitted(self._connection, view.id, view.name) for view in page.campaigns]
+                if page.next is None:
+                    return found
+                params["cursor"] = page.next
+
+
+class Submitted:
+    """A campaign of a coordinator. `AsyncSubmitted` has the same methods with ``await``."""
+
+    def __init__(self, campaign: AsyncSubmitted) -> None:
+        self._async = campaign
+
+    def __repr__(self) -> str:
+        return repr(self._async)
+
+    @property
+    def id(self) -> str:
+        """Its id."""
+        return self._async.id
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self._async.name
+
+    def progress(self) -> Progress:
+        """Return its progress: counts, rates, status.
+
+        Raises:
+            CoordinatorError: Nobody answers, or the campaign was deleted.
+        """
+        return wait_for(self._async.progress)
+
+    def wait(self, *, timeout_s: float | None = None, progress: bool = True) -> Result:
+        """Wait until it has finished, and return its result. Ctrl-C stops the waiting, not the campaign.
+
+        Args:
+            timeout_s: How long to wait; None waits for ever.
+            progress: Whether to show the progress.
+
+        Raises:
+            CampaignUnfinished: It was cancelled, or paused.
+            TimeoutError: It still runs after that time.
+        """
+        return Result(wait_for(lambda: self._async.wait(timeout_s=timeout_s, progress=progress)))
+
+    def result(self) -> Result:
+        """Return what it has found so far."""
+        return Result(wait_for(self._async.result))
+
+    def pause(self) -> None:
+        """Pause it: no further simulation begins."""
+        wait_for(self._async.pause)
+
+    def resume(self) -> None:
+        """Resume it after a pause."""
+        wait_for(self._async.resume)
+
+    def cancel(self) -> None:
+        """Cancel it. What it has found so far stays."""
+        wait_for(self._async.cancel)
+
+
+class Client:
+    """The campaigns of a coordinator, or of a database of this machine.
+
+    `AsyncClient` has the same methods with ``await``.
+    """
+
+    def __init__(self, client: AsyncClient) -> None:
+        self._async = client
+
+    def __repr__(self) -> str:
+        return repr(self._async)
+
+    def submit(self, campaign: CampaignLike) -> Submitted:
+        """Submit a campaign, and return it. Workers elsewhere simulate it; `brink.run` does so here.
+
+        Args:
+            campaign: The campaign, its file, or the content of its file.
+
+        Raises:
+            InvalidInput: A field is missing, unknown or invalid.
+            CoordinatorError: The coordinator rejects it, or nobody answers.
+        """
+        return Submitted(wait_for(lambda: self._async.submit(campaign)))
+
+    def campaign(self, campaign: str) -> Submitted:
+        """Return a campaign by its id, or a unique prefix of it.
+
+        Raises:
+            CoordinatorError: There is none.
+        """
+        return Submitted(wait_for(lambda: self._async.campaign(campaign)))
+
+    def campaigns(self, status: str | None = None) -> list[Submitted]:
+        """Return all campaigns, newest first.
+
+        Args:
+            status: ``running``, ``paused``, ``finished``, ``cancelled`` or ``failed``; None for all.
+        """
+        return [Submitted(one) for one in wait_for(lambda: self._async.campaigns(status))]
+
+
+def connect_async(
+    url: str | None = None, token: str | None = None, *, database: str | None = None
+) -> AsyncClient:
+    """Return the campaigns of a coordinator or a database, for asynchronous code; see `connect`."""
+    return AsyncClient(_connection(url, token, database))
+
+
+def connect(url: str | None = None, token: str | None = None, *, database: str | None = None) -> Client:
+    """Return the campaigns of a coordinator, or of a database of this machine.
+
+    Args:
+        url: Address of the coordinator, such as ``http://127.0.0.1:8700``; by default that in ``BRINK_SERVER``, and
+            without one the database.
+        token: Its token; by default that in ``BRINK_TOKEN``.
+        database: URL of a database to open instead; by default that in ``BRINK_DATABASE``, else ``./brink.db``.
+
+    Example:
+        >>> import brink
+        >>> campaign = brink.Campaign(problem="onemax@1", algorithm="random@1", simulations=60, name="bits")
+        >>> brink.run(campaign, progress=False, database="bits.db").status.value
+        'finished'
+        >>> [campaign.name for campaign in brink.connect(database="bits.db").campaigns()]
+        ['bits']
+    """
+    return Client(connect_async(url, token, database=database))
+
+
+def _connection(url: str | None, token: str | None, database: str | None) -> Connection:
+    chosen = url or (None if database else os.environ.get("BRINK_SERVER"))
+    if chosen:
+        return Coordinator(chosen, token or os.environ.get("BRINK_TOKEN") or None)
+    return LocalDatabase(settings_of(database))
+
+
+def settings_of(database: str | None) -> Settings:
+    """Return the settings of a local coordinator.
+
+    Args:
+        database: URL of its database, or the path of a SQLite file; None for the default one.
+    """
+    if database is None:
+        return Settings(llm_endpoints="*")  # the user runs both the campaign and the coordinator
+    url = database if "://" in database else f"sqlite:///{database}"
+    return Settings(database=url, llm_endpoints="*")

@@ -1,0 +1,135 @@
+"""Where campaigns are: a coordinator, or a database of this machine; and how synchronous code talks to either."""
+
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol, TypeVar
+
+from anyio import CancelScope, to_thread
+from anyio.from_thread import start_blocking_portal
+
+from brink.api.client import Api, connect, in_process
+from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
+from brink.server.settings import Settings
+
+T = TypeVar("T")
+RESULTS: Final = Path("brink-results")
+"""Folder of the workers' log."""
+
+
+class Connection(Protocol):
+    """A place with campaigns.
+
+    Attributes:
+        where: Its address, for people.
+        has_workers: Whether workers elsewhere may simulate for it; otherwise this machine does.
+    """
+
+    @property
+    def where(self) -> str: ...  # noqa: D102
+    @property
+    def has_workers(self) -> bool: ...  # noqa: D102
+
+    def open(self) -> AbstractAsyncContextManager[Api]:
+        """Return a client of its API, to be used in ``async with``."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinator:
+    """A coordinator, and the token that it wants."""
+
+    url: str
+    token: str | None = None
+
+    @property
+    def where(self) -> str:
+        """Its address."""
+        return self.url
+
+    @property
+    def has_workers(self) -> bool:
+        """Whether workers elsewhere may simulate for it."""
+        return True
+
+    def open(self) -> AbstractAsyncContextManager[Api]:
+        """Return a client of its API, to be used in ``async with``."""
+        return connect(self.url, self.token)
+
+
+@dataclass(frozen=True, slots=True)
+class LocalDatabase:
+    """A database of this machine, opened in this process."""
+
+    settings: Settings
+
+    @property
+    def where(self) -> str:
+        """Its address."""
+        return self.settings.database
+
+    @property
+    def has_workers(self) -> bool:
+        """Whether workers elsewhere may simulate for it."""
+        return False
+
+    def open(self) -> AbstractAsyncContextManager[Api]:
+        """Return a client of its API, to be used in ``async with``."""
+        return in_process(self.settings)
+
+
+@asynccontextmanager
+async def with_workers(connection: Connection, workers: int) -> AsyncIterator[Api]:
+    """Yield a client of a place where something simulates: workers of this machine, unless there are others.
+
+    Args:
+        connection: The place.
+        workers: Number of worker processes on this machine.
+    """
+    if not isinstance(connection, LocalDatabase):
+        async with connection.open() as api:
+            yield api
+        return
+    async with local_workers(connection.settings, workers) as (api, _):
+        yield api
+
+
+@asynccontextmanager
+async def local_workers(
+    settings: Settings, workers: int, environment: Mapping[str, str] | None = None
+) -> AsyncIterator[tuple[Api, WorkerProcesses]]:
+    """Yield a client of a coordinator in this process, and its worker processes.
+
+    Args:
+        settings: Settings of the coordinator; a port of 0 picks a free one.
+        workers: Number of worker processes.
+        environment: Environment variables that they get besides those of this process.
+    """
+    context = local_coordinator(settings.model_copy(update={"port": 0}), RESULTS / "worker.log")
+    url, token, processes = await to_thread.run_sync(context.__enter__)
+    try:
+        processes.environment = environment or {}
+        await to_thread.run_sync(processes.start, workers)
+        async with connect(url, token) as api:
+            yield api, processes
+    finally:
+        with CancelScope(shield=True):
+            await to_thread.run_sync(context.__exit__, None, None, None)
+
+
+def wait_for(work: Callable[[], Awaitable[T]]) -> T:
+    """Run asynchronous work to its end, and return its result.
+
+    It runs in an event loop on a thread of its own, because a notebook has one running already. Ctrl-C cancels it.
+
+    Args:
+        work: Called without arguments on that thread.
+    """
+    with start_blocking_portal() as portal:
+        future = portal.start_task_soon(work)
+        try:
+            return future.result()
+        except KeyboardInterrupt:
+            future.cancel()
+            raise

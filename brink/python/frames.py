@@ -1,0 +1,90 @@
+"""Results as pandas data frames; pandas is imported when the first one is made."""
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from brink.search.archive import Archive
+from brink.search.errors import MissingExtra, install_command
+from brink.search.parameters import Categorical
+from brink.search.space import BoolArray, SearchSpace
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def data_frame(columns: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
+    """Return a data frame of columns, or of rows.
+
+    Raises:
+        MissingExtra: pandas is not installed.
+    """
+    frame: pd.DataFrame = _pandas().DataFrame(columns)
+    return frame
+
+
+def frame_of_csv(text: str) -> "pd.DataFrame":
+    """Return a data frame of a CSV table.
+
+    Raises:
+        MissingExtra: pandas is not installed.
+    """
+    frame: pd.DataFrame = _pandas().read_csv(io.StringIO(text))
+    return frame
+
+
+def _pandas() -> Any:
+    try:
+        import pandas as pd
+    except ImportError:
+        raise MissingExtra(f"data frames need pandas: {install_command('analysis')}") from None
+    return pd
+
+
+def archive_frame(archive: Archive, space: SearchSpace, active: BoolArray | None = None) -> "pd.DataFrame":
+    """Return evaluated solutions as a data frame, one row each.
+
+    Args:
+        archive: The solutions.
+        space: Their search space.
+        active: Which parameters had a part in each episode, shape ``(n, d)``; the others are left empty. None keeps
+            all.
+
+    Returns:
+        The columns ``number``, one for each parameter (as component.parameter, unless there is one component only),
+        ``unsafe``, ``robustness``, ``fitness``, ``neighbours`` and ``unsafe_neighbours``.
+    """
+    columns: dict[str, Any] = {"number": archive.numbers}
+    parameters = [one for component in space.components for one in component.parameters]
+    for place, (name, parameter) in enumerate(zip(parameter_columns(space), parameters, strict=True)):
+        values = archive.vectors[:, place]
+        shown = np.ones(len(archive), np.bool_) if active is None else active[:, place]
+        if isinstance(parameter, Categorical):
+            columns[name] = [
+                parameter.choices[int(value)] if on else None
+                for value, on in zip(values.tolist(), shown.tolist(), strict=True)
+            ]
+        else:
+            columns[name] = np.where(shown, values, np.nan)
+    return data_frame(
+        {
+            **columns,
+            "unsafe": archive.unsafe,
+            "robustness": archive.robustness,
+            "fitness": archive.fitness,
+            "neighbours": archive.neighbours,
+            "unsafe_neighbours": archive.unsafe_neighbours,
+        }
+    )
+
+
+def parameter_columns(space: SearchSpace) -> list[str]:
+    """Return the names of a space's parameters in data frames."""
+    single = len(space.components) == 1
+    return [
+        one.name if single else f"{component.name}.{one.name}"
+        for component in space.components
+        for one in component.parameters
+    ]

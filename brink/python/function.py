@@ -1,0 +1,180 @@
+"""Searching the boundary of a Python function of one's own."""
+
+import inspect
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from brink.python.connection import wait_for
+from brink.python.local import run_body
+from brink.python.result import AsyncResult, Result
+from brink.search.errors import SpaceError
+from brink.search.shorthand import DeclaredSpace, space_of
+from brink.search.space import SearchSpace
+from brink.server.campaigns.body import CampaignBody, parse_body
+from brink.server.campaigns.plan import check_submission
+from brink.server.errors import InvalidInput
+from brink.server.problems.function import Function
+from brink.server.states import CampaignStatus
+from brink.sim.adapters import function as simulator
+from brink.sim.catalogue import PLUGINS_VARIABLE
+
+
+def search(
+    function: Callable[..., float | Mapping[str, float]],
+    space: DeclaredSpace,
+    *,
+    algorithm: str = "edge@1",
+    simulations: int = 500,
+    params: Mapping[str, Any] | None = None,
+    seed: int = 1,
+    name: str | None = None,
+    workers: int = 2,
+    timeout_s: float = 60.0,
+    start_from: Mapping[str, Any] | None = None,
+    database: str | None = None,
+    resume: bool = True,
+    progress: bool = True,
+) -> Result:
+    """Find where a function of your own changes its sign: the boundary between safe and unsafe.
+
+    The function is called in worker processes, and every result is stored. Ctrl-C pauses the search, and the same
+    call continues it, as long as the function is the same.
+
+    Args:
+        function: Called with the values of the parameters by name. It returns a number, negative if the requirement
+            is violated, in whatever unit; or a mapping with that number as ``robustness`` and objectives to minimise.
+            If chance has a part in it, give it an argument ``seed`` and draw from a generator with that seed.
+        space: Its parameters by name, such as ``{"speed": (5.0, 30.0, "m/s"), "lanes": range(2, 5), "road": ["dry",
+            "wet"]}``, or such mappings by component, which ``mlcshe@1`` needs two of.
+        algorithm: Id of the algorithm.
+        simulations: Number of calls.
+        params: Parameters of the algorithm that differ from their defaults.
+        seed: Seed of the search.
+        name: Name of the campaign; by default that of the function.
+        workers: Number of worker processes.
+        timeout_s: Wall-clock limit of a call.
+        start_from: Known points and results: ``{"campaign": ID}`` or ``{"solutions": [...]}``.
+        database: URL of the database, or the path of a SQLite file; by default ``BRINK_DATABASE``, else ``brink.db``.
+        resume: Whether to continue an unfinished search with the same function and settings.
+        progress: Whether to show the progress.
+
+    Raises:
+        SpaceError: A parameter is not written as expected, or is no argument of the function.
+        InvalidInput: Another setting is invalid.
+        CampaignUnfinished: Too many calls failed; the message says why the last one did.
+
+    Example:
+        >>> import brink
+        >>> def gap(speed, distance):
+        ...     return distance - speed**2 / (2 * 8.0)
+        >>> space = {"speed": (0.0, 40.0, "m/s"), "distance": (0.0, 100.0, "m")}
+        >>> result = brink.search(gap, space, simulations=100, progress=False)
+        >>> result.evaluated
+        100
+    """
+    return Result(
+        wait_for(
+            lambda: search_async(
+                function, space, algorithm=algorithm, simulations=simulations, params=params, seed=seed, name=name,
+                workers=workers, timeout_s=timeout_s, start_from=start_from, database=database, resume=resume,
+                progress=progress,
+            )
+        )
+    )  # fmt: skip
+
+
+async def search_async(
+    function: Callable[..., float | Mapping[str, float]],
+    space: DeclaredSpace,
+    *,
+    algorithm: str = "edge@1",
+    simulations: int = 500,
+    params: Mapping[str, Any] | None = None,
+    seed: int = 1,
+    name: str | None = None,
+    workers: int = 2,
+    timeout_s: float = 60.0,
+    start_from: Mapping[str, Any] | None = None,
+    database: str | None = None,
+    resume: bool = True,
+    progress: bool = True,
+) -> AsyncResult:
+    """Find where a function of your own changes its sign; see `search`."""
+    declared = space_of(space)
+    check_call(function, declared)
+    with tempfile.TemporaryDirectory(prefix="brink-") as folder:
+        path, digest = simulator.write_function(function, Path(folder))
+        title = name or getattr(function, "__name__", type(function).__name__)
+        document: dict[str, Any] = {
+            "name": title,
+            "problem": {
+                "id": Function.id,
+                "params": {
+                    "function": title, "digest": digest, "space": declared.describe(), "timeout_s": timeout_s,
+                    "takes_seed": simulator.takes_seed(function),
+                },
+            },
+            "algorithm": {"id": algorithm, "params": {**_defaults(function, algorithm), **(params or {})}},
+            "budget": {"simulations": simulations},
+            "seed": seed,
+            # What the function calls elsewhere may have changed since an earlier search.
+            "execution": {"cache": False, "keep_traces": 0},
+        }  # fmt: skip
+        if start_from is not None:
+            document["start_from"] = dict(start_from)
+        body = _checked(document)
+        return await run_body(
+            body,
+            workers=workers,
+            database=database,
+            statuses=(CampaignStatus.RUNNING, CampaignStatus.PAUSED) if resume else (),
+            progress=progress,
+            environment={
+                PLUGINS_VARIABLE: ",".join(filter(None, [os.environ.get(PLUGINS_VARIABLE), simulator.__name__])),
+                simulator.FILE_VARIABLE: str(path),
+            },
+        )  # fmt: skip
+
+
+def _checked(document: dict[str, Any]) -> CampaignBody:
+    body = parse_body(document)
+    check_submission(body)
+    return body
+
+
+def _defaults(function: Callable[..., Any], algorithm: str) -> dict[str, Any]:
+    """Return settings of an algorithm that suit a function without chance: its boundary is sharp."""
+    if algorithm == "edge@1" and not simulator.takes_seed(function):
+        return {"checks": 0, "margin": 0.0, "eps": 0.005, "d_th": 0.1}
+    return {}
+
+
+def check_call(function: Callable[..., Any], space: SearchSpace) -> None:
+    """Check that a function can be called with the parameters of a space.
+
+    Raises:
+        SpaceError: Two parameters have the same name, or the function lacks an argument or has one too many.
+        InvalidInput: It cannot be called.
+    """
+    if not callable(function):
+        raise InvalidInput.at("function", f"expected something that can be called, got {function!r}")
+    names = [one.name for component in space.components for one in component.parameters]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise SpaceError(f"{twice[0]}: expected different names, as they are arguments of the function")
+    try:
+        signature = inspect.signature(function)
+    except ValueError:
+        return  # some built-in functions have none
+    given = dict.fromkeys(names)
+    if simulator.takes_seed(function):
+        given.setdefault(simulator.SEED)
+    try:
+        signature.bind(**given)
+    except TypeError as error:
+        shown = getattr(function, "__name__", "the function")
+        raise SpaceError(
+            f"expected {shown}{signature} to take the parameters {', '.join(names)}: {error}"
+        ) from None

@@ -1,0 +1,438 @@
+"""What a campaign found, for Python: data frames, figures, replays.
+
+`AsyncResult` does the work; `Result` offers the same without ``await``.
+"""
+
+import asyncio
+import base64
+import contextlib
+import html
+import io
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from brink.api.client import Api, CoordinatorError
+from brink.api.follow_ups import continue_follow_up, follow_up_requests
+from brink.api.results import (
+    TRACE_TIMEOUT_S,
+    FetchedArchive,
+    fetch_archive,
+    fetch_requirements,
+    fetch_trace,
+    read_all_pairs,
+    run_episode,
+)
+from brink.python.connection import Connection, wait_for, with_workers
+from brink.python.frames import archive_frame, data_frame, frame_of_csv
+from brink.python.picture import Picture
+from brink.report.figures import campaign_figure
+from brink.report.pair_pictures import headline, write_pair
+from brink.search.errors import TooManyPairs
+from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, PairsView
+from brink.server.api.schemas import CampaignView, Progress
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
+from brink.server.errors import InvalidInput, ServerError
+from brink.server.states import CampaignStatus
+from brink.sim.replay import render
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+FOLLOW_UP_POLL_S: Final = 0.5
+
+
+class CampaignUnfinished(ServerError):
+    """A campaign ended without finishing: it was cancelled, or paused after too many failures."""
+
+
+class CampaignResult:
+    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence."""
+
+    def __init__(self, connection: Connection, progress: Progress, body: CampaignBody, finding: str) -> None:
+        self._connection = connection
+        self._progress = progress
+        self._body = body
+        self.finding = finding
+
+    @property
+    def id(self) -> str:
+        """Id of the campaign."""
+        return self._progress.id
+
+    @property
+    def name(self) -> str:
+        """Name of the campaign."""
+        return self._progress.name
+
+    @property
+    def status(self) -> CampaignStatus:
+        """Status of the campaign when the result was fetched."""
+        return self._progress.status
+
+    @property
+    def simulations(self) -> int:
+        """Simulations done."""
+        return self._progress.simulations
+
+    @property
+    def evaluated(self) -> int:
+        """Solutions with a verdict."""
+        return self._progress.evaluated
+
+    @property
+    def unsafe(self) -> int:
+        """Unsafe solutions."""
+        return self._progress.unsafe
+
+    @property
+    def failed(self) -> int:
+        """Solutions whose simulations failed: they are neither safe nor unsafe."""
+        return self._progress.failed
+
+    @property
+    def digest(self) -> str | None:
+        """SHA-256 of all solutions and verdicts, once the campaign has ended."""
+        return self._progress.digest
+
+    @property
+    def campaign(self) -> CampaignBody:
+        """The campaign as it was submitted."""
+        return self._body
+
+    def __repr__(self) -> str:
+        return f"<result of campaign {self.id}, {self.name}: {self.finding}>"
+
+
+class AsyncResult(CampaignResult):
+    """What a campaign found: the methods of `Result`, which describes them, with ``await``."""
+
+    _fetched: FetchedArchive | None = None
+
+    @classmethod
+    async def fetch(cls, connection: Connection, campaign: str) -> Self:
+        """Return what a campaign has found so far.
+
+        Args:
+            connection: Where it is.
+            campaign: Its id.
+
+        Raises:
+            CoordinatorError: It does not exist, or nobody answers.
+        """
+        async with connection.open() as api:
+            progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
+            view = await api.read(CampaignView, f"/campaigns/{campaign}")
+            return cls(connection, progress, view.body, await _finding(api, progress))
+
+    async def archive(self) -> FetchedArchive:
+        """Return all evaluated solutions with their search space."""
+        if self._fetched is None:
+            async with self._connection.open() as api:
+                self._fetched = await fetch_archive(api, self.id)
+        return self._fetched
+
+    async def to_pandas(self) -> "pd.DataFrame":
+        """Return all evaluated solutions as a data frame."""
+        fetched = await self.archive()
+        frame = archive_frame(fetched.archive, fetched.plan.problem.space, fetched.active)
+        view = fetched.outcomes
+        words = {
+            number: view.groups[group].words
+            for number, group in zip(view.number or (), view.group or (), strict=True)
+        }
+        frame["outcome"] = frame["number"].map(words)
+        return frame
+
+    async def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
+        """Return the distinct boundary solutions as a data frame."""
+        return await self._table("boundary", {"t_b": t_b, "d_th": d_th})
+
+    async def pairs(self, eps: float | None = None, d_th: float | None = None) -> "pd.DataFrame":
+        """Return the distinct pairs across the boundary as a data frame."""
+        return await self._table("pairs", {"limit": MOST_PAIRS, **_given(eps=eps, d_th=d_th)})
+
+    async def _table(self, name: str, params: Mapping[str, Any]) -> "pd.DataFrame":
+        async with self._connection.open() as api:
+            path = f"/campaigns/{self.id}/{name}"
+            answer = await api.request("GET", path, params={**params, "format": "csv"})
+        return frame_of_csv(answer.text)
+
+    async def check_pairs(
+        self,
+        confirm: int | None = None,
+        *,
+        component: bool = False,
+        minimise: bool = False,
+        limit: int | None = None,
+        workers: int = 2,
+    ) -> "pd.DataFrame":
+        """Simulate sides of the pairs again to find out more about them, and return the pairs as a data frame."""
+        asked = follow_up_requests({}, confirm, component=component, minimise=minimise, limit=limit)
+        if not asked:
+            raise InvalidInput.at(
+                "confirm", "expected confirm=10, component=True or minimise=True; got neither"
+            )
+        async with with_workers(self._connection, workers) as api:
+            for request in asked:
+                view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
+                await continue_follow_up(api, view)
+                await _ended(api, view.campaign)
+            self.finding = await _finding(api, self._progress)
+        return await self.pairs()
+
+    async def violations(self) -> "pd.DataFrame":
+        """Return the violations as a data frame."""
+        async with self._connection.open() as api:
+            with contextlib.suppress(CoordinatorError):
+                return data_frame((await api.get(f"/campaigns/{self.id}/violations"))["violations"])
+        frame = await self.to_pandas()
+        return frame[frame["unsafe"]].reset_index(drop=True)
+
+    async def tolerances(self) -> "pd.DataFrame":
+        """Return how gross each error may be as a data frame."""
+        async with self._connection.open() as api:
+            document = await api.get(f"/campaigns/{self.id}/tolerance")
+        return data_frame([_cell_row(cell) for cell in document["cells"]])
+
+    async def plot(self, what: str = "map") -> "Figure":
+        """Draw a figure."""
+        fetched = await self.archive()
+        pairs: PairsView | TooManyPairs | None = None
+        if self._progress.looks_for_pairs:
+            async with self._connection.open() as api:
+                pairs = await read_all_pairs(api, self.id)
+        return await asyncio.to_thread(
+            campaign_figure, what, fetched, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, pairs=pairs
+        )
+
+    async def pair(self, place: int = 1, *, film: bool = False) -> Picture:
+        """Draw both drives of a pair side by side."""
+        async with self._connection.open() as api:
+            view = await read_all_pairs(api, self.id)
+            if isinstance(view, TooManyPairs):
+                raise view
+            if not 1 <= place <= len(view.pairs):
+                count = len(view.pairs)
+                raise InvalidInput.at(
+                    "place", f"expected the place of one of {count} pairs, from 1; got {place}"
+                )
+            chosen = view.pairs[place - 1]
+            with _scratch(film) as path:
+                await write_pair(api, view, chosen, path, workers=self._connection.has_workers)
+                return Picture(content=path.read_bytes(), suffix=path.suffix, words=headline(chosen))
+
+    async def replay(self, number: int, *, film: bool = False) -> Picture:
+        """Simulate a solution again and draw its drive."""
+        async with self._connection.open() as api:
+            requirement = await fetch_requirements(api, self.id)
+            trace = (
+                await fetch_trace(api, self.id, number, TRACE_TIMEOUT_S)
+                if self._connection.has_workers
+                else await run_episode(api, self.id, number)
+            )
+        with _scratch(film) as path:
+            await asyncio.to_thread(render, trace, path, requirement=requirement)
+            words = f"solution {number} of {self.name}"
+            return Picture(content=path.read_bytes(), suffix=path.suffix, words=words)
+
+
+class Result(CampaignResult):
+    """What a campaign found: data frames, figures, replays. A notebook shows it with its map.
+
+    Most methods fetch or simulate what they return. `AsyncResult` has the same methods with ``await``.
+    """
+
+    _shown: str | None = None
+
+    def __init__(self, result: AsyncResult) -> None:
+        super().__init__(result._connection, result._progress, result._body, result.finding)
+        self._async = result
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Return all evaluated solutions as a data frame, one row each.
+
+        Returns:
+            The columns ``number``, one for each parameter (empty where it had no part in the drive), ``unsafe``,
+            ``robustness`` (negative if unsafe), ``fitness`` (distance from the boundary), ``neighbours``,
+            ``unsafe_neighbours`` and ``outcome``, in words.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
+        return wait_for(self._async.to_pandas)
+
+    def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
+        """Return the distinct boundary solutions as a data frame, best first.
+
+        Args:
+            t_b: Maximum fitness of a boundary solution.
+            d_th: Minimum distance between two of them.
+        """
+        return wait_for(lambda: self._async.boundary(t_b, d_th))
+
+    def pairs(self, eps: float | None = None, d_th: float | None = None) -> "pd.DataFrame":
+        """Return the distinct pairs across the boundary as a data frame, best first.
+
+        Args:
+            eps: Largest distance between the sides of a pair; by default the campaign's.
+            d_th: Smallest distance between two distinct pairs; by default the campaign's.
+        """
+        return wait_for(lambda: self._async.pairs(eps, d_th))
+
+    def check_pairs(
+        self,
+        confirm: int | None = None,
+        *,
+        component: bool = False,
+        minimise: bool = False,
+        limit: int | None = None,
+        workers: int = 2,
+    ) -> "pd.DataFrame":
+        """Simulate sides of the pairs again to find out more about them.
+
+        Args:
+            confirm: Simulations of each side with other seeds: does the pair hold?
+            component: Whether to simulate the unsafe sides with ground truth in place of the component: who is to
+                blame?
+            minimise: Whether to revert the differences one by one: which of them matter?
+            limit: Most pairs to ask about, first ones first.
+            workers: Worker processes, unless a coordinator elsewhere has its own.
+
+        Returns:
+            The pairs, with what was found.
+
+        Raises:
+            CoordinatorError: There is nothing to simulate, or it cannot be simulated.
+            CampaignUnfinished: The simulations ended early.
+        """
+        frame = wait_for(
+            lambda: self._async.check_pairs(
+                confirm, component=component, minimise=minimise, limit=limit, workers=workers
+            )
+        )
+        self.finding, self._shown = self._async.finding, None
+        return frame
+
+    def violations(self) -> "pd.DataFrame":
+        """Return the violations that the simulator classified as a data frame, or else all unsafe solutions."""
+        return wait_for(self._async.violations)
+
+    def tolerances(self) -> "pd.DataFrame":
+        """Return how gross each error may be as a data frame.
+
+        Raises:
+            CoordinatorError: The campaign did not search for that.
+        """
+        return wait_for(self._async.tolerances)
+
+    def plot(self, what: str = "map") -> "Figure":
+        """Draw a figure, which a notebook shows and matplotlib can change.
+
+        Args:
+            what: ``map`` (similar solutions lie close together), ``parameters`` (how the verdict depends on each),
+                ``dbs`` (boundary solutions against simulations), or ``fitness``.
+
+        Raises:
+            InvalidInput: There is no such figure.
+        """
+        return wait_for(lambda: self._async.plot(what))
+
+    def pair(self, place: int = 1, *, film: bool = False) -> Picture:
+        """Draw both drives of a pair side by side; where nothing was driven, what the two differ in.
+
+        Args:
+            place: Place of the pair in the list, from 1.
+            film: Whether to draw a film instead of a picture.
+
+        Raises:
+            InvalidInput: There is no such pair.
+        """
+        return wait_for(lambda: self._async.pair(place, film=film))
+
+    def replay(self, number: int, *, film: bool = False) -> Picture:
+        """Simulate a solution again and draw its drive.
+
+        Args:
+            number: Number of the solution, as in the column ``number`` of `to_pandas`.
+            film: Whether to draw a film instead of a picture.
+
+        Raises:
+            NothingToReplay: Its simulator records no drives.
+            CoordinatorError: There is no such solution.
+        """
+        return wait_for(lambda: self._async.replay(number, film=film))
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the finding, the counts and the map."""
+        if self._shown is None:
+            picture = io.BytesIO()
+            self.plot().savefig(picture, format="png", dpi=60)
+            encoded = base64.b64encode(picture.getvalue()).decode()
+            self._shown = (
+                f"<div>{self._summary_html()}"
+                f'<img alt="map of all solutions" style="max-width:100%" src="data:image/png;base64,{encoded}"></div>'
+            )
+        return self._shown
+
+    def _summary_html(self) -> str:
+        share = f"{self.unsafe / self.evaluated:.0%}" if self.evaluated else "–"
+        facts = (
+            f"campaign {self.id} · {self._body.algorithm.id} on {self._body.problem.id} · "
+            f"{self.simulations:,} simulations, {share} unsafe, {self.failed:,} failed · {self.status.value}"
+        )
+        name, finding, facts = map(html.escape, (self.name, self.finding, facts))
+        return f'<h4>{name}</h4><p><b>{finding}</b></p><p style="opacity:0.7">{facts}</p>'
+
+
+async def _finding(api: Api, progress: Progress) -> str:
+    """Return what a campaign found, in a sentence."""
+    path = f"/campaigns/{progress.id}"
+    for looks, part in ((progress.looks_for_pairs, "pairs"), (progress.looks_for_tolerances, "tolerance")):
+        if looks:
+            with contextlib.suppress(CoordinatorError):  # such as too many pairs to list
+                return str((await api.get(f"{path}/{part}"))["note"])
+    words = str((await api.get(f"{path}/outcomes"))["words"])
+    return words or f"{progress.unsafe:,} of {progress.evaluated:,} solutions are unsafe"
+
+
+async def _ended(api: Api, campaign: str) -> None:
+    """Wait for the end of a follow-up.
+
+    Raises:
+        CampaignUnfinished: It was cancelled, or paused.
+    """
+    while True:
+        progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
+        if progress.status is CampaignStatus.FINISHED:
+            return
+        if progress.status is not CampaignStatus.RUNNING:
+            raise CampaignUnfinished(f"campaign {campaign} is {progress.status}: {progress.status_reason}")
+        await asyncio.sleep(FOLLOW_UP_POLL_S)
+
+
+def _cell_row(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a cell of a search for tolerances as a row."""
+    tolerated = cell["tolerated"]
+    return {
+        **{name.rpartition(".")[2]: choice for name, choice in cell["choices"].items()},
+        "condition": cell["condition"],
+        "finding": tolerated["finding"],
+        **{end: tolerated[end]["magnitude"] for end in ("value", "low", "high")},
+        "unit": cell["unit"],
+        "drives": cell["drives"],
+        "sentence": cell["sentence"],
+    }
+
+
+def _given(**settings: float | None) -> dict[str, float]:
+    return {name: value for name, value in settings.items() if value is not None}
+
+
+@contextlib.contextmanager
+def _scratch(film: bool) -> Iterator[Path]:
+    """Yield the path of a film or a picture that is deleted at the end of the block."""
+    with tempfile.TemporaryDirectory(prefix="brink-") as folder:
+        yield Path(folder) / ("film.mp4" if film else "picture.png")

@@ -1,0 +1,134 @@
+"""Search spaces as plain values: ``{"speed": (5.0, 30.0, "m/s"), "lanes": range(2, 5), "road": ["dry", "wet"]}``.
+
+A pair or triple is a real number's range with its unit, a `range` a whole number's, a list of texts a choice. A space
+of several components has one such mapping for each. `space_from` reads what `SearchSpace.describe` returns.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, TypeAlias
+
+from brink.search.errors import SpaceError
+from brink.search.parameters import Categorical, Integer, Parameter, Real
+from brink.search.space import Component, SearchSpace
+
+DeclaredSpace: TypeAlias = "SearchSpace | Sequence[Parameter] | Mapping[str, Any]"
+"""How a space is written; a mapping as this module describes, since a type cannot say that."""
+
+ONLY_COMPONENT: Final = "parameters"
+"""Name of the component of a space that is written without components."""
+_EXPECTED: Final = (
+    "expected a range such as (0.0, 1.0) or (5.0, 30.0, 'm/s'), whole numbers such as range(0, 5), "
+    "or choices such as ['dry', 'wet']"
+)
+
+
+def space_of(declared: DeclaredSpace) -> SearchSpace:
+    """Return the search space that plain values describe.
+
+    Args:
+        declared: Parameters by name, or such mappings by component, or a list of parameters, or a space.
+
+    Raises:
+        SpaceError: A parameter is not written as expected, or its range is empty.
+    """
+    if isinstance(declared, SearchSpace):
+        return declared
+    if isinstance(declared, Mapping):
+        if not declared:
+            raise SpaceError("expected at least one parameter, got none")
+        parts = [isinstance(value, Mapping) for value in declared.values()]
+        if all(parts):
+            return SearchSpace(tuple(_component(name, part) for name, part in declared.items()))
+        if any(parts):
+            raise SpaceError("expected parameters by name, or by component and name; got both")
+        return SearchSpace((_component(ONLY_COMPONENT, declared),))
+    parameters = tuple(declared)
+    if not parameters or not all(isinstance(one, Parameter) for one in parameters):
+        raise SpaceError(f"expected a mapping of names to ranges or choices, got {declared!r}")
+    return SearchSpace((Component(ONLY_COMPONENT, parameters),))
+
+
+def _component(name: str, declared: Mapping[str, Any]) -> Component:
+    if not declared:
+        raise SpaceError(f"{name}: expected at least one parameter, got none")
+    return Component(name, tuple(_parameter(key, value) for key, value in declared.items()))
+
+
+def _parameter(name: str, declared: Any) -> Parameter:
+    match declared:
+        case Real() | Integer() | Categorical():
+            if declared.name != name:
+                raise SpaceError(
+                    f"{name}: expected a parameter of the same name, got one named {declared.name!r}"
+                )
+            return declared
+        case range():
+            if declared.step != 1 or len(declared) < 2:
+                raise SpaceError(
+                    f"{name}: expected a range of at least two whole numbers in steps of 1, got {declared}"
+                )
+            return Integer(name, declared.start, declared.stop - 1)
+        case str():
+            raise SpaceError(f"{name}: {_EXPECTED}; got {declared!r}")
+        case [low, high] if _are_numbers(low, high):
+            return Real(name, float(low), float(high))
+        case [low, high, str(unit)] if _are_numbers(low, high):
+            return Real(name, float(low), float(high), unit)
+        case [*choices] if choices and all(isinstance(choice, str) for choice in choices):
+            return Categorical(name, tuple(choices))
+    raise SpaceError(f"{name}: {_EXPECTED}; got {declared!r}")
+
+
+def _are_numbers(*values: object) -> bool:
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+
+
+def space_from(description: Mapping[str, Any]) -> SearchSpace:
+    """Return the search space that `SearchSpace.describe` described.
+
+    Args:
+        description: Its JSON object.
+
+    Raises:
+        SpaceError: It is not one, or the space has constraints, which are not read.
+    """
+    try:
+        return SearchSpace(tuple(_described(component) for component in description["components"]))
+    except (LookupError, TypeError, AttributeError) as error:
+        raise SpaceError(
+            f"expected a description of a search space: {type(error).__name__}: {error}"
+        ) from None
+
+
+def _described(component: Mapping[str, Any]) -> Component:
+    if component.get("constraints"):
+        raise SpaceError(f"{component['name']}: expected a component without constraints")
+    return Component(component["name"], tuple(map(_described_parameter, component["parameters"])))
+
+
+def _described_parameter(described: Mapping[str, Any]) -> Parameter:
+    name = described["name"]
+    match described["type"]:
+        case "real":
+            return Real(name, float(described["low"]), float(described["high"]), described.get("unit", ""))
+        case "integer":
+            return Integer(name, described["low"], described["high"], described.get("unit", ""))
+        case "categorical":
+            return Categorical(name, tuple(described["choices"]))
+        case other:
+            raise SpaceError(f"{name}: expected the type real, integer or categorical, got {other!r}")
+
+
+def flat_values(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return decoded values by name alone where that is unambiguous, otherwise by component.name.
+
+    Args:
+        values: By component, then by name, as `SearchSpace.decode` returns them.
+    """
+    names = [name for part in values.values() for name in part]
+    unique = len(set(names)) == len(names)
+    return {
+        name if unique else f"{component}.{name}": value
+        for component, part in values.items()
+        for name, value in part.items()
+    }

@@ -1,0 +1,194 @@
+"""Campaigns, functions and results from Python, with real workers, on a database of their own."""
+
+import asyncio
+import inspect
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import brink
+from brink.python.picture import Picture
+from brink.python.result import CampaignUnfinished
+from brink.search.errors import SpaceError
+from brink.server.errors import InvalidInput
+from brink.server.states import CampaignStatus
+
+HILLS = brink.Campaign(problem="mtq@1", algorithm="random@1", simulations=120, name="hills")
+SPACE = {"x": (0.0, 1.0), "y": (0.0, 1.0, "m"), "side": ["left", "right"]}
+
+
+def inside(x: float, y: float, side: str) -> float:
+    """Return how far a point is outside a circle of radius 0.3, on the left, or 0.2, on the right."""
+    radius = {"left": 0.3, "right": 0.2}[side]
+    return float(np.hypot(x - 0.5, y - 0.5)) - radius
+
+
+def margin(pair: dict[Any, Any], side: str) -> float:
+    """Return what the function returns for a side of a pair."""
+    return inside(*(pair[f"{side}.parameters.{name}"] for name in ("x", "y", "side")))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with pytest.MonkeyPatch.context() as patched:
+        path = tmp_path_factory.mktemp("python")
+        patched.chdir(path)
+        yield path
+
+
+@pytest.fixture(scope="module")
+def circle(folder: Path) -> brink.Result:
+    return brink.search(inside, SPACE, simulations=300, progress=False)
+
+
+def test_a_search_finds_the_known_boundary_of_a_function(circle: brink.Result) -> None:
+    assert (circle.evaluated, circle.failed, circle.status) == (300, 0, CampaignStatus.FINISHED)
+    pairs = circle.pairs()
+    assert len(pairs) >= 6
+    for pair in pairs.to_dict("records"):
+        margins = [margin(pair, side) for side in ("safe", "unsafe")]
+        assert margins[0] >= 0 > margins[1]
+        assert margins == pytest.approx([pair["safe.robustness"], pair["unsafe.robustness"]])
+        same = pair["safe.parameters.side"] == pair["unsafe.parameters.side"]
+        assert not same or max(map(abs, margins)) < 0.02
+    assert "instead of" in pairs["words"][0]
+    assert circle.finding == f"{len(pairs)} distinct pairs across the boundary"
+
+
+def test_a_data_frame_has_a_column_for_each_parameter(circle: brink.Result) -> None:
+    frame = circle.to_pandas()
+    assert list(frame.columns[:4]) == ["number", "x", "y", "side"]
+    assert set(frame["side"]) == {"left", "right"}
+    computed = [inside(*row) for row in frame[["x", "y", "side"]].to_numpy().tolist()]
+    assert frame["robustness"].to_numpy() == pytest.approx(computed)
+    assert (frame["unsafe"] == (frame["robustness"] < 0)).all()
+    assert set(frame["outcome"]) == {"requirement held", "violated the requirement"}
+    assert len(circle.violations()) == circle.unsafe == int(frame["unsafe"].sum())
+
+
+def test_a_result_shows_itself_in_a_notebook(circle: brink.Result) -> None:
+    shown = circle._repr_html_()
+    assert "data:image/png;base64," in shown
+    assert "edge@1 on function@1" in shown
+    picture = circle.pair(1)
+    assert set(picture._repr_mimebundle_()) == {"text/plain", "image/png"}
+    assert picture.content.startswith(b"\x89PNG")
+    assert circle.plot("parameters").axes
+
+
+def test_what_is_not_there_is_named(circle: brink.Result) -> None:
+    with pytest.raises(InvalidInput, match=r"expected one of map, dbs, fitness, parameters; got 'mpa'"):
+        circle.plot("mpa")
+    with pytest.raises(InvalidInput, match=r"expected the place of one of \d+ pairs, from 1; got 0"):
+        circle.pair(0)
+    with pytest.raises(InvalidInput, match="expected confirm=10, component=True or minimise=True"):
+        circle.check_pairs()
+    with pytest.raises(Exception, match="no drives to replay"):
+        circle.replay(0)
+
+
+def test_a_function_with_chance_gets_the_seed_of_the_episode(folder: Path) -> None:
+    def noisy(x: float, seed: int) -> dict[str, float]:
+        return {"robustness": x - 0.5 + np.random.default_rng(seed).normal(0, 0.01), "effort": x}
+
+    result = brink.search(noisy, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=40, progress=False)
+    left_over = result.to_pandas()
+    noise = left_over["robustness"] - (left_over["x"] - 0.5)
+    assert 0.003 < noise.std() < 0.03
+
+
+def test_an_exception_in_a_function_is_shown_and_stops_the_search(folder: Path) -> None:
+    def broken(x: float) -> float:
+        raise RuntimeError(f"no road at {x:.0f}")
+
+    with pytest.raises(CampaignUnfinished, match=r"paused.*function raised RuntimeError: no road at"):
+        brink.search(broken, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=20, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("function", "space", "words"),
+    [
+        (inside, {"x": (0.0, 1.0)}, "missing a required argument"),
+        (inside, {**SPACE, "z": (0.0, 1.0)}, "unexpected keyword argument 'z'"),
+        (inside, {"a": {"x": (0.0, 1.0)}, "b": {"x": (0.0, 1.0)}}, "expected different names"),
+        (inside, {**SPACE, "side": [1, 2, 3]}, "or choices such as"),
+        (inside, {**SPACE, "x": (1.0, 0.0)}, "low < high"),
+        (inside, {}, "at least one parameter"),
+        (inside, {**SPACE, "x": range(3, 4)}, "at least two whole numbers"),
+    ],
+)
+def test_a_space_that_does_not_fit_the_function_is_refused(function: Any, space: Any, words: str) -> None:
+    with pytest.raises(SpaceError, match=words):
+        brink.search(function, space)
+
+
+def test_a_bool_is_no_robustness(folder: Path) -> None:
+    with pytest.raises(CampaignUnfinished, match="expected a finite number, negative if"):
+        brink.search(
+            lambda x: x > 0.5, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=20, progress=False
+        )
+
+
+def test_a_finished_campaign_is_returned_and_not_run_again(folder: Path) -> None:
+    first = brink.run(HILLS, progress=False)
+    again = brink.run(HILLS.document(), progress=False)
+    another = brink.run(HILLS, progress=False, resume=False)
+    assert first.id == again.id != another.id
+    assert first.digest == another.digest
+    listed = brink.connect(database="brink.db").campaigns("finished")
+    assert {first.id, another.id} <= {campaign.id for campaign in listed}
+
+
+def test_bad_campaigns_are_refused_before_anything_starts(folder: Path) -> None:
+    with pytest.raises(InvalidInput, match="did you mean"):
+        brink.run({**HILLS.document(), "problem": {"id": "mtg@1"}})
+    with pytest.raises(InvalidInput, match="budget"):
+        brink.run({"name": "no budget", "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"}})
+
+
+def test_asynchronous_twins_do_the_same(folder: Path) -> None:
+    async def work() -> int:
+        result = await brink.run_async(HILLS, progress=False)
+        frame, figure = await asyncio.gather(result.to_pandas(), result.plot())
+        assert figure.axes
+        campaign = await brink.connect_async(database="brink.db").campaign(result.id)
+        assert (await campaign.progress()).simulations == result.simulations
+        return len(frame)
+
+    assert asyncio.run(work()) == 120
+
+
+def test_results_work_inside_a_running_event_loop(folder: Path) -> None:
+    async def cell() -> int:
+        return len(brink.run(HILLS, progress=False).to_pandas())
+
+    assert asyncio.run(cell()) == 120
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [(brink.Result, brink.AsyncResult), (brink.Client, brink.AsyncClient)]
+)
+def test_twins_have_the_same_methods_with_the_same_parameters(first: type, second: type) -> None:
+    def methods(of: type) -> dict[str, inspect.Signature]:
+        return {
+            name: inspect.signature(value)
+            for name, value in inspect.getmembers(of, inspect.isfunction)
+            if not name.startswith("_")
+        }
+
+    sync, twins = methods(first), methods(second)
+    twins.pop("archive", None)
+    assert sync.keys() == twins.keys()
+    for name, signature in sync.items():
+        assert list(signature.parameters) == list(twins[name].parameters), name
+
+
+def test_a_picture_is_saved_under_a_name_of_its_kind(tmp_path: Path) -> None:
+    picture = Picture(content=b"film", suffix=".mp4", words="a drive")
+    with pytest.raises(InvalidInput, match=r"ends in \.mp4"):
+        picture.save(tmp_path / "drive.png")
+    assert picture.save(tmp_path / "drive.mp4").read_bytes() == b"film"
+    assert "<video" in picture._repr_mimebundle_()["text/html"]

@@ -1,0 +1,155 @@
+"""Writes docs/reference/python.md from the docstrings of everything that ``import brink`` offers.
+
+Run as ``make reference``.
+"""
+
+from pathlib import Path
+from typing import Final
+
+from griffe import Attribute, Class, Docstring, DocstringSectionKind, Function, Module, Object, load
+
+from brink.server.campaigns import body
+
+PAGE: Final = Path(__file__).parents[2] / "docs" / "reference" / "python.md"
+GROUPS: Final = {
+    "Running campaigns": ["run", "connect", "Campaign"],
+    "Results": ["Result", "Picture"],
+    "A coordinator's campaigns": ["Client", "Submitted"],
+    "Functions and loops of your own": ["search", "Study", "Trial", "Real", "Integer", "Categorical"],
+    "Asynchronous twins": [
+        "run_async", "search_async", "connect_async", "AsyncClient", "AsyncSubmitted", "AsyncResult",
+    ],
+}  # fmt: skip
+"""Names by heading, in the order of the page."""
+_HOMES: Final = {
+    "run": "local", "run_async": "local", "connect": "client", "connect_async": "client", "Client": "client",
+    "AsyncClient": "client", "Submitted": "client", "AsyncSubmitted": "client", "Campaign": "campaign",
+    "Result": "result", "AsyncResult": "result", "Picture": "picture", "search": "function",
+    "search_async": "function", "Study": "study", "Trial": "study",
+}  # fmt: skip
+_BRIEF: Final = frozenset({"AsyncClient", "AsyncSubmitted", "AsyncResult"})
+"""Classes whose methods are those of another class."""
+_INTRODUCTION: Final = """# Python
+
+This page is written from the docstrings: `make reference` writes it again. [Use Brink from
+Python](../how-to/use-brink-from-python.md) shows how the parts go together.
+
+`import brink` imports nothing else until a name is first used. Errors are subclasses of
+`brink.server.errors.ServerError` or `brink.search.errors.SearchError`, and their messages say what was expected.
+"""
+
+
+def page() -> str:
+    """Return the content of the page."""
+    package = load("brink.python", docstring_parser="google", resolve_aliases=False)
+    parameters = load("brink.search.parameters", docstring_parser="google")
+    parts = [_INTRODUCTION]
+    for heading, names in GROUPS.items():
+        parts.append(f"## {heading}\n")
+        for name in names:
+            home = package[_HOMES[name]] if name in _HOMES else parameters
+            assert isinstance(home, Module)
+            parts.append(_entry(home[name], f"brink.{name}" if name != "Picture" else "Picture"))
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _entry(of: Object, name: str) -> str:
+    if isinstance(of, Class):
+        return _class(of, name)
+    assert isinstance(of, Function)
+    return f"### `{name}`\n\n```python\n{_signature(of, name)}\n```\n\n{_words(of.docstring)}"
+
+
+def _class(of: Class, name: str) -> str:
+    parts = [f"### `{name}`\n"]
+    init = of.members.get("__init__")
+    if isinstance(init, Function) and not of.name.endswith(("Client", "Submitted", "Result")):
+        parts.append(f"```python\n{_signature(init, name)}\n```\n")
+    parts.append(_words(of.docstring))
+    inherited = [base for base in of.bases if str(base) == "CampaignResult"]
+    members = [
+        *(
+            of.parent["CampaignResult"].members.values()
+            if inherited and isinstance(of.parent, Module)
+            else ()
+        ),
+        *of.members.values(),
+    ]
+    for member in members:
+        if member.name.startswith("_") or not isinstance(member, Function | Attribute):
+            continue
+        if isinstance(member, Attribute) and "property" in member.labels:
+            parts.append(f"- `.{member.name}`: {_first(member.docstring)}")
+        elif isinstance(member, Function):
+            parts.append(_method(member, brief=of.name in _BRIEF))
+    return "\n".join(parts) + "\n"
+
+
+def _method(of: Function, *, brief: bool) -> str:
+    if brief:
+        return f"- `await .{of.name}(…)`: {_first(of.docstring)}"
+    return f"\n#### `.{_signature(of, of.name)}`\n\n{_words(of.docstring)}"
+
+
+def _signature(of: Function, name: str) -> str:
+    shown = []
+    star = False
+    for parameter in of.parameters:
+        if parameter.name in ("self", "cls"):
+            continue
+        if parameter.kind is not None and parameter.kind.name == "keyword_only" and not star:
+            shown.append("*")
+            star = True
+        default = "" if parameter.default is None else f"={_value(str(parameter.default))}"
+        shown.append(f"{parameter.name}{default}")
+    return f"{name}({', '.join(shown)})"
+
+
+def _value(default: str) -> str:
+    """Return a default value as people read it, where it is a constant or a factory."""
+    if default.endswith("()") and default != "()":
+        return {"dict()": "{}"}[default]
+    return str(getattr(body, default, default))
+
+
+def _first(docstring: Docstring | None) -> str:
+    assert docstring is not None
+    return docstring.value.strip().splitlines()[0]
+
+
+def _words(docstring: Docstring | None) -> str:
+    """Return a docstring as Markdown."""
+    assert docstring is not None
+    lines = []
+    for section in docstring.parse("google"):
+        match section.kind:
+            case DocstringSectionKind.text:
+                lines.append(f"{section.value}\n")
+            case DocstringSectionKind.parameters | DocstringSectionKind.attributes:
+                rows = [f"- `{one.name}`: {_one_line(one.description)}" for one in section.value]
+                lines.append("\n".join(rows) + "\n")
+            case DocstringSectionKind.raises:
+                rows = [f"- `{one.annotation}`: {_one_line(one.description)}" for one in section.value]
+                lines.append("Raises:\n\n" + "\n".join(rows) + "\n")
+            case DocstringSectionKind.returns:
+                lines.append(
+                    "Returns: " + " ".join(_one_line(one.description) for one in section.value) + "\n"
+                )
+            case DocstringSectionKind.examples:
+                code = "\n".join(text for _, text in section.value)
+                lines.append("```python\n" + code + "\n```\n")
+            case _:
+                lines.append(_example(section.value.contents))
+    return "\n".join(lines)
+
+
+def _example(text: str) -> str:
+    return "```python\n" + text + "\n```\n"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
