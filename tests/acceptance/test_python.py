@@ -2,6 +2,11 @@
 
 import doctest
 import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -10,6 +15,9 @@ import matplotlib as mpl
 import nbformat
 import pytest
 from nbclient import NotebookClient
+
+import brink
+from brink.server.errors import ServerError
 
 ROOT = Path(__file__).parents[2]
 FENCED = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -49,3 +57,61 @@ def test_the_notebook_goes_from_nothing_to_a_pair_on_film(tmp_path: Path) -> Non
     assert any("data:video/mp4" in data.get("text/html", "") for data in shown), "the film of a pair"
     assert sum("image/png" in data for data in shown) >= 2, "the map and a pair"
     assert any("simulations" in data.get("text/html", "") for data in shown), "the progress"
+
+
+SLOW = """
+import time
+import brink
+
+def slow(x):
+    time.sleep(0.05)
+    return x - 0.5
+
+result = brink.search(slow, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=120)
+print(result.id, result.evaluated)
+"""
+
+
+def test_an_interrupted_search_goes_on_where_it_was(tmp_path: Path) -> None:
+    script = tmp_path / "slow.py"
+    script.write_text(SLOW, encoding="utf-8")
+    command = [sys.executable, str(script)]
+    first = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        wait_until(lambda: counts(tmp_path)[1] >= 20, first)
+        first.send_signal(signal.SIGINT)
+        _, errors = first.communicate(timeout=60)
+    finally:
+        first.kill()
+    assert "KeyboardInterrupt" in errors
+    status, stored, campaign = *counts(tmp_path), names(tmp_path)[0]
+    assert status == "paused"
+    assert 20 <= stored < 120
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
+    assert again.stdout.split() == [campaign, "120"]
+    assert names(tmp_path) == [campaign]
+
+
+def counts(folder: Path) -> tuple[str, int]:
+    """Return the status of the latest campaign of a folder and its number of simulations; 0 before it exists."""
+    if not (folder / "brink.db").exists():
+        return "", 0
+    try:
+        (latest, *_) = brink.connect(database=f"{folder}/brink.db").campaigns()
+        progress = latest.progress()
+    except (ServerError, ValueError):
+        return "", 0
+    return progress.status.value, progress.simulations
+
+
+def names(folder: Path) -> list[str]:
+    return [campaign.id for campaign in brink.connect(database=f"{folder}/brink.db").campaigns()]
+
+
+def wait_until(holds: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    """Wait for something that a process brings about."""
+    deadline = time.monotonic() + 60
+    while not holds():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.2)

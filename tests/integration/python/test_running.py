@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.api import listening_coordinator
+from support.databases import on_sqlite
 
 import brink
+from brink.api.client import CoordinatorError
 from brink.python.picture import Picture
 from brink.python.result import CampaignUnfinished
 from brink.search.errors import SpaceError
@@ -147,6 +150,28 @@ def test_bad_campaigns_are_refused_before_anything_starts(folder: Path) -> None:
         brink.run({**HILLS.document(), "problem": {"id": "mtg@1"}})
     with pytest.raises(InvalidInput, match="budget"):
         brink.run({"name": "no budget", "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"}})
+
+
+@on_sqlite
+def test_campaigns_of_a_coordinator_are_submitted_watched_and_fetched(database_url: str) -> None:
+    with listening_coordinator(database_url) as http:
+        client = brink.connect(str(http.base_url))
+        campaign = client.submit(HILLS)
+        result = campaign.wait(progress=False, timeout_s=60)
+        assert (len(result.to_pandas()), result.id) == (120, campaign.id)
+        assert client.campaign(campaign.id[:5]).result().digest == result.digest
+        assert [one.id for one in client.campaigns("finished")] == [campaign.id]
+        waiting = client.submit(brink.Campaign(problem="urban-injected@1", simulations=20))
+        with pytest.raises(TimeoutError, match="0 of 20 simulations, no workers"):
+            waiting.wait(progress=False, timeout_s=0.1)
+        waiting.cancel()
+        with pytest.raises(CampaignUnfinished, match="is cancelled"):
+            waiting.wait(progress=False)
+
+
+def test_nobody_at_an_address_is_said(folder: Path) -> None:
+    with pytest.raises(CoordinatorError, match="no coordinator answers at"):
+        brink.connect("http://127.0.0.1:9").campaigns()
 
 
 def test_asynchronous_twins_do_the_same(folder: Path) -> None:
