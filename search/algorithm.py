@@ -13,16 +13,21 @@ An algorithm may also request seeds from outside, for example from a language mo
 calls `Seeded.wanted` before every `ask`; as long as that returns a request, no generation can be asked for, and
 `Seeded.seeded` passes in the proposals, possibly none. Proposals are never trusted: the constraints of the space
 repair them, and the algorithm decides which to accept.
+
+And it may start from what is known already (`WarmStarts`): results of earlier simulations guide the search, but they
+are not candidates, have no number, and are neither in the archive nor part of the budget.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+
+import numpy as np
 
 from brink.search.archive import Archive
 from brink.search.document import Document
-from brink.search.space import FloatArray, SearchSpace
+from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace, frozen_array
 from brink.search.traffic.participants import Solution
 
 
@@ -226,6 +231,88 @@ def _can_ask(algorithm: Algorithm, state: Any) -> bool:
     if isinstance(algorithm, Overlapping):
         return algorithm.can_ask(state)
     return not state.pending and not algorithm.finished(state)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Known:
+    """What is known before a search starts; all arrays are read-only.
+
+    Attributes:
+        rows: Solutions with a known result, shape ``(k, d)``; one that was simulated several times appears as often.
+        unsafe: Their verdicts, shape ``(k,)``.
+        robustness: Their distances to violation, shape ``(k,)``.
+        points: Solutions without a result, to be simulated first, in this order, shape ``(p, d)``.
+    """
+
+    rows: FloatArray
+    unsafe: BoolArray
+    robustness: FloatArray
+    points: FloatArray
+
+    def __post_init__(self) -> None:
+        for name, dtype in (("rows", np.float64), ("unsafe", np.bool_), ("robustness", np.float64)):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), dtype))
+        object.__setattr__(self, "points", frozen_array(self.points))
+        shapes = (self.rows.shape[:1], self.unsafe.shape, self.robustness.shape)
+        if len(set(shapes)) > 1 or self.points.shape[1:] != self.rows.shape[1:]:
+            raise ValueError(
+                f"expected one verdict and robustness for each known result, and points of the same width; got "
+                f"{self.rows.shape}, {self.unsafe.shape}, {self.robustness.shape} and {self.points.shape}"
+            )
+
+    @classmethod
+    def nothing(cls, dimension: int) -> Self:
+        """Return the knowledge of a search that starts from nothing, for solutions of `dimension` numbers."""
+        none, empty = np.empty((0, dimension)), np.empty(0)
+        return cls(rows=none, unsafe=empty.astype(np.bool_), robustness=empty, points=none)
+
+    def __len__(self) -> int:
+        """Return the number of known results."""
+        return len(self.rows)
+
+    def nearest(self) -> IntArray:
+        """Return the positions of the results, those nearest to the boundary first; see `nearest_to_boundary`."""
+        return nearest_to_boundary(self.unsafe, self.robustness)
+
+
+def nearest_to_boundary(unsafe: BoolArray, robustness: FloatArray) -> IntArray:
+    """Return the positions of results by the size of their robustness, the two verdicts in turn, shape ``(n,)``.
+
+    In turn, because few results of one verdict may all be further away than many of the other.
+
+    Args:
+        unsafe: Verdicts, shape ``(n,)``.
+        robustness: Distances to violation, shape ``(n,)``.
+    """
+    rank = np.empty(len(unsafe), np.int64)
+    for verdict in (False, True):
+        mine = np.flatnonzero(unsafe == verdict)
+        rank[mine[np.argsort(np.abs(robustness[mine]), kind="stable")]] = np.arange(len(mine))
+    order: IntArray = np.lexsort((~unsafe, rank))
+    return order
+
+
+@runtime_checkable
+class WarmStarts(Protocol):
+    """An algorithm that may start from what is known already."""
+
+    def start_with(self, space: SearchSpace, config: Any, *, seed: int, budget: int, known: Known) -> Any:
+        """Return the initial state, as `Algorithm.start` does, of a search that starts from what is known.
+
+        Its first candidates are the known points. The known results may guide the search, but do not count against
+        the budget. Its documents contain what is known, so that `Algorithm.load` restores the state as usual.
+
+        Args:
+            space: The search space.
+            config: Settings, of type `config_type`.
+            seed: The campaign's seed.
+            budget: Number of simulations; at least one for each point.
+            known: Known results and points, all of them valid solutions.
+
+        Raises:
+            ConfigError: The budget does not suffice for the points.
+        """
+        ...
 
 
 class Origin(StrEnum):

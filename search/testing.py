@@ -15,10 +15,12 @@ from brink.search.algorithm import (
     Candidate,
     Evaluation,
     Failed,
+    Known,
     Measured,
     Overlapping,
     Question,
     Scored,
+    WarmStarts,
     ask_all,
 )
 from brink.search.archive import ARRAYS, Archive, archive_digest
@@ -159,6 +161,7 @@ def check_algorithm(
     seed: int = 1,
     ends_itself: bool = False,
     repeats: bool = False,
+    known: Known | None = None,
 ) -> Run:
     """Check that an algorithm fulfils its contract on a space; return the campaign that was run.
 
@@ -171,6 +174,7 @@ def check_algorithm(
         seed: The campaign's seed.
         ends_itself: Whether the algorithm may finish before the budget is spent.
         repeats: Whether the algorithm may ask for the same solution repeatedly.
+        known: What the search starts from, for algorithms that support it; None for nothing.
 
     Raises:
         ContractBroken: A clause of the contract does not hold.
@@ -181,19 +185,53 @@ def check_algorithm(
     _expect(bool(algorithm.summary), "summary: expected one line")
     algorithm.check(space, settings, budget=budget)
 
+    def start() -> Any:
+        return started(algorithm, space, settings, seed=seed, budget=budget, known=known)
+
     def campaign(order: int = 1) -> Run:
-        return play(algorithm, space, settings, verdicts, seed=seed, budget=budget, order=order)
+        return _played(algorithm, start(), verdicts, order)
 
     run = campaign()
     _check_candidates(space, run, repeats=repeats)
+    if known is not None:
+        _check_known(space, run, known, repeats=repeats)
     _check_archive(run, verdicts)
     spent = len(run.candidates) >= budget or budget > space.size / 10 or ends_itself
     _expect(spent, "budget: expected the whole budget to be spent on a space with enough solutions")
     _check_same(run, campaign(), "the same seed must give the same campaign")
     _check_same(run, campaign(order=-1), "the order in which evaluations arrive must not matter")
-    _check_order_errors(algorithm, space, settings, verdicts, seed, budget)
-    _check_reload(algorithm, space, settings, verdicts, run, seed, budget)
+    _check_order_errors(algorithm, start(), verdicts)
+    _check_reload(algorithm, space, settings, verdicts, run, start())
     return run
+
+
+def started(
+    algorithm: Algorithm,
+    space: SearchSpace,
+    config: Any,
+    *,
+    seed: int,
+    budget: int,
+    known: Known | None = None,
+) -> Any:
+    """Return the initial state of a search.
+
+    Args:
+        algorithm: The algorithm.
+        space: The search space.
+        config: The algorithm's settings.
+        seed: The campaign's seed.
+        budget: Number of simulations.
+        known: What the search starts from; None for nothing.
+
+    Raises:
+        ContractBroken: Something is known, and the algorithm does not support that.
+    """
+    if known is None:
+        return algorithm.start(space, config, seed=seed, budget=budget)
+    if not isinstance(algorithm, WarmStarts):
+        raise ContractBroken(f"{algorithm.id}: expected start_with, to start from what is known")
+    return algorithm.start_with(space, config, seed=seed, budget=budget, known=known)
 
 
 def play(
@@ -205,6 +243,7 @@ def play(
     seed: int,
     budget: int,
     order: int = 1,
+    known: Known | None = None,
 ) -> Run:
     """Run a campaign to its end.
 
@@ -216,11 +255,16 @@ def play(
         seed: The campaign's seed.
         budget: Number of simulations.
         order: 1 to tell evaluations in the order of asking, -1 in reverse.
+        known: What the search starts from; None for nothing.
 
     Raises:
         ContractBroken: The campaign does not end, or its states are inconsistent.
     """
-    state = algorithm.start(space, config, seed=seed, budget=budget)
+    state = started(algorithm, space, config, seed=seed, budget=budget, known=known)
+    return _played(algorithm, state, evaluate, order)
+
+
+def _played(algorithm: Algorithm, state: Any, evaluate: Evaluate, order: int) -> Run:
     _expect(not state.pending and state.generation == 0, "start: expected nothing asked yet")
     generations: list[tuple[Candidate, ...]] = []
     documents: list[bytes] = []
@@ -264,6 +308,20 @@ def _check_candidates(space: SearchSpace, run: Run, *, repeats: bool) -> None:
     _expect(unique, "duplicates: expected no solution to be evaluated twice in the same way")
 
 
+def _check_known(space: SearchSpace, run: Run, known: Known, *, repeats: bool) -> None:
+    """Check that a search simulates the known points first, and known solutions only if it repeats any."""
+    asked = [space.join(candidate.vectors).tobytes() for candidate in run.candidates]
+    points = [point.tobytes() for point in known.points]
+    _expect(
+        asked[: len(points)] == points,
+        "known: expected the points to be the first candidates, in their order",
+    )
+    rows = {row.tobytes() for row in known.rows}
+    _expect(
+        repeats or not rows & set(asked), "known: expected no solution whose result is known to be simulated"
+    )
+
+
 def _check_archive(run: Run, evaluate: Evaluate) -> None:
     scored = {c.number: (c, e) for c in run.candidates if isinstance(e := evaluate(c), Scored)}
     archive = run.archive
@@ -290,10 +348,7 @@ def _check_same(run: Run, other: Run, clause: str) -> None:
     _expect(run.documents == other.documents, clause)
 
 
-def _check_order_errors(
-    algorithm: Algorithm, space: SearchSpace, config: Any, evaluate: Evaluate, seed: int, budget: int
-) -> None:
-    state = algorithm.start(space, config, seed=seed, budget=budget)
+def _check_order_errors(algorithm: Algorithm, state: Any, evaluate: Evaluate) -> None:
     _expect(_refuses(lambda: algorithm.tell(state, {})), "tell before ask: expected OrderError")
     once, candidates = algorithm.ask(state)
     evaluations = dict(_evaluations(candidates, evaluate))
@@ -325,17 +380,11 @@ def _refuses(call: Callable[[], object]) -> bool:
 
 
 def _check_reload(
-    algorithm: Algorithm,
-    space: SearchSpace,
-    config: Any,
-    evaluate: Evaluate,
-    run: Run,
-    seed: int,
-    budget: int,
+    algorithm: Algorithm, space: SearchSpace, config: Any, evaluate: Evaluate, run: Run, state: Any
 ) -> None:
     """Check that a search resumed from the stored state of any generation continues with the same next generation."""
     archive = run.archive
-    asked, _ = ask_all(algorithm, algorithm.start(space, config, seed=seed, budget=budget))
+    asked, _ = ask_all(algorithm, state)
     waiting = algorithm.load(
         space, config, Document.from_bytes(algorithm.dump(asked).to_bytes()), asked.archive
     )

@@ -9,6 +9,10 @@ under a seed of its own; a pair that does not keep its verdicts is a chancy plac
 The sides of a bracket share an episode seed: otherwise chance would decide where the verdict changes. When the budget
 only just suffices to finish the open brackets, no more are opened, and generations become smaller.
 
+A search that starts from known results explores less by as many. They train the surrogate and propose anchors, but
+no bracket rests on one: an anchor is simulated again under a seed of this search. Where known results are a pair
+already, the search looks for no further one.
+
 Source: ours; see docs/explanation/pairs.md.
 """
 
@@ -21,12 +25,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from brink.search.algorithm import Candidate, Evaluation, Scored
+from brink.search.algorithm import Candidate, Evaluation, Known, Scored
 from brink.search.algorithms.ledger import (
     BoundaryConfig,
     Ledger,
-    LedgerAlgorithm,
     LedgerState,
+    WarmLedgerAlgorithm,
     row_keys,
     stored_rows,
 )
@@ -59,8 +63,10 @@ _MOST_KEPT: Final = 2_000
 """Anchors whose draws are kept."""
 _LIKELY: Final = 0.75
 """Probability of the opposite verdict from which on a nearer partner is better than a likelier one."""
+_MOST_PROPOSED: Final = 500
+"""Known solutions, drawn at random, from which the anchors of a generation are chosen."""
 # What is drawn, as the first index of the stream.
-_GENERATION, _SURROGATE, _PARTNER, _MORE, _CHANCE = range(5)
+_GENERATION, _SURROGATE, _PARTNER, _MORE, _CHANCE, _PROPOSED = range(6)
 
 
 class Purpose(IntEnum):
@@ -70,6 +76,8 @@ class Purpose(IntEnum):
     PARTNER = 1
     PROBE = 2
     CHECK = 3
+    ANCHOR = 4
+    """A known solution that is simulated again, so that a bracket may begin there."""
 
 
 class Status(IntEnum):
@@ -163,6 +171,7 @@ class EdgeState(LedgerState):
         chance: Estimates how likely a pair is a chancy place; None until enough is known.
         partners: The best partner drawn for each anchor, by its number.
         draws: What partners are chosen from, by the anchor's number: judging again is cheaper than drawing again.
+        prior: What the known results say; None if there are none.
     """
 
     config: EdgeConfig
@@ -175,9 +184,10 @@ class EdgeState(LedgerState):
     chance: Surrogate | None = None
     partners: Mapping[int, "_Partner"] = field(default_factory=dict)
     draws: Mapping[int, "_Draws"] = field(default_factory=dict)
+    prior: "_Prior | None" = None
 
 
-class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
+class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
     """The search for pairs across the boundary."""
 
     id = "edge@1"
@@ -196,7 +206,8 @@ class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
         return 1
 
     def _first_state(self, ledger: Ledger, config: EdgeConfig) -> EdgeState:
-        return _planned(EdgeState(config=config, ledger=ledger, seeds={}, tries={}))
+        prior = _Prior.of(ledger.known, Steps(ledger.space), config.eps)
+        return _planned(EdgeState(config=config, ledger=ledger, seeds={}, tries={}, prior=prior))
 
     def _refilled(self, state: EdgeState) -> EdgeState:
         return _planned(state)
@@ -254,12 +265,12 @@ class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
         for purpose, of, side in jobs:
             if purpose is Purpose.PARTNER:
                 _check_references("jobs", {of}, known)
-            elif purpose is not Purpose.EXPLORE:
+            elif purpose in (Purpose.PROBE, Purpose.CHECK):
                 _check_references("jobs", {of}, set(range(len(brackets))))
                 _check_references("jobs", {side}, {0, 1})
         return EdgeState(
             config=config, ledger=ledger, brackets=brackets, jobs=jobs, seeds=seeds, tries=tries,
-            resolved=resolved,
+            resolved=resolved, prior=_Prior.of(ledger.known, Steps(ledger.space), config.eps),
         )  # fmt: skip
 
 
@@ -300,14 +311,78 @@ class _Known:
         return row
 
 
-def _clear(archive: Archive, margin: float) -> BoolArray:
-    """Return which solutions are not too close to call, shape ``(n,)``."""
-    size = np.abs(archive.robustness)
-    clear = np.ones(len(archive), np.bool_)
-    for verdict in (False, True):
-        mine = archive.unsafe == verdict
-        if mine.sum() >= _FEW:
-            clear[mine] = size[mine] >= np.quantile(size[mine], margin)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Prior:
+    """What the known results say.
+
+    Attributes:
+        rows: Possible anchors: solutions whose known results agree, shape ``(n, d)``.
+        unsafe: Their verdicts, shape ``(n,)``.
+        robustness: The robustness of the first known result of each, shape ``(n,)``.
+        ends: Solutions that are a tight pair with another one, whether or not it holds, shape ``(m, d)``.
+        middles: The middles of these pairs, shape ``(p, d)``.
+    """
+
+    rows: FloatArray
+    unsafe: BoolArray
+    robustness: FloatArray
+    ends: FloatArray
+    middles: FloatArray
+
+    @classmethod
+    def of(cls, known: Known, steps: Steps, eps: float) -> "_Prior | None":
+        """Return what known results say; None if there are none.
+
+        Args:
+            known: The known results.
+            steps: Geometry of their space.
+            eps: Largest distance of a tight pair.
+        """
+        if not len(known):
+            return None
+        _, first, which = np.unique(known.rows, axis=0, return_index=True, return_inverse=True)
+        which = which.reshape(-1)
+        times, unsafe = np.bincount(which), np.bincount(which, weights=known.unsafe)
+        agree = np.sort(first[(unsafe == 0) | (unsafe == times)])
+        sides = _tight_sides(known, steps, eps)
+        return cls(
+            rows=known.rows[agree], unsafe=known.unsafe[agree], robustness=known.robustness[agree],
+            ends=np.concatenate(sides), middles=midpoints(*sides, steps.space),
+        )  # fmt: skip
+
+
+def _tight_sides(known: Known, steps: Steps, eps: float) -> tuple[FloatArray, FloatArray]:
+    """Return the sides of tight pairs among known results: each unsafe one with the safe one nearest to it.
+
+    Returns:
+        The safe and the unsafe sides, both of shape ``(p, d)``.
+    """
+    safe, unsafe = known.rows[~known.unsafe], known.rows[known.unsafe]
+    if not len(safe) or not len(unsafe):
+        return known.rows[:0], known.rows[:0]
+    distances = steps.metric.between(unsafe, safe)
+    nearest = distances.argmin(axis=1)
+    close = np.flatnonzero(distances[np.arange(len(unsafe)), nearest] <= steps.largest_tight(eps))
+    places = [p for p in close.tolist() if steps.is_tight(safe[nearest[p]], unsafe[p], eps)]
+    return safe[nearest[places]], unsafe[places]
+
+
+def _least_clear(archive: Archive, known: Known, margin: float) -> tuple[float, float]:
+    """Return the least size of robustness at which a safe, and an unsafe solution is not too close to call."""
+    size = np.abs(np.concatenate([archive.robustness, known.robustness]))
+    unsafe = np.concatenate([archive.unsafe, known.unsafe])
+
+    def least(mine: FloatArray) -> float:
+        return float(np.quantile(mine, margin)) if len(mine) >= _FEW else 0.0
+
+    return least(size[~unsafe]), least(size[unsafe])
+
+
+def _clear(state: EdgeState) -> BoolArray:
+    """Return which solutions of the archive are not too close to call, shape ``(n,)``."""
+    archive = state.ledger.archive
+    safe, unsafe = _least_clear(archive, state.ledger.known, state.config.margin)
+    clear: BoolArray = np.abs(archive.robustness) >= np.where(archive.unsafe, unsafe, safe)
     return clear
 
 
@@ -317,7 +392,7 @@ def _learnt(
     """Return the state with brackets opened, narrowed and checked by a generation's evaluations."""
     archive, known = state.ledger.archive, _Known(state.ledger.archive)
     steps = Steps(state.ledger.space)
-    clear = _clear(archive, state.config.margin)
+    clear = _clear(state)
     brackets, seeds, resolved = list(state.brackets), dict(state.seeds), list(state.resolved)
     for candidate, (purpose, of, side) in zip(told, jobs, strict=True):
         evaluation = evaluations[candidate.number]
@@ -349,25 +424,29 @@ def _learnt(
                 brackets[of] = _checked(bracket, side, scored.unsafe, state.config.checks)
                 if brackets[of].status in (Status.KEPT, Status.CHANCY):
                     resolved.append(of)
-    _drop_near(brackets, known, steps, state.config.d_th)
+    _drop_near(brackets, known, steps, state)
     return replace(state, brackets=tuple(brackets), seeds=seeds, resolved=tuple(resolved))
 
 
-def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, d_th: float) -> None:
+def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, state: EdgeState) -> None:
     """Drop the open brackets that will probably end closer to a tight pair than distinct pairs may be.
+
+    Tight pairs among the known results count as well.
 
     Their middle may still move by almost half their length. One that was dropped because of a pair that turned out
     chancy is opened again as soon as some other pair is tight.
     """
     tight = [b for b in brackets if b.status in (Status.TIGHT, Status.KEPT)]
     places = [place for place, b in enumerate(brackets) if b.status in (Status.OPEN, Status.NEAR)]
-    if not tight or not places:
+    middles = [midpoints(*_ends(tight, known), steps.space)] if tight else []
+    if state.prior is not None and len(state.prior.middles):
+        middles.append(state.prior.middles)
+    if not middles or not places:
         return
-    middles = midpoints(*_ends(tight, known), steps.space)
     safe, unsafe = _ends([brackets[place] for place in places], known)
     lengths = np.array([steps.distance(a, b) for a, b in zip(safe, unsafe, strict=True)])
-    towards = steps.metric.between(midpoints(safe, unsafe, steps.space), middles)
-    near: BoolArray = towards + 0.25 * lengths[:, None] < d_th
+    towards = steps.metric.between(midpoints(safe, unsafe, steps.space), np.concatenate(middles))
+    near: BoolArray = towards + 0.25 * lengths[:, None] < state.config.d_th
     for place, drop in zip(places, near, strict=True):
         brackets[place] = replace(brackets[place], status=Status.NEAR if drop.any() else Status.OPEN)
 
@@ -440,12 +519,16 @@ def _planned(state: EdgeState) -> EdgeState:
         return state
     plan = _Plan(int(min(config.generation_size, ledger.left)), [], [], [])
     rng = generator(ledger.seed, Stream.EDGE, _GENERATION, ledger.planned_generation)
-    to_explore = max(0, round(config.explore * _reachable(ledger)) - ledger.spent - ledger.in_flight)
+    for row in ledger.points[: plan.wanted]:
+        plan.add(row, None, (Purpose.EXPLORE, 0, 0))
+    explored = len(ledger.known) + ledger.spent + ledger.in_flight + len(plan.rows)
+    to_explore = max(0, round(config.explore * _reachable(ledger)) - explored)
     if to_explore < plan.wanted:
         _checks(state, plan)
         _probes(state, plan, rng)
         plan.allowance = ledger.left - len(plan.rows) - _reserve(state)
         state = _partners(state, plan, plan.room - to_explore)
+        _propose_anchors(state, plan, plan.room - to_explore)
         if plan.rows or ledger.flight:
             # What the open brackets need is not spent on exploring meanwhile.
             more = min(max(0, plan.room - to_explore), max(0, math.floor(plan.allowance)))
@@ -493,6 +576,8 @@ def _reserve(state: EdgeState) -> float:
         if purpose is Purpose.PARTNER:
             length = steps.distance(known.row(of), state.ledger.space.join(candidate.vectors))
             total += hits * _cost(length, config)
+        elif purpose is Purpose.ANCHOR:
+            total += 1 + hits * _cost(config.d_th, config)
         elif purpose is not Purpose.EXPLORE:
             total -= 1
     return total
@@ -539,9 +624,10 @@ class _Partner:
 
 def _with_surrogate(state: EdgeState) -> EdgeState:
     """Return the state with a surrogate that has learnt from nearly all solutions; it learns anew with 10% more."""
-    archive = state.ledger.archive
-    size = _learning_size(len(archive))
-    rows, unsafe = archive.vectors[:size], archive.unsafe[:size]
+    archive, known = state.ledger.archive, state.ledger.known
+    size = _learning_size(len(known) + len(archive))
+    rows = np.concatenate([known.rows, archive.vectors])[:size]
+    unsafe = np.concatenate([known.unsafe, archive.unsafe])[:size]
     if (state.surrogate is not None and state.surrogate.size == size) or unsafe.all() or not unsafe.any():
         return state
     rng = generator(state.ledger.seed, Stream.EDGE, _SURROGATE, size)
@@ -724,19 +810,32 @@ def _best_of_draws(
         anchors: Positions in the archive by number.
         draws: As many for each anchor.
     """
-    if not anchors:
-        return {}
     chosen = [draws[number] for number in anchors]
-    rows = np.concatenate([one.rows for one in chosen])
-    risk = surrogate.unsafe(rows).reshape(len(chosen), -1)
     unsafe = state.ledger.archive.unsafe[list(anchors.values())]
+    return dict(zip(anchors, _best_partners(surrogate, unsafe, chosen), strict=True))
+
+
+def _best_partners(surrogate: Surrogate, unsafe: BoolArray, draws: Sequence[_Draws]) -> list[_Partner]:
+    """Return the best of the partners drawn for each of several anchors.
+
+    Args:
+        surrogate: Judges the draws.
+        unsafe: Verdicts of the anchors, shape ``(n,)``.
+        draws: As many for each anchor.
+    """
+    if not draws:
+        return []
+    rows = np.concatenate([one.rows for one in draws])
+    risk = surrogate.unsafe(rows).reshape(len(draws), -1)
     flips = np.where(unsafe[:, None], 1 - risk, risk)
-    partners = {}
-    for number, one, chances in zip(anchors, chosen, flips, strict=True):
+    partners = []
+    for one, chances in zip(draws, flips, strict=True):
         best = int(np.lexsort((one.lengths, -np.minimum(chances, _LIKELY)))[0])
-        partners[number] = _Partner(
-            row=one.rows[best], attempt=one.attempt, flips=float(chances[best]),
-            length=float(one.lengths[best]),
+        partners.append(
+            _Partner(
+                row=one.rows[best], attempt=one.attempt, flips=float(chances[best]),
+                length=float(one.lengths[best]),
+            )
         )  # fmt: skip
     return partners
 
@@ -745,7 +844,7 @@ def _anchors(state: EdgeState) -> IntArray:
     """Return the positions of possible anchors: clear, not tried too often, far from all brackets."""
     archive, config = state.ledger.archive, state.config
     tried = np.array([state.tries.get(number, 0) for number in archive.numbers.tolist()])
-    eligible = (tried < MAX_TRIES) & _clear(archive, config.margin)
+    eligible = (tried < MAX_TRIES) & _clear(state)
     in_flight = {of for purpose, of, _ in state.jobs if purpose is Purpose.PARTNER}
     eligible &= ~np.isin(archive.numbers, list(in_flight))
     places = np.flatnonzero(eligible)
@@ -754,7 +853,73 @@ def _anchors(state: EdgeState) -> IntArray:
     ends = [known.place(number) for b in kept for number in (b.safe, b.unsafe)]
     if ends and places.size:
         places = places[(archive.distances(places, ends) >= config.d_th).all(axis=1)]
+    if state.prior is not None and places.size:
+        apart = archive.metric.between(archive.vectors[places], state.prior.ends) >= config.d_th
+        places = places[apart.all(axis=1)]
     return places
+
+
+def _propose_anchors(state: EdgeState, plan: _Plan, count: int) -> None:
+    """Plan to simulate known solutions again that promise partners, where the search has no anchors of its own.
+
+    Args:
+        state: The state; its surrogate is up to date.
+        plan: The generation that is being planned.
+        count: Most anchors. With their partners and brackets they are expected to take no more than the allowance.
+    """
+    if count <= 0 or state.prior is None or state.surrogate is None:
+        return
+    ledger, prior, config = state.ledger, state.prior, state.config
+    metric = Metric.of_space(ledger.space)
+    rng = generator(ledger.seed, Stream.EDGE, _PROPOSED, ledger.planned_generation)
+    places = _proposable(state, metric)
+    places = rng.permutation(places)[:_MOST_PROPOSED]
+    draws = []
+    for place in places.tolist():
+        rows = _redrawn(ledger.space, prior.rows[place], _varied(ledger.space, config), REDRAWS, rng)
+        draws.append(_Draws(0, rows, metric.between(prior.rows[place][None], rows)[0]))
+    partners = _best_partners(state.surrogate, prior.unsafe[places], draws)
+    chancy = np.zeros(len(places)) if state.chance is None else state.chance.unsafe(prior.rows[places])
+    ranks = [partner.rank(risk) for partner, risk in zip(partners, chancy.tolist(), strict=True)]
+    chosen: list[int] = []
+    for index in sorted(range(len(places)), key=lambda index: (ranks[index], index)):
+        place = int(places[index])
+        expected = 2 + partners[index].flips * _cost(partners[index].length, config)
+        if len(chosen) == count or plan.allowance < expected:
+            break
+        if (metric.between(prior.rows[place][None], prior.rows[chosen]) < config.d_th).any():
+            continue
+        chosen.append(place)
+        plan.allowance -= expected
+        plan.add(prior.rows[place], None, (Purpose.ANCHOR, 0, 0))
+
+
+def _proposable(state: EdgeState, metric: Metric) -> IntArray:
+    """Return the positions of known solutions where an anchor would be new, shape ``(n,)``.
+
+    They are clear, not simulated by this search yet, and far from known pairs, from all brackets and from the anchors
+    that the search has or waits for.
+    """
+    assert state.prior is not None
+    ledger, prior, d_th = state.ledger, state.prior, state.config.d_th
+    safe, unsafe = _least_clear(ledger.archive, ledger.known, state.config.margin)
+    eligible = np.abs(prior.robustness) >= np.where(prior.unsafe, unsafe, safe)
+    in_flight = [candidate for generation in ledger.flight for candidate in generation]
+    waiting = [
+        ledger.space.join(candidate.vectors)
+        for candidate, (purpose, _, _) in zip(in_flight, state.jobs, strict=True)
+        if purpose is Purpose.ANCHOR
+    ]
+    asked = {*row_keys(ledger.archive.vectors), *row_keys(ledger.failed), *(row.tobytes() for row in waiting)}
+    eligible &= np.array([key not in asked for key in row_keys(prior.rows)], np.bool_)
+    brackets = [b for b in state.brackets if b.status not in (Status.GIVEN_UP, Status.NEAR)]
+    known = _Known(ledger.archive)
+    ends = [known.row(number) for b in brackets for number in (b.safe, b.unsafe)]
+    own = ledger.archive.vectors[_anchors(state)]
+    taken = [prior.ends, own, np.reshape([*ends, *waiting], (-1, ledger.space.dimension))]
+    places = np.flatnonzero(eligible)
+    apart: BoolArray = metric.between(prior.rows[places], np.concatenate(taken)) >= d_th
+    return places[apart.all(axis=1)]
 
 
 def _redrawn(

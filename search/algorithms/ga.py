@@ -18,8 +18,9 @@ from brink.search.algorithms.ledger import (
     MAX_RESTARTS,
     BoundaryConfig,
     Ledger,
-    LedgerAlgorithm,
     LedgerState,
+    WarmLedgerAlgorithm,
+    leading_rows,
     stored_rows,
 )
 from brink.search.document import Document
@@ -48,14 +49,15 @@ class GeneticAlgorithmState(LedgerState):
 
     Attributes:
         config: Settings.
-        population: The current generation as rows, shape ``(population_size, d)``: evaluated, failed or queued.
+        population: The current generation as rows, shape ``(n, d)``: evaluated, failed, known or queued. There are
+            `population_size`, or more at first if more points are known.
     """
 
     config: GeneticAlgorithmConfig
     population: FloatArray
 
 
-class GeneticAlgorithm(LedgerAlgorithm[GeneticAlgorithmConfig, GeneticAlgorithmState]):
+class GeneticAlgorithm(WarmLedgerAlgorithm[GeneticAlgorithmConfig, GeneticAlgorithmState]):
     """A generational genetic algorithm with tournament selection and uniform crossover."""
 
     id = "ga@1"
@@ -67,30 +69,18 @@ class GeneticAlgorithm(LedgerAlgorithm[GeneticAlgorithmConfig, GeneticAlgorithmS
 
     def _first_state(self, ledger: Ledger, config: GeneticAlgorithmConfig) -> GeneticAlgorithmState:
         rng = generator(ledger.seed, Stream.START)
-        population = _random_population(ledger.space, config.population_size, rng)
-        return GeneticAlgorithmState(
-            config=config, ledger=ledger.plan(ledger.unseen(population)), population=frozen_array(population)
-        )
+        leading = leading_rows(ledger, config.population_size)
+        random = _random_population(ledger.space, config.population_size, rng)
+        population = np.array([*leading, *random[: max(0, len(random) - len(leading))]])
+        state = GeneticAlgorithmState(config=config, ledger=ledger, population=frozen_array(population))
+        rows = ledger.unseen(population)
+        return replace(state, ledger=ledger.plan(rows)) if rows else _bred(state)
 
     def tell(
         self, state: GeneticAlgorithmState, evaluations: Mapping[int, Evaluation]
     ) -> GeneticAlgorithmState:
         """Return the state after the pending generation was evaluated."""
-        ledger = state.ledger.tell(evaluations)
-        told = replace(state, ledger=ledger)
-        if ledger.left <= 0:
-            return told
-        fitness = ledger.fitness_of(slice(0, ledger.space.dimension), state.population)
-        for attempt in range(MAX_BREEDINGS + MAX_RESTARTS):
-            rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt)
-            population = (
-                _next_population(told, fitness, rng)
-                if attempt < MAX_BREEDINGS
-                else _random_population(ledger.space, state.config.population_size, rng)
-            )
-            if rows := ledger.unseen(population):
-                return replace(told, ledger=ledger.plan(rows), population=frozen_array(population))
-        return told
+        return _bred(replace(state, ledger=state.ledger.tell(evaluations)))
 
     def _content(self, state: GeneticAlgorithmState) -> tuple[dict[str, Any], dict[str, Any]]:
         return {}, {"population": state.population}
@@ -100,6 +90,24 @@ class GeneticAlgorithm(LedgerAlgorithm[GeneticAlgorithmConfig, GeneticAlgorithmS
     ) -> GeneticAlgorithmState:
         population = stored_rows(document, "population", ledger.space.dimension)
         return GeneticAlgorithmState(config=config, ledger=ledger, population=population)
+
+
+def _bred(state: GeneticAlgorithmState) -> GeneticAlgorithmState:
+    """Return the state with the next generation planned, if budget and space allow."""
+    ledger = state.ledger
+    if ledger.left <= 0:
+        return state
+    fitness = ledger.fitness_of(slice(0, ledger.space.dimension), state.population)
+    for attempt in range(MAX_BREEDINGS + MAX_RESTARTS):
+        rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt)
+        population = (
+            _next_population(state, fitness, rng)
+            if attempt < MAX_BREEDINGS
+            else _random_population(ledger.space, state.config.population_size, rng)
+        )
+        if rows := ledger.unseen(population):
+            return replace(state, ledger=ledger.plan(rows), population=frozen_array(population))
+    return state
 
 
 def _random_population(space: SearchSpace, size: int, rng: np.random.Generator) -> FloatArray:

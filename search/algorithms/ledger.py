@@ -4,6 +4,9 @@ The ledger records every solution ever asked for: the archive, failed and measur
 flight, and the queue, which is the next generation. Numbers count from 0 in the order of planning and are not stored:
 every archived, failed, pending or queued solution has used up one. The next generation is planned as soon as there is
 room for it in flight; an empty queue then means that nothing is left to ask for.
+
+What was known before the search started stands beside the archive, never in it: the archive holds what this search
+has simulated. `Ledger.evidence` is both together.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +15,7 @@ from typing import Any, Final, Generic, Self, TypeVar
 
 import numpy as np
 
-from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.algorithm import Candidate, Evaluation, Failed, Known, Measured, Question, Scored
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError, OrderError, SpaceError
@@ -55,6 +58,7 @@ class Ledger:
         budget: Number of evaluations after which no generation is planned.
         generation: Number of generations told so far.
         archive: Evaluated solutions.
+        known: What was known before the search started.
         failed: Solutions without a verdict, as rows, shape ``(f, d)``.
         measured: Solutions measured on a data set, as rows, shape ``(m, d)``; they may still be simulated.
         flight: The generations that were asked for but not told yet, oldest first.
@@ -66,13 +70,16 @@ class Ledger:
     budget: int
     generation: int
     archive: Archive
+    known: Known
     failed: FloatArray
     measured: FloatArray
     flight: tuple[tuple[Candidate, ...], ...]
     queue: tuple[Candidate, ...]
 
     @classmethod
-    def start(cls, space: SearchSpace, config: BoundaryConfig, *, seed: int, budget: int) -> Self:
+    def start(
+        cls, space: SearchSpace, config: BoundaryConfig, *, seed: int, budget: int, known: Known | None = None
+    ) -> Self:
         """Return an empty ledger.
 
         Args:
@@ -80,6 +87,7 @@ class Ledger:
             config: Settings of the neighbourhood.
             seed: The campaign's seed.
             budget: Number of evaluations.
+            known: What is known already; None for nothing.
         """
         return cls(
             space=space,
@@ -87,6 +95,7 @@ class Ledger:
             budget=budget,
             generation=0,
             archive=Archive.empty(space, Neighbourhood.of(config)),
+            known=Known.nothing(space.dimension) if known is None else known,
             failed=frozen_array(np.empty((0, space.dimension))),
             measured=frozen_array(np.empty((0, space.dimension))),
             flight=(),
@@ -109,6 +118,20 @@ class Ledger:
         return min(self.budget, self.space.size) - self.spent - self.in_flight
 
     @property
+    def evidence(self) -> Archive:
+        """The archive, followed by the known results, whose numbers are negative."""
+        known = self.known
+        if not len(known):
+            return self.archive
+        numbers = -1 - np.arange(len(known))
+        return self.archive.grown(numbers, known.rows, known.unsafe, known.robustness, keep_rows=False)
+
+    @property
+    def points(self) -> tuple[FloatArray, ...]:
+        """The known points that were not asked for yet."""
+        return self.unseen(self.known.points)
+
+    @property
     def pending(self) -> tuple[Candidate, ...]:
         """The oldest generation in flight."""
         return self.flight[0] if self.flight else ()
@@ -119,8 +142,8 @@ class Ledger:
         return self.generation + len(self.flight)
 
     def unseen(self, rows: Iterable[FloatArray]) -> tuple[FloatArray, ...]:
-        """Return the rows that were never asked for, without duplicates, in their order."""
-        seen = {*row_keys(self.archive.vectors), *row_keys(self.failed)}
+        """Return the rows that were never asked for and whose results are not known, in order, without duplicates."""
+        seen = {*row_keys(self.archive.vectors), *row_keys(self.failed), *row_keys(self.known.rows)}
         seen.update(self.space.join(c.vectors).tobytes() for generation in self.flight for c in generation)
         fresh = []
         for row in rows:
@@ -208,7 +231,7 @@ class Ledger:
             )
 
     def fitness_of(self, index: slice, individuals: FloatArray) -> FloatArray:
-        """Return, for each individual, the smallest fitness of the archived solutions that contain it.
+        """Return, for each individual, the smallest fitness of the archived or known solutions that contain it.
 
         Args:
             index: Columns of the individuals in a row.
@@ -218,9 +241,8 @@ class Ledger:
             Shape ``(n,)``; infinite for an individual without an evaluated solution.
         """
         best = dict.fromkeys(row_keys(individuals), np.inf)
-        for key, fitness in zip(
-            row_keys(self.archive.vectors[:, index]), self.archive.fitness.tolist(), strict=True
-        ):
+        evidence = self.evidence
+        for key, fitness in zip(row_keys(evidence.vectors[:, index]), evidence.fitness.tolist(), strict=True):
             if fitness < best.get(key, -np.inf):
                 best[key] = fitness
         return np.array([best[key] for key in row_keys(individuals)])
@@ -255,6 +277,7 @@ class Ledger:
                 "failed": self.failed,
                 "measured": self.measured,
                 "queue": np.reshape(rows, (len(rows), self.space.dimension)).astype(np.float64),
+                **_known_arrays(self.known),
                 **arrays,
             },
         )
@@ -292,6 +315,7 @@ class Ledger:
             budget=header["budget"],
             generation=header["generation"],
             archive=archive,
+            known=_stored_known(document, space.dimension),
             failed=stored_rows(document, "failed", space.dimension),
             measured=measured,
             flight=(),
@@ -303,6 +327,34 @@ class Ledger:
             ledger = ledger.plan(rows[:size], question, seeds[:size]).ask()
             rows, seeds = rows[size:], seeds[size:]
         return ledger.plan(rows, question, seeds)
+
+
+def _known_arrays(known: Known) -> dict[str, Any]:
+    """Return the arrays that store what was known; none if nothing was, as in documents of older versions."""
+    arrays: dict[str, Any] = {}
+    if len(known):
+        arrays |= {
+            "known": known.rows,
+            "known_results": np.stack([known.unsafe.astype(np.float64), known.robustness], axis=1),
+        }
+    return arrays | ({"points": known.points} if len(known.points) else {})
+
+
+def _stored_known(document: Document, dimension: int) -> Known:
+    """Return what `_known_arrays` stored.
+
+    Raises:
+        DocumentError: The arrays are corrupt.
+    """
+    nothing = Known.nothing(dimension)
+    rows, results, points = nothing.rows, np.empty((0, 2)), nothing.points
+    if "known" in document.arrays:
+        rows, results = stored_rows(document, "known", dimension), stored_rows(document, "known_results", 2)
+    if "points" in document.arrays:
+        points = stored_rows(document, "points", dimension)
+    if len(rows) != len(results):
+        raise DocumentError(f"known_results: expected one for each of {len(rows)} rows, got {len(results)}")
+    return Known(rows=rows, unsafe=results[:, 0] != 0, robustness=results[:, 1], points=points)
 
 
 def _checked_flight(header: Mapping[str, Any], rows: int) -> list[int]:
@@ -395,8 +447,8 @@ class LedgerState:
 
     @property
     def fitness(self) -> FloatArray:
-        """Boundary fitness of all archived solutions, shape ``(n,)``."""
-        return self.archive.fitness
+        """Boundary fitness of all archived solutions, known results counted as neighbours, shape ``(n,)``."""
+        return self.ledger.evidence.fitness[: len(self.archive)]
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
@@ -513,3 +565,45 @@ class LedgerAlgorithm(Generic[C, S]):
         """
         ledger = Ledger.load(space, config, document.expect(self.id, self.layout), archive)
         return self._restored(ledger, config, document)
+
+
+class WarmLedgerAlgorithm(LedgerAlgorithm[C, S]):
+    """Base class of the algorithms whose `_first_state` makes use of what the ledger knows."""
+
+    def start_with(self, space: SearchSpace, config: C, *, seed: int, budget: int, known: Known) -> S:
+        """Return the initial state of a search that starts from what is known; see `WarmStarts`.
+
+        Args:
+            space: The search space.
+            config: Settings.
+            seed: The campaign's seed.
+            budget: Number of simulations; at least one for each point.
+            known: Known results and points, all of them valid solutions.
+
+        Raises:
+            UnsupportedSpace: The algorithm does not support the space.
+            ConfigError: A setting does not fit the space, the other settings or the budget.
+        """
+        self.check(space, config, budget=budget)
+        if len(known.points) > budget:
+            raise ConfigError(
+                "budget",
+                f"expected at least the {len(known.points)} simulations of the known points, got {budget}",
+            )
+        return self._first_state(Ledger.start(space, config, seed=seed, budget=budget, known=known), config)
+
+
+def leading_rows(ledger: Ledger, most: int) -> list[FloatArray]:
+    """Return the solutions that a population starts with: all known points, then the results nearest to the boundary.
+
+    Args:
+        ledger: An empty ledger.
+        most: Number of solutions, unless there are more points.
+    """
+    known = ledger.known
+    rows = {row.tobytes(): row for row in known.points}
+    for place in known.nearest().tolist():
+        if len(rows) >= most:
+            break
+        rows.setdefault(known.rows[place].tobytes(), known.rows[place])
+    return list(rows.values())

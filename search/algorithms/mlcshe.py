@@ -22,8 +22,10 @@ from brink.search.algorithms.ledger import (
     MAX_RESTARTS,
     BoundaryConfig,
     Ledger,
-    LedgerAlgorithm,
     LedgerState,
+    WarmLedgerAlgorithm,
+    leading_rows,
+    row_keys,
     stored_rows,
 )
 from brink.search.document import Document
@@ -86,7 +88,7 @@ class MlcsheState(LedgerState):
     populations: tuple[Population, Population]
 
 
-class Mlcshe(LedgerAlgorithm[MlcsheConfig, MlcsheState]):
+class Mlcshe(WarmLedgerAlgorithm[MlcsheConfig, MlcsheState]):
     """Cooperative co-evolutionary search for the hazard boundary."""
 
     id = "mlcshe@1"
@@ -115,27 +117,15 @@ class Mlcshe(LedgerAlgorithm[MlcsheConfig, MlcsheState]):
 
     def _first_state(self, ledger: Ledger, config: MlcsheConfig) -> MlcsheState:
         # The whole populations are their own archives, so the first generation combines all pairs.
-        first, second = (_random_population(ledger, config, index, attempt=0) for index in range(2))
-        rows = ledger.unseen(_collaborations(ledger, config, (first, second), attempt=0))
-        return MlcsheState(config=config, ledger=ledger.plan(rows), populations=(first, second))
+        first, second = (_first_population(ledger, config, index) for index in range(2))
+        state = MlcsheState(config=config, ledger=ledger, populations=(first, second))
+        pairs = _collaborations(ledger, config, (first, second), attempt=0)
+        rows = ledger.unseen([*ledger.known.points, *pairs])
+        return replace(state, ledger=ledger.plan(rows)) if rows else _bred(state)
 
     def tell(self, state: MlcsheState, evaluations: Mapping[int, Evaluation]) -> MlcsheState:
         """Return the state after the pending generation was evaluated."""
-        ledger = state.ledger.tell(evaluations)
-        told = replace(state, ledger=ledger)
-        if ledger.left <= 0:
-            return told
-        stocks = [_breeding_stock(told, index) for index in range(2)]
-        for attempt in range(MAX_BREEDINGS + MAX_RESTARTS):
-            first, second = (
-                _next_population(told, stock, attempt)
-                if attempt < MAX_BREEDINGS
-                else _random_population(ledger, state.config, stock.index, attempt)
-                for stock in stocks
-            )
-            if rows := ledger.unseen(_collaborations(ledger, state.config, (first, second), attempt)):
-                return replace(told, ledger=ledger.plan(rows), populations=(first, second))
-        return told
+        return _bred(replace(state, ledger=state.ledger.tell(evaluations)))
 
     def _content(self, state: MlcsheState) -> tuple[dict[str, Any], dict[str, Any]]:
         first, second = state.populations
@@ -158,6 +148,36 @@ class Mlcshe(LedgerAlgorithm[MlcsheConfig, MlcsheState]):
                 return MlcsheState(config=config, ledger=ledger, populations=(first, second))
             case got:
                 raise DocumentError(f"population_archives: expected two whole numbers, got {got!r}")
+
+
+def _bred(state: MlcsheState) -> MlcsheState:
+    """Return the state with the next generation planned, if budget and space allow."""
+    ledger = state.ledger
+    if ledger.left <= 0:
+        return state
+    stocks = [_breeding_stock(state, index) for index in range(2)]
+    for attempt in range(MAX_BREEDINGS + MAX_RESTARTS):
+        first, second = (
+            _next_population(state, stock, attempt)
+            if attempt < MAX_BREEDINGS
+            else _random_population(ledger, state.config, stock.index, attempt)
+            for stock in stocks
+        )
+        if rows := ledger.unseen(_collaborations(ledger, state.config, (first, second), attempt)):
+            return replace(state, ledger=ledger.plan(rows), populations=(first, second))
+    return state
+
+
+def _first_population(ledger: Ledger, config: MlcsheConfig, index: int) -> Population:
+    """Return the first population: the vectors of known solutions, then random ones."""
+    random = _random_population(ledger, config, index, attempt=0)
+    known = leading_rows(ledger, config.population_size)
+    if not known:
+        return random
+    vectors = np.array(known)[:, ledger.space.slices[index]]
+    different = dict(zip(row_keys(vectors), vectors, strict=True))
+    rows = [*different.values(), *random.individuals][: config.population_size]
+    return Population(individuals=frozen_array(np.array(rows)), archived=len(rows))
 
 
 def _random_population(ledger: Ledger, config: MlcsheConfig, index: int, attempt: int) -> Population:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from brink.search.algorithm import Evaluation
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState
+from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, WarmLedgerAlgorithm
 from brink.search.document import Document
 from brink.search.settings import setting
 from brink.search.space import FloatArray, SearchSpace
@@ -34,7 +34,7 @@ class RandomSearchState(LedgerState):
     config: RandomSearchConfig
 
 
-class RandomSearch(LedgerAlgorithm[RandomSearchConfig, RandomSearchState]):
+class RandomSearch(WarmLedgerAlgorithm[RandomSearchConfig, RandomSearchState]):
     """Random draws from the space, with duplicates rejected."""
 
     id = "random@1"
@@ -63,7 +63,7 @@ def _planned(config: RandomSearchConfig, ledger: Ledger) -> RandomSearchState:
     room = len(ledger.flight) < config.in_flight
     wanted = int(min(config.generation_size, ledger.left)) if room else 0
     rng = generator(ledger.seed, Stream.START, ledger.planned_generation)
-    rows: tuple[FloatArray, ...] = ()
+    rows: tuple[FloatArray, ...] = ledger.points[:wanted]
     draws_left = _DRAWS_PER_CANDIDATE * wanted
     while len(rows) < wanted and draws_left > 0:
         batch = wanted - len(rows)
