@@ -9,9 +9,9 @@ under a seed of its own; a pair that does not keep its verdicts is a chancy plac
 The sides of a bracket share an episode seed: otherwise chance would decide where the verdict changes. When the budget
 only just suffices to finish the open brackets, no more are opened, and generations become smaller.
 
-A search that starts from known results explores less by as many. They train the surrogate and propose anchors, but
-no bracket rests on one: an anchor is simulated again under a seed of this search. Where known results are a pair
-already, the search looks for no further one.
+A search that starts from known results explores less by as many. The surrogate learns from them, and then proposes
+anchors, known solutions and new ones. No bracket rests on a known result: a known solution is simulated again under a
+seed of this search. Where known results are a pair already, the search looks for no further one.
 
 Source: ours; see docs/explanation/pairs.md.
 """
@@ -64,7 +64,7 @@ _MOST_KEPT: Final = 2_000
 _LIKELY: Final = 0.75
 """Probability of the opposite verdict from which on a nearer partner is better than a likelier one."""
 _MOST_PROPOSED: Final = 500
-"""Known solutions, drawn at random, from which the anchors of a generation are chosen."""
+"""Known solutions, and as many new ones, drawn at random, from which the anchors of a generation are chosen."""
 # What is drawn, as the first index of the stream.
 _GENERATION, _SURROGATE, _PARTNER, _MORE, _CHANCE, _PROPOSED = range(6)
 
@@ -77,7 +77,7 @@ class Purpose(IntEnum):
     PROBE = 2
     CHECK = 3
     ANCHOR = 4
-    """A known solution that is simulated again, so that a bracket may begin there."""
+    """A solution, known or new, that is simulated so that a bracket may begin there."""
 
 
 class Status(IntEnum):
@@ -859,8 +859,23 @@ def _anchors(state: EdgeState) -> IntArray:
     return places
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Proposals:
+    """Solutions where a bracket may begin, none of them simulated by this search.
+
+    Attributes:
+        rows: The solutions, shape ``(n, d)``.
+        unsafe: Their verdicts, as known or as the surrogate judges, shape ``(n,)``.
+        certainty: How certain these are, shape ``(n,)``.
+    """
+
+    rows: FloatArray
+    unsafe: BoolArray
+    certainty: FloatArray
+
+
 def _propose_anchors(state: EdgeState, plan: _Plan, count: int) -> None:
-    """Plan to simulate known solutions again that promise partners, where the search has no anchors of its own.
+    """Plan to simulate solutions that promise partners, where the search has no anchors of its own.
 
     Args:
         state: The state; its surrogate is up to date.
@@ -869,41 +884,49 @@ def _propose_anchors(state: EdgeState, plan: _Plan, count: int) -> None:
     """
     if count <= 0 or state.prior is None or state.surrogate is None:
         return
-    ledger, prior, config = state.ledger, state.prior, state.config
-    metric = Metric.of_space(ledger.space)
-    rng = generator(ledger.seed, Stream.EDGE, _PROPOSED, ledger.planned_generation)
-    places = _proposable(state, metric)
-    places = rng.permutation(places)[:_MOST_PROPOSED]
-    draws = []
-    for place in places.tolist():
-        rows = _redrawn(ledger.space, prior.rows[place], _varied(ledger.space, config), REDRAWS, rng)
-        draws.append(_Draws(0, rows, metric.between(prior.rows[place][None], rows)[0]))
-    partners = _best_partners(state.surrogate, prior.unsafe[places], draws)
-    chancy = np.zeros(len(places)) if state.chance is None else state.chance.unsafe(prior.rows[places])
+    space, config, metric = state.ledger.space, state.config, Metric.of_space(state.ledger.space)
+    rng = generator(state.ledger.seed, Stream.EDGE, _PROPOSED, state.ledger.planned_generation)
+    proposals = _proposals(state, state.prior, state.surrogate, rng)
+    rows, varied = proposals.rows, _varied(space, config)
+    redrawn = [_redrawn(space, row, varied, REDRAWS, rng) for row in rows]
+    draws = [
+        _Draws(0, some, metric.between(row[None], some)[0]) for row, some in zip(rows, redrawn, strict=True)
+    ]
+    partners = [
+        replace(partner, flips=partner.flips * sure)
+        for partner, sure in zip(
+            _best_partners(state.surrogate, proposals.unsafe, draws),
+            proposals.certainty.tolist(),
+            strict=True,
+        )
+    ]
+    chancy = np.zeros(len(rows)) if state.chance is None else state.chance.unsafe(rows)
     ranks = [partner.rank(risk) for partner, risk in zip(partners, chancy.tolist(), strict=True)]
     chosen: list[int] = []
-    for index in sorted(range(len(places)), key=lambda index: (ranks[index], index)):
-        place = int(places[index])
-        expected = 2 + partners[index].flips * _cost(partners[index].length, config)
+    for place in sorted(range(len(rows)), key=lambda place: (ranks[place], place)):
+        expected = 2 + partners[place].flips * _cost(partners[place].length, config)
         if len(chosen) == count or plan.allowance < expected:
             break
-        if (metric.between(prior.rows[place][None], prior.rows[chosen]) < config.d_th).any():
+        if (metric.between(rows[place][None], rows[chosen]) < config.d_th).any():
             continue
         chosen.append(place)
         plan.allowance -= expected
-        plan.add(prior.rows[place], None, (Purpose.ANCHOR, 0, 0))
+        plan.add(rows[place], None, (Purpose.ANCHOR, 0, 0))
 
 
-def _proposable(state: EdgeState, metric: Metric) -> IntArray:
-    """Return the positions of known solutions where an anchor would be new, shape ``(n,)``.
+def _proposals(state: EdgeState, prior: _Prior, surrogate: Surrogate, rng: np.random.Generator) -> _Proposals:
+    """Return known and random solutions where an anchor would be new.
 
     They are clear, not simulated by this search yet, and far from known pairs, from all brackets and from the anchors
     that the search has or waits for.
     """
-    assert state.prior is not None
-    ledger, prior, d_th = state.ledger, state.prior, state.config.d_th
+    ledger, d_th = state.ledger, state.config.d_th
     safe, unsafe = _least_clear(ledger.archive, ledger.known, state.config.margin)
-    eligible = np.abs(prior.robustness) >= np.where(prior.unsafe, unsafe, safe)
+    clear = np.flatnonzero(np.abs(prior.robustness) >= np.where(prior.unsafe, unsafe, safe))
+    places = rng.permutation(clear)[:_MOST_PROPOSED]
+    drawn = np.array([ledger.space.join(ledger.space.sample(rng)) for _ in range(_MOST_PROPOSED)])
+    risk = surrogate.unsafe(drawn)
+    rows = np.concatenate([prior.rows[places], drawn])
     in_flight = [candidate for generation in ledger.flight for candidate in generation]
     waiting = [
         ledger.space.join(candidate.vectors)
@@ -911,15 +934,18 @@ def _proposable(state: EdgeState, metric: Metric) -> IntArray:
         if purpose is Purpose.ANCHOR
     ]
     asked = {*row_keys(ledger.archive.vectors), *row_keys(ledger.failed), *(row.tobytes() for row in waiting)}
-    eligible &= np.array([key not in asked for key in row_keys(prior.rows)], np.bool_)
+    fresh = np.array([key not in asked for key in row_keys(rows)], np.bool_)
     brackets = [b for b in state.brackets if b.status not in (Status.GIVEN_UP, Status.NEAR)]
     known = _Known(ledger.archive)
     ends = [known.row(number) for b in brackets for number in (b.safe, b.unsafe)]
     own = ledger.archive.vectors[_anchors(state)]
-    taken = [prior.ends, own, np.reshape([*ends, *waiting], (-1, ledger.space.dimension))]
-    places = np.flatnonzero(eligible)
-    apart: BoolArray = metric.between(prior.rows[places], np.concatenate(taken)) >= d_th
-    return places[apart.all(axis=1)]
+    taken = np.concatenate([prior.ends, own, np.reshape([*ends, *waiting], (-1, ledger.space.dimension))])
+    new = fresh & (Metric.of_space(ledger.space).between(rows, taken) >= d_th).all(axis=1)
+    return _Proposals(
+        rows=rows[new],
+        unsafe=np.concatenate([prior.unsafe[places], risk > 0.5])[new],
+        certainty=np.concatenate([np.ones(len(places)), np.maximum(risk, 1 - risk)])[new],
+    )
 
 
 def _redrawn(

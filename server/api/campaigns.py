@@ -28,6 +28,7 @@ from brink.server.api.schemas import (
     CampaignList,
     CampaignView,
     GenerationView,
+    KnownView,
     LlmCall,
     LlmCalls,
     Progress,
@@ -36,6 +37,7 @@ from brink.server.api.schemas import (
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, parse_body
+from brink.server.campaigns.known import count_known
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
@@ -253,6 +255,7 @@ def read_progress(
         looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),
         looks_for_tolerances=searches_for_tolerances(campaign.body.algorithm.id),
         origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
+        known=_known_view(connection, campaign),
         asking=asking,
         trouble=trouble.reason if trouble else None,
         trouble_s=trouble.span_s if trouble else 0.0,
@@ -262,6 +265,16 @@ def read_progress(
             for item in view_store.list_generations(connection, campaign.id, since)
         ],
     )  # fmt: skip
+
+
+def _known_view(connection: Connection, campaign: Campaign) -> KnownView | None:
+    start = campaign.body.start_from
+    if start is None:
+        return None
+    counts = count_known(connection, campaign.id)
+    return KnownView(
+        campaign=start.campaign, results=counts.results, unsafe=counts.unsafe, points=counts.points
+    )
 
 
 overview_router = APIRouter(tags=["campaigns"])

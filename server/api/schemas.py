@@ -77,6 +77,19 @@ class GenerationView(View):
     told_at: datetime
 
 
+class KnownView(View):
+    """How much a campaign started from."""
+
+    campaign: Annotated[
+        str | None, Field(description="The campaign that it started from; null for given solutions.")
+    ]
+    results: Annotated[int, Field(description="Known results, which the campaign did not simulate.")]
+    unsafe: Annotated[int, Field(description="Unsafe ones among them.")]
+    points: Annotated[
+        int, Field(description="Known solutions without a result, which the campaign simulates first.")
+    ]
+
+
 class Progress(View):
     """Counts, rates, and the generations since a cursor."""
 
@@ -124,6 +137,10 @@ class Progress(View):
         dict[str, int],
         Field(description="Number of solutions by origin, once the campaign has ended; empty if unknown."),
     ]
+    known: Annotated[
+        KnownView | None,
+        Field(description="What the campaign started from, see `GET …/known`; null if from nothing."),
+    ] = None
     asking: Annotated[str | None, Field(description="Current request to a language model, if any.")]
     trouble: Annotated[
         str | None, Field(description="Why the database currently rejects writes, if it does.")
@@ -250,6 +267,14 @@ class BudgetBoundary(View):
     strict_dbs: int
 
 
+class KnownBoundary(View):
+    """The boundary of a campaign's solutions together with the known results that it started from."""
+
+    results: Annotated[int, Field(description="Known results, none of which the campaign simulated.")]
+    dbs: int
+    strict_dbs: int
+
+
 class Boundary(View):
     """The distinct boundary solutions of a campaign."""
 
@@ -266,6 +291,10 @@ class Boundary(View):
     within_budget: Annotated[
         BudgetBoundary | None,
         Field(description="What comparisons count; null if the campaign did not exceed its budget."),
+    ] = None
+    with_known: Annotated[
+        KnownBoundary | None,
+        Field(description="With the known results; null if the campaign did not start from any."),
     ] = None
 
 

@@ -28,6 +28,7 @@ from brink.server.api.schemas import (
     BudgetBoundary,
     DbsCell,
     DistanceBlock,
+    KnownBoundary,
     SolutionPage,
     SolutionView,
     View,
@@ -35,9 +36,10 @@ from brink.server.api.schemas import (
 )
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive, read_activity
-from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, MOST_KNOWN
+from brink.server.campaigns.known import KnownRecord, read_known
 from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
-from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.plan import looks_for_boundary, make_plan
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
@@ -260,6 +262,7 @@ def boundary_view(
     """
     archive = read.archive
     within = _within_budget(archive, campaign.body.budget.simulations, t_b, d_th)
+    known = _with_known(read, t_b, d_th)
     chosen = distinct_boundary(archive, t_b, d_th)
     strict = chosen[has_evidence(archive)[chosen]]
     grid = read.grid
@@ -270,7 +273,7 @@ def boundary_view(
         d_th=d_th,
         dbs=len(chosen),
         strict_dbs=len(strict),
-        note=_note(read, t_b, within),
+        note=_note(read, t_b, within, known),
         grid=[
             DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
             for row, t in enumerate(grid.t_bs)
@@ -279,6 +282,7 @@ def boundary_view(
         solutions=solution_views([rows[number] for number in numbers], read, full=True),
         strict=[int(number) for number in archive.numbers[strict]],
         within_budget=within,
+        with_known=known,
     )
 
 
@@ -295,7 +299,18 @@ def _within_budget(archive: Archive, budget: int, t_b: float, d_th: float) -> Bu
     )  # fmt: skip
 
 
-def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None) -> str:
+def _with_known(read: ReadArchive, t_b: float, d_th: float) -> KnownBoundary | None:
+    """Return the boundary with the known results; None if the campaign did not start from any."""
+    if not len(read.known):
+        return None
+    chosen = distinct_boundary(read.with_known, t_b, d_th)
+    return KnownBoundary(
+        results=len(read.known), dbs=len(chosen),
+        strict_dbs=int(np.count_nonzero(has_evidence(read.with_known)[chosen])),
+    )  # fmt: skip
+
+
+def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None, known: KnownBoundary | None) -> str:
     """Explain how to read DBS at this threshold."""
     p_th = read.plan.neighbourhood.p_th
     all_safe = p_th / max(p_th, 1 - p_th)
@@ -312,7 +327,67 @@ def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None) -> str:
             f" Without the {within.beyond:,} solutions beyond the budget of {within.simulations:,} simulations, as "
             f"in comparisons: {within.dbs} distinct, {within.strict_dbs} strict."
         )
+    if known is not None:
+        note += (
+            f" Together with the {known.results:,} known results that the campaign started from: {known.dbs} "
+            f"distinct, {known.strict_dbs} strict."
+        )
     return note
+
+
+class KnownSolutionView(View):
+    """A solution that a campaign started from."""
+
+    place: Annotated[int, Field(description="Position among them; it has no number in this campaign.")]
+    verdict: Annotated[
+        SolutionVerdict | None,
+        Field(description="Its known verdict, which this campaign did not simulate; null without a result."),
+    ]
+    robustness: float | None
+    words: str
+    parameters: dict[str, dict[str, Any]]
+    campaign: Annotated[
+        str | None, Field(description="The campaign that simulated it; null for a given solution.")
+    ]
+    number: Annotated[int | None, Field(description="Its number in that campaign.")]
+
+
+class KnownPage(View):
+    """A page of the solutions that a campaign started from."""
+
+    solutions: list[KnownSolutionView]
+    next: Annotated[int | None, Field(description="Pass as `after` to get the next page.")]
+
+
+@router.get("/known")
+async def get_known(
+    campaign_id: str,
+    services: Services,
+    after: Annotated[int, Query(ge=-1, le=MOST_KNOWN)] = -1,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> KnownPage:
+    """List what a campaign started from; none if it started from nothing."""
+    campaign = await services.campaigns.get(campaign_id)
+
+    def look() -> list[KnownSolutionView]:
+        problem = make_plan(campaign.body).problem
+        with services.engines.reader.connect() as connection:
+            records = read_known(connection, campaign.id, after=after, limit=limit)
+        return [_known_view(problem, place, one) for place, one in enumerate(records, after + 1)]
+
+    views = await asyncio.get_running_loop().run_in_executor(None, look)
+    return KnownPage(solutions=views, next=views[-1].place if len(views) == limit else None)
+
+
+def _known_view(problem: Problem, place: int, record: KnownRecord) -> KnownSolutionView:
+    vectors = problem.space.split(np.frombuffer(record.vector, dtype="<f8"))
+    verdict = None
+    if record.unsafe is not None:
+        verdict = SolutionVerdict.UNSAFE if record.unsafe else SolutionVerdict.SAFE
+    return KnownSolutionView(
+        place=place, verdict=verdict, robustness=record.robustness, words=describe_candidate(problem, vectors),
+        parameters=problem.space.decode(vectors), campaign=record.source, number=record.number,
+    )  # fmt: skip
 
 
 NeighbourLimit = Annotated[int, Query(ge=0, le=1000, description="Maximum number of neighbours to return.")]

@@ -37,6 +37,7 @@ from brink.search.document import Document
 from brink.search.metric import METRIC_VERSION
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.known import read_known
 from brink.server.campaigns.plan import (
     LiveSearch,
     Plan,
@@ -359,10 +360,11 @@ class Stepper:
             checkpoint = step_store.find_checkpoint(connection, campaign.id)
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
             in_flight = step_store.read_vectors(connection, campaign.id, campaign.generation)
+            known = read_known(connection, campaign.id) if checkpoint is None else ()
         if now is None or now.generation != campaign.generation:
             raise _MovedOn
         if checkpoint is None and campaign.generation == 0:
-            live, asked = first_generations(campaign.body)
+            live, asked = first_generations(campaign.body, known)
         elif checkpoint is None or checkpoint.generation != campaign.generation:
             raise Damaged(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
         else:

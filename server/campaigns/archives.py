@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection
 
+from brink.search.algorithm import Known
 from brink.search.analysis.boundary import DbsGrid, dbs_grid
 from brink.search.analysis.monitor import Model, Monitor, default_model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
@@ -19,6 +20,7 @@ from brink.search.errors import MissingExtra
 from brink.search.space import FloatArray
 from brink.server.campaigns import step_store, view_store
 from brink.server.campaigns.advance import Stepper
+from brink.server.campaigns.known import KnownRecord, known_of, read_known
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive
 from brink.server.campaigns.step_store import StoredArchive
 from brink.server.campaigns.store import Campaign
@@ -40,6 +42,14 @@ class ReadArchive:
     plan: Plan
     archive: Archive
     generation: int
+    known: Known
+
+    @cached_property
+    def with_known(self) -> Archive:
+        """The archive with the known results that the campaign started from, whose numbers are negative."""
+        known = self.known
+        numbers = -1 - np.arange(len(known))
+        return self.archive.grown(numbers, known.rows, known.unsafe, known.robustness, keep_rows=False)
 
     @cached_property
     def digest(self) -> str:
@@ -149,9 +159,16 @@ class Archives:
     def _load(self, campaign: Campaign) -> ReadArchive:
         live = self.stepper.archive(campaign.id, campaign.generation)
         if live is not None:
-            return ReadArchive(plan=make_plan(campaign.body), archive=live, generation=campaign.generation)
-        plan, stored, archive = self.stored(campaign)
-        return ReadArchive(plan=plan, archive=archive, generation=stored.generation)
+            plan, generation, archive = make_plan(campaign.body), campaign.generation, live
+        else:
+            plan, stored, archive = self.stored(campaign)
+            generation = stored.generation
+        records: Sequence[KnownRecord] = ()
+        if campaign.body.start_from is not None:
+            with self.engines.reader.connect() as connection:
+                records = read_known(connection, campaign.id)
+        known = known_of(records, plan.problem.space.dimension)
+        return ReadArchive(plan=plan, archive=archive, generation=generation, known=known)
 
 
 @dataclass(slots=True)

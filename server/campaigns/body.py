@@ -1,9 +1,9 @@
 """The body of ``POST /campaigns``, and campaign files, which have the same fields."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from brink.server.documents import Body, check_printable, hash_document, parse_document, read_yaml
 from brink.server.llm.settings import LlmSettings
@@ -18,6 +18,12 @@ DEFAULT_EPS = 0.02
 """Default of the largest distance between the two sides of a pair."""
 DEFAULT_PAIRS_D_TH = 0.2
 """Default of the smallest distance between two distinct pairs."""
+
+
+MOST_KNOWN = 5_000
+"""Maximum number of results that a campaign starts from; limited because every checkpoint contains them."""
+MOST_GIVEN = 1_000
+"""Maximum number of solutions in a campaign's body."""
 
 
 class PluginChoice(Body):
@@ -51,6 +57,60 @@ class Execution(Body):
     ] = 12
 
 
+class KnownSolution(Body):
+    """A solution that is known before a campaign starts."""
+
+    values: Annotated[
+        JsonValues,
+        Field(
+            description="Every parameter's value, by component.parameter.",
+            examples=[{"scenario.road": "dry"}],
+        ),
+    ]
+    robustness: Annotated[
+        float | None,
+        Field(
+            allow_inf_nan=False,
+            description="Its known result, negative if unsafe; without it, the solution is simulated first.",
+        ),
+    ] = None
+
+
+class StartFrom(Body):
+    """What a campaign starts from: an earlier campaign, or given solutions."""
+
+    campaign: Annotated[
+        str | None,
+        Field(
+            min_length=2, max_length=16, description="Id of a campaign that has ended, or a unique prefix."
+        ),
+    ] = None
+    results: Annotated[
+        bool,
+        Field(
+            description="Whether to take over the campaign's results; if not, its solutions are simulated first, at "
+            "the expense of the budget."
+        ),
+    ] = True
+    limit: Annotated[
+        int | None,
+        Field(
+            ge=1,
+            le=MOST_KNOWN,
+            description="Maximum number of results or solutions of that campaign, nearest to the boundary first.",
+        ),
+    ] = None
+    solutions: Annotated[list[KnownSolution] | None, Field(min_length=1, max_length=MOST_GIVEN)] = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.campaign is None) == (self.solutions is None):
+            raise ValueError("expected either campaign or solutions")
+        if self.solutions is not None and (self.limit is not None or not self.results):
+            raise ValueError("expected limit and results only with campaign")
+        return self
+
+
 class CampaignBody(Body):
     """A campaign: a problem, an algorithm, a budget, a seed."""
 
@@ -80,6 +140,9 @@ class CampaignBody(Body):
     llm: Annotated[
         LlmSettings | None, Field(description="Language model for algorithms that request seeds.")
     ] = None
+    start_from: Annotated[
+        StartFrom | None, Field(description="Known solutions and results to start from.")
+    ] = None
 
     def document_hash(self) -> str:
         """Return a hash that identifies identical submissions."""
@@ -90,6 +153,8 @@ class CampaignBody(Body):
             del document["repeats"]
         if not self.ground_truth:
             del document["ground_truth"]
+        if self.start_from is None:
+            del document["start_from"]
         return hash_document(document)
 
 

@@ -2,13 +2,22 @@
 
 import secrets
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
 
-from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedRequest, ask_all
+from brink.search.algorithm import (
+    Algorithm,
+    Candidate,
+    Known,
+    Question,
+    Seeded,
+    SeedRequest,
+    WarmStarts,
+    ask_all,
+)
 from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.repeats import RepeatsConfig
@@ -17,7 +26,8 @@ from brink.search.archive import ARRAYS, Archive, Neighbourhood
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.streams import episode_seed
 from brink.server.campaigns import step_store, store
-from brink.server.campaigns.body import CampaignBody, PluginChoice
+from brink.server.campaigns.body import CampaignBody, PluginChoice, StartFrom
+from brink.server.campaigns.known import KnownRecord, given_records, insert_known, known_of
 from brink.server.campaigns.step_store import Asked, NewSolution, StoredArchive
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
@@ -33,6 +43,7 @@ from brink.server.problems.base import (
     ignores_seeds,
 )
 from brink.server.problems.catalogue import (
+    ALGORITHMS,
     config_field_error,
     make_algorithm,
     make_params,
@@ -41,6 +52,7 @@ from brink.server.problems.catalogue import (
 )
 from brink.server.queue.job_store import NewJob
 from brink.server.states import JobKind
+from brink.sim.catalogue import plugin_ids
 
 LLM_SEEDER = "llm"
 """Value of the algorithm parameter `seeder` that requests seeds from a language model."""
@@ -80,6 +92,19 @@ class LiveSearch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """What a campaign starts from.
+
+    Attributes:
+        records: The known solutions.
+        start_from: The field of its body, with every value spelled out.
+    """
+
+    records: Sequence[KnownRecord]
+    start_from: StartFrom
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedCampaign:
     """A checked campaign that is not stored yet.
 
@@ -87,12 +112,14 @@ class PreparedCampaign:
         body: The body as it was submitted.
         live: The state of its search.
         asked: The generations that it asked for.
+        known: What it starts from.
     """
 
     id: str
     body: CampaignBody
     live: LiveSearch
     asked: Asked
+    known: Sequence[KnownRecord] = field(default=())
 
 
 def make_plan(body: CampaignBody) -> Plan:
@@ -154,6 +181,10 @@ def make_checked_plan(body: CampaignBody) -> Plan:
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
     _check_seeder(plan)
+    if body.start_from is not None and not isinstance(plan.algorithm, WarmStarts):
+        able = ", ".join(one for one in plugin_ids(ALGORITHMS) if isinstance(make_algorithm(one), WarmStarts))
+        message = f"{body.algorithm.id} cannot start from known solutions; {able} can"
+        raise InvalidInput.at("/start_from", message)
     if body.repeats:
         check_repeatable(plan)
     try:
@@ -220,29 +251,45 @@ def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
         raise InvalidInput.at("/llm/endpoint", message)
 
 
-def check_submission(body: CampaignBody) -> tuple[LiveSearch, Asked]:
+def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[LiveSearch, Asked]:
     """Check that a campaign can run, and return its search with the first generations.
+
+    Args:
+        body: The campaign's body.
+        start: What it starts from. None if it starts from nothing, or if that is not at hand: solutions in the body
+            are then read from there, and an earlier campaign is left to the coordinator that has it.
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
-    make_checked_plan(body)
-    return first_generations(body)
+    plan = make_checked_plan(body)
+    given = body.start_from.solutions if body.start_from is not None else None
+    if start is not None:
+        records, body = start.records, body.model_copy(update={"start_from": start.start_from})
+    else:
+        records = given_records(plan.problem.space, given) if given is not None else ()
+    try:
+        return first_generations(body, records)
+    except ConfigError as error:  # more points than the budget has simulations
+        message = f"{str(error).removeprefix('budget: ')}; start_from.limit takes fewer"
+        raise InvalidInput.at("/budget/simulations", message) from None
 
 
-def prepare_campaign(body: CampaignBody, llm_endpoints: str) -> PreparedCampaign:
+def prepare_campaign(body: CampaignBody, llm_endpoints: str, start: Start | None = None) -> PreparedCampaign:
     """Check a campaign and ask for its first generations.
 
     Args:
         body: The campaign's body.
         llm_endpoints: Endpoints of language models that campaigns may use.
+        start: What it starts from; None for nothing.
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
     _check_endpoint(body.llm, llm_endpoints)
-    live, asked = check_submission(body)
-    return PreparedCampaign(id=secrets.token_hex(4), body=body, live=live, asked=asked)
+    live, asked = check_submission(body, start)
+    known = () if start is None else start.records
+    return PreparedCampaign(id=secrets.token_hex(4), body=body, live=live, asked=asked, known=known)
 
 
 def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str | None = None) -> Campaign:
@@ -255,6 +302,7 @@ def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str 
     """
     resolved = campaign.live.plan.body
     store.insert_campaign(connection, campaign.id, resolved, campaign.body.document_hash(), key)
+    insert_known(connection, campaign.id, campaign.known)
     stored = CAMPAIGNS.get(connection, campaign.id)
     step_store.insert_generations(connection, stored, campaign.asked)
     return stored
@@ -271,14 +319,25 @@ def looks_for_boundary(algorithm_id: str) -> bool:
     )
 
 
-def first_generations(body: CampaignBody) -> tuple[LiveSearch, Asked]:
-    """Start a campaign's search; return it with the generations that it asks for."""
+def first_generations(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> tuple[LiveSearch, Asked]:
+    """Start a campaign's search; return it with the generations that it asks for.
+
+    Args:
+        body: The campaign's body.
+        known: What it starts from.
+    """
     plan = make_plan(body)
-    state = plan.algorithm.start(
-        plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations
-    )
+    state = _first_state(plan, known_of(known, plan.problem.space.dimension))
     state, asked = ask_next(plan, state, 0)
     return LiveSearch(plan=plan, generation=0, asked=len(asked.generations), state=state), asked
+
+
+def _first_state(plan: Plan, known: Known) -> Any:
+    space, seed, budget = plan.problem.space, plan.body.seed, plan.body.budget.simulations
+    if not len(known) and not len(known.points):
+        return plan.algorithm.start(space, plan.config, seed=seed, budget=budget)
+    assert isinstance(plan.algorithm, WarmStarts)  # checked on submission
+    return plan.algorithm.start_with(space, plan.config, seed=seed, budget=budget, known=known)
 
 
 def ask_next(plan: Plan, state: Any, first: int) -> tuple[Any, Asked]:

@@ -34,6 +34,7 @@ from brink.server.campaigns.repeats import (
 )
 from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.warm_start import find_start
 from brink.server.db.engine import Engines, read
 from brink.server.db.sql import DocumentTable
 from brink.server.db.writer import Writer
@@ -217,7 +218,11 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         self.checks.shutdown(wait=True, cancel_futures=True)
 
     def _prepare(self, body: CampaignBody) -> Sequence[PreparedCampaign]:
-        return [prepare_campaign(body, self.llm_endpoints)]
+        start = None
+        if body.start_from is not None:
+            with self.engines.reader.connect() as connection:
+                start = find_start(connection, body)
+        return [prepare_campaign(body, self.llm_endpoints, start)]
 
     def _store(
         self,

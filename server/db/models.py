@@ -182,6 +182,24 @@ class SolutionRow(Base):
     origin: Mapped[str | None] = mapped_column(String(16))
 
 
+class KnownSolutionRow(Base):
+    """A solution that a campaign started from: with a result that is not its own, or to be simulated first."""
+
+    __tablename__ = "known_solutions"
+    __table_args__ = (
+        CheckConstraint("(is_unsafe IS NULL) = (robustness IS NULL)", name="robustness_with_verdict"),
+    )
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    place: Mapped[int] = mapped_column(Integer, primary_key=True)
+    vector: Mapped[bytes]
+    is_unsafe: Mapped[bool | None]
+    robustness: Mapped[float | None]
+    source_id: Mapped[str | None] = mapped_column(String(16))
+    """Campaign that simulated it, which may have been deleted; None for a solution of the body."""
+    source_number: Mapped[int | None] = mapped_column(BigInteger)
+
+
 class CheckpointRow(Base):
     """The algorithm's state after the last `tell`, with the neighbour counts of its archive."""
 

@@ -37,6 +37,7 @@ from brink.server.db.models import (
     DistanceBlockRow,
     GenerationRow,
     JobRow,
+    KnownSolutionRow,
     LlmCallRow,
     SolutionRow,
     TraceRow,
@@ -61,12 +62,17 @@ _TABLES: Final[Mapping[str, type[Base]]] = {
     "campaigns": CampaignRow,
     "generations": GenerationRow,
     "solutions": SolutionRow,
+    "known_solutions": KnownSolutionRow,
     "checkpoints": CheckpointRow,
     "distance_blocks": DistanceBlockRow,
     "jobs": JobRow,
     "violation_names": ViolationNameRow,
     "llm_calls": LlmCallRow,
 }
+_OPTIONAL: Final = ("known_solutions",)
+"""Tables that a file has only if the campaign has rows there; files of older versions lack them."""
+_VECTORS: Final[Mapping[str, str]] = {"solutions": "vectors", "known_solutions": "known-vectors"}
+"""Arrays with the vectors of a table's rows."""
 _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
     "campaigns": ("idempotency_key", "turn", "sequence"),
     "jobs": ("id", "cache", *_LEASE),
@@ -140,7 +146,11 @@ class _Export:
 
     def run(self) -> dict[str, int]:
         """Write all members; return the number of rows of each table."""
-        counts = {name: self._write_table(name, model.__table__) for name, model in _TABLES.items()}
+        counts = {
+            name: self._write_table(name, model.__table__)
+            for name, model in _TABLES.items()
+            if name not in _OPTIONAL or self._has_rows(model.__table__)
+        }
         counts["traces"] = self._write_traces()
         manifest = {
             "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": self._id,
@@ -148,6 +158,10 @@ class _Export:
         }  # fmt: skip
         self._archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
         return counts
+
+    def _has_rows(self, table: Any) -> bool:
+        query = select(table.c.campaign_id).where(table.c.campaign_id == self._id).limit(1)
+        return self._connection.execute(query).first() is not None
 
     def _write_table(self, name: str, table: Any) -> int:
         """Write the campaign's rows of a table: binary columns as arrays, the others as JSON Lines."""
@@ -162,10 +176,12 @@ class _Export:
                 count += 1
                 plain = {key: _json(value) for key, value in row.items() if not isinstance(value, bytes)}
                 member.write(json.dumps(plain, separators=(",", ":"), sort_keys=True).encode() + b"\n")
-                if name == "solutions":
+                if name in _VECTORS:
                     vectors.append(row["vector"])
         if vectors:
-            self._write_array("vectors", np.frombuffer(b"".join(vectors), "<f8").reshape(len(vectors), -1))
+            self._write_array(
+                _VECTORS[name], np.frombuffer(b"".join(vectors), "<f8").reshape(len(vectors), -1)
+            )
         for row in self._rows(query, 1) if name in ("checkpoints", "distance_blocks") else ():
             if name == "checkpoints":
                 for column in ("document", "neighbours", "unsafe_neighbours"):
@@ -242,7 +258,7 @@ class _Import:
         self._connection.execute(insert(CampaignRow).values(campaign))
         counts = {"campaigns": 1}
         for name, model in _TABLES.items():
-            if name != "campaigns":
+            if name != "campaigns" and (name not in _OPTIONAL or f"{name}.jsonl" in self._sums):
                 counts[name] = self._insert(name, model)
         counts["traces"] = self._traces()
         return self._id, counts
@@ -305,17 +321,17 @@ class _Import:
 
     def _complete(self, name: str, table: Any) -> Iterable[dict[str, Any]]:
         """Yield a table's rows with their binary columns and the columns that are not exported."""
-        vectors = np.empty((0, self._dimension))
-        if name == "solutions" and "arrays/vectors.npy" in self._sums:
-            vectors = self._array("vectors", "<f8")
+        vectors, member = np.empty((0, self._dimension)), f"arrays/{_VECTORS.get(name)}.npy"
+        if name in _VECTORS and member in self._sums:
+            vectors = self._array(_VECTORS[name], "<f8")
             if vectors.ndim != 2 or vectors.shape[1] != self._dimension:
-                raise BadFile(f"arrays/vectors.npy: expected {self._dimension} numbers in each row")
+                raise BadFile(f"{member}: expected {self._dimension} numbers in each row")
         for place, row in enumerate(self._rows(name, table)):
             if row["campaign_id"] != self._id:
                 raise BadFile(f"{name}.jsonl, line {place + 1}: expected campaign_id {self._id}")
-            if name == "solutions":
+            if name in _VECTORS:
                 if place >= len(vectors):
-                    raise BadFile("arrays/vectors.npy: expected one row for each solution")
+                    raise BadFile(f"{member}: expected one row for each solution")
                 row["vector"] = vectors[place].tobytes()
             elif name == "checkpoints":
                 for column in ("document", "neighbours", "unsafe_neighbours"):

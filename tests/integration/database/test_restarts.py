@@ -11,7 +11,16 @@ import pytest
 from sqlalchemy import Connection, func, select, text, update
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
-from support.api import FakeWorker, ball, coordinator, eventually, progress, submit, undisturbed_digest
+from support.api import (
+    FakeWorker,
+    ball,
+    coordinator,
+    eventually,
+    finish,
+    progress,
+    submit,
+    undisturbed_digest,
+)
 from support.databases import on_postgres
 from support.llm_endpoint import serving
 from support.marks import mostly_long
@@ -472,3 +481,27 @@ def test_the_sweeper_takes_a_step_that_nobody_took(database_url: str, two: Coord
         eventually(lambda: progress(client, "c0ffee")["generation"] == 1, "the step")
         FakeWorker(client).work("c0ffee")
         assert progress(client, "c0ffee")["digest"] == undisturbed_digest(ball())
+
+
+@pytest.mark.parametrize("name", mostly_long(CAMPAIGNS, ["mlcshe"], "runs a campaign four times"))
+def test_a_warm_campaign_that_is_started_again_finds_the_same(database_url: str, name: str) -> None:
+    """Also before its first generation was told, when what it started from is all that there is to restore."""
+    digests = set()
+    with coordinator(database_url) as client:
+        source = finish(client, ball(seed=7, algorithm={"id": "random@1"}))
+        given = {"values": {"where.x": 0.25, "what.y": -1.5}}
+        mixed = {"solutions": [given, {"values": {"where.x": 0.5, "what.y": 0.0}, "robustness": -0.5}]}
+    for start in ({"campaign": source}, mixed):
+        body = {**CAMPAIGNS[name], "start_from": start, "execution": {"cache": False}}
+        for stops in ((1000,), (1, 27, 1000)):
+            campaign, held = "", list[LeasedJob]()
+            for wanted in stops:
+                with coordinator(database_url) as client:
+                    worker = FakeWorker(client)
+                    campaign = campaign or submit(client, body)
+                    assert set(worker.report(held)) <= {"accepted"}
+                    stands = worker.work(campaign, until=partial(reached, wanted))
+                    held = worker.lease(max_jobs=3)
+            assert stands["status"] == "finished"
+            digests.add((str(start), stands["digest"]))
+    assert len(digests) == 2

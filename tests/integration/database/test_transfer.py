@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sqlalchemy import func, select, text
-from support.api import FakeWorker, ball, coordinator, expect, progress, submit
+from support.api import FakeWorker, ball, coordinator, expect, finish, progress, submit
 from support.databases import BACKENDS, Databases, databases_for, on_sqlite
 from support.marks import mostly_long
 from support.queue import Queue
@@ -124,6 +124,31 @@ def test_a_campaign_that_runs_goes_on_elsewhere_and_finds_the_same(
             assert FakeWorker(client).work(half)["digest"] == digest
             fresh = submit(client, ball(simulations=60))
             assert progress(client, fresh)["simulations"] == 0, "results of files are lent to nobody"
+
+
+def test_a_warm_campaign_goes_on_elsewhere_without_its_source(
+    databases: Databases, database_url: str, tmp_path: Path
+) -> None:
+    """Exported before its first generation was told, and after it: both find what an undisturbed campaign finds."""
+    digests = set()
+    for stop in (1, 25, 1000):
+        file = tmp_path / f"warm-{stop}.brink"
+        with coordinator(database_url) as client:
+            source = finish(client, ball(seed=7, algorithm={"id": "random@1"}))
+            warm = submit(client, ball(start_from={"campaign": source}, execution={"cache": False}))
+            digests.add(FakeWorker(client).work(warm, until=reached(stop))["digest"])
+            known = expect(client.get(f"/api/v1/campaigns/{warm}/known"))
+            if stop < 1000:
+                expect(client.post(f"/api/v1/campaigns/{warm}/pause"))
+        assert run("export", warm, "--out", str(file), "--database", database_url).exit_code == 0
+        with databases.database(f"other-{stop}") as elsewhere:
+            assert run("import", str(file), "--database", elsewhere).exit_code == 0
+            with coordinator(elsewhere) as client:
+                assert expect(client.get(f"/api/v1/campaigns/{warm}/known")) == known
+                if stop < 1000:
+                    expect(client.post(f"/api/v1/campaigns/{warm}/resume"))
+                digests.add(FakeWorker(client).work(warm)["digest"])
+    assert len(digests - {None}) == 1
 
 
 def rewritten(file: Path, changes: dict[str, Callable[[bytes], bytes | None]], *, sums: bool = True) -> Path:
