@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from brink.python.start import Start, started
 from brink.server.campaigns.body import CampaignBody, parse_body, read_campaign_file
 
 CampaignLike: TypeAlias = "Campaign | CampaignBody | Mapping[str, Any] | str | Path"
@@ -25,7 +26,8 @@ class Campaign:
         seed: Seed of the search: the same campaign with the same seed gives the same result.
         problem_params: Parameters of the problem that differ from their defaults.
         algorithm_params: The same for the algorithm.
-        start_from: Known points and results: ``{"campaign": ID}`` or ``{"solutions": [...]}``.
+        start_from: What is known already: an earlier campaign, its result or id, or a data frame with a column for
+            each parameter and one for ``robustness``.
         more: Further fields of the campaign file, such as ``repeats`` or ``execution``.
     """
 
@@ -36,12 +38,12 @@ class Campaign:
     seed: int = 1
     problem_params: Mapping[str, Any] = field(default_factory=dict)
     algorithm_params: Mapping[str, Any] = field(default_factory=dict)
-    start_from: Mapping[str, Any] | None = None
+    start_from: Start = None
     more: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
-        """Return the campaign as a campaign file has it."""
-        document = {
+        """Return the campaign as a campaign file has it, without what it starts from."""
+        return {
             "name": self.name or f"{self.problem.partition('@')[0]}, {self.algorithm.partition('@')[0]}",
             "problem": {"id": self.problem, "params": dict(self.problem_params)},
             "algorithm": {"id": self.algorithm, "params": dict(self.algorithm_params)},
@@ -49,9 +51,6 @@ class Campaign:
             "seed": self.seed,
             **self.more,
         }
-        if self.start_from is not None:
-            document["start_from"] = dict(self.start_from)
-        return document
 
 
 def body_of(campaign: CampaignLike) -> CampaignBody:
@@ -67,4 +66,6 @@ def body_of(campaign: CampaignLike) -> CampaignBody:
         return campaign
     if isinstance(campaign, str | Path):
         return read_campaign_file(Path(campaign))
-    return parse_body(campaign.document() if isinstance(campaign, Campaign) else dict(campaign))
+    if isinstance(campaign, Campaign):
+        return started(parse_body(campaign.document()), campaign.start_from)
+    return parse_body(dict(campaign))

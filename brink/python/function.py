@@ -10,10 +10,11 @@ from typing import Any
 from brink.python.connection import wait_for
 from brink.python.local import run_body
 from brink.python.result import AsyncResult, Result
+from brink.python.start import Start, started
 from brink.search.errors import SpaceError
 from brink.search.shorthand import DeclaredSpace, space_of
 from brink.search.space import SearchSpace
-from brink.server.campaigns.body import CampaignBody, parse_body
+from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.problems.function import Function
@@ -33,7 +34,7 @@ def search(
     name: str | None = None,
     workers: int = 2,
     timeout_s: float = 60.0,
-    start_from: Mapping[str, Any] | None = None,
+    start_from: Start = None,
     database: str | None = None,
     resume: bool = True,
     progress: bool = True,
@@ -56,7 +57,8 @@ def search(
         name: Name of the campaign; by default that of the function.
         workers: Number of worker processes.
         timeout_s: Wall-clock limit of a call.
-        start_from: Known points and results: ``{"campaign": ID}`` or ``{"solutions": [...]}``.
+        start_from: What is known already: an earlier search, its result or id, or a data frame with a column for each
+            parameter and one for ``robustness``.
         database: URL of the database, or the path of a SQLite file; by default ``BRINK_DATABASE``, else ``brink.db``.
         resume: Whether to continue an unfinished search with the same function and settings.
         progress: Whether to show the progress.
@@ -97,7 +99,7 @@ async def search_async(
     name: str | None = None,
     workers: int = 2,
     timeout_s: float = 60.0,
-    start_from: Mapping[str, Any] | None = None,
+    start_from: Start = None,
     database: str | None = None,
     resume: bool = True,
     progress: bool = True,
@@ -123,9 +125,8 @@ async def search_async(
             # What the function calls elsewhere may have changed since an earlier search.
             "execution": {"cache": False, "keep_traces": 0},
         }  # fmt: skip
-        if start_from is not None:
-            document["start_from"] = dict(start_from)
-        body = _checked(document)
+        body = started(parse_body(document), start_from)
+        check_submission(body)
         return await run_body(
             body,
             workers=workers,
@@ -137,12 +138,6 @@ async def search_async(
                 simulator.FILE_VARIABLE: str(path),
             },
         )  # fmt: skip
-
-
-def _checked(document: dict[str, Any]) -> CampaignBody:
-    body = parse_body(document)
-    check_submission(body)
-    return body
 
 
 def _defaults(function: Callable[..., Any], algorithm: str) -> dict[str, Any]:

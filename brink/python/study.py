@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 
 from brink.python.frames import archive_frame, data_frame, parameter_columns
-from brink.search.algorithm import Algorithm, Candidate, Failed, Overlapping, Question, Scored, Seeded
+from brink.python.start import known_from, start_of
+from brink.search.algorithm import (
+    Algorithm,
+    Candidate,
+    Failed,
+    Overlapping,
+    Question,
+    Scored,
+    Seeded,
+    WarmStarts,
+)
 from brink.search.analysis.boundary import distinct_boundary
 from brink.search.analysis.pairs import find_pairs
 from brink.search.archive import Archive
@@ -54,6 +64,7 @@ class Study:
         simulations: Number of trials.
         seed: Seed of the search.
         params: Parameters of the algorithm that differ from their defaults.
+        start_from: What is known already: a data frame with a column for each parameter and one for ``robustness``.
 
     Raises:
         SpaceError: A parameter is not written as expected.
@@ -79,6 +90,7 @@ class Study:
         simulations: int = 500,
         seed: int = 1,
         params: Mapping[str, Any] | None = None,
+        start_from: "Mapping[str, Any] | pd.DataFrame | None" = None,
     ) -> None:
         self._algorithm: Algorithm = make_algorithm(algorithm)
         if isinstance(self._algorithm, Seeded):
@@ -89,12 +101,21 @@ class Study:
         self._id, self._seed, self._simulations = algorithm, seed, simulations
         self._config = make_params(self._algorithm.config_type, dict(params or {}), "/params")
         self._algorithm.check(self._space, self._config, budget=simulations)
-        self._state = self._algorithm.start(self._space, self._config, seed=seed, budget=simulations)
+        self._start = None if start_from is None else start_of(start_from, lambda: self._space)
+        self._state = self._started(seed, simulations)
         self._params = dict(params or {})
         self._flight: list[tuple[Candidate, ...]] = []
         self._told: dict[int, Scored | Failed] = {}
         self._results: dict[int, Scored | Failed] = {}
         self._seeds: dict[int, int] = {}
+
+    def _started(self, seed: int, budget: int) -> Any:
+        if self._start is None:
+            return self._algorithm.start(self._space, self._config, seed=seed, budget=budget)
+        if not isinstance(self._algorithm, WarmStarts):
+            raise UnsupportedSpace(f"{self._id} cannot start from what is known already")
+        known = known_from(self._start, self._space)
+        return self._algorithm.start_with(self._space, self._config, seed=seed, budget=budget, known=known)
 
     @property
     def space(self) -> SearchSpace:
@@ -226,6 +247,7 @@ class Study:
         document = {
             "version": _VERSION, "space": self._space.describe(), "algorithm": self._id,
             "simulations": self._simulations, "seed": self._seed, "params": self._params,
+            "start_from": None if self._start is None else self._start.model_dump(mode="json"),
             "results": [
                 [number, *([None] if isinstance(one, Failed) else [one.robustness, dict(one.objectives)])]
                 for number, one in sorted(self._results.items())
@@ -247,7 +269,7 @@ class Study:
                 raise DocumentError(f"{path}: expected version {_VERSION}, got {document['version']!r}")
             study = cls(
                 space_from(document["space"]), document["algorithm"], simulations=document["simulations"],
-                seed=document["seed"], params=document["params"],
+                seed=document["seed"], params=document["params"], start_from=document["start_from"],
             )  # fmt: skip
             study._repeat({number: rest for number, *rest in document["results"]})
         except (ValueError, LookupError, TypeError, AttributeError, OrderError) as error:

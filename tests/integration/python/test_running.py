@@ -217,3 +217,28 @@ def test_a_picture_is_saved_under_a_name_of_its_kind(tmp_path: Path) -> None:
         picture.save(tmp_path / "drive.png")
     assert picture.save(tmp_path / "drive.mp4").read_bytes() == b"film"
     assert "<video" in picture._repr_mimebundle_()["text/html"]
+
+
+def test_a_search_starts_from_an_earlier_one(circle: brink.Result) -> None:
+    options: dict[str, Any] = {
+        "algorithm": "random@1", "simulations": 60, "params": {"radius": 0.3}, "progress": False,
+    }  # fmt: skip
+    by_result = brink.search(inside, SPACE, start_from=circle, **options)
+    by_id = brink.search(inside, SPACE, start_from=circle.id, resume=False, **options)
+    by_frame = brink.search(inside, SPACE, start_from=circle.to_pandas(), resume=False, **options)
+    assert by_result.digest == by_id.digest
+    assert by_result.evaluated == by_id.evaluated == by_frame.evaluated == 60
+    known = circle.to_pandas()[["x", "y", "side"]].apply(tuple, axis=1)
+    for found in (by_result, by_frame):
+        assert found.to_pandas()[["x", "y", "side"]].apply(tuple, axis=1).isin(known).sum() == 0
+
+
+def test_a_campaign_starts_from_a_data_frame(folder: Path) -> None:
+    known = brink.run(HILLS, progress=False).to_pandas()
+    campaign = brink.Campaign(
+        problem="mtq@1", algorithm="random@1", simulations=40, seed=3, start_from=known.head(30)
+    )
+    result = brink.run(campaign, progress=False)
+    assert result.evaluated == 40
+    with pytest.raises(InvalidInput, match="expected the id of a campaign, a result, a data frame"):
+        brink.run(brink.Campaign(problem="mtq@1", simulations=40, start_from=7))  # type: ignore[arg-type]

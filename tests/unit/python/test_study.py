@@ -117,3 +117,38 @@ def test_what_cannot_be_searched_is_refused(tmp_path: Path) -> None:
     path.write_text("{}", encoding="utf-8")
     with pytest.raises(DocumentError, match="expected a saved study"):
         Study.load(path)
+
+
+@pytest.mark.parametrize("algorithm", ["random@1", "edge@1"])
+def test_a_study_starts_from_known_results(algorithm: str, tmp_path: Path) -> None:
+    known = finished(Study(SPACE, "random@1", simulations=120)).to_pandas()
+    study = Study(SPACE, algorithm, simulations=60, start_from=known)
+    again = Study.load(study.save(tmp_path / "study.json"))
+    assert again.ask() == study.ask()
+    for trial in again.open:
+        again.tell(trial, outside(trial))
+    frame = finished(again).to_pandas()
+    assert len(frame) == 60
+    seen = set(map(tuple, known[["x", "y"]].to_numpy().tolist()))
+    repeated = seen.intersection(map(tuple, frame[["x", "y"]].to_numpy().tolist()))
+    if algorithm == "random@1":  # the same seed: without what is known, it would draw the same
+        assert not repeated
+
+
+def test_points_without_a_result_come_first() -> None:
+    points = finished(Study(SPACE, "random@1", simulations=10)).to_pandas()[["x", "y"]]
+    asked = Study(SPACE, "random@1", simulations=60, seed=2, start_from=points).ask()
+    shown = [[trial.values["x"], trial.values["y"]] for trial in asked[:10]]
+    assert shown == points.to_numpy().tolist()
+
+
+def test_known_points_that_do_not_fit_are_refused() -> None:
+    known = finished(Study(SPACE, "random@1", simulations=10)).to_pandas()
+    with pytest.raises(InvalidInput, match=r"missing parameters\.y"):
+        Study(SPACE, "random@1", start_from=known[["x"]])
+    with pytest.raises(InvalidInput, match=r"row 1: expected a value of parameters\.x, got none"):
+        Study(SPACE, "random@1", start_from=known.assign(x=[0.5, *[float("nan")] * 9]))
+    with pytest.raises(InvalidInput, match="a study knows no campaigns"):
+        Study(SPACE, "random@1", start_from={"campaign": "3f2a"})
+    with pytest.raises(UnsupportedSpace, match="cannot start from what is known"):
+        Study(SPACE, "repeat@1", params={"solutions": [[0.1, 0.1]]}, start_from=known)
