@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
@@ -30,6 +30,7 @@ from brink.plots.style import (
 )
 from brink.search.analysis.boundary import IndexArray, distinct_boundary
 from brink.search.analysis.dependence import AxisMeaning, axis_meanings
+from brink.search.analysis.ground import ground_of
 from brink.search.analysis.similarity import Plane, embedded, own_plane
 from brink.search.space import FloatArray
 
@@ -157,22 +158,14 @@ def _limit(axes: Axes, drawn: _Map) -> None:
 
 
 def _draw_background(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
-    """Colour the background by the unsafe share of nearby neighbourhoods; hatched where there are no solutions."""
-    archive = inputs.archive
-    share = archive.unsafe_neighbours / archive.neighbours
+    """Colour the background by the unsafe share of nearby neighbourhoods; hatched where too little is known."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    rows = max(2, round(GRID_CELLS * (top - bottom) / (right - left)))
-    x, y = np.linspace(left, right, GRID_CELLS), np.linspace(bottom, top, rows)
-    width = SMOOTHING * (right - left)
-    # The kernel is separable, so the sums are matrix products.
-    along = np.exp(-0.5 * ((x[:, None] - drawn.points[:, 0]) / width) ** 2)
-    across = np.exp(-0.5 * ((y[:, None] - drawn.points[:, 1]) / width) ** 2)
-    weight = across @ along.T
-    smooth = (across * share) @ along.T / np.maximum(weight, 1e-12)
-    norm = TwoSlopeNorm(archive.neighbourhood.p_th, 0.0, 1.0)
-    colours = _BACKGROUND(norm(smooth))
-    # A single solution gives its own place a clear colour, which has mostly faded two kernel widths away.
-    colours[..., 3] = np.clip(weight / 1.2, 0, 1)
+    ground = ground_of(
+        inputs.archive, np.arange(len(inputs.archive)), drawn.points,
+        low=np.array([left, bottom]), high=np.array([right, top]), cells=GRID_CELLS, width=SMOOTHING * (right - left),
+    )  # fmt: skip
+    colours = _BACKGROUND(ground.tint)
+    colours[..., 3] = ground.clarity
     image = axes.imshow(
         colours, extent=(left, right, bottom, top), origin="lower", aspect="auto", interpolation="bilinear", zorder=0
     )  # fmt: skip
@@ -327,10 +320,7 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
         left, top, "background: unsafe share of neighbours", fontsize=LABEL_PT, color=INK, va="bottom"
     )
     axes = figure.add_axes((left, top - 26 / HEIGHT_PX, width, height))
-    norm = TwoSlopeNorm(p_th, 0.0, 1.0)
-    ramp = np.linspace(0, 1, 256)
-    share = np.where(ramp < 0.5, ramp * 2 * p_th, p_th + (ramp - 0.5) * 2 * (1 - p_th))
-    axes.imshow(_BACKGROUND(norm(share))[None], aspect="auto", extent=(0, 1, 0, 1))
+    axes.imshow(_BACKGROUND(np.linspace(0, 1, 256))[None], aspect="auto", extent=(0, 1, 0, 1))
     axes.set_yticks([])
     axes.set_xticks([0, 0.5, 1], ["0", f"p_th = {p_th:g}", "1"], fontsize=SMALL_PT, color=MUTED)
     axes.tick_params(length=0, pad=5)
@@ -343,8 +333,8 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
         spine.set_color(HAIRLINE)
     _hatch(unknown, 0, 0, 1, 1)
     figure.text(
-        left + 38 / WIDTH_PX, top - 59 / HEIGHT_PX, "nothing simulated nearby", fontsize=SMALL_PT, color=MUTED,
-        va="center",
+        left + 38 / WIDTH_PX, top - 59 / HEIGHT_PX, "too few simulations nearby to tell", fontsize=SMALL_PT,
+        color=MUTED, va="center",
     )  # fmt: skip
 
 

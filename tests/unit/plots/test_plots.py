@@ -239,7 +239,7 @@ def test_map_says_what_verdicts_are_about() -> None:
 
 def test_map_tells_unknown_ground_from_ground_at_p_th() -> None:
     figure = figure_of(figure_embedding, mixed_campaign)
-    assert "nothing simulated nearby" in words(figure)
+    assert "too few simulations nearby to tell" in words(figure)
     hatched = [patch for axes in figure.axes for patch in axes.patches if patch.get_hatch()]
     assert len(hatched) == 2, "the ground of the map, and its key"
     image = pixels(figure)
