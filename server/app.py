@@ -18,9 +18,11 @@ from brink.server.api import (
     episodes,
     experiment_pairs,
     experiments,
+    finding,
     findings,
     jobs,
     outcomes,
+    pair_pictures,
     pairs,
     repeats,
     service,
@@ -36,6 +38,7 @@ from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
+from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
 from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
@@ -51,6 +54,7 @@ from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.queue.wakeups import Wakeups, listen
 from brink.server.settings import LOOPBACK, Settings
+from brink.server.single_flight import SingleFlightCache
 
 log = logging.getLogger(__name__)
 
@@ -137,9 +141,10 @@ def _routes() -> list[BaseRoute]:
     # Routes are tried in order, so the busiest come first.
     for router in (
         jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
-        outcomes.router,
-        findings.violations_router, campaigns.llm_router, analysis.monitors_router, repeats.router,
-        pairs.router, tolerance.router, experiments.router, experiment_pairs.router, service.router,
+        outcomes.router, finding.router, findings.violations_router,
+        campaigns.llm_router, analysis.monitors_router, repeats.router,
+        pairs.router, pair_pictures.router, tolerance.router, experiments.router, experiment_pairs.router,
+        service.router,
         campaigns.overview_router, analysis.router,
     ):  # fmt: skip
         api.include_router(router)
@@ -196,6 +201,8 @@ def _context(
         monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
         outcomes=Outcomes(engines=engines),
+        reported=ReportedResults(),
+        pair_pictures=SingleFlightCache(pair_pictures.KEPT, drawing),
         pairs=Pairs(engines=engines, threads=drawing),
         tolerances=Tolerances(engines=engines, threads=drawing),
         experiment_pairs=PairCache(engines=engines, archives=archives, threads=drawing),

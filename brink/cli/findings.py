@@ -136,15 +136,7 @@ class CombinationFindings:
 
     def sentence(self) -> str:
         """Return a sentence on how many chains are hazardous, and how."""
-        chains = self._found.combinations
-        hazardous = sum(one.hazardous for one in chains)
-        together = sum(one.only_together for one in chains)
-        ordered = sum(one.order_matters for one in chains)
-        places = sum(len(one.together) for one in chains)
-        return (
-            f"{hazardous} of {len(chains)} chains are hazardous: {together} only together (each part alone is "
-            f"safe), {ordered} only in one order; {places} simulations were unsafe where every part alone was safe"
-        )
+        return self._found.words
 
     def show(self, screen: Console, shown: int = CHAINS_SHOWN) -> None:
         """Print the chains, the techniques, and the summary sentence."""
@@ -331,7 +323,7 @@ class ViolationFindings:
 
     def sentence(self) -> str:
         """Return the findings in one sentence."""
-        return violations_sentence(self._found)
+        return self._found.words
 
     def show(self, screen: Console) -> None:
         """Print the most common types, and the summary sentence."""
@@ -376,17 +368,7 @@ def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOW
             screen.print(
                 f"[dim]… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run[/dim]"
             )
-    screen.print(violations_sentence(found))
-
-
-def violations_sentence(found: Violations) -> str:
-    """Return a sentence with the number of types of violations and of solutions that have them."""
-    solutions = len({number for kind in found.types for number in kind.numbers})
-    at_fault = sum(kind.at_fault is True for kind in found.types)
-    return (
-        f"{len(found.types)} types of violations in {solutions} solutions; "
-        f"in {at_fault} of the types, the ego vehicle is at fault according to the rules"
-    )
+    screen.print(found.words)
 
 
 def write_violations(found: Violations, folder: Path) -> list[Path]:

@@ -40,6 +40,7 @@ from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.repeats import RepeatsView
 from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
+from brink.server.api.solutions import boundary_words
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import check_submission
 from brink.server.problems.catalogue import check_extra
@@ -314,11 +315,8 @@ def _print_summary(
 
 
 def _boundary_words(boundary: Boundary) -> str:
-    noun = "solution" if boundary.dbs == 1 else "solutions"
-    return (
-        f"{boundary.dbs} distinct boundary {noun} (fitness at most {DEFAULT_T_B:g}, at least "
-        f"{DEFAULT_D_TH:g} apart), {boundary.strict_dbs} of them strict{within_budget(boundary)}"
-    )
+    words = boundary_words(boundary.dbs, boundary.strict_dbs, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+    return words + within_budget(boundary)
 
 
 def _print_next(

@@ -1,6 +1,8 @@
 """Routes of analyses: map, convergence curve, parameter dependence, scores, safety monitor."""
 
 import asyncio
+import base64
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
@@ -11,6 +13,7 @@ from pydantic import Field
 
 from brink.search.analysis.comparison import control_summary, rows_of
 from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
+from brink.search.analysis.ground import Ground
 from brink.search.analysis.monitor import Answer, Model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
@@ -25,7 +28,8 @@ from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ArchiveActivity, ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.outcomes import CampaignOutcomes
+from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeGroup
+from brink.server.campaigns.reported import Reported, read_asked
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.dashboard import figures
 from brink.server.dashboard.solution_map import SolutionMap
@@ -54,6 +58,39 @@ class ColourBy(View):
     values: Annotated[
         list[float | None], Field(description="Null where the parameter is inactive in that solution.")
     ]
+
+
+class GroundView(View):
+    """The ground of the map: a grid over a part of it, rows going up, as base64 with one byte for each cell."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+    columns: int
+    rows: int
+    p_th: Annotated[float, Field(description="Unsafe share in the middle of the scale.")]
+    tint: Annotated[
+        str,
+        Field(
+            description="Unsafe share of the neighbourhoods nearby: 0 safe, 128 on the boundary, 255 unsafe."
+        ),
+    ]
+    clarity: Annotated[
+        str,
+        Field(description="How much is known there: 0 if nothing was simulated nearby, 255 if enough was."),
+    ]
+
+
+class ReportedView(View):
+    """Results that workers have reported and the search has not been told yet, as one list per column."""
+
+    number: list[int]
+    unsafe: Annotated[list[int], Field(description="1 or 0.")]
+    outcome: Annotated[list[int], Field(description="Index of each outcome in `outcomes`.")]
+    robustness: list[float]
+    x: list[float]
+    y: list[float]
 
 
 class MapView(View):
@@ -97,6 +134,8 @@ class MapView(View):
         list[float],
         Field(description="Fitness of all drawn solutions, since it changes with every generation."),
     ]
+    ground: Annotated[GroundView | None, Field(description="Null while no solution has been evaluated.")]
+    reported: ReportedView
     by: ColourBy | None
 
 
@@ -116,14 +155,19 @@ async def get_map(
     """Return the positions of a campaign's solutions on its map; large campaigns are thinned out."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    etag = _etag(campaign, found.generation, version, after, parameter)
+    reported = await read(services.engines, lambda c: services.reported.read(c, campaign))
+    etag = _etag(campaign, found.generation, len(reported.results), version, after, parameter)
     if matches(request, etag):
         return not_modified(etag)  # type: ignore[no-any-return]
     column = None
     if parameter:
         activity = await services.archives.activity(campaign, found)
         column = await asyncio.get_running_loop().run_in_executor(None, _column, found, activity, parameter)
-    drawn = await services.figures.maps.get(campaign.id, found, ended=campaign.status in ENDED)
+    asked = None
+    if not len(found.archive):
+        dimension = found.plan.problem.space.dimension
+        asked = await read(services.engines, lambda c: read_asked(c, campaign, dimension))
+    drawn = await services.figures.maps.get(campaign.id, found, ended=campaign.status in ENDED, asked=asked)
     outcomes = await services.outcomes.get(campaign.id, found)
     first = min(after, len(drawn.rows)) if version == drawn.version else 0
 
@@ -131,7 +175,7 @@ async def get_map(
     ends = np.array([generation.evaluated for generation in series], np.int64)
 
     def write() -> str:
-        return _map_view(found, drawn, outcomes, ends, first, column).model_dump_json()
+        return _map_view(found, drawn, outcomes, reported, ends, first, column).model_dump_json()
 
     text = await asyncio.get_running_loop().run_in_executor(None, write)
     return Response(text, media_type="application/json", headers={"ETag": etag})
@@ -157,22 +201,50 @@ def _map_view(
     found: ReadArchive,
     drawn: SolutionMap,
     outcomes: CampaignOutcomes,
+    reported: Reported,
     ends: NDArray[np.int64],
     first: int,
     column: ParameterColumn | None,
 ) -> MapView:
     archive, rows = found.archive, drawn.rows
     new, points = rows[first:], drawn.points[first:]
+    groups = list(dict.fromkeys([*outcomes.groups, *(one.outcome for one in reported.results)]))
     return MapView.model_construct(
         version=drawn.version, generation=found.generation, evaluated=len(archive), drawn=len(rows),
         explained=drawn.explained, own_axes=drawn.own_axes, across=drawn.axes[0], up=drawn.axes[1], first=first,
         number=archive.numbers[new].tolist(), told_in=np.searchsorted(ends, new, side="right").tolist(),
         unsafe=archive.unsafe[new].astype(np.int64).tolist(), outcome=outcomes.which[new].tolist(),
-        outcomes=[group.words for group in outcomes.groups], outcome_kinds=[group.kind for group in outcomes.groups],
+        outcomes=[group.words for group in groups], outcome_kinds=[group.kind for group in groups],
         kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind}, outcomes_in_words=outcomes.sentence(),
         robustness=_rounded(archive.robustness[new]),
         x=_rounded(points[:, 0]), y=_rounded(points[:, 1]), fitness=_rounded(archive.fitness[rows]),
+        ground=None if drawn.ground is None else _ground(drawn.ground, found.plan.neighbourhood.p_th),
+        reported=_reported(reported, drawn, groups),
         by=_colour_by(column, rows) if column is not None else None,
+    )  # fmt: skip
+
+
+def _ground(ground: Ground, p_th: float) -> GroundView:
+    (left, bottom), (right, top) = ground.low.tolist(), ground.high.tolist()
+    rows, columns = ground.tint.shape
+    return GroundView.model_construct(
+        left=left, bottom=bottom, right=right, top=top, rows=rows, columns=columns, p_th=p_th,
+        tint=_bytes(ground.tint), clarity=_bytes(ground.clarity),
+    )  # fmt: skip
+
+
+def _bytes(shares: NDArray[np.float64]) -> str:
+    return base64.b64encode(np.round(255 * shares).astype(np.uint8).tobytes()).decode()
+
+
+def _reported(reported: Reported, drawn: SolutionMap, groups: Sequence[OutcomeGroup]) -> ReportedView:
+    results, which = reported.results, {group: place for place, group in enumerate(groups)}
+    points = drawn.projection.placed(reported.vectors) if results else np.empty((0, 2))
+    return ReportedView.model_construct(
+        number=[one.number for one in results], unsafe=[int(one.unsafe) for one in results],
+        outcome=[which[one.outcome] for one in results],
+        robustness=_rounded(np.array([one.robustness for one in results], np.float64)),
+        x=_rounded(points[:, 0]), y=_rounded(points[:, 1]),
     )  # fmt: skip
 
 

@@ -40,6 +40,7 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody,
 from brink.server.campaigns.known import count_known
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
@@ -184,6 +185,7 @@ async def _progress(services: Context, campaign_id: str, since: int) -> Progress
             archive=archive,
             asking=services.seeds.doing(campaign.id),
             trouble=services.queue.writer.trouble,
+            results=services.reported,
         )
         progress = await read(services.engines, look)
         if progress.status is campaign.status:
@@ -220,6 +222,7 @@ def read_progress(
     archive: ReadArchive | None,
     asking: str | None,
     trouble: Trouble | None,
+    results: ReportedResults,
 ) -> Progress:
     """Return counts and rates of a campaign, and its generations from `since` on.
 
@@ -231,6 +234,7 @@ def read_progress(
         archive: Archive of an ended campaign, if it could be read.
         asking: What a language model is being asked for this campaign, if anything.
         trouble: Why the database rejects writes, if it does.
+        results: Reads the results that the search has not been told yet.
 
     Raises:
         NotFound: The campaign does not exist.
@@ -239,6 +243,7 @@ def read_progress(
     if campaign is None:
         raise NotFound(f"campaign {campaign_id}: no such campaign")
     standing = read_campaign_progress(connection, campaign)
+    reported = results.read(connection, campaign)
     live = live_capabilities(connection, worker_seen_s)
     capabilities = set().union(*live.values())
     waiting = queued_needs(connection, campaign.id) if standing.queued else {}
@@ -246,7 +251,8 @@ def read_progress(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
         status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,
         simulations=standing.done, evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
-        measured=campaign.measured, quarantined=standing.quarantined, queued=standing.queued,
+        measured=campaign.measured, reported=len(reported.results), reported_unsafe=reported.unsafe,
+        quarantined=standing.quarantined, queued=standing.queued,
         leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
         remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},

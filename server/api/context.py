@@ -14,6 +14,7 @@ from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
+from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
@@ -25,6 +26,7 @@ from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.settings import Settings
+from brink.server.single_flight import SingleFlightCache
 
 CALLER = "brink.caller"
 """Key of the caller in the ASGI scope of a request."""
@@ -44,6 +46,9 @@ class Context:
     scheduler: Scheduler
     archives: Archives
     outcomes: Outcomes
+    reported: ReportedResults
+    pair_pictures: SingleFlightCache[tuple[bytes, bytes]]
+    """Pictures of both sides of pairs."""
     pairs: Pairs
     tolerances: Tolerances
     experiment_pairs: PairCache

@@ -71,7 +71,7 @@ async def get_trace(
 ) -> Response:
     """Return the trace of a solution's episode as npz; a worker re-runs the episode if the trace was not kept."""
     campaign = await services.campaigns.get(campaign_id)
-    document = await _trace_of(services, campaign, number, request, wait_s)
+    document = await trace_of(services, campaign, number, request, wait_s)
     return _being_made() if document is None else Response(document, media_type="application/x-npz")
 
 
@@ -90,7 +90,7 @@ async def get_replay(
 ) -> Response:
     """Return an image or a video of a solution's episode, seen from above."""
     campaign = await services.campaigns.get(campaign_id)
-    document = await _trace_of(services, campaign, number, request, wait_s)
+    document = await trace_of(services, campaign, number, request, wait_s)
     if document is None:
         return _being_made()
     judged = deciding_requirements(campaign.body)
@@ -107,7 +107,7 @@ async def get_episode(
 ) -> Response:
     """Return a solution's episode ready to be drawn; a worker re-runs it if its trace was not kept."""
     campaign = await services.campaigns.get(campaign_id)
-    document = await _trace_of(services, campaign, number, request, wait_s)
+    document = await trace_of(services, campaign, number, request, wait_s)
     if document is None:
         return _being_made()
     judged = deciding_requirements(campaign.body)
@@ -148,7 +148,7 @@ async def _drawn(executor: Executor | None, number: int, draw: Callable[[], T]) 
         ) from None
 
 
-async def _trace_of(
+async def trace_of(
     services: Context, campaign: Campaign, number: int, request: Request, wait_s: float
 ) -> bytes | None:
     """Return the trace of a solution, waiting for a worker to record it; None if that takes too long.

@@ -1,7 +1,7 @@
 """Routes of findings besides the boundary: types of violations, hazardous combinations."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
@@ -64,9 +64,11 @@ async def get_violations(
     """Return the violations of a campaign, grouped by type."""
     campaign = await services.campaigns.get(campaign_id)
     found = await _found(services, campaign)
-    types = await asyncio.get_running_loop().run_in_executor(None, _type_views, found)
+    types = await asyncio.get_running_loop().run_in_executor(None, violation_types, found)
     violations = [] if types_only else [_violation_view(one) for one in found]
-    return Violations(rules_version=RULES_VERSION, types=types, violations=violations)
+    return Violations(
+        rules_version=RULES_VERSION, words=violations_words(types), types=types, violations=violations
+    )
 
 
 @violations_router.put("/{number}/{requirement}/name", status_code=204)
@@ -110,8 +112,19 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
     return await read(services.engines, lambda connection: read_violations(connection, campaign.id, problem))
 
 
-def _type_views(found: list[FoundViolation]) -> list[TypeView]:
+def violation_types(found: list[FoundViolation]) -> list[TypeView]:
+    """Return the types of violations, in order of discovery."""
     return [_type_view(kind) for kind in by_type(found)]
+
+
+def violations_words(types: Sequence[TypeView]) -> str:
+    """Return a sentence with the number of types of violations and of solutions that have them."""
+    solutions = len({number for kind in types for number in kind.numbers})
+    at_fault = sum(kind.at_fault is True for kind in types)
+    return (
+        f"{len(types)} types of violations in {solutions} solutions; "
+        f"in {at_fault} of the types, the ego vehicle is at fault according to the rules"
+    )
 
 
 def _type_view(kind: ViolationType) -> TypeView:
@@ -210,8 +223,19 @@ def combinations_view(space: SearchSpace, archive: Archive) -> Combinations:
         )
         for step, (alone, joined) in tally_by_step(verdicts).items()
     ]  # fmt: skip
-    return Combinations(
-        steps=steps, combinations=[_combination_view(names, one) for one in combinations(verdicts)]
+    chains = [_combination_view(names, one) for one in combinations(verdicts)]
+    return Combinations(words=_combinations_words(chains), steps=steps, combinations=chains)
+
+
+def _combinations_words(chains: Sequence[CombinationView]) -> str:
+    """Return a sentence on how many chains are hazardous, and how."""
+    hazardous = sum(one.hazardous for one in chains)
+    together = sum(one.only_together for one in chains)
+    ordered = sum(one.order_matters for one in chains)
+    places = sum(len(one.together) for one in chains)
+    return (
+        f"{hazardous} of {len(chains)} chains are hazardous: {together} only together (each part alone is "
+        f"safe), {ordered} only in one order; {places} simulations were unsafe where every part alone was safe"
     )
 
 

@@ -216,7 +216,7 @@ def pairs_view(
         nearest=None if pairs.nearest is None else NearestView(
             safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
         ),
-        follow_ups=[_follow_up(one) for one in stored],
+        follow_ups=[follow_up_view(one) for one in stored],
         offers=[
             FollowUpOffer(kind=kind, simulations=simulations, reason=reason, left_out=left_out)
             for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
@@ -227,7 +227,8 @@ def pairs_view(
     )  # fmt: skip
 
 
-def _follow_up(stored: StoredRepeats) -> FollowUpView:
+def follow_up_view(stored: StoredRepeats) -> FollowUpView:
+    """Return the response schema of a follow-up."""
     campaign = stored.campaign
     return FollowUpView(
         kind=stored.kind, campaign=campaign.id, status=campaign.status,

@@ -160,10 +160,18 @@ async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
     if not stored:
         return []
     found = await services.archives.get(campaign)
-    return [_view(campaign.id, campaign.body.name, one, found) for one in stored]
+    return [repeats_view(campaign.id, campaign.body.name, one, found) for one in stored]
 
 
-def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
+def repeats_view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
+    """Return what repeats show.
+
+    Args:
+        of: Id of the campaign whose solutions are repeated.
+        name: Its name.
+        stored: The repeats.
+        read_archive: Its archive.
+    """
     near = read_archive.plan.neighbourhood
     tallies = stored.tallies(near.z)
     known, holds = tallies.evaluated > 0, tallies.contains(near.p_th)

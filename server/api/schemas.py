@@ -108,6 +108,10 @@ class Progress(View):
     unsafe: int
     failed: int
     measured: Annotated[int, Field(description="Candidates measured on a data set instead of simulated.")]
+    reported: Annotated[
+        int, Field(description="Verdicts that workers have reported and the search has not been told yet.")
+    ] = 0
+    reported_unsafe: Annotated[int, Field(description="Those of them that are unsafe.")] = 0
     quarantined: int
     queued: int
     leased: int
@@ -332,6 +336,7 @@ class Violations(View):
     """The violations of a campaign."""
 
     rules_version: int
+    words: Annotated[str, Field(description="The finding in a sentence.")]
     types: Annotated[list[TypeView], Field(description="In order of discovery.")]
     violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
 
@@ -400,6 +405,7 @@ class Variant(View):
 class Combinations(View):
     """Results of a campaign on ordered perturbation techniques."""
 
+    words: Annotated[str, Field(description="The finding in a sentence.")]
     steps: list[StepTally]
     combinations: Annotated[list[CombinationView], Field(description="Most informative first.")]
 

@@ -286,6 +286,15 @@ def boundary_view(
     )
 
 
+def boundary_words(distinct: int, strict: int, *, t_b: float, d_th: float) -> str:
+    """Count boundary solutions in words, such as ``3 distinct boundary solutions (…), 1 of them strict``."""
+    noun = "solution" if distinct == 1 else "solutions"
+    return (
+        f"{distinct} distinct boundary {noun} (fitness at most {t_b:g}, at least {d_th:g} apart), {strict} of them "
+        "strict"
+    )
+
+
 def _within_budget(archive: Archive, budget: int, t_b: float, d_th: float) -> BudgetBoundary | None:
     """Return the boundary without the simulations beyond the budget; None if there are none."""
     count = int(np.searchsorted(archive.numbers, budget))

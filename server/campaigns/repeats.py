@@ -102,9 +102,7 @@ class StoredRepeats:
     @property
     def kind(self) -> FollowUpKind:
         """What it asks."""
-        if self.repeats == REDUCTION:
-            return FollowUpKind.MINIMISE
-        return FollowUpKind.COMPONENT if self.repeats == SINGLE else FollowUpKind.CONFIRM
+        return _kind_of(self.repeats)
 
     @property
     def boundary(self) -> bool:
@@ -114,6 +112,20 @@ class StoredRepeats:
     def tallies(self, z: float) -> Tallies:
         """Return how often each solution was unsafe, with intervals at `z` standard deviations."""
         return tallied(self.evaluated, self.unsafe, len(self.numbers), z)
+
+
+def _kind_of(repeats: int) -> FollowUpKind:
+    if repeats == REDUCTION:
+        return FollowUpKind.MINIMISE
+    return FollowUpKind.COMPONENT if repeats == SINGLE else FollowUpKind.CONFIRM
+
+
+def followed_by(connection: Connection, campaign_id: str) -> tuple[str, FollowUpKind] | None:
+    """Return the id of the campaign that a follow-up asks about, and what it asks; None if it is no follow-up."""
+    row = connection.execute(
+        select(RepeatsRow.of_id, RepeatsRow.repeats).where(RepeatsRow.campaign_id == campaign_id)
+    ).one_or_none()
+    return None if row is None else (row.of_id, _kind_of(row.repeats))
 
 
 def plan_boundary_repeats(

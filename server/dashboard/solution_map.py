@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.analysis.dependence import axis_meanings
+from brink.search.analysis.ground import Ground, ground_of
 from brink.search.analysis.similarity import Plane, Projection, own_plane
 from brink.search.archive import Archive
 from brink.search.space import FloatArray, SearchSpace
@@ -28,6 +29,13 @@ MIN_FITTED: Final = 64
 GROWTH: Final = 1.5
 GROWTH_LARGE: Final = 1.1
 CACHED: Final = 8
+GROUND_CELLS: Final = 110
+"""Number of cells of the ground along its longer side."""
+SMOOTHING: Final = 0.028
+"""Width of the smoothing kernel of the ground, as a share of its longer side."""
+GROUND_MARGIN: Final = 0.06
+LEAST_MARGIN: Final = 1e-3
+"""How far the ground reaches beyond the outermost solutions: a share of the longer side, and a distance."""
 
 Rows = NDArray[np.intp]
 
@@ -43,6 +51,7 @@ class SolutionMap:
         rows: Archive indices of the drawn solutions, shape ``(n,)``; later versions append to it.
         points: Coordinates, shape ``(n, 2)``.
         evaluated: Number of solutions in the archive.
+        ground: The unsafe share nearby; None while there is no solution.
     """
 
     version: str
@@ -51,6 +60,7 @@ class SolutionMap:
     rows: Rows
     points: FloatArray
     evaluated: int
+    ground: Ground | None
 
     @property
     def explained(self) -> float:
@@ -97,7 +107,12 @@ def drawn_rows(archive: Archive, made: int, *, ended: bool) -> Rows:
 
 
 def make_map(
-    space: SearchSpace, archive: Archive, *, ended: bool, before: SolutionMap | None = None
+    space: SearchSpace,
+    archive: Archive,
+    *,
+    ended: bool,
+    before: SolutionMap | None = None,
+    asked: FloatArray | None = None,
 ) -> SolutionMap:
     """Return the map of an archive.
 
@@ -106,23 +121,37 @@ def make_map(
         archive: All evaluated solutions.
         ended: Whether the campaign has ended.
         before: Map of an earlier state of the archive, which is extended if its layout is still current.
+        asked: The solutions that are being simulated, to which the layout is fitted while the archive is empty.
     """
     made = len(archive) if ended else fitted_count(len(archive))
     version = f"{made}-{'end' if ended else 'run'}"
+    fitted = archive.vectors[:made]
+    if asked is not None and not len(archive):
+        version, fitted = f"asked-{len(asked)}", asked
     rows = drawn_rows(archive, made, ended=ended)
     if before is not None and before.version == version and len(before.rows) <= len(rows):
         later = before.projection.placed(archive.vectors[rows[len(before.rows) :]])
-        return SolutionMap(
-            version=version, projection=before.projection, axes=before.axes, rows=rows,
-            points=np.concatenate([before.points, later]), evaluated=len(archive),
-        )  # fmt: skip
-    plane = own_plane(space)
-    projection = plane or Projection.fitted(archive.metric, archive.vectors[:made])
-    points = projection.placed(archive.vectors[rows])
-    axes = plane.names if plane is not None else _axes(space, archive.vectors[rows], points)
+        points, projection, axes = np.concatenate([before.points, later]), before.projection, before.axes
+    else:
+        plane = own_plane(space)
+        projection = plane or Projection.fitted(archive.metric, fitted)
+        points = projection.placed(archive.vectors[rows])
+        axes = plane.names if plane is not None else _axes(space, archive.vectors[rows], points)
     return SolutionMap(
-        version=version, projection=projection, axes=axes, rows=rows, points=points, evaluated=len(archive)
-    )
+        version=version, projection=projection, axes=axes, rows=rows, points=points, evaluated=len(archive),
+        ground=_ground(archive, rows, points, projection) if len(rows) else None,
+    )  # fmt: skip
+
+
+def _ground(archive: Archive, rows: Rows, points: FloatArray, projection: Projection | Plane) -> Ground:
+    if isinstance(projection, Plane):
+        low, high = np.zeros(2), np.asarray(projection.extent, np.float64)
+    else:
+        low, high = points.min(axis=0), points.max(axis=0)
+        beyond = max(GROUND_MARGIN * float((high - low).max()), LEAST_MARGIN)
+        low, high = low - beyond, high + beyond
+    width = SMOOTHING * float((high - low).max())
+    return ground_of(archive, rows, points, low=low, high=high, cells=GROUND_CELLS, width=width)
 
 
 def _axes(space: SearchSpace, vectors: FloatArray, points: FloatArray) -> tuple[str | None, str | None]:
@@ -149,17 +178,21 @@ class SolutionMaps:
     def __post_init__(self, threads: Executor, most_waiting: int) -> None:
         self._latest = SingleFlightCache(CACHED, threads, most_waiting)
 
-    async def get(self, campaign: str, read: ReadArchive, *, ended: bool) -> SolutionMap:
+    async def get(
+        self, campaign: str, read: ReadArchive, *, ended: bool, asked: FloatArray | None = None
+    ) -> SolutionMap:
         """Return the map of a campaign's archive.
 
         Args:
             campaign: Id of the campaign.
             read: Its archive.
             ended: Whether the campaign has ended.
+            asked: The solutions that are being simulated, while the archive is empty.
         """
         found = await self._latest.get(
-            (campaign, ended), read.generation, lambda: self._make(campaign, read, ended=ended)
-        )
+            (campaign, ended, 0 if asked is None else len(asked)), read.generation,
+            lambda: self._make(campaign, read, asked, ended=ended),
+        )  # fmt: skip
         kept = self._before.get(campaign)
         if kept is None or kept.evaluated <= found.evaluated:  # an earlier request may finish later
             self._before[campaign] = found
@@ -168,6 +201,8 @@ class SolutionMaps:
             self._before.popitem(last=False)
         return found
 
-    def _make(self, campaign: str, read: ReadArchive, *, ended: bool) -> SolutionMap:
+    def _make(
+        self, campaign: str, read: ReadArchive, asked: FloatArray | None, *, ended: bool
+    ) -> SolutionMap:
         space, before = read.plan.problem.space, self._before.get(campaign)
-        return make_map(space, read.archive, ended=ended, before=before)
+        return make_map(space, read.archive, ended=ended, before=before, asked=asked)

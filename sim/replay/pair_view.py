@@ -56,6 +56,10 @@ from brink.sim.replay.style import (
 
 STILL_WIDTH_PX: Final = 1600
 FILM_SIZE: Final[Size] = (1280, 720)
+MAP_SIZE: Final[Size] = (720, 340)
+"""Size of the picture of one drive on its own."""
+_MAP_UNIT_PX: Final = 480
+"""Width of a map on which type has its usual size."""
 MAP_WIDTH_M: Final = 52.0
 _REACH_M: Final = 20.0
 """How far from its car the middle of a map may be; the canvas of a map reaches as far beyond the drive."""
@@ -181,6 +185,36 @@ def pair_still(pair: DrivePair) -> Image.Image:
     return whole
 
 
+def pair_maps(pair: DrivePair, size: Size = MAP_SIZE) -> tuple[Image.Image, Image.Image]:
+    """Return both drives from above at the moment that matters, the safe one first, without any words around them.
+
+    Args:
+        pair: The pair.
+        size: Width and height of each image.
+
+    Raises:
+        ReplayError: A trace is empty, or does not record the requirement.
+    """
+    story = pair_story(pair)
+    turn_rad = _turn_rad(story)
+    maps = _maps(story, size, size[0] / _MAP_UNIT_PX, turn_rad)
+    centres = middles(story, story.shown_s, turn_rad)
+    safe, unsafe = (_still_map(story, maps, index, centres[index]) for index in (0, 1))
+    return safe, unsafe
+
+
+def _still_map(
+    story: PairStory, maps: list[MapView], index: int, centre_m: NDArray[np.float64]
+) -> Image.Image:
+    """Return the map of one drive at the moment, with the gap and the road user that the violation is about."""
+    name, side, _ = story.parts[index]
+    ahead = sample_at(side.trace, story.shown_s + AHEAD_S) - sample_at(side.trace, story.shown_s)
+    return _draw_map(
+        story, maps, index, story.shown_s, centre_m, ahead=ahead, gap=_gap(story, index),
+        marked=_marked(story) if name != SAFE else None, spread=True,
+    )  # fmt: skip
+
+
 def _clock(pair: DrivePair) -> NDArray[np.float64]:
     longer = max((pair.safe.trace, pair.unsafe.trace), key=lambda trace: float(trace.time_s[-1]))
     return np.asarray(longer.time_s, dtype=np.float64)
@@ -269,12 +303,7 @@ def _side_by_side(story: PairStory) -> Image.Image:
         left = _MARGIN + index * (wide + gap)
         _draw_chip(draw, name, side, tale, (left, 4), 1.25)
         _write(draw, verdicts[index], (left + chip_px, 5))
-        ahead = sample_at(side.trace, story.shown_s + AHEAD_S) - sample_at(side.trace, story.shown_s)
-        drawn = _draw_map(
-            story, maps, index, story.shown_s, centres[index], ahead=ahead, gap=_gap(story, index),
-            marked=_marked(story) if name != SAFE else None, spread=True,
-        )  # fmt: skip
-        image.paste(drawn, (left, words_px))
+        image.paste(_still_map(story, maps, index, centres[index]), (left, words_px))
         box = (left, words_px, left + wide - 1, words_px + size[1] - 1)
         draw.rectangle(
             box, outline=VIOLATION if tale.violated else _chip_colour(name, tale),

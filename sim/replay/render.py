@@ -1,5 +1,6 @@
 """Writes the replay of an episode as a still image or a video, depending on the file extension."""
 
+import io
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from brink.sim.replay.video import Painter
 
+MAP_COLOURS: Final = 128
 DEFAULT_SIZES: Final = {".png": (1280, 720), ".gif": (800, 450), ".mp4": (960, 540)}
 """Width and height of a frame, by extension; a PNG shows more below its frame."""
 PAIR_SIZES: Final = {".png": (1600, 900), ".gif": (960, 540), ".mp4": (1280, 720)}
@@ -83,6 +85,28 @@ def render_pair(
     target = Path(path)
     size = PAIR_SIZES[_known_extension(target.suffix)]
     return _write(target, lambda: pair_still(pair), lambda: PairPainter(pair, size=size), on_progress)
+
+
+def render_pair_maps(pair: DrivePair) -> tuple[bytes, bytes]:
+    """Return both drives of a pair from above at the moment that matters, as PNG, the safe one first.
+
+    Args:
+        pair: The pair; its words are not shown.
+
+    Raises:
+        ReplayError: A trace is empty, or does not record the requirement.
+    """
+    from PIL import Image
+
+    from brink.sim.replay.pair_view import pair_maps
+
+    def encoded(picture: Image.Image) -> bytes:
+        buffer = io.BytesIO()
+        picture.quantize(MAP_COLOURS, dither=Image.Dither.NONE).save(buffer, format="PNG", optimize=True)
+        return buffer.getvalue()
+
+    safe, unsafe = pair_maps(pair)
+    return encoded(safe), encoded(unsafe)
 
 
 def _write(

@@ -40,7 +40,7 @@ def test_quarantined_job_is_retried_and_done(
 
     FakeWorker(own, id="working").work(campaign, until=lambda stands: stands["generation"] > 0)
     page.goto(f"{origin(own)}/#/campaigns/{campaign}")
-    shown(page.get_by_role("region", name="Progress")).to_contain_text("In quarantine2")
+    shown(page.get_by_role("region", name="Finding")).to_contain_text("In quarantine2")
     numbers = expect(own.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"]
     assert len([one for one in numbers if one["verdict"] in ("safe", "unsafe")]) == 18
 

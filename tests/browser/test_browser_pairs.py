@@ -173,4 +173,3 @@ def test_the_page_of_a_campaign_shows_its_pairs(site: Served, browse: Browse) ->
     page = browse(f"#/campaigns/{site.urban}")
     card = page.get_by_role("region", name="Pairs across the boundary", exact=True)
     shown(card).to_contain_text(re.compile("pair"))
-    shown(page.get_by_role("region", name="Boundary solutions", exact=True)).to_be_visible()

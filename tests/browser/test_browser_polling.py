@@ -46,7 +46,7 @@ def test_what_did_not_change_is_answered_without_a_body(own: httpx.Client, visit
     FakeWorker(own).work(campaign)
     page = visit(origin(own), f"#/campaigns/{campaign}", stopped=True)
     # Only the first answer to a poll fills this in; the status is known before it.
-    shown(page.get_by_role("region", name="Progress")).to_contain_text("of 60")
+    shown(page.get_by_role("region", name="Finding")).to_contain_text("of 60")
     statuses = []
     for _ in range(3):
         with page.expect_response("**/progress*") as coming:
@@ -110,7 +110,7 @@ def test_a_page_reports_and_survives_a_lost_coordinator(
         campaign = submit(client, ball(name="interrupted"))
         FakeWorker(client).report(FakeWorker(client).lease(5))
         page = visit(origin(client), f"#/campaigns/{campaign}")
-        figures = page.get_by_role("region", name="Progress")
+        figures = page.get_by_role("region", name="Finding")
         shown(figures).to_contain_text("5 of 60")
         console.expect_lost_connections()
         port = client.base_url.port

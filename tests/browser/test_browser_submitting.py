@@ -50,7 +50,7 @@ def test_a_campaign_that_is_submitted_by_the_form_is_seen_to_finish(site: Served
     page.get_by_role("button", name="Submit campaign").click()
     shown(page.get_by_role("heading", name="by the form")).to_be_visible()
     shown(page.locator(".head .badge")).to_have_text("finished")
-    figures = page.get_by_role("region", name="Progress")
+    figures = page.get_by_role("region", name="Finding")
     shown(figures).to_contain_text("24 of 24")
     shown(figures.get_by_role("progressbar")).to_have_attribute("aria-valuenow", "100")
     shown(page.get_by_text("24 solutions.")).to_be_visible()

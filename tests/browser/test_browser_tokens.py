@@ -68,7 +68,7 @@ def test_a_read_only_token_cannot_submit(guarded: httpx.Client, own_database: st
         shown(page.get_by_role("button", name=words)).to_have_count(0)
     shown(page.get_by_role("link", name="New campaign")).to_have_count(0)
     page.get_by_role("link", name="guarded").click()
-    shown(page.get_by_role("region", name="Progress")).to_contain_text("0 of 60")
+    shown(page.get_by_role("region", name="Finding")).to_contain_text("0 of 60")
     shown(page.get_by_role("button", name="Pause")).to_have_count(0)
     page.goto(f"{origin(guarded)}/#/new")
     shown(page.get_by_text("This token is read-only.")).to_be_visible()

@@ -1,5 +1,6 @@
 """The dashboard's page, and the requests that it polls: conditional, columnar, with counts of jobs."""
 
+import base64
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -208,6 +209,47 @@ def test_map_returns_new_solutions_and_the_fitness_of_all(client: httpx.Client) 
         assert more["first"] == 0
     assert len(more["fitness"]) == len(whole["number"])
     assert set(whole["told_in"]) >= {0, 1}
+
+
+def test_results_are_on_the_map_and_counted_before_the_search_is_told(client: httpx.Client) -> None:
+    campaign = submit(client, ball(simulations=40))
+    path = f"campaigns/{campaign}/map"
+    empty, etag = get_tagged(client, path)
+    assert (empty["reported"]["number"], empty["ground"]) == ([], None)
+    worker = FakeWorker(client)
+    worker.report(worker.lease(max_jobs=5))
+    found = expect(get_again(client, path, etag))
+    reported = found["reported"]
+    assert (len(reported["number"]), found["number"], found["generation"]) == (5, [], 0)
+    assert len(set(zip(reported["x"], reported["y"], strict=True))) == 5, "they have places of their own"
+    told = progress(client, campaign)
+    assert (told["evaluated"], told["reported"], told["reported_unsafe"]) == (0, 5, sum(reported["unsafe"]))
+    solutions = expect(client.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"]
+    assert all(one["verdict"] == "pending" for one in solutions)
+
+    worker.work(campaign, until=lambda stands: stands["generation"] >= 1)
+    later = expect(client.get(f"{API}/{path}"))
+    verdicts = dict(zip(later["number"], later["unsafe"], strict=True))
+    assert [verdicts[number] for number in reported["number"]] == reported["unsafe"]
+    assert not set(later["reported"]["number"]) & set(later["number"])
+
+
+def test_nothing_of_an_ended_campaign_is_preliminary(client: httpx.Client) -> None:
+    campaign = finish(client, ball())
+    assert expect(client.get(f"{API}/campaigns/{campaign}/map"))["reported"]["number"] == []
+    assert progress(client, campaign)["reported"] == 0
+
+
+def test_the_ground_of_the_map_covers_all_solutions(client: httpx.Client) -> None:
+    campaign = finish(client, ball(simulations=60))
+    found = expect(client.get(f"{API}/campaigns/{campaign}/map"))
+    ground = found["ground"]
+    cells = ground["columns"] * ground["rows"]
+    tint, clarity = (np.frombuffer(base64.b64decode(ground[name]), np.uint8) for name in ("tint", "clarity"))
+    assert len(tint) == len(clarity) == cells
+    assert 0 < clarity.max() <= 255
+    assert ground["left"] <= min(found["x"]) <= max(found["x"]) <= ground["right"]
+    assert ground["bottom"] <= min(found["y"]) <= max(found["y"]) <= ground["top"]
 
 
 def test_map_returns_the_values_of_a_parameter(client: httpx.Client) -> None:

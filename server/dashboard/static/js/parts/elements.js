@@ -43,10 +43,15 @@ export function callout(kind, ...words) {
   return h("div", { class: `callout ${kind}`.trim() }, words);
 }
 
+/** Return a command of the command line, for this coordinator. */
+export function command(words) {
+  const server = new URL(".", document.baseURI).href.replace(/\/$/, "");
+  return h("code", null, `${currentToken() ? "BRINK_TOKEN=… " : ""}${words} --server ${server}`);
+}
+
 /** Return the command that starts a worker for this coordinator. */
 export function workerCommand() {
-  const server = new URL(".", document.baseURI).href.replace(/\/$/, "");
-  return h("code", null, `${currentToken() ? "BRINK_TOKEN=… " : ""}brink worker --server ${server}`);
+  return command("brink worker");
 }
 
 /** Ask for confirmation of something that cannot be undone; resolves to whether it was given. */
@@ -82,6 +87,8 @@ export function facts(told = {}) {
       text(known.get(name).value, words);
     }
     for (const [name, { pair }] of known) pair.hidden = !(name in next);
+    const wanted = Object.keys(next).map((name) => known.get(name).pair);
+    if (wanted.some((pair, index) => index > 0 && wanted[index - 1].compareDocumentPosition(pair) & Node.DOCUMENT_POSITION_PRECEDING)) node.append(...wanted);
   };
   node.update(told);
   return node;

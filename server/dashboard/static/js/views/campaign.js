@@ -1,13 +1,14 @@
-/** One campaign: status, tolerances, pairs, map, convergence, boundary solutions, parameter dependence, findings, settings. */
+/** One campaign: its finding, best pairs and next steps first; then the map, the tables, the settings; the digest last. */
 
 import { download, isOpen } from "../api.js";
-import { h, replace, text } from "../dom.js";
-import { count, percent, plural, rate, span, when } from "../format.js";
+import { h, replace } from "../dom.js";
+import { plural, when } from "../format.js";
 import { go, link } from "../router.js";
-import { badge, callout, facts, meter, sure, workerCommand } from "../parts/elements.js";
+import { badge, callout, sure, workerCommand } from "../parts/elements.js";
 import { steering } from "./campaigns.js";
-import { boundaryCard, dependenceCard, findings, inWords, settingsCard } from "./campaign/cards.js";
+import { aboutCard, boundaryCard, dependenceCard, findings, settingsCard } from "./campaign/cards.js";
 import { convergenceCards, Generations } from "./campaign/convergence.js";
+import { finding } from "./campaign/finding.js";
 import { mapCard } from "./campaign/map_card.js";
 import { pairsCard } from "./pairs.js";
 import { toleranceCard } from "./tolerance.js";
@@ -19,38 +20,35 @@ export async function show(main, context, { parts, query }) {
   const { id, name, body } = campaign;
   context.title(name);
   const algorithm = algorithms.find((one) => one.id === body.algorithm.id);
+  const problem = problems.find((one) => one.id === body.problem.id);
   const generations = new Generations();
 
   const state = badge(campaign.status);
   const actions = h("div.actions.push");
   const notes = h("div");
-  const bar = meter("Simulations done");
-  const figures = facts();
-  const words = h("p.hint", { "aria-live": "polite" });
   const map = mapCard(context, id, query);
+  const opening = finding(context, id, (read) => read.rings.length && map.ring(read.rings), () => polling.now());
   const convergence = convergenceCards(context, id, query, campaign.thresholds);
-  const boundary = boundaryCard(context, id, (read) => {
-    map.ring(read.solutions.map((one) => one.number));
+  const boundary = boundaryCard(context, id, campaign.thresholds, (read, searchedForPairs) => {
+    if (!searchedForPairs) map.ring(read.solutions.map((one) => [one.number]));
     convergence.explain(read.note);
   });
-  const problem = problems.find((one) => one.id === body.problem.id);
   const found = findings(context, id, problem?.finds ?? []);
   const tolerance = toleranceCard(context, id);
   const pairs = pairsCard(context, id);
   const dependence = dependenceCard(context, id, map.parameters);
+  const about = aboutCard(algorithm);
+  const removing = h("span");
 
   replace(main,
     h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns")),
     h("div.head", null, h("h1", null, name), state, actions),
     notes,
     h("div.stack", null,
-      h("section.card", { "aria-label": "Progress" }, bar, figures, words),
-      tolerance, pairs, map,
-      h("div.grid-wide", null, convergence.dbs, h("div.stack", null, convergence.shares, convergence.fitness)),
-      boundary, found, dependence,
-      settingsCard(body, { problems, algorithms }),
+      opening, tolerance, map, pairs, boundary, found, dependence, convergence.card,
+      settingsCard(body, { problems, algorithms }), about,
       h("p.hint", null, `Campaign ${id}, submitted ${when(campaign.created_at)}. `,
-        h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions (npz)"))));
+        h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions (npz)"), removing)));
 
   const polling = context.watch(() => `campaigns/${id}/progress?since=${generations.next}`, take, {
     busy: (read) => read.status === "running",
@@ -63,35 +61,24 @@ export async function show(main, context, { parts, query }) {
     generations.take(read.generations);
     const ended = !isOpen(read.status);
     state.update(read.status);
-    bar.update(read.simulations / read.budget, ended);
-    const last = generations.list.at(-1);
-    figures.update({
-      Simulations: `${count(read.simulations)} of ${count(read.budget)}`,
-      Unsafe: read.evaluated ? `${count(read.unsafe)} (${percent(read.unsafe / read.evaluated)})` : "–",
-      ...(read.looks_for_boundary && last ? { "DBS (strict)": `${count(last.dbs)} (${count(last.strict_dbs)})` } : {}),
-      Generations: count(read.generation),
-      ...(ended ? { Took: span(read.elapsed_s) } : { Rate: rate(read.rate_per_s), "Time left": span(read.remaining_s), Running: span(read.elapsed_s), Workers: count(read.workers) }),
-      ...(read.failed ? { Failed: count(read.failed) } : {}),
-      ...(read.measured ? { Measured: count(read.measured) } : {}),
-      ...(read.quarantined ? { "In quarantine": count(read.quarantined) } : {}),
-    });
-    text(words, inWords(read, generations, algorithm));
     warn(read);
     if (steered !== read.status) {
       steered = read.status;
       const inside = actions.contains(document.activeElement);
       replace(actions, h("a.quiet", { href: link("compare", { ids: id }) }, "Compare"),
-        context.may.steer && steering({ ...read, id, name }, context, polling, { clonable: !algorithm?.internal }), context.may.remove && ended && remover());
+        context.may.steer && steering({ ...read, id, name }, context, polling, { clonable: !algorithm?.internal }));
       if (inside) actions.querySelector("button")?.focus();
+      replace(removing, context.may.remove && ended && remover());
     }
-    map.news(read.generation);
+    opening.news(read, generations);
+    map.news(`${read.generation} ${read.simulations}`);
     convergence.news(read, generations);
-    convergence.fitness.hidden = read.looks_for_tolerances; // it minimises nothing
-    if (read.looks_for_boundary) boundary.news(read.generation, convergence.thresholds());
+    if (read.looks_for_boundary && read.evaluated) boundary.news(read.generation, convergence.thresholds(), { searchedForPairs: read.looks_for_pairs });
     found.news(`${read.sequence}`);
     if (read.looks_for_tolerances && read.evaluated) tolerance.news(`${read.generation} ${ended}`);
-    pairs.news(`${read.generation} ${ended}`);
-    dependence.news(read.generation);
+    if (read.evaluated && !read.looks_for_tolerances) pairs.news(`${read.generation} ${ended}`);
+    if (read.evaluated) dependence.news(read.generation);
+    about.update(read, generations);
   }
 
   function warn(read) {
@@ -113,7 +100,7 @@ export async function show(main, context, { parts, query }) {
   }
 
   function remover() {
-    return h("button.danger", { type: "button", onclick: async () => {
+    return h("button.quiet", { type: "button", onclick: async () => {
       if (!await sure(`Delete ${name} and all of its results? This cannot be undone.`, { yes: "Delete" })) return;
       if (await context.act("DELETE", `campaigns/${id}`, `${name} has been deleted.`) !== undefined) go("campaigns");
     } }, "Delete");

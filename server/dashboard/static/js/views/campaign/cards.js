@@ -17,10 +17,11 @@ const COLUMNS = [
 ];
 const PAGE = 12;
 
-/** Return the card of boundary solutions; ``news(generation, thresholds)`` loads them, ``found`` is called with the response. */
-export function boundaryCard(context, id, found) {
+/** Return the card of boundary solutions; ``news(generation, thresholds)`` loads them, ``found`` is called with the response and whether the search was for pairs. */
+export function boundaryCard(context, id, usual, found) {
   let read = null;
   let thresholds = null;
+  let pairs = false; // whether the search was for pairs
   let sorting = { name: "fitness", falling: false };
   let most = PAGE;
 
@@ -47,8 +48,9 @@ export function boundaryCard(context, id, found) {
 
   const load = loadOnNews(async () => {
     read = await context.get(`campaigns/${id}/boundary?t_b=${thresholds.t_b}&d_th=${thresholds.d_th}`);
-    card.hidden = false;
-    found(read);
+    // At other thresholds, an empty table is an answer; at the usual ones, it has nothing to show.
+    if (read.solutions.length > 0 || !isDefault(read)) card.hidden = false;
+    found(read, pairs);
     draw();
   }, { signal: context.signal, refuse: context.complain, leastMs: 3_000, share: 0.05 });
 
@@ -83,8 +85,13 @@ export function boundaryCard(context, id, found) {
       h("td.words.small", null, one.words));
   }
 
-  card.news = (generation, next, { atOnce = false } = {}) => {
+  function isDefault({ t_b, d_th }) {
+    return t_b === usual.t_b && d_th === usual.d_th;
+  }
+
+  card.news = (generation, next, { atOnce = false, searchedForPairs = pairs } = {}) => {
     thresholds = next;
+    pairs = searchedForPairs;
     load(`${generation} ${next.t_b} ${next.d_th}`, { atOnce });
   };
   return card;
@@ -284,8 +291,16 @@ function part(title, plugin, params) {
     }))));
 }
 
+/** Return the card of what only matters to those who look closely: how the search went on, and the digest; ``update`` takes the progress. */
+export function aboutCard(algorithm) {
+  const words = h("p.small");
+  const card = h("section.card", { "aria-label": "About the run" }, h("details", null, h("summary", null, h("h2", null, "About the run")), words));
+  card.update = (progress, generations) => text(words, inWords(progress, generations, algorithm));
+  return card;
+}
+
 /** Describe the state of the search in sentences. */
-export function inWords(progress, generations, algorithm) {
+function inWords(progress, generations, algorithm) {
   const told = [];
   const last = generations.list.at(-1);
   told.push(`${algorithm?.summary ?? "The search"} ${plural(progress.generation, "generation")} completed.`.replace(/\.\. /, ". "));
@@ -294,10 +309,11 @@ export function inWords(progress, generations, algorithm) {
     told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
   } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");
   if (!progress.looks_for_tolerances && last?.best_fitness !== null && last?.best_fitness !== undefined) {
-    told.push(`Fitness of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}; the algorithm step took ${figure(last.step_s, 2)} s.`);
+    told.push(`Fitness of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
   }
   const origins = Object.entries(progress.origins);
   if (origins.length) told.push(`Origins of solutions: ${origins.map(([name, number]) => `${spaced(name)} ${count(number)}`).join(", ")}.`);
-  if (progress.digest) told.push(`SHA-256 of the archive: ${progress.digest.slice(0, 16)}….`);
+  if (progress.digest) told.push(`SHA-256 of the archive: ${progress.digest}.`);
+  if (last) told.push(`The last step of the algorithm took ${figure(last.step_s, 2)} s.`);
   return told.join(" ");
 }

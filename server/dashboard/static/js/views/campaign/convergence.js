@@ -20,7 +20,7 @@ export class Generations {
   }
 }
 
-/** Return the cards; ``news(progress, generations)`` draws new data, ``explain(note)`` shows how to read the thresholds. */
+/** Return the cards in one element, which appears with the first generation; ``news(progress, generations)`` draws new data, ``explain(note)`` shows how to read the thresholds. */
 export function convergenceCards(context, id, query, thresholds) {
   const t_b = threshold("t-b", "t_b", query.get("t_b"), thresholds.t_b);
   const d_th = threshold("d-th", "d_th", query.get("d_th"), thresholds.d_th);
@@ -50,6 +50,7 @@ export function convergenceCards(context, id, query, thresholds) {
   const shareCard = h("section.card", null, h("h2", null, "Unsafe share"), shares);
   const fitnessCard = h("section.card", null, h("h2", null, "Fitness by generation"), fitness,
     h("p.hint", null, "The quantity that the algorithm minimises. In a search for the boundary, 0 is on the boundary."));
+  const card = h("div.grid-wide", { hidden: true }, dbsCard, h("div.stack", null, shareCard, fitnessCard));
 
   for (const field of [t_b, d_th]) {
     field.input.addEventListener("change", () => {
@@ -99,12 +100,15 @@ export function convergenceCards(context, id, query, thresholds) {
   }
 
   return {
-    dbs: dbsCard, shares: shareCard, fitness: fitnessCard,
+    card,
     explain: (words) => { reading = words; explain(); },
     thresholds: () => ({ t_b: t_b.value(), d_th: d_th.value() }),
     news(progress, known) {
       defaults = { t_b: progress.t_b, d_th: progress.d_th };
-      dbsCard.hidden = !progress.looks_for_boundary;
+      card.hidden = known.list.length === 0;
+      // In a search for pairs the boundary is a side line, and there may be none.
+      dbsCard.hidden = !progress.looks_for_boundary || (progress.looks_for_pairs && isDefault() && known.list.every((one) => one.dbs === 0));
+      fitnessCard.hidden = progress.looks_for_tolerances; // it minimises nothing
       if (generations !== known || known.next !== this.drawn) {
         generations = known;
         this.drawn = known.next;

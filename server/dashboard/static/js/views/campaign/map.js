@@ -1,6 +1,7 @@
 /**
- * A canvas for some twenty thousand points: drag to pan, wheel or pinch to zoom, a lasso to select, a click to open.
- * All points are painted again for each frame, pixel by pixel, which is several times as fast as canvas paths.
+ * A canvas for some twenty thousand points on their ground: drag to pan, wheel or pinch to zoom, a lasso to select, a
+ * click to open. All points are painted again for each frame, pixel by pixel, which is several times as fast as canvas
+ * paths.
  */
 
 import { h } from "../../dom.js";
@@ -11,6 +12,14 @@ const NEAR_PX = 14;
 const MOST_ZOOM = 60;
 const SOLID = 0.8;
 const FAINT = 0.22;
+const RING_PX = 10;
+const MOST_NUMBERED = 30; // more would hide the points
+
+/**
+ * @typedef {object} Ring
+ * @property {number[]} at Indices of the points that it marks: one, or the two sides of a pair.
+ * @property {number} place Its number.
+ */
 
 /**
  * Return a map.
@@ -19,10 +28,12 @@ const FAINT = 0.22;
  * @param {AbortSignal} given.signal
  * @param {(index: number|null, event: {x: number, y: number}) => void} given.hover The point under the pointer.
  * @param {(index: number) => void} given.open A point was clicked.
+ * @param {(ring: Ring|null, event: {x: number, y: number}) => void} given.hoverRing The numbered ring under the pointer.
+ * @param {(ring: Ring) => void} given.openRing A numbered ring was clicked.
  * @param {(indices: number[]) => void} given.choose A lasso was closed.
  * @returns {HTMLCanvasElement} With ``show``, ``select``, ``zoom``, ``whole``, ``lasso`` and, for measurements, ``frames``.
  */
-export function solutionMap({ signal, hover, open, choose }) {
+export function solutionMap({ signal, hover, open, hoverRing, openRing, choose }) {
   const canvas = h("canvas.map", {
     tabindex: 0, role: "application",
     "aria-label": "Map of the solutions. Arrow keys pan, plus and minus zoom, 0 shows all. The table of boundary solutions has the same content as text.",
@@ -38,7 +49,8 @@ export function solutionMap({ signal, hover, open, choose }) {
   let bounds = { x: 0, y: 0, scale: 1 };
   let view = { zoom: 1, dx: 0, dy: 0 };
   let chosen = new Set();
-  let ringed = []; // boundary solutions
+  let ringed = []; // the results of the search, best first
+  let ground = null;
   let ring = null; // the open solution
   let lassoing = false;
   let path = null;
@@ -93,18 +105,32 @@ export function solutionMap({ signal, hover, open, choose }) {
 
   function paint() {
     if (!canvas.width || !canvas.height) return;
-    if (picture?.width !== canvas.width || picture.height !== canvas.height) {
-      picture = pen.createImageData(canvas.width, canvas.height);
-      pixels = new Uint32Array(picture.data.buffer);
-    }
-    pixels.fill(packed(colour("--sunk")));
+    pen.setTransform(1, 0, 0, 1, 0, 0);
+    pen.fillStyle = colour("--sunk");
+    pen.fillRect(0, 0, canvas.width, canvas.height);
     const ready = data?.count && colouring;
-    if (ready) stampAll();
-    pen.putImageData(picture, 0, 0);
+    if (ready) {
+      if (data.ground) drawGround();
+      picture = pen.getImageData(0, 0, canvas.width, canvas.height);
+      pixels = new Uint32Array(picture.data.buffer);
+      stampAll();
+      pen.putImageData(picture, 0, 0);
+    }
     if (!ready) return;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     rings();
     drawPath();
+  }
+
+  /** Hatch what is unknown, and draw the ground over it, which is as transparent as it is unknown. */
+  function drawGround() {
+    if (ground?.of !== data.ground) ground = groundOf(data.ground);
+    pen.fillStyle = pen.createPattern(ground.hatching, "repeat");
+    pen.fillRect(0, 0, canvas.width, canvas.height);
+    const { left, bottom, right, top, columns, rows } = data.ground;
+    const [wide, tall] = [(right - left) / (columns - 1), (top - bottom) / (rows - 1)]; // of a cell, whose value is in its middle
+    const [x, y] = [toX(left - wide / 2), toY(top + tall / 2)];
+    pen.drawImage(ground.tinted, x * ratio, y * ratio, columns * wide * scale() * ratio, rows * tall * scale() * ratio);
   }
 
   function stampAll() {
@@ -112,32 +138,56 @@ export function solutionMap({ signal, hover, open, choose }) {
     const [k, x0, y0] = [scale() * ratio, toX(0) * ratio, toY(0) * ratio];
     const colours = colouring.colours.map(packed);
     const stamp = new Stamp(radius() * ratio, w, chosen.size ? FAINT : SOLID);
+    const hollow = new Stamp(radius() * ratio, w, chosen.size ? FAINT : 1, 1.5 * ratio);
     const one = (i, with_) => {
       const x = Math.round(x0 + data.x[i] * k);
       const y = Math.round(y0 - data.y[i] * k);
       const { reach } = with_;
       if (x >= reach && y >= reach && x < w - reach && y < tall - reach) with_.onto(pixels, y * w + x, colours[colouring.index[i]]);
     };
-    for (let i = 0; i < data.count; i += 1) one(i, stamp);
+    for (let i = 0; i < data.count; i += 1) one(i, i < data.told ? stamp : hollow);
     if (!chosen.size) return;
     const solid = new Stamp(radius() * ratio, w, 1);
     for (const i of chosen) one(i, solid);
   }
 
+  function isNumbered() {
+    return ringed.length <= MOST_NUMBERED;
+  }
+
+  function middle({ at }) {
+    const mean = (values) => at.reduce((sum, i) => sum + values[i], 0) / at.length;
+    return [toX(mean(data.x)), toY(mean(data.y))];
+  }
+
   function rings() {
+    pen.font = `700 ${RING_PX + 1}px system-ui, "DejaVu Sans", sans-serif`;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
     pen.strokeStyle = colour("--edge");
-    pen.lineWidth = 1.6;
-    const size = radius() + 3;
-    for (const i of ringed) circle(i, size);
+    const paper = colour("--card");
+    for (const one of [...ringed].reverse()) { // where rings overlap, the best is on top
+      const [x, y] = middle(one);
+      pen.lineWidth = 1.6;
+      if (!isNumbered()) {
+        circle(x, y, radius() + 3);
+        continue;
+      }
+      pen.fillStyle = paper;
+      circle(x, y, RING_PX);
+      pen.fill();
+      pen.fillStyle = pen.strokeStyle;
+      pen.fillText(String(one.place), x, y + 0.5);
+    }
     if (ring !== null) {
       pen.lineWidth = 3;
-      circle(ring, size + 4);
+      circle(toX(data.x[ring]), toY(data.y[ring]), radius() + 7);
     }
   }
 
-  function circle(i, size) {
+  function circle(x, y, size) {
     pen.beginPath();
-    pen.arc(toX(data.x[i]), toY(data.y[i]), size, 0, 7);
+    pen.arc(x, y, size, 0, 7);
     pen.stroke();
   }
 
@@ -162,6 +212,15 @@ export function solutionMap({ signal, hover, open, choose }) {
       if (away < least) [best, least] = [i, away];
     }
     return best;
+  }
+
+  /** Return the numbered ring at a place, the best one first; null if there is none. */
+  function ringAt(x, y) {
+    if (!data || !isNumbered()) return null;
+    return ringed.find((one) => {
+      const [middleX, middleY] = middle(one);
+      return Math.hypot(middleX - x, middleY - y) <= RING_PX + 1;
+    }) ?? null;
   }
 
   function zoomAt(x, y, factor) {
@@ -203,7 +262,9 @@ export function solutionMap({ signal, hover, open, choose }) {
     const before = down.get(event.pointerId);
     const now = at(event);
     if (!before) {
-      hover(nearest(...now), { x: now[0], y: now[1] });
+      const under = ringAt(...now);
+      if (under) hoverRing(under, { x: now[0], y: now[1] });
+      else hover(nearest(...now), { x: now[0], y: now[1] });
       return;
     }
     moved += Math.abs(now[0] - before[0]) + Math.abs(now[1] - before[1]);
@@ -227,8 +288,9 @@ export function solutionMap({ signal, hover, open, choose }) {
     if (path && moved > 8) {
       choose(inside());
     } else if (moved <= 4 && data) {
-      const found = nearest(...at(event));
-      if (found === null) choose([]);
+      const [under, found] = [ringAt(...at(event)), nearest(...at(event))];
+      if (under) openRing(under);
+      else if (found === null) choose([]);
       else open(found);
     }
     path = null;
@@ -269,9 +331,9 @@ export function solutionMap({ signal, hover, open, choose }) {
     canvas.dataset.points = data.count;
     draw();
   };
-  canvas.select = ({ indices, boundary, opened }) => {
+  canvas.select = ({ indices, rings: marked, opened }) => {
     chosen = new Set(indices);
-    ringed = boundary;
+    ringed = marked;
     ring = opened;
     draw();
   };
@@ -289,32 +351,77 @@ export function solutionMap({ signal, hover, open, choose }) {
   const seen = new ResizeObserver(resize);
   seen.observe(canvas);
   signal.addEventListener("abort", () => seen.disconnect(), { once: true });
-  onTheme(draw, signal);
+  onTheme(() => {
+    ground = null;
+    draw();
+  }, signal);
   return canvas;
+}
+
+const HATCH_PX = 9;
+
+/** Return the ground in the colours of the theme: its cells as an image, and a tile of the hatching where it is unknown. */
+function groundOf(of) {
+  const { columns, rows, tint, clarity } = of;
+  const ramp = ["--ground-safe", "--ground-edge", "--ground-unsafe"].map((name) => channels(colour(name)));
+  const tinted = new OffscreenCanvas(columns, rows);
+  const cells = new ImageData(columns, rows);
+  for (let row = 0; row < rows; row += 1) {
+    for (let column = 0; column < columns; column += 1) {
+      const from = (rows - 1 - row) * columns + column; // rows go up
+      const to = 4 * (row * columns + column);
+      const place = (2 * tint[from]) / 255;
+      const below = Math.min(1, Math.floor(place));
+      for (let channel = 0; channel < 3; channel += 1) {
+        const start = ramp[below][channel];
+        cells.data[to + channel] = start + (ramp[below + 1][channel] - start) * (place - below);
+      }
+      cells.data[to + 3] = clarity[from];
+    }
+  }
+  tinted.getContext("2d").putImageData(cells, 0, 0);
+  const hatching = new OffscreenCanvas(HATCH_PX, HATCH_PX);
+  const pen = hatching.getContext("2d");
+  pen.fillStyle = colour("--sunk");
+  pen.fillRect(0, 0, HATCH_PX, HATCH_PX);
+  pen.strokeStyle = colour("--hatch");
+  for (const shift of [-HATCH_PX, 0, HATCH_PX]) {
+    pen.moveTo(shift - 1, HATCH_PX + 1);
+    pen.lineTo(shift + HATCH_PX + 1, -1);
+  }
+  pen.stroke();
+  return { of, tinted, hatching };
+}
+
+/** Return red, green and blue of a colour such as ``rgb(1, 2, 3)`` or ``#0a0b0c``. */
+function channels(written) {
+  const hex = /^#([0-9a-f]{6})$/i.exec(written);
+  return hex ? [0, 2, 4].map((at) => parseInt(hex[1].slice(at, at + 2), 16)) : written.match(/[\d.]+/g).slice(0, 3).map(Number);
 }
 
 const OPAQUE = 256;
 
-/** Return a colour such as ``rgb(1, 2, 3)`` or ``#0a0b0c`` as one number, as image data stores it. */
-function packed(colour) {
-  const hex = /^#([0-9a-f]{6})$/i.exec(colour);
-  const [r, g, b] = hex ? [0, 2, 4].map((at) => parseInt(hex[1].slice(at, at + 2), 16)) : colour.match(/[\d.]+/g).slice(0, 3).map(Number);
+/** Return a colour as one number, as image data stores it. */
+function packed(written) {
+  const [r, g, b] = channels(written);
   return ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0;
 }
 
-/** A disc of one size for pictures of one width: which pixels it covers, and how much of each. */
+/** A disc or a hollow one of one size for pictures of one width: which pixels it covers, and how much of each. */
 class Stamp {
   /**
    * @param {number} radius Radius in px.
    * @param {number} width Width of the picture in px.
    * @param {number} opacity Opacity of the disc, in [0, 1].
+   * @param {number} [rim] Width of the rim of a hollow disc in px.
    */
-  constructor(radius, width, opacity) {
+  constructor(radius, width, opacity, rim = radius + 1) {
     this.reach = Math.ceil(radius + 0.5);
     const [places, shares] = [[], []];
     for (let y = -this.reach; y <= this.reach; y += 1) {
       for (let x = -this.reach; x <= this.reach; x += 1) {
-        const covered = Math.max(0, Math.min(1, radius + 0.5 - Math.hypot(x, y)));
+        const away = Math.hypot(x, y);
+        const covered = Math.max(0, Math.min(1, radius + 0.5 - away, away - (radius - rim) + 0.5));
         if (covered === 0) continue;
         places.push(y * width + x);
         shares.push(Math.round(OPAQUE * covered * opacity));

@@ -1,4 +1,4 @@
-/** The card around the map: its data, its colours, the meaning of its axes, and the selected solutions. */
+/** The card around the map: its data, its colours, the meaning of its axes, and what is selected on it. */
 
 import { Conditional, UNCHANGED } from "../../api.js";
 import { attribute, h, replace, text } from "../../dom.js";
@@ -13,8 +13,8 @@ const OWN = [["verdict", "verdict"], ["fitness", "fitness"], ["robustness", "rob
 const MOST_LISTED = 60;
 
 /**
- * Return the card; ``news`` loads new solutions, ``parameters`` offers more colours, ``ring`` marks the boundary solutions
- * given by number.
+ * Return the card, which appears with the first result; ``news`` loads new solutions, ``parameters`` offers more
+ * colours, ``ring`` marks the results of the search: the numbers of each, two for a pair, best first.
  *
  * @param {Context} context
  * @param {string} id Id of the campaign.
@@ -25,10 +25,10 @@ export function mapCard(context, id, query) {
   let by = query.get("colour") ?? "verdict";
   let opened = /^\d+$/.test(query.get("solution") ?? "") ? Number(query.get("solution")) : null;
   let chosen = [];
-  let boundary = [];
+  let results = [];
 
   const tip = h("div.tip", { hidden: true, "aria-hidden": "true" });
-  const canvas = solutionMap({ signal: context.signal, hover, open: (i) => open(data.number[i]), choose });
+  const canvas = solutionMap({ signal: context.signal, hover, open: (i) => open(data.number[i]), hoverRing, openRing, choose });
   const frame = h("div.map-frame", null, canvas, tip);
   const colours = h("select", { id: "map-colour", onchange: () => recolour(colours.value) });
   const lasso = h("button", { type: "button", "aria-pressed": "false", onclick: () => turnLasso() }, "Lasso");
@@ -36,12 +36,13 @@ export function mapCard(context, id, query) {
   const about = h("p.hint");
   const panel = h("aside.map-panel", { "aria-label": "Selection on the map", "aria-live": "polite" });
   const button = (words, label, doing) => h("button", { type: "button", "aria-label": label, onclick: doing }, words);
-  const card = h("section.card", { "aria-label": "Map" },
+  const tints = h("div.tints.small.muted");
+  const card = h("section.card", { "aria-label": "Map", hidden: true },
     h("div.inline", null, h("h2", null, "Map of the search"),
       h("label", { for: "map-colour" }, "Colour"), colours,
       h("div.actions.push", null, lasso, button("+", "Zoom in", () => canvas.zoom(1.5)), button("−", "Zoom out", () => canvas.zoom(1 / 1.5)),
         button("All", "Show all solutions", () => canvas.whole()))),
-    h("div.map-body", null, h("div", null, frame, legend, about), panel));
+    h("div.map-body", null, h("div", null, frame, legend, tints, about), panel));
 
   let offered = null;
   offer([]);
@@ -82,22 +83,25 @@ export function mapCard(context, id, query) {
   let version = "";
 
   function draw() {
-    if (!data.count) {
-      text(about, "No solution has been evaluated yet.");
-      return;
-    }
+    card.hidden = data.count === 0;
+    if (!data.count) return;
     const colouring = colouringOf();
     canvas.show(data, colouring, { anew: version !== data.version });
     version = data.version;
+    const rings = ringed();
     replace(legend, colouring.legend.map((one) => {
       const dot = h("i");
       dot.style.background = one.colour;
       return h("li", null, dot, one.label);
-    }), boundary.length > 0 && h("li", null, h("i.ringed"), `${plural(placed(boundary).length, "distinct boundary solution")}, ringed`));
+    }), data.told < data.count && h("li", null, h("i.hollow"), `${count(data.count - data.told)} just reported, not scored yet`),
+    rings.length > 0 && h("li", null, h("i.ringed"), rings[0].at.length > 1 ? plural(rings.length, "distinct pair") : plural(rings.length, "distinct boundary solution")));
+    tints.hidden = !data.ground;
+    if (data.ground) replace(tints, "Ground, unsafe share nearby: ", h("span", null, "0"), h("i.ramp", { "aria-hidden": "true" }), h("span", null, "1"),
+      h("span", null, `; in its middle the boundary, ${figure(data.ground.p_th)}`), h("i.hatched", { "aria-hidden": "true" }), h("span", null, "too few simulations nearby to tell"));
     const { said, drawn, evaluated, explained, across, up, own_axes } = data.about;
     text(about, [
       said,
-      drawn < evaluated ? `${count(drawn)} of ${count(evaluated)} solutions are shown.` : `${plural(drawn, "solution")}.`,
+      drawn < evaluated ? `${count(drawn)} of ${count(evaluated)} solutions are shown.` : `${plural(data.count, "solution")}.`,
       own_axes ? "The axes are the problem's two parameters." : `Similar solutions lie close together; the map preserves ${percent(explained)} of the squared distances.`,
       across && `Horizontal axis: ${across}.`, up && `Vertical axis: ${up}.`,
     ].filter(Boolean).join(" "));
@@ -106,18 +110,31 @@ export function mapCard(context, id, query) {
 
   function colouringOf() {
     if (by === "verdict") return byVerdict(data);
-    if (by === "fitness") return byNumber(data.fitness, { low: 0 });
+    if (by === "fitness") return byNumber(padded(data.fitness, data.count), { low: 0 });
     if (by === "robustness") return byNumber(data.robustness);
     if (by === "generation") return byNumber(data.told_in, { low: 0 });
-    if (data.by?.parameter !== by || data.by.values.length !== data.count) return byVerdict(data);
-    return data.by.choices ? byCategory(data.by.values, data.by.choices) : byNumber(data.by.values, data.by);
+    if (data.by?.parameter !== by || data.by.values.length !== data.told) return byVerdict(data);
+    const values = padded(data.by.values, data.count);
+    return data.by.choices ? byCategory(values, data.by.choices) : byNumber(values, data.by);
   }
 
   function hover(i, { x, y }) {
     tip.hidden = i === null;
     canvas.classList.toggle("over", i !== null);
     if (i === null) return;
-    text(tip, `solution ${data.number[i]}: ${data.words(i)}; robustness ${figure(data.robustness[i])}, fitness ${figure(data.fitness[i])}`);
+    const fitness = i < data.told ? `fitness ${figure(data.fitness[i])}` : "not scored yet";
+    point(`solution ${data.number[i]}: ${data.words(i)}; robustness ${figure(data.robustness[i])}, ${fitness}`, { x, y });
+  }
+
+  function hoverRing(ring, place) {
+    tip.hidden = false;
+    canvas.classList.add("over");
+    const numbers = ring.at.map((i) => data.number[i]);
+    point(numbers.length > 1 ? `pair ${ring.place}: solutions ${numbers.join(" and ")}` : `boundary solution ${ring.place}: solution ${numbers[0]}, ${data.words(ring.at[0])}`, place);
+  }
+
+  function point(words, { x, y }) {
+    text(tip, words);
     const right = x > canvas.clientWidth / 2;
     tip.style.left = right ? "auto" : `${x + 14}px`;
     tip.style.right = right ? `${canvas.clientWidth - x + 14}px` : "auto";
@@ -156,6 +173,22 @@ export function mapCard(context, id, query) {
       chosen.length > 0 && h("p", null, h("button.quiet", { type: "button", onclick: list }, "Back to the selection")));
   }
 
+  /** Show a pair or a boundary solution whose ring was clicked. */
+  function openRing(ring) {
+    const numbers = ring.at.map((i) => data.number[i]);
+    if (numbers.length === 1) {
+      open(numbers[0]);
+      return;
+    }
+    opened = null;
+    rewrite({ solution: null });
+    mark();
+    replace(panel, h("h3", null, `Pair ${ring.place}`),
+      h("ul.chosen", null, ring.at.map((i) => h("li", null, h("a", { href: link("campaigns", id, "solutions", data.number[i]) }, `solution ${data.number[i]}`),
+        h("span.small.muted", null, ` ${data.words(i)}`)))),
+      h("p", null, h("a.button.primary", { href: link("campaigns", id, "pairs", numbers.join("-")) }, "Open the pair")));
+  }
+
   function list() {
     const rows = placed(chosen);
     const unsafe = rows.filter((i) => data.unsafe[i]).length;
@@ -179,20 +212,25 @@ export function mapCard(context, id, query) {
     return numbers.map((number) => data.place.get(number)).filter((i) => i !== undefined);
   }
 
+  /** Return the rings whose points are on the map; their numbers are their places in the list of results. */
+  function ringed() {
+    return results.map((numbers, index) => ({ at: placed(numbers), place: index + 1, all: numbers.length })).filter((one) => one.at.length === one.all);
+  }
+
   function mark() {
     if (!data.place) return;
-    canvas.select({ indices: placed(chosen), boundary: placed(boundary), opened: placed([opened])[0] ?? null });
+    canvas.select({ indices: placed(chosen), rings: ringed(), opened: placed([opened])[0] ?? null });
   }
 
   onTheme(draw, context.signal);
   if (opened !== null) open(opened);
-  card.news = (generation) => {
-    last = generation;
-    load(isParameter(by) ? `${generation}/${by}` : String(generation));
+  card.news = (news) => {
+    last = news;
+    load(isParameter(by) ? `${news}/${by}` : String(news));
   };
   card.parameters = offer;
   card.ring = (numbers) => {
-    boundary = numbers;
+    results = numbers;
     draw();
   };
   return card;
@@ -271,22 +309,19 @@ function ramp(share) {
   return `rgb(${mixed.join(",")})`;
 }
 
-const COLUMNS = ["number", "told_in", "unsafe", "outcome", "robustness", "x", "y"];
+const COLUMNS = { number: Int32Array, told_in: Int32Array, unsafe: Uint8Array, outcome: Uint16Array, robustness: Float32Array, x: Float32Array, y: Float32Array };
 
-/** The points of a campaign in columns; only new ones are loaded. */
+/** The points of a campaign in columns: first those that the search was told of, of which only new ones are loaded, then reported ones. */
 class MapData {
   #conditional = new Conditional();
+  #known = Object.fromEntries(Object.entries(COLUMNS).map(([name, Column]) => [name, new Column(0)])); // without reported ones
   version = "";
+  /** Number of all points, and of those that the search was told of. */
   count = 0;
-  number = new Int32Array(0);
-  told_in = new Int32Array(0);
-  unsafe = new Uint8Array(0);
-  outcome = new Uint16Array(0);
-  robustness = new Float32Array(0);
-  x = new Float32Array(0);
-  y = new Float32Array(0);
+  told = 0;
   fitness = new Float32Array(0);
   by = null;
+  ground = null;
   about = null;
 
   /** Load new points; returns whether there are any. */
@@ -294,7 +329,7 @@ class MapData {
     const query = new URLSearchParams();
     if (this.version) {
       query.set("version", this.version);
-      query.set("after", this.count);
+      query.set("after", this.told);
     }
     if (parameter) query.set("parameter", parameter);
     const read = await this.#conditional.get(`campaigns/${campaign}/map?${query}`, { signal });
@@ -304,11 +339,18 @@ class MapData {
   }
 
   #take(read) {
-    for (const name of COLUMNS) this[name] = joined(this[name], read.first, read[name]);
+    const { reported } = read;
+    const columns = { ...reported, told_in: reported.number.map(() => read.generation) };
+    for (const name of Object.keys(COLUMNS)) {
+      this.#known[name] = joined(this.#known[name], read.first, read[name]);
+      this[name] = joined(this.#known[name], this.#known[name].length, columns[name]);
+    }
+    this.told = this.#known.number.length;
     this.count = this.number.length;
     this.version = read.version;
     this.fitness = Float32Array.from(read.fitness);
     this.by = read.by && { ...read.by, values: Float32Array.from(read.by.values, (value) => value ?? NaN) };
+    this.ground = read.ground && { ...read.ground, tint: bytes(read.ground.tint), clarity: bytes(read.ground.clarity) };
     const { generation, evaluated, drawn, explained, across, up, own_axes, outcomes } = read;
     this.about = { said: read.outcomes_in_words, generation, evaluated, drawn, explained, across, up, own_axes, outcomes, kinds: read.outcome_kinds, kindWords: read.kinds };
   }
@@ -324,4 +366,15 @@ function joined(known, first, more) {
   whole.set(known.subarray(0, first));
   whole.set(more, first);
   return whole;
+}
+
+/** Return values with unknown ones at the end, up to a length. */
+function padded(values, length) {
+  const whole = new Float32Array(length).fill(NaN);
+  whole.set(values);
+  return whole;
+}
+
+function bytes(written) {
+  return Uint8Array.from(atob(written), (letter) => letter.charCodeAt(0));
 }

@@ -74,7 +74,7 @@ function costWords({ kind, simulations, left_out }, repeats) {
 }
 
 /** Return one line about a follow-up: its status and, while it is open, how far it is. */
-function follower(one) {
+export function follower(one) {
   const words = h("span.small");
   const bar = isOpen(one.status) ? meter("Simulations done") : null;
   const node = h("div.follow-up", null, h("div.inline", null, badge(one.status), words, h("a.small", { href: link("campaigns", one.campaign) }, "Campaign")), bar);

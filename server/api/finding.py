@@ -1,0 +1,462 @@
+"""Route of a campaign's finding: what it found in a sentence, its best pairs, and what to do next.
+
+The sentences are those of the routes for pairs, tolerances, violations, combinations, repeats and boundaries. Which
+of them comes first depends on what the search is for.
+"""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any, Final
+
+import numpy as np
+from fastapi import APIRouter
+from pydantic import Field
+from sqlalchemy import Connection
+
+from brink.search.analysis.boundary import distinct_boundary, has_evidence
+from brink.search.errors import UnsupportedSpace
+from brink.search.slots import slots_of
+from brink.server.api.context import Context, Services
+from brink.server.api.findings import combinations_view, violation_types, violations_words
+from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView
+from brink.server.api.pairs import follow_up_view, pairs_view
+from brink.server.api.repeats import DEFAULT_REPEATS, repeats_view
+from brink.server.api.schemas import View
+from brink.server.api.solutions import boundary_words
+from brink.server.api.tolerance import tolerance_view
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.outcomes import CampaignOutcomes
+from brink.server.campaigns.pairs import PairSettings, searches_for_pairs
+from brink.server.campaigns.plan import check_repeatable, looks_for_boundary
+from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats, followed_by, read_follow_ups
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.tolerance import searches_for_tolerances
+from brink.server.campaigns.violations import read_violations
+from brink.server.db.engine import read
+from brink.server.errors import InvalidInput
+from brink.server.problems.base import ReportsViolations
+from brink.server.problems.changes import as_sentence
+from brink.server.states import CampaignStatus, OutcomeKind
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])
+
+BEST: Final = 2
+MOST_RINGS: Final = 1_000
+
+
+class StepKind(StrEnum):
+    """What a next step is about."""
+
+    RESUME = "resume"
+    CONFIRM = "confirm"
+    COMPONENT = "component"
+    MINIMISE = "minimise"
+    REPEAT = "repeat"
+    CONTROL = "control"
+    LOOK = "look"
+    EXPORT = "export"
+    LONGER = "longer"
+
+
+class StepRequest(View):
+    """The request of the API that takes a step."""
+
+    path: Annotated[str, Field(description="Path below `/api/v1`, for POST.")]
+    body: dict[str, Any]
+
+
+class StepView(View):
+    """Something to do next."""
+
+    kind: StepKind
+    question: Annotated[str, Field(description="The question that it answers.")]
+    words: Annotated[str, Field(description="What it does, and how many simulations it takes.")]
+    label: Annotated[str, Field(description="Words for a button or a link.")]
+    command: Annotated[
+        str,
+        Field(description="The same on the command line, without the coordinator; empty if there is none."),
+    ] = ""
+    request: StepRequest | None = None
+    place: Annotated[
+        str | None, Field(description="Address of a page of the dashboard that has the answer, without `#/`.")
+    ] = None
+    follow_up: Annotated[
+        FollowUpView | None,
+        Field(description="The campaign that is simulating it, if it has been requested."),
+    ] = None
+
+
+class BestPair(View):
+    """One of the best pairs."""
+
+    place: int
+    safe: Annotated[int, Field(description="Number of the safe solution.")]
+    unsafe: int
+    words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
+    state: Annotated[str, Field(description="Whether it is confirmed; see `confirmation` of a pair.")]
+
+
+class FollowedView(View):
+    """The campaign that a follow-up asks about."""
+
+    campaign: str
+    name: str
+    kind: FollowUpKind
+
+
+class FindingView(View):
+    """What a campaign found."""
+
+    campaign: str
+    complete: Annotated[bool, Field(description="Whether the campaign has ended.")]
+    words: Annotated[str, Field(description="The finding in a sentence.")]
+    more: Annotated[list[str], Field(description="What else is known, in sentences.")]
+    of: Annotated[FollowedView | None, Field(description="The campaign that this one follows up.")] = None
+    pairs: Annotated[
+        int | None,
+        Field(description="Distinct pairs at its own settings; null if there are too many to tell."),
+    ]
+    rings: Annotated[
+        list[tuple[int, int]],
+        Field(description="The sides of each of them, best first; empty if the search was not for pairs."),
+    ]
+    computed: Annotated[bool, Field(description="Whether verdicts are computed: there is no drive to draw.")]
+    best: Annotated[list[BestPair], Field(description="The first pairs.")]
+    steps: Annotated[list[StepView], Field(description="What to do next, the most useful first.")]
+
+
+@router.get("/finding")
+async def get_finding(campaign_id: str, services: Services) -> FindingView:
+    """Return what a campaign found in a sentence, its best pairs, and what to do next."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    known = await _known(services, campaign, found)
+    words, more = await _sentences(services, known)
+    of = await read(services.engines, lambda c: _followed(c, campaign))
+    view = known.pairs
+    return FindingView(
+        campaign=campaign.id, complete=campaign.status in ENDED,
+        words=_sentence(words), more=[_sentence(one) for one in more if one],
+        of=of, pairs=None if view is None else view.distinct, rings=known.rings[:MOST_RINGS],
+        computed=view is not None and view.computed,
+        best=[
+            BestPair(
+                place=pair.place, safe=pair.safe.number, unsafe=pair.unsafe.number, words=pair.words,
+                state=pair.confirmation.state,
+            )
+            for pair in (() if view is None else view.pairs)
+        ],
+        steps=[] if of is not None else _steps(known),
+    )  # fmt: skip
+
+
+def _sentence(words: str) -> str:
+    return f"{as_sentence(words).removesuffix('.')}."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Known:
+    """What is known of a campaign.
+
+    Attributes:
+        campaign: The campaign.
+        found: Its archive.
+        outcomes: What its simulations showed.
+        reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
+        stored: Its follow-ups.
+        pairs: Its first pairs; None if there are too many to tell.
+        too_many: Why there are too many.
+        rings: The sides of all its pairs if it searched for them.
+        boundary: Distinct boundary solutions, and strict ones among them.
+    """
+
+    campaign: Campaign
+    found: ReadArchive
+    outcomes: CampaignOutcomes
+    reported: tuple[int, int]
+    stored: Sequence[StoredRepeats]
+    pairs: PairsView | None
+    too_many: str
+    rings: list[tuple[int, int]]
+    boundary: tuple[int, int]
+
+    @property
+    def searched_for_pairs(self) -> bool:
+        """Whether the search was for pairs."""
+        return searches_for_pairs(self.campaign.body.algorithm.id)
+
+    @property
+    def about_boundary(self) -> bool:
+        """Whether the boundary is the result: the search looked for it."""
+        return looks_for_boundary(self.campaign.body.algorithm.id) and not self.searched_for_pairs
+
+
+async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _Known:
+    stored = await read(services.engines, lambda c: read_follow_ups(c, campaign.id))
+    reported = await read(services.engines, lambda c: services.reported.read(c, campaign))
+    view, too_many, rings = None, "", []
+    try:
+        pairs = await services.pairs.get(campaign, found, PairSettings.of(found.plan))
+    except InvalidInput as error:
+        too_many = "; ".join(one.message for one in error.errors)
+    else:
+        view = await read(services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, BEST))
+        if view.searched:
+            rings = [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
+    chosen = await asyncio.to_thread(distinct_boundary, found.archive, DEFAULT_T_B, DEFAULT_D_TH)
+    return _Known(
+        campaign=campaign, found=found, outcomes=await services.outcomes.get(campaign.id, found),
+        reported=(len(reported.results), reported.unsafe), stored=stored, pairs=view, too_many=too_many, rings=rings,
+        boundary=(len(chosen), int(np.count_nonzero(has_evidence(found.archive)[chosen]))),
+    )  # fmt: skip
+
+
+def _followed(connection: Connection, campaign: Campaign) -> FollowedView | None:
+    """Return the campaign that a campaign follows up; None if it is no follow-up."""
+    found = followed_by(connection, campaign.id)
+    of = None if found is None else CAMPAIGNS.find(connection, found[0])
+    if found is None or of is None:
+        return None
+    return FollowedView(campaign=of.id, name=of.body.name, kind=found[1])
+
+
+async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
+    """Return the finding in a sentence, and further sentences."""
+    campaign, found, outcomes = known.campaign, known.found, known.outcomes
+    if not len(found.archive):
+        return _nothing_yet(known), []
+    of = await read(services.engines, lambda c: followed_by(c, campaign.id))
+    if of is not None:
+        return await _follow_up_words(services, *of, campaign), [outcomes.sentence()]
+    pairs = known.too_many or (known.pairs.note if known.pairs else "")
+    if known.searched_for_pairs:
+        return pairs, [outcomes.sentence()]
+    if searches_for_tolerances(campaign.body.algorithm.id):
+        tolerances = await services.tolerances.get(campaign, found)
+        view = await asyncio.to_thread(tolerance_view, campaign, found.plan, tolerances)
+        return _so_far(campaign, view.note), []
+    special = await _special_words(services, known)
+    also = [pairs] if known.pairs is not None and known.pairs.distinct else []
+    if special:
+        return _so_far(campaign, special), [outcomes.sentence(), *also]
+    if known.about_boundary:
+        words = boundary_words(*known.boundary, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+        return _so_far(campaign, words), [outcomes.sentence(), *also]
+    return _so_far(campaign, _counts(known)), [outcomes.sentence(), *also]
+
+
+def _nothing_yet(known: _Known) -> str:
+    reported, unsafe = known.reported
+    if not reported:
+        return (
+            "no simulation has a verdict yet"
+            if known.campaign.status not in ENDED
+            else "no simulation had a verdict"
+        )
+    return (
+        f"{unsafe:,} of the first {reported:,} drives {_violated(known)}; the search is told once its first "
+        "generation is complete"
+    )
+
+
+def _counts(known: _Known) -> str:
+    return f"{known.campaign.unsafe:,} of {known.campaign.evaluated:,} solutions {_violated(known)}"
+
+
+def _violated(known: _Known) -> str:
+    requirements = known.outcomes.requirements
+    return known.outcomes.kind_words(OutcomeKind.VIOLATED) if requirements else "are unsafe"
+
+
+def _so_far(campaign: Campaign, words: str) -> str:
+    if campaign.status in ENDED:
+        return words
+    return f"so far, after {campaign.evaluated:,} of {campaign.budget:,} simulations: {words}"
+
+
+async def _special_words(services: Context, known: _Known) -> str:
+    """Return the sentence about violations or combinations, if the problem is about these."""
+    campaign, found = known.campaign, known.found
+    problem = found.plan.problem
+    if isinstance(problem, ReportsViolations):
+        violations = await read(services.engines, lambda c: read_violations(c, campaign.id, problem))
+        return violations_words(await asyncio.to_thread(violation_types, violations))
+    try:
+        slots_of(problem.space)
+    except UnsupportedSpace:
+        return ""
+    return (await asyncio.to_thread(combinations_view, problem.space, found.archive)).words
+
+
+async def _follow_up_words(services: Context, of_id: str, kind: FollowUpKind, campaign: Campaign) -> str:
+    """Return what a follow-up showed."""
+    of = await services.campaigns.get(of_id)
+    if kind is FollowUpKind.CONFIRM:
+        found = await services.archives.get(of)
+        stored = await read(services.engines, lambda c: read_follow_ups(c, of.id))
+        own = next(one for one in stored if one.campaign.id == campaign.id)
+        return repeats_view(of.id, of.body.name, own, found).words
+    counts = f"{campaign.unsafe:,} of {campaign.evaluated:,} drives"
+    if kind is FollowUpKind.COMPONENT:
+        return f"with ground truth in place of the component, {counts} were unsafe all the same"
+    return f"with some of their differences reverted, {counts} were still unsafe"
+
+
+def _steps(known: _Known) -> list[StepView]:
+    campaign, name = known.campaign, f"campaigns/{known.campaign.id}"
+    if campaign.status is CampaignStatus.PAUSED:
+        return [
+            StepView(
+                kind=StepKind.RESUME, question="Go on?", label="Resume",
+                words="The campaign is paused: workers get none of its jobs.",
+                command=f"brink resume {campaign.id}", request=StepRequest(path=f"{name}/resume", body={}),
+            )
+        ]  # fmt: skip
+    if campaign.status not in ENDED or not len(known.found.archive):
+        return []
+    steps = _pair_steps(known) if known.searched_for_pairs else []
+    reports_violations = isinstance(known.found.plan.problem, ReportsViolations)
+    if known.about_boundary and not reports_violations:
+        steps += _boundary_steps(known)
+    if reports_violations:
+        steps.append(
+            StepView(
+                kind=StepKind.LOOK, question="Which violations are there?", label="",
+                words="Lists all types of violations, and names them.", command=f"brink violations {campaign.id}",
+            )
+        )  # fmt: skip
+    if searches_for_tolerances(campaign.body.algorithm.id):
+        steps.append(
+            StepView(
+                kind=StepKind.EXPORT, question="What is the requirement?", label="",
+                words="Writes the tolerances as sentences of a requirement.",
+                command=f"brink tolerance {campaign.id} --format sentences",
+            )
+        )  # fmt: skip
+    elif not known.searched_for_pairs and known.pairs is not None and known.pairs.distinct:
+        steps.append(_look_at_pairs(known, "Which small change decides?"))
+    return steps
+
+
+def _pair_steps(known: _Known) -> list[StepView]:
+    campaign, view = known.campaign, known.pairs
+    if view is None or not view.distinct:
+        return [_longer(known, "A larger budget finds nearer solutions with opposite verdicts.")]
+    steps = []
+    for offer in view.offers:
+        open_one = next(
+            (
+                one
+                for one in known.stored
+                if one.kind is offer.kind and one.campaign.status not in ENDED and not one.boundary
+            ),
+            None,
+        )
+        done = offer.kind is FollowUpKind.CONFIRM and view.tried + view.pending == view.distinct
+        if open_one is None and (offer.reason or done or view.computed):
+            continue
+        question, label, option, what = _QUESTIONS[offer.kind]
+        simulations = offer.simulations * (DEFAULT_CONFIRMATIONS if offer.kind is FollowUpKind.CONFIRM else 1)
+        most = "at most " if offer.kind is FollowUpKind.MINIMISE else ""
+        steps.append(
+            StepView(
+                kind=StepKind(offer.kind.value), question=question, label=label,
+                words=what if open_one else f"{what} It takes {most}{simulations:,} simulations.",
+                command=f"brink pairs {campaign.id} {option}",
+                request=StepRequest(
+                    path=f"campaigns/{campaign.id}/pairs/follow-ups",
+                    body={"kind": offer.kind.value}
+                    | ({"repeats": DEFAULT_CONFIRMATIONS} if offer.kind is FollowUpKind.CONFIRM else {}),
+                ),
+                follow_up=None if open_one is None else follow_up_view(open_one),
+            )
+        )  # fmt: skip
+    if not view.computed:
+        steps.append(_look_at_pairs(known, "What happens in them?"))
+    return steps
+
+
+_QUESTIONS: Final = {
+    FollowUpKind.CONFIRM: (
+        "Do the pairs hold?", "Confirm the pairs", f"--confirm {DEFAULT_CONFIRMATIONS}",
+        f"Simulates both sides of each pair with {DEFAULT_CONFIRMATIONS} other seeds.",
+    ),
+    FollowUpKind.COMPONENT: (
+        "Is the component to blame?", "Blame the component", "--component",
+        "Simulates each unsafe side once more, with ground truth in place of the component.",
+    ),
+    FollowUpKind.MINIMISE: (
+        "Which differences matter?", "Minimise the changes", "--minimise",
+        "Reverts the differences of each pair one by one, as long as its unsafe side stays unsafe.",
+    ),
+}  # fmt: skip
+
+
+def _look_at_pairs(known: _Known, question: str) -> StepView:
+    view, campaign = known.pairs, known.campaign.id
+    count = 0 if view is None else view.distinct
+    return StepView(
+        kind=StepKind.LOOK, question=question, words="Shows both drives of each pair side by side.",
+        label="Open the pair" if count == 1 else f"Open all {count:,} pairs", place=f"campaigns/{campaign}/pairs",
+        command=f"brink pairs {campaign} --film 1 pair-1.mp4",
+    )  # fmt: skip
+
+
+def _boundary_steps(known: _Known) -> list[StepView]:
+    campaign, (distinct, strict) = known.campaign, known.boundary
+    if not distinct:
+        return [_longer(known, "Only neighbourhoods with enough solutions lie near the boundary.")]
+    steps = []
+    again = [one for one in known.stored if one.boundary and one.kind is FollowUpKind.CONFIRM]
+    open_one = next((one for one in again if one.campaign.status not in ENDED), None)
+    if open_one or not (again or _cannot_repeat(known.found)):
+        noun = "the boundary solution" if distinct == 1 else f"the {distinct:,} distinct boundary solutions"
+        steps.append(
+            StepView(
+                kind=StepKind.REPEAT, question="Does the boundary hold?", label="Repeat the boundary",
+                words=f"Simulates {noun} with {DEFAULT_REPEATS} other seeds. It takes "
+                f"{DEFAULT_REPEATS * distinct:,} simulations.",
+                command=f"brink repeats {campaign.id}",
+                request=StepRequest(path=f"campaigns/{campaign.id}/repeats", body={}),
+                follow_up=None if open_one is None else follow_up_view(open_one),
+            )
+        )  # fmt: skip
+    if len(known.found.plan.problem.space.components) > 1:
+        steps.append(
+            StepView(
+                kind=StepKind.CONTROL, question="How much of it is the component's?",
+                label="Compare with the control",
+                words="Compares it with its control, whose verdicts do not depend on the component.",
+                place=f"compare?ids={campaign.id}", command=f"brink compare {campaign.id}",
+            )
+        )  # fmt: skip
+    steps.append(
+        StepView(
+            kind=StepKind.EXPORT,
+            question="How to show it to others?",
+            label="",
+            words="Exports the boundary as tables, rules and replays.",
+            command=f"brink evidence {campaign.id} --out evidence",
+        )
+    )
+    if not strict:
+        steps.append(_longer(known, "No boundary solution is strict yet: that takes more neighbours."))
+    return steps
+
+
+def _cannot_repeat(found: ReadArchive) -> bool:
+    try:
+        check_repeatable(found.plan)
+    except InvalidInput:
+        return True
+    return False
+
+
+def _longer(known: _Known, words: str) -> StepView:
+    return StepView(
+        kind=StepKind.LONGER, question="Search longer?", words=words, label="Clone it with a larger budget",
+        place=f"new?from={known.campaign.id}&simulations={4 * known.campaign.budget}",
+    )  # fmt: skip

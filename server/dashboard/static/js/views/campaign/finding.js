@@ -1,0 +1,165 @@
+/** What a campaign page opens with: the finding in a sentence and its figures, the best pairs as pictures, what to do next. */
+
+import { isOpen } from "../../api.js";
+import { attribute, h, keyed, replace, text } from "../../dom.js";
+import { count, percent, rate, sentence, span } from "../../format.js";
+import { loadOnNews, whenMade } from "../../polling.js";
+import { link } from "../../router.js";
+import { command, facts, meter, requirementBadge } from "../../parts/elements.js";
+import { follower } from "../pair/follow_ups.js";
+
+const FOLLOW_MS = 3_000;
+
+/**
+ * Return the cards in one element.
+ *
+ * @param {Context} context
+ * @param {string} id Id of the campaign.
+ * @param {(read: object) => void} found Called with each finding.
+ * @param {() => void} changed Called when a step has been taken.
+ * @returns {HTMLElement} With ``news(progress, generations)``.
+ */
+export function finding(context, id, found, changed) {
+  const words = h("p.lead", { "aria-live": "polite" }, "…");
+  const of = h("p", { hidden: true });
+  const more = h("div.more");
+  const bar = meter("Simulations done");
+  const figures = facts();
+  const card = h("section.card.finding", { "aria-label": "Finding" }, words, of, bar, figures, more);
+  const best = bestPairs(context, id);
+  const next = nextSteps(context, () => {
+    load(`${told} ${performance.now()}`, { atOnce: true });
+    changed();
+  });
+  const node = h("div.stack", null, card, h("div.opening", null, best, next));
+  let told = "";
+  let read = null;
+  let progress = null;
+  let generations = null;
+  let later = null;
+
+  const load = loadOnNews(async () => {
+    read = await context.get(`campaigns/${id}/finding`);
+    text(words, read.words);
+    replace(more, read.more.map((one) => h("p", null, one)));
+    of.hidden = read.of === null;
+    if (read.of) replace(of, "It follows up ", h("a", { href: link("campaigns", read.of.campaign) }, read.of.name), ".");
+    best.update(read);
+    next.update(read.steps);
+    draw();
+    found(read);
+    clearTimeout(later);
+    // Follow-ups are campaigns of their own: progress of this one does not announce their news.
+    if (read.steps.some((step) => step.follow_up)) later = setTimeout(() => load(`${told} ${performance.now()}`), FOLLOW_MS);
+  }, { signal: context.signal, refuse: context.complain, leastMs: 2_000 });
+  context.signal.addEventListener("abort", () => clearTimeout(later), { once: true });
+
+  function draw() {
+    if (!progress) return;
+    const ended = !isOpen(progress.status);
+    const last = generations.list.at(-1);
+    const evaluated = progress.evaluated + progress.reported;
+    const unsafe = progress.unsafe + progress.reported_unsafe;
+    bar.update(progress.simulations / progress.budget, ended);
+    figures.update({
+      ...(read?.pairs !== undefined && read?.pairs !== null && (progress.looks_for_pairs || read.pairs) ? { Pairs: count(read.pairs) } : {}),
+      ...(progress.looks_for_boundary && !progress.looks_for_pairs && last ? { "Boundary solutions (strict)": `${count(last.dbs)} (${count(last.strict_dbs)})` } : {}),
+      Unsafe: evaluated ? `${count(unsafe)} (${percent(unsafe / evaluated)})` : "–",
+      Safe: evaluated ? count(evaluated - unsafe) : "–",
+      Simulations: `${count(progress.simulations)} of ${count(progress.budget)}`,
+      ...(ended ? { Took: span(progress.elapsed_s) } : { "Time left": span(progress.remaining_s), Rate: rate(progress.rate_per_s), Workers: count(progress.workers) }),
+      ...(progress.failed ? { Failed: count(progress.failed) } : {}),
+      ...(progress.measured ? { Measured: count(progress.measured) } : {}),
+      ...(progress.quarantined ? { "In quarantine": count(progress.quarantined) } : {}),
+    });
+  }
+
+  node.news = (now, known) => {
+    [progress, generations] = [now, known];
+    draw();
+    const news = `${now.sequence} ${now.evaluated ? "" : now.reported} ${isOpen(now.status)}`;
+    if (news !== told) load(told = news);
+  };
+  return node;
+}
+
+/** Return the card of the best pairs, both drives of each from above; ``update`` takes the finding. It appears with the first picture. */
+function bestPairs(context, id) {
+  const row = h("div.best-pairs");
+  const card = h("section.card", { "aria-label": "Best pairs", hidden: true }, h("h2", null, "Best pairs"),
+    h("p.hint", null, "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one."), row);
+
+  function pair(one) {
+    const sides = ["safe", "unsafe"].map((side) => {
+      const canvas = h("canvas", { role: "img", "aria-label": `The ${side} drive of pair ${one.place} from above`, width: 720, height: 340 });
+      return { side, canvas, node: h("div.side", null, requirementBadge({ kind: side === "safe" ? "held" : "violated" }), canvas) };
+    });
+    const node = h("figure", { hidden: true }, h("figcaption", null,
+      h("a", { href: link("campaigns", id, "pairs", `${one.safe}-${one.unsafe}`) }, `Pair ${one.place}`), `: ${sentence(one.words)}`), sides.map((each) => each.node));
+    show(node, one, sides);
+    return node;
+  }
+
+  async function show(node, one, sides) {
+    const path = `campaigns/${id}/pairs/${one.safe}-${one.unsafe}`;
+    try {
+      for (const { side, canvas } of sides) {
+        const picture = await whenMade(`${path}/${side}.png`, { ...context.retrying, as: "blob", passes: () => false });
+        if (!picture.size) return; // nothing of it can be drawn
+        const drawn = await createImageBitmap(picture);
+        canvas.getContext("2d").drawImage(drawn, 0, 0, canvas.width, canvas.height);
+      }
+    } catch (error) {
+      if (context.signal.aborted) return;
+      if (error.status === undefined) throw error;
+      return; // a page without pictures is not worth a message
+    }
+    node.hidden = false;
+    card.hidden = false;
+  }
+
+  card.update = (read) => {
+    if (!read.complete || read.computed) return; // pairs change while it runs, and the workers have better things to do
+    keyed(row, read.best, (one) => `${one.safe}-${one.unsafe}`, pair);
+  };
+  return card;
+}
+
+/** Return the card of what to do next; ``update`` takes the steps. */
+function nextSteps(context, taken) {
+  const list = h("ul.steps");
+  const card = h("section.card.next", { "aria-label": "What to do next", hidden: true }, h("h2", null, "What to do next"), list);
+
+  function stepOf(first) {
+    const words = h("p");
+    const action = h("div");
+    const running = h("div");
+    const node = h("li", null, h("h3", null, first.question), words, action, running, first.command && command(first.command));
+    node.update = (step) => {
+      text(words, step.words);
+      if (!step.follow_up && !action.firstChild) replace(action, actionOf(step));
+      else if (step.follow_up) replace(action);
+      keyed(running, step.follow_up ? [step.follow_up] : [], (one) => `${one.campaign} ${one.status}`, follower);
+    };
+    node.update(first);
+    return node;
+  }
+
+  function actionOf(step) {
+    if (step.place) return h("a.button", { href: `#/${step.place}` }, step.label);
+    if (!step.request || !context.may.steer) return null;
+    const button = h("button", { type: "button", onclick: async () => {
+      attribute(button, "disabled", "");
+      const answer = await context.act("POST", step.request.path, null, { json: step.request.body });
+      attribute(button, "disabled", null);
+      if (answer) taken();
+    } }, step.label);
+    return button;
+  }
+
+  card.update = (steps) => {
+    card.hidden = steps.length === 0;
+    keyed(list, steps, (step) => step.kind + step.question, stepOf);
+  };
+  return card;
+}

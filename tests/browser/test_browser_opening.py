@@ -1,0 +1,239 @@
+"""What a campaign page says first: the finding, the best pairs, what to do next; and results as they come in."""
+
+import base64
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Locator, Page, Route
+from playwright.sync_api import expect as shown
+from support.api import FakeWorker, ball, eventually, expect, submit
+from support.traces import make_trace
+from support.urban_pairs import SAFE, UNSAFE, judged
+
+from brink.server.problems.urban_injected import SIMULATOR as URBAN
+from brink.worker.wire import Completed, JobFailed, LeasedJob
+from browser.canvas import picture
+from browser.served import API, NOBODYS, Served, origin
+from browser.visits import Browse, Visits
+
+PHONE_WIDTH, PHONE_HEIGHT = 390, 844
+PAIRS = ball(name="edge", algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}})
+BESIDE_CARDS = """() => [...document.querySelectorAll("main section.card")]
+  .filter(card => card.checkVisibility()).map(card => card.getAttribute("aria-label"))"""
+
+
+@pytest.fixture
+def edge(own: httpx.Client) -> str:
+    """A finished search for pairs on the ball, in the test's own coordinator."""
+    campaign = submit(own, PAIRS)
+    FakeWorker(own).work(campaign)
+    return campaign
+
+
+def finding_of(client: httpx.Client, campaign: str) -> dict[str, Any]:
+    found: dict[str, Any] = expect(client.get(f"{API}/campaigns/{campaign}/finding"))
+    return found
+
+
+def test_the_finding_comes_first_then_what_to_do_then_the_map_and_delete_last(
+    own: httpx.Client, edge: str, visit: Visits
+) -> None:
+    page = visit(origin(own), f"#/campaigns/{edge}")
+    found = finding_of(own, edge)
+    shown(page.get_by_role("region", name="Finding")).to_contain_text(found["words"])
+    shown(page.get_by_role("region", name="Parameter dependence")).to_be_visible()
+    cards = page.evaluate(BESIDE_CARDS)
+    assert cards[:4] == ["Finding", "What to do next", "Map", "Pairs across the boundary"]
+    assert cards[-2:] == ["Settings", "About the run"]
+    shown(page.get_by_role("region", name="Finding")).not_to_contain_text("SHA-256")
+    page.get_by_role("region", name="About the run").locator("summary").click()
+    shown(page.get_by_text("SHA-256 of the archive")).to_be_visible()
+    shown(page.get_by_role("button").last).to_have_text("Delete")
+    assert (
+        page.get_by_role("button", name="Delete").evaluate("node => getComputedStyle(node).borderWidth")
+        == "0px"
+    )
+
+
+def test_a_step_is_taken_by_its_button_and_followed_until_it_is_answered(
+    own: httpx.Client, edge: str, visit: Visits
+) -> None:
+    page = visit(origin(own), f"#/campaigns/{edge}")
+    steps = page.get_by_role("region", name="What to do next").get_by_role("listitem")
+    confirm = steps.filter(has_text="Do the pairs hold?")
+    shown(confirm.get_by_text(f"brink pairs {edge} --confirm 10 --server {origin(own)}")).to_be_visible()
+    confirm.get_by_role("button", name="Confirm the pairs").click()
+    shown(confirm.get_by_role("progressbar")).to_be_visible()
+    shown(confirm.get_by_role("button")).to_have_count(0)
+    (asked,) = expect(own.get(f"{API}/campaigns/{edge}/pairs"))["follow_ups"]
+    shown(confirm.get_by_role("link", name="Campaign")).to_have_attribute(
+        "href", f"#/campaigns/{asked['campaign']}"
+    )
+    FakeWorker(own).work(asked["campaign"])
+    shown(confirm).to_have_count(0, timeout=20_000)
+    shown(page.get_by_role("region", name="Finding")).to_contain_text("simulated again with other seeds")
+
+
+def test_a_follow_up_leads_to_the_campaign_that_it_is_about(
+    own: httpx.Client, edge: str, visit: Visits
+) -> None:
+    asked = expect(own.post(f"{API}/campaigns/{edge}/pairs/follow-ups", json={"kind": "confirm"}), 201)
+    FakeWorker(own).work(asked["campaign"])
+    page = visit(origin(own), f"#/campaigns/{asked['campaign']}")
+    about = page.get_by_role("region", name="Finding")
+    shown(about.get_by_role("link", name="edge")).to_have_attribute("href", f"#/campaigns/{edge}")
+
+
+def test_on_a_phone_the_number_of_pairs_and_the_first_step_need_no_scrolling(
+    own: httpx.Client, edge: str, visit: Visits
+) -> None:
+    page = visit(origin(own), f"#/campaigns/{edge}", width=PHONE_WIDTH, height=PHONE_HEIGHT)
+    count = page.get_by_role("region", name="Finding").get_by_role("definition").first
+    shown(count).to_have_text(str(finding_of(own, edge)["pairs"]))
+    for wanted in (
+        count,
+        page.get_by_role("button", name="Confirm the pairs"),
+        page.get_by_role("link", name="Compare").last,
+    ):
+        box = wanted.bounding_box()
+        assert box is not None
+        assert box["y"] + box["height"] <= PHONE_HEIGHT
+
+
+def filmed(job: LeasedJob) -> Completed | JobFailed:
+    outcome = judged(job)
+    if not job.record or not isinstance(outcome, Completed):
+        return outcome
+    return outcome.model_copy(update={"trace": base64.b64encode(make_trace().to_bytes()).decode()})
+
+
+def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
+    own: httpx.Client, visit: Visits
+) -> None:
+    body = {
+        "name": "pictured", "problem": {"id": "urban-injected@1"}, "budget": {"simulations": 2},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}, "execution": {"keep_traces": 0},
+    }  # fmt: skip
+    campaign = submit(own, body)
+    worker = FakeWorker(own, capabilities=(URBAN,), judge=filmed)
+    worker.work(campaign)
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    shown(page.get_by_role("region", name="Map")).to_be_visible()
+    best = page.get_by_role("region", name="Best pairs")
+    shown(best).to_be_hidden()
+    recorded = 0
+
+    def record() -> bool:
+        nonlocal recorded
+        jobs = worker.lease()
+        worker.report(jobs)
+        recorded += len(jobs)
+        return recorded == 2
+
+    eventually(record, "the page asks for both drives")
+    shown(best.get_by_role("link", name="Pair 1")).to_have_attribute(
+        "href", f"#/campaigns/{campaign}/pairs/0-1"
+    )
+    shown(best).to_contain_text("violated the front gap")
+    for side in ("safe", "unsafe"):
+        drive = best.get_by_role("img", name=f"The {side} drive of pair 1 from above")
+        shown(drive).to_be_visible()
+        assert colours(drive) > 5
+
+
+def colours(canvas: Locator) -> int:
+    """Return how many colours a canvas shows."""
+    found: int = canvas.evaluate(
+        "canvas => new Set(new Uint32Array("
+        "canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size"
+    )
+    return found
+
+
+def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something_to_show(
+    own: httpx.Client, visit: Visits
+) -> None:
+    campaign = submit(own, ball(simulations=40))
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    about = page.get_by_role("region", name="Finding")
+    shown(about).to_contain_text("No simulation has a verdict yet.")
+    assert page.evaluate(BESIDE_CARDS) == ["Finding", "Settings", "About the run"]
+    worker = FakeWorker(own)
+    worker.report(worker.lease(max_jobs=5))
+    shown(about).to_contain_text("5 of 40", timeout=20_000)
+    shown(about).to_contain_text("of the first 5 drives")
+    points = page.locator("canvas.map")
+    shown(points).to_have_attribute("data-points", "5")
+    shown(page.get_by_role("list", name="Colours")).to_contain_text("5 just reported, not scored yet")
+    reported = expect(own.get(f"{API}/campaigns/{campaign}/map"))["reported"]
+    unsafe = sum(reported["unsafe"])
+    facts = about.get_by_role("definition")
+    shown(facts.filter(has_text=f"{unsafe} (")).to_be_visible()
+    worker.report(worker.lease(max_jobs=5))
+    shown(points).to_have_attribute("data-points", "10", timeout=20_000)
+
+
+def test_what_nobody_can_simulate_shows_no_empty_map(site: Served, browse: Browse) -> None:
+    campaign = submit(site.client, ball(name="idle", problem=NOBODYS))
+    page = browse(f"#/campaigns/{campaign}")
+    shown(page.get_by_text("cannot run on any live worker")).to_be_visible()
+    shown(page.get_by_role("region", name="Map")).to_be_hidden()
+    shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()
+
+
+def test_the_map_has_a_ground_that_tells_the_boundary_from_the_unknown(
+    own: httpx.Client, edge: str, visit: Visits
+) -> None:
+    with_ground = visit(origin(own), f"#/campaigns/{edge}")
+    shown(with_ground.get_by_text("too few simulations nearby to tell")).to_be_visible()
+    without = visit(origin(own), "#/nowhere")
+
+    def strip(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json={**answer.json(), "ground": None})
+
+    without.route("**/map?*", strip)
+    without.goto(f"{origin(own)}/#/campaigns/{edge}")
+    shown(without.locator("canvas.map")).to_be_visible()
+    shown(without.get_by_text("too few simulations nearby to tell")).to_be_hidden()
+    assert picture(drawn(with_ground)) != picture(drawn(without))
+
+
+def drawn(page: Page) -> Locator:
+    """Return the map, once its rings are drawn."""
+    shown(page.get_by_role("list", name="Colours")).to_contain_text("distinct pairs")
+    chart = page.locator("canvas.map")
+    page.wait_for_function("canvas => canvas.frames.length > 1", arg=chart.element_handle())
+    return chart
+
+
+def test_the_ring_of_a_pair_leads_to_it(own: httpx.Client, edge: str, visit: Visits) -> None:
+    page = visit(origin(own), f"#/campaigns/{edge}")
+    chart = drawn(page)
+    chart.scroll_into_view_if_needed()
+    told = expect(own.get(f"{API}/campaigns/{edge}/map"))
+    safe, unsafe = finding_of(own, edge)["rings"][0]
+    at = place_of(told, chart, [safe, unsafe])
+    chart.hover(position=at)
+    shown(page.get_by_text(f"pair 1: solutions {safe} and {unsafe}")).to_be_visible()
+    chart.click(position=at)
+    panel = page.get_by_role("complementary", name="Selection on the map")
+    shown(panel.get_by_role("heading", name="Pair 1")).to_be_visible()
+    shown(panel.get_by_role("link", name="Open the pair")).to_have_attribute(
+        "href", f"#/campaigns/{edge}/pairs/{safe}-{unsafe}"
+    )
+
+
+def place_of(told: Any, chart: Locator, numbers: list[int]) -> Any:
+    """Return where the middle of some solutions lies on a map that shows all."""
+    box = chart.bounding_box()
+    assert box is not None
+    x, y = told["x"], told["y"]
+    scale = min((box["width"] - 48) / (max(x) - min(x)), (box["height"] - 48) / (max(y) - min(y)))
+    places = [told["number"].index(number) for number in numbers]
+    across, up = (sum(axis[place] for place in places) / len(places) for axis in (x, y))
+    return {
+        "x": box["width"] / 2 + (across - (max(x) + min(x)) / 2) * scale,
+        "y": box["height"] / 2 - (up - (max(y) + min(y)) / 2) * scale,
+    }

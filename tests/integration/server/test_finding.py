@@ -1,0 +1,180 @@
+"""What a campaign found, in a sentence; what to do next; and the pictures of its pairs."""
+
+import base64
+import io
+from typing import Any
+
+import httpx
+from PIL import Image
+from support.api import FakeWorker, ball, completes, expect, finish, submit
+from support.problems import SIMULATOR
+from support.traces import make_trace
+from support.urban_pairs import SAFE, UNSAFE, judged
+
+from brink.server.problems.urban_injected import SIMULATOR as URBAN
+from brink.worker.wire import Completed, JobFailed, LeasedJob
+
+API = "/api/v1/campaigns"
+SEARCH = ball(simulations=60)
+PAIRS = ball(
+    name="edge", simulations=60, algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}},
+)  # fmt: skip
+
+
+def finding(client: httpx.Client, campaign: str) -> dict[str, Any]:
+    found: dict[str, Any] = expect(client.get(f"{API}/{campaign}/finding"))
+    return found
+
+
+def kinds(found: dict[str, Any]) -> list[str]:
+    return [step["kind"] for step in found["steps"]]
+
+
+def take(client: httpx.Client, step: dict[str, Any]) -> dict[str, Any]:
+    """Take a step as the dashboard does."""
+    answer = client.post(f"/api/v1/{step['request']['path']}", json=step["request"]["body"])
+    taken: dict[str, Any] = expect(answer, 201)
+    return taken
+
+
+def test_a_search_for_the_boundary_says_how_many_solutions_it_found_and_asks_whether_they_hold(
+    client: httpx.Client,
+) -> None:
+    campaign = finish(client, SEARCH)
+    boundary = expect(client.get(f"{API}/{campaign}/boundary"))
+    assert boundary["dbs"] > 0
+    found = finding(client, campaign)
+    assert found["words"].startswith(f"{boundary['dbs']} distinct boundary solution")
+    assert found["words"].endswith(f"{boundary['strict_dbs']} of them strict.")
+    assert (found["complete"], found["rings"]) == (True, [])
+    repeat = found["steps"][0]
+    assert (repeat["kind"], repeat["command"]) == ("repeat", f"brink repeats {campaign}")
+    assert f"{50 * boundary['dbs']:,} simulations" in repeat["words"]
+
+    again = take(client, repeat)
+    waiting = finding(client, campaign)["steps"][0]
+    assert (waiting["kind"], waiting["follow_up"]["campaign"]) == ("repeat", again["campaign"])
+    FakeWorker(client).work(again["campaign"])
+    assert "repeat" not in kinds(finding(client, campaign)), "it has been answered"
+
+    follow_up = finding(client, again["campaign"])
+    assert follow_up["of"] == {"campaign": campaign, "name": "ball", "kind": "confirm"}
+    assert "simulations were unsafe" in follow_up["words"]
+    assert follow_up["steps"] == []
+
+
+def test_a_search_for_pairs_says_how_many_it_found_and_asks_what_has_not_been_asked(
+    client: httpx.Client,
+) -> None:
+    campaign = finish(client, PAIRS)
+    pairs = expect(client.get(f"{API}/{campaign}/pairs"))
+    assert pairs["distinct"] > 1
+    found = finding(client, campaign)
+    assert found["words"].lower() == f"{pairs['note'].lower()}."
+    assert found["pairs"] == pairs["distinct"] == len(found["rings"])
+    sides = [[pair["safe"]["number"], pair["unsafe"]["number"]] for pair in pairs["pairs"]]
+    assert found["rings"] == sides
+    assert [[one["safe"], one["unsafe"]] for one in found["best"]] == sides[:2]
+    assert found["best"][0]["words"] == pairs["pairs"][0]["words"]
+    assert "confirm" in kinds(found)
+    assert "component" not in kinds(found), "the ball has no component"
+
+    confirm = next(step for step in found["steps"] if step["kind"] == "confirm")
+    assert confirm["command"] == f"brink pairs {campaign} --confirm 10"
+    again = take(client, confirm)
+    waiting = next(step for step in finding(client, campaign)["steps"] if step["kind"] == "confirm")
+    assert waiting["follow_up"]["campaign"] == again["campaign"]
+    FakeWorker(client).work(again["campaign"])
+    later = finding(client, campaign)
+    assert "confirm" not in kinds(later)
+    assert "simulated again with other seeds" in later["words"]
+
+
+def test_without_a_pair_the_next_step_is_a_larger_budget(client: httpx.Client) -> None:
+    tight = {"id": "edge@1", "params": {"eps": 0.000001, "d_th": 0.1}}
+    campaign = finish(client, ball(algorithm=tight, simulations=20))
+    found = finding(client, campaign)
+    assert found["pairs"] == 0
+    assert [(step["kind"], step["place"]) for step in found["steps"]] == [
+        ("longer", f"new?from={campaign}&simulations=80")
+    ]
+
+
+def test_a_running_campaign_says_what_has_been_reported_so_far(client: httpx.Client) -> None:
+    campaign = submit(client, ball(simulations=40))
+    assert finding(client, campaign)["words"] == "No simulation has a verdict yet."
+    worker = FakeWorker(client)
+    worker.report(worker.lease(max_jobs=5))
+    assert "of the first 5 drives" in finding(client, campaign)["words"]
+    worker.work(campaign, until=lambda stands: stands["generation"] >= 1)
+    found = finding(client, campaign)
+    assert found["words"].startswith("So far, after 20 of 40 simulations: ")
+    assert (found["complete"], found["steps"]) == (False, [])
+
+
+def test_a_paused_campaign_can_be_resumed(client: httpx.Client) -> None:
+    campaign = submit(client, ball())
+    expect(client.post(f"{API}/{campaign}/pause"))
+    (step,) = finding(client, campaign)["steps"]
+    expect(client.post(f"/api/v1/{step['request']['path']}", json=step["request"]["body"]))
+    assert expect(client.get(f"{API}/{campaign}"))["status"] == "running"
+
+
+def filmed(job: LeasedJob) -> Completed | JobFailed:
+    """Return what `judged` does, with a trace if one was requested."""
+    outcome = judged(job)
+    if not job.record or not isinstance(outcome, Completed):
+        return outcome
+    return outcome.model_copy(update={"trace": base64.b64encode(make_trace().to_bytes()).decode()})
+
+
+def urban(client: httpx.Client) -> str:
+    """Return a finished campaign with one pair, without traces."""
+    body = {
+        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 2},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}},
+        "execution": {"keep_traces": 0},
+    }  # fmt: skip
+    campaign = submit(client, body)
+    FakeWorker(client, capabilities=(URBAN,), judge=filmed).work(campaign)
+    return campaign
+
+
+def picture(client: httpx.Client, campaign: str, side: str = "safe", **query: Any) -> httpx.Response:
+    return client.get(f"{API}/{campaign}/pairs/0-1/{side}.png", params={"wait_s": 0, **query})
+
+
+def test_workers_record_what_the_pictures_of_a_pair_need_and_both_are_requested_at_once(
+    client: httpx.Client,
+) -> None:
+    campaign = urban(client)
+    assert picture(client, campaign, record=False).status_code == 204
+    worker = FakeWorker(client, capabilities=(URBAN,), judge=filmed)
+    assert worker.lease() == [], "nothing is recorded that was not asked for"
+    assert picture(client, campaign).status_code == 202
+    jobs = [*worker.lease(), *worker.lease()]
+    assert [job.record for job in jobs] == [True, True]
+    worker.report(jobs)
+    images = []
+    for side in ("safe", "unsafe"):
+        answer = picture(client, campaign, side)
+        assert (answer.status_code, answer.headers["content-type"]) == (200, "image/png")
+        images.append(Image.open(io.BytesIO(answer.content)))
+    assert {image.size for image in images} == {(720, 340)}
+    assert picture(client, campaign, record=False).status_code == 200, "they are kept now"
+
+
+def test_solutions_that_do_not_exist_have_no_picture(client: httpx.Client) -> None:
+    campaign = urban(client)
+    unknown = client.get(f"{API}/{campaign}/pairs/0-77/safe.png", params={"wait_s": 0})
+    assert (unknown.status_code, unknown.content) == (204, b"")
+    assert FakeWorker(client, capabilities=(URBAN,)).lease() == []
+
+
+def test_a_simulator_without_traces_has_no_pictures(client: httpx.Client) -> None:
+    campaign = finish(client, ball(simulations=20, execution={"keep_traces": 0}), completes)
+    worker = FakeWorker(client)
+    assert picture(client, campaign).status_code == 202
+    worker.report(worker.lease())
+    assert picture(client, campaign).status_code == 204
+    assert SIMULATOR in worker.capabilities
