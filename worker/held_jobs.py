@@ -164,6 +164,7 @@ class HeldJobs:
         self._asked_while_idle = False
         self._retry_at_s = 0.0
         self._polling = False
+        self._draining = False
         self._stopping = False
         self._runner_done = False
 
@@ -252,12 +253,15 @@ class HeldJobs:
                 self.changed.wait(self._wakeup_s(now_s))
 
     def add(self, reply: LeaseReply) -> None:
-        """Add newly leased jobs."""
+        """Add newly leased jobs; a reply that asks for it starts to drain the worker."""
         with self.changed:
             self._polling = False
             self._queue_was_empty = not reply.jobs
             self._asked_while_idle = not reply.jobs
             self._waiting.extend(reply.jobs)
+            if reply.drain and not self._draining:
+                self._draining = True
+                log.info("draining: no more jobs are leased", extra={"held": len(self.leases())})
             self.changed.notify_all()
 
     def acknowledge(self, report: Report, statuses: Sequence[ResultStatus], *, wall_s: float) -> None:
@@ -389,6 +393,8 @@ class HeldJobs:
             release = tuple(HeldLease(job=job.job, token=job.token) for job in self._waiting)
             return Report(outcomes=self._batch(), release=release, room=0)
         room = max(0, self._policy.capacity - len(self._waiting) - len(self._in_process))
+        if self._draining:
+            room = 0
         if not self._waiting and not self._in_process and not self._finished:
             return Poll(room=room, idle_left_s=self._idle_left_s(now_s))
         batch = self._batch()
@@ -419,6 +425,8 @@ class HeldJobs:
             return False
         if self._stopping:
             return self._runner_done
+        if self._draining:
+            return True
         # However short the idle time is, ask for jobs at least once before leaving.
         idle_left_s = self._idle_left_s(now_s)
         return self._asked_while_idle and idle_left_s is not None and idle_left_s <= 0

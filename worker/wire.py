@@ -90,6 +90,13 @@ class LeaseReply(Message):
 
     jobs: list[LeasedJob]
     lease_s: Annotated[float, Field(gt=0, description="How long each lease lasts unless it is renewed.")]
+    drain: Annotated[
+        bool,
+        Field(
+            exclude_if=lambda drain: not drain,  # older workers do not know it
+            description="Whether the worker is to finish the jobs that it holds, ask for no more, and exit.",
+        ),
+    ] = False
 
 
 class HeldLease(Message):

@@ -18,6 +18,8 @@ ID_BYTES: Final = 4
 SECRET_BYTES: Final = 24
 _FORM: Final = re.compile(r"brink_(?P<scope>[a-z]+)_(?P<id>[0-9a-f]{8})_[0-9a-f]{48}")
 _JOBS: Final = ("/api/v1/jobs/lease", "/api/v1/jobs/heartbeat", "/api/v1/jobs/results")
+_DRAINS: Final = re.compile(r"/api/v1/workers/[^/]*/drain/?")
+"""Whoever has a worker exit should be able to start another one."""
 _READS: Final = frozenset({"GET", "HEAD"})
 
 
@@ -37,7 +39,7 @@ def allows(scope: Scope, method: str, path: str) -> bool:
         return False
     if method in _READS:
         return True
-    return scope is Scope.USER and not _deletes_for_good(method, path)
+    return scope is Scope.USER and not _deletes_for_good(method, path) and not _DRAINS.fullmatch(path)
 
 
 def _deletes_for_good(method: str, path: str) -> bool:

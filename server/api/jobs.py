@@ -16,6 +16,7 @@ from brink.server.api.responses import NOT_MODIFIED, set_etag
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
 from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
+from brink.server.errors import NotFound
 from brink.server.queue.job_store import count_jobs, list_jobs
 from brink.server.queue.workers import list_workers, live_capabilities
 from brink.server.states import CampaignStatus, JobKind, JobStatus
@@ -126,6 +127,15 @@ async def get_workers(services: Services, request: Request, response: Response) 
     ]
     set_etag(request, response, views, leave_out=("seen_s_ago",))
     return views
+
+
+@router.post("/workers/{worker_id}/drain", status_code=204, tags=["workers"])
+async def drain_worker(
+    worker_id: Annotated[str, Path(min_length=1, max_length=64)], services: Services
+) -> None:
+    """Have a worker finish the jobs that it holds, take no more, and exit. Needs scope admin."""
+    if not await services.queue.drain(worker_id):
+        raise NotFound(f"worker {worker_id}: no such worker")
 
 
 def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:

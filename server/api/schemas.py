@@ -509,6 +509,7 @@ class WorkerView(View):
     last_seen_at: datetime
     seen_s_ago: float
     live: bool
+    draining: Annotated[bool, Field(description="Whether it is to finish the jobs that it holds, and exit.")]
     jobs_done: int
     jobs_failed: int
     jobs_held: int

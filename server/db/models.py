@@ -373,3 +373,4 @@ class WorkerRow(Base):
     last_seen_at: Mapped[datetime]
     jobs_done: Mapped[int] = mapped_column(BigInteger, default=0)
     jobs_failed: Mapped[int] = mapped_column(BigInteger, default=0)
+    drained_at: Mapped[datetime | None]

@@ -163,6 +163,7 @@ class QueueService:
     _workers: dict[str, _WorkerRecord] = field(default_factory=dict)
     _live: _LiveWorkers | None = None
     _elsewhere: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _draining: dict[str, workers.Process] = field(default_factory=dict)
 
     @property
     def _is_alone(self) -> bool:
@@ -190,7 +191,11 @@ class QueueService:
         now = self.clock()
         if self._live is None or now - self._live.at_s >= LIVE_WORKERS_S:
             horizon = now - self.settings.worker_seen_s
-            here = {name: one.capabilities for name, one in self._workers.items() if one.contact_s >= horizon}
+            here = {
+                name: one.capabilities
+                for name, one in self._workers.items()
+                if one.contact_s >= horizon and not self._is_draining(one.identity)
+            }
             live = self._elsewhere | here
             count = Counter(itertools.chain.from_iterable(map(set, live.values())))
             self._live = _LiveWorkers(at_s=now, capabilities=live, count=count)
@@ -201,6 +206,8 @@ class QueueService:
         deadline = self.clock() + request.wait_s
         while not gone.is_set():
             changes = self.wakeups.changes
+            if self._is_draining(request.worker):
+                return await self._refuse_more(request.worker)
             granted = await self._lease_now(request)
             remaining = deadline - self.clock()
             if granted and gone.is_set():
@@ -238,7 +245,8 @@ class QueueService:
             _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
         ]
         contacts = [self._note_contact(request.worker, None)]
-        wanted = request.lease
+        draining = self._is_draining(request.worker)
+        wanted = None if draining else request.lease
         if wanted is not None:
             contacts.append(self._note_contact(wanted.worker, wanted.capabilities))
         terms = self.terms(wanted.worker.id if wanted is not None else None)
@@ -262,11 +270,33 @@ class QueueService:
             reply = LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
             if not granted and wanted.wait_s > 0:
                 reply = await self.lease(wanted, gone)
+        elif request.lease is not None:
+            reply = LeaseReply(jobs=[], lease_s=self.settings.lease_s, drain=True)
         statuses = [
             ResultStatus.model_validate({"job": outcome.job, "status": status})
             for outcome, status in zip(outcomes, report.statuses, strict=True)
         ]
         return ResultsReply(statuses=statuses, lease=reply)
+
+    async def drain(self, worker_id: str) -> bool:
+        """Ask a worker to finish the jobs that it holds, and exit; return whether there is such a worker."""
+        process = await self.writer.write(lambda connection: workers.drain(connection, worker_id))
+        if process is None:
+            return False
+        self._draining[worker_id] = process
+        self._live = None
+        log.info("worker drains", extra={"worker": worker_id, "pid": process.pid})
+        self.wakeups.wake()  # all waiters: it may wait for jobs
+        return True
+
+    def _is_draining(self, worker: WorkerIdentity) -> bool:
+        return self._draining.get(worker.id) == (worker.pid, worker.machine)
+
+    async def _refuse_more(self, worker: WorkerIdentity) -> LeaseReply:
+        """Return the reply that tells a worker to ask for no more jobs, and record its contact."""
+        if (record := self._note_contact(worker, None)) is not None:
+            await self.writer.write(record)
+        return LeaseReply(jobs=[], lease_s=self.settings.lease_s, drain=True)
 
     def _count(self, request: ResultsRequest, report: Report) -> None:
         record = self._workers.get(request.worker.id)
@@ -288,7 +318,9 @@ class QueueService:
 
         def unit(
             connection: Connection,
-        ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...], list[FailedAttempt], int]:
+        ) -> tuple[
+            dict[str, tuple[str, ...]], tuple[str, ...], list[FailedAttempt], int, dict[str, workers.Process]
+        ]:
             for name, worker in unrecorded.items():
                 workers.add_counts(connection, name, done=worker.done, failed=worker.failed)
             workers.forget_absent(connection, FORGET_S)
@@ -296,9 +328,10 @@ class QueueService:
             if alone:  # workers on this machine need not be waited for: their processes can be looked up
                 lease_store.end_now(connection, workers.leases_of_dead(connection))
             idle, expired = report_store.expire(connection, terms)
-            return live, idle, expired, lease_store.count_due_retries(connection, terms.elsewhere)
+            due_retries = lease_store.count_due_retries(connection, terms.elsewhere)
+            return live, idle, expired, due_retries, workers.read_draining(connection)
 
-        live, idle, expired, due_retries = await self.writer.write(unit)
+        live, idle, expired, due_retries, self._draining = await self.writer.write(unit)
         self._elsewhere = {name: able for name, able in live.items() if name not in self._workers}
         self._live = None
         if expired:
@@ -349,12 +382,13 @@ class QueueService:
             log.info("worker first seen", extra=about)
             self._live = None
         one = self._workers.setdefault(worker.id, _WorkerRecord(identity=worker, contact_s=now))
+        restarted = (one.identity.pid, one.identity.machine) != (worker.pid, worker.machine)
         one.contact_s, one.identity = now, worker
         changed = capabilities is not None and tuple(capabilities) != one.capabilities
         if changed and capabilities is not None:
             one.capabilities = tuple(capabilities)
             self._live = None
-        if not changed and now - one.recorded_s < CONTACT_S:
+        if not (changed or restarted) and now - one.recorded_s < CONTACT_S:
             return None
         done, failed = one.done, one.failed
         one.recorded_s, one.done, one.failed = now, 0, 0

@@ -4,9 +4,9 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any
+from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, bindparam, delete, exists, func, insert, select, update
+from sqlalchemy import Connection, bindparam, case, delete, exists, func, insert, select, update
 
 from brink.server.db.models import JobRow, WorkerRow
 from brink.server.db.sql import database_now, in_list, lock_rows
@@ -14,7 +14,7 @@ from brink.server.queue.job_store import IS_LEASED
 from brink.worker.wire import HeldLease, WorkerIdentity, machine_name
 
 _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
-    WorkerRow.last_seen_at >= bindparam("horizon")
+    WorkerRow.last_seen_at >= bindparam("horizon"), WorkerRow.drained_at.is_(None)
 )
 """Built once, because every open page runs it every few seconds."""
 
@@ -26,6 +26,7 @@ class WorkerStatus:
     Attributes:
         seen_s_ago: Time since the last contact, in seconds.
         gone: Whether the worker is known to be dead: its process was on this machine and has ended.
+        draining: Whether the worker is to finish its jobs and exit.
     """
 
     id: str
@@ -40,6 +41,7 @@ class WorkerStatus:
     jobs_failed: int
     jobs_held: int
     gone: bool
+    draining: bool
 
 
 def record_contact(
@@ -61,13 +63,16 @@ def record_contact(
     }  # fmt: skip
     if capabilities:
         values["capabilities"] = list(capabilities)
+    # Another process with the same id has not been asked to exit.
+    same = (WorkerRow.pid == worker.pid) & (WorkerRow.machine == worker.machine)
+    values["drained_at"] = case((same, WorkerRow.drained_at), else_=None)
     changed = connection.execute(
         update(WorkerRow)
         .where(WorkerRow.id == worker.id)
         .values(**values, jobs_done=WorkerRow.jobs_done + done, jobs_failed=WorkerRow.jobs_failed + failed)
     )
     if changed.rowcount == 0:
-        values["capabilities"] = list(capabilities)
+        values |= {"capabilities": list(capabilities), "drained_at": None}
         connection.execute(
             insert(WorkerRow).values(
                 id=worker.id, first_seen_at=now, jobs_done=done, jobs_failed=failed, **values
@@ -84,6 +89,32 @@ def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int
     )
 
 
+class Process(NamedTuple):
+    """The process of a worker: another one with the same worker id differs in it."""
+
+    pid: int
+    machine: str
+
+
+def drain(connection: Connection, worker_id: str) -> Process | None:
+    """Ask a worker to finish its jobs and exit; return its process, or None if there is no such worker."""
+    found = connection.execute(
+        select(WorkerRow.pid, WorkerRow.machine).where(WorkerRow.id == worker_id)
+    ).one_or_none()
+    if found is None:
+        return None
+    connection.execute(
+        update(WorkerRow).where(WorkerRow.id == worker_id).values(drained_at=database_now(connection))
+    )
+    return Process(found.pid, found.machine)
+
+
+def read_draining(connection: Connection) -> dict[str, Process]:
+    """Return the workers that were asked to finish their jobs and exit, by id."""
+    query = select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(WorkerRow.drained_at.is_not(None))
+    return {row.id: Process(row.pid, row.machine) for row in connection.execute(query)}
+
+
 def list_workers(connection: Connection, *, within_s: float | None = None) -> list[WorkerStatus]:
     """Return workers, the latest contact first; with `within_s`, only those that are live."""
     now = database_now(connection)
@@ -98,7 +129,7 @@ def list_workers(connection: Connection, *, within_s: float | None = None) -> li
             capabilities=tuple(row.capabilities), first_seen_at=row.first_seen_at,
             last_seen_at=row.last_seen_at, seen_s_ago=max(0.0, (now - row.last_seen_at).total_seconds()),
             jobs_done=row.jobs_done, jobs_failed=row.jobs_failed, jobs_held=held.get(row.id, 0),
-            gone=process_is_gone(row.machine, row.pid),
+            gone=process_is_gone(row.machine, row.pid), draining=row.drained_at is not None,
         )
         for row in connection.execute(query)
     ]  # fmt: skip
@@ -108,7 +139,7 @@ def list_workers(connection: Connection, *, within_s: float | None = None) -> li
 def live_capabilities(connection: Connection, within_s: float) -> dict[str, tuple[str, ...]]:
     """Return what each live worker can run, by worker id.
 
-    A worker is live if it contacted any coordinator within this time and is not known to be dead.
+    A worker is live if it contacted any coordinator within this time, is not known to be dead, and takes jobs.
     """
     horizon = database_now(connection) - timedelta(seconds=within_s)
     return {
@@ -119,7 +150,7 @@ def live_capabilities(connection: Connection, within_s: float) -> dict[str, tupl
 
 
 def can_run(connection: Connection, needs: str, within_s: float) -> bool:
-    """Return whether a capability is offered by a worker that is live or holds an unexpired lease."""
+    """Return whether a capability is offered by a worker that takes jobs and is live or holds an unexpired lease."""
     now = database_now(connection)
     holds_a_lease = exists(
         select(JobRow.id).where(
@@ -127,7 +158,8 @@ def can_run(connection: Connection, needs: str, within_s: float) -> bool:
         )
     )
     query = select(WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
-        (WorkerRow.last_seen_at >= now - timedelta(seconds=within_s)) | holds_a_lease
+        WorkerRow.drained_at.is_(None),
+        (WorkerRow.last_seen_at >= now - timedelta(seconds=within_s)) | holds_a_lease,
     )
     return any(
         needs in row.capabilities and not process_is_gone(row.machine, row.pid)

@@ -5,8 +5,10 @@ import pytest
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, expect, progress, submit
 
+from brink.server.states import Scope
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.served import API, Served, origin
+from browser.test_browser_tokens import token_of
 from browser.visits import Browse, Visits
 
 
@@ -86,3 +88,33 @@ def test_the_workers_page_says_who_is_there_and_what_it_can_run(site: Served, br
     shown(row).to_contain_text("brink-drive@2")
     shown(row.locator(".badge")).to_have_text("live")
     shown(page.get_by_role("region", name="All workers")).to_contain_text("Live workers")
+
+
+def test_a_worker_is_drained_from_the_page_once_that_is_confirmed(own: httpx.Client, visit: Visits) -> None:
+    submit(own, ball())
+    worker = FakeWorker(own)
+    assert worker.lease(max_jobs=1)
+    page = visit(origin(own), "#/workers")
+    row = page.locator("table.workers tbody tr")
+    row.get_by_role("button", name="Drain worker-1").click()
+    dialog = page.get_by_role("dialog", name="Drain worker-1?")
+    dialog.get_by_role("button", name="No").click()
+    assert worker.lease(max_jobs=1)
+    row.get_by_role("button", name="Drain worker-1").click()
+    dialog.get_by_role("button", name="Drain").click()
+    shown(row.locator(".badge")).to_have_text("draining")
+    shown(row.get_by_role("button")).to_have_count(0)
+    assert worker.lease() == []
+
+
+@pytest.mark.parametrize(("scope", "buttons"), [(Scope.USER, 0), (Scope.ADMIN, 1)])
+def test_only_an_admin_sees_the_button_that_drains_a_worker(
+    guarded: httpx.Client, own_database: str, visit: Visits, scope: Scope, buttons: int
+) -> None:
+    served = FakeWorker(guarded, id="theirs")
+    guarded.headers["Authorization"] = f"Bearer {token_of(own_database, 'worker')}"
+    served.lease()
+    page = visit(origin(guarded), "#/workers", token=token_of(own_database, scope))
+    row = page.locator("table.workers tbody tr")
+    shown(row).to_contain_text("theirs")
+    shown(row.get_by_role("button", name="Drain theirs")).to_have_count(buttons)

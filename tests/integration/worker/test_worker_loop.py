@@ -89,6 +89,34 @@ def test_a_faulty_job_is_reported_with_its_reason_and_its_neighbours_complete(
     assert all(isinstance(coordinator.jobs[job].outcome, Completed) for job in before + after)
 
 
+def test_a_drained_worker_finishes_what_it_holds_and_exits(
+    coordinator: FakeCoordinator, tmp_path: Path
+) -> None:
+    go_on = tmp_path / "go-on"
+    # The first outcomes show how short episodes are, so that the worker then holds several jobs.
+    for _ in range(8):
+        coordinator.add()
+    with running_worker(coordinator.url, prefetch_s=10.0, max_jobs=4) as running:
+        coordinator.wait_for_all()
+        jobs = [coordinator.add({"fault": "wait", "until": str(go_on)}) for _ in range(12)]
+        coordinator.wait_until(lambda c: len(c.delivered.intersection(jobs)) >= 2)
+        coordinator.draining = True
+        go_on.touch()
+        assert running.join() == 0
+    done = {job for job in jobs if coordinator.jobs[job].outcome is not None}
+    assert done == coordinator.delivered.intersection(jobs)
+    assert all(isinstance(coordinator.jobs[job].outcome, Completed) for job in done)
+    assert set(coordinator.queued()) == set(jobs) - done, "nothing is lost, and others can run the rest"
+
+
+def test_an_idle_worker_that_is_drained_exits(coordinator: FakeCoordinator) -> None:
+    with running_worker(coordinator.url) as running:
+        coordinator.wait_until(lambda c: bool(c.requests))
+        coordinator.draining = True
+        coordinator.add()
+        assert running.join() == 0
+
+
 def test_a_hanging_job_is_reported_as_a_timeout(coordinator: FakeCoordinator) -> None:
     hanging = coordinator.add({"fault": "hang"}, timeout_s=0.3)
     after = coordinator.add()

@@ -87,6 +87,7 @@ class FakeCoordinator:
         self.statuses: list[ResultStatus] = []
         self.refused_jobs: set[int] = set()
         self.delivered: set[int] = set()
+        self.draining = False
         self.port = 0
         self._bearer = token
         self._tokens = itertools.count()
@@ -225,6 +226,8 @@ class FakeCoordinator:
 
     def _lease(self, request: LeaseRequest, gone: Callable[[], bool]) -> LeaseReply:
         until_s = time.monotonic() + request.wait_s
+        if self.draining:
+            return LeaseReply(jobs=[], lease_s=self.lease_s, drain=True)
         with self.changed:
             while not (free := self._free(request)) and (left_s := until_s - time.monotonic()) > 0:
                 # Wakes up regularly, since leases expire without a notification.

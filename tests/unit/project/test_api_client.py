@@ -26,7 +26,7 @@ def test_an_answer_is_read_into_its_schema_and_dumps_to_the_same_document() -> N
     worker = {
         "id": "w", "host": "h", "pid": 1, "version": "0", "capabilities": ["ball@1"],
         "first_seen_at": "2026-01-02T03:04:05.678901Z", "last_seen_at": "2026-01-02T03:04:06Z",
-        "seen_s_ago": 1.0, "live": True, "jobs_done": 2, "jobs_failed": 0, "jobs_held": 1,
+        "seen_s_ago": 1.0, "live": True, "draining": False, "jobs_done": 2, "jobs_failed": 0, "jobs_held": 1,
     }  # fmt: skip
     [found] = read(list[WorkerView], httpx.Response(200, json=[worker]))
     assert found.live

@@ -188,12 +188,13 @@ export function dropToken() {
 }
 
 /**
- * Return what a scope allows: ``steer`` is to submit, pause, resume, cancel and retry; ``remove`` is to delete.
+ * Return what a scope allows: ``steer`` is to submit, pause, resume, cancel and retry; ``remove`` is to delete;
+ * ``operate`` is to drain workers.
  *
  * @param {string} scope ``read``, ``user``, ``worker`` or ``admin``.
  */
 export function rights(scope) {
-  return { steer: scope === "user" || scope === "admin", remove: scope === "admin" };
+  return { steer: scope === "user" || scope === "admin", remove: scope === "admin", operate: scope === "admin" };
 }
 
 const OPEN = new Set(["running", "paused"]);

@@ -13,7 +13,7 @@ export class Context {
   /**
    * @param {object} given
    * @param {AbortSignal} given.signal Aborted when the view is left.
-   * @param {{steer: boolean, remove: boolean}} given.may What the scope of the token allows.
+   * @param {{steer: boolean, remove: boolean, operate: boolean}} given.may What the scope of the token allows.
    * @param {Element} given.main Element that contains the view.
    * @param {(error: ApiError|null) => void} given.away Called with a temporary error, and with null after a response.
    * @param {() => void} given.signIn Shows the sign-in form.

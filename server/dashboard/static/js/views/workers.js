@@ -1,12 +1,13 @@
-/** Workers: which are live, what each can run and holds, and how fast it is. */
+/** Workers: which are live, what each can run and holds, and how fast it is; and to drain them. */
 
 import { serverNow } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
 import { ago, count, plural, rate } from "../format.js";
 import { link } from "../router.js";
-import { badge, callout, facts, workerCommand } from "../parts/elements.js";
+import { badge, callout, facts, sure, workerCommand } from "../parts/elements.js";
 
 const COLUMNS = ["Worker", "State", "Jobs", "Rate", "Done", "Failed", "Last seen", "Can run", "Version"];
+const ACTIONS = "Actions";
 const RIGHT = new Set(["Done", "Failed"]);
 const LISTED = 500;
 
@@ -20,7 +21,8 @@ export async function show(main, context) {
   const body = h("tbody");
   const table = h("div.card.scroll", { tabindex: 0, role: "region", "aria-label": "Workers", hidden: true }, h("table.workers", null,
     h("caption.read-out", null, "Workers, most recently seen first"),
-    h("thead", null, h("tr", null, COLUMNS.map((words) => h("th", { scope: "col", class: RIGHT.has(words) ? "right" : null }, words)))), body));
+    h("thead", null, h("tr", null, COLUMNS.map((words) => h("th", { scope: "col", class: RIGHT.has(words) ? "right" : null }, words)),
+      context.may.operate && h("th", { scope: "col" }, h("span.read-out", null, ACTIONS)))), body));
   const nobody = h("div.empty", { hidden: true }, h("h2", null, "No workers yet"),
     h("p", null, "Workers run the simulations. Start one per core, on any machine that can reach the coordinator:"),
     h("p", null, workerCommand()));
@@ -34,7 +36,15 @@ export async function show(main, context) {
   let names = {};
   let unmet = [];
 
-  context.watch("workers", (read) => {
+  /** Ask a worker to finish what it holds, and to exit. */
+  async function drain(row) {
+    const question = `Drain ${row.id}? It finishes the jobs that it holds, takes no more, and exits.`;
+    if (!await sure(question, { yes: "Drain", danger: false })) return;
+    await context.act("POST", `workers/${encodeURIComponent(row.id)}/drain`, `${row.id} finishes the jobs that it holds.`);
+    polling.now({ afresh: true });
+  }
+
+  const polling = context.watch("workers", (read) => {
     workers = read;
     for (const id of paces.keys()) if (!read.some((worker) => worker.id === id)) paces.delete(id);
     draw();
@@ -57,7 +67,7 @@ export async function show(main, context) {
     const rows = workers.map((worker) => ({ ...worker, ...speed(worker, now), jobs: (held.get(worker.id) ?? []).map(named), now }));
     const live = rows.filter((row) => row.live);
     const gone = rows.length - live.length;
-    keyed(body, old.checked ? rows : live, (row) => row.id, workerRow);
+    keyed(body, old.checked ? rows : live, (row) => row.id, (row) => workerRow(row, context.may.operate && drain));
     table.hidden = !old.checked && !live.length;
     more.hidden = live.length === 0;
     nobody.hidden = rows.length > 0;
@@ -96,7 +106,7 @@ function note(place, rows, live, unmet) {
       h("code", null, needs), ", which no live worker provides. ", h("a", { href: link("jobs", { status: "queued" }) }, "Show them"))));
 }
 
-function workerRow(first) {
+function workerRow(first, drain) {
   const state = badge("live");
   const list = h("ul.held");
   const many = h("summary");
@@ -110,11 +120,13 @@ function workerRow(first) {
   const able = h("ul.able");
   const about = h("div.small.muted");
   const release = h("td.small");
+  const button = drain && h("button.quiet", { type: "button", "aria-label": `Drain ${first.id}`, onclick: () => drain(first) }, "Drain");
   const node = h("tr", null, h("th", { scope: "row" }, h("span.mono", null, first.id), about), h("td", null, state),
-    h("td", null, holds, none), h("td", null, speed, over), done, failed, seen, h("td", null, able), release);
+    h("td", null, holds, none), h("td", null, speed, over), done, failed, seen, h("td", null, able), release, button && h("td", null, button));
   node.update = (row) => {
     text(about, `${row.host}, process ${row.pid}`);
-    state.update(row.live ? "live" : "gone");
+    state.update(!row.live ? "gone" : row.draining ? "draining" : "live");
+    if (button) button.hidden = !row.live || row.draining;
     holds.hidden = row.jobs_held === 0;
     none.hidden = row.jobs_held > 0;
     text(many, plural(row.jobs_held, "job"));
