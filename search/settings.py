@@ -1,7 +1,8 @@
 """Settings of algorithms and problems: fields of frozen dataclasses with help, bounds and unit.
 
 The metadata of each field holds ``help``, ``unit``, and those of ``ge``, ``gt``, ``le``, ``lt`` and ``choices`` that
-limit it. A catalogue builds a JSON schema from them with `dataclasses.fields`.
+limit it, and of ``label`` and ``main`` that forms need. A catalogue builds a JSON schema from them with
+`dataclasses.fields`.
 """
 
 import dataclasses
@@ -27,6 +28,8 @@ def setting(
     le: float | None = None,
     lt: float | None = None,
     unit: str = "",
+    label: str = "",
+    main: bool = False,
     choices: tuple[T, ...] | None = None,
 ) -> T:
     """Declare a dataclass field annotated ``float``, ``int``, ``bool`` or ``str``.
@@ -39,12 +42,15 @@ def setting(
         le: Inclusive upper bound.
         lt: Exclusive upper bound.
         unit: Unit of the value.
+        label: What forms call it, if its name is a symbol or an abbreviation.
+        main: Whether forms show it at once, and not among the further settings.
         choices: The allowed values.
     """
     bounds = {"ge": ge, "gt": gt, "le": le, "lt": lt}
     metadata: dict[str, Any] = {"help": help, "unit": unit} | {
         name: bound for name, bound in bounds.items() if bound is not None
     }
+    metadata |= {name: value for name, value in (("label", label), ("main", main)) if value}
     if choices is not None:
         metadata["choices"] = choices
     return dataclasses.field(default=default, metadata=metadata)

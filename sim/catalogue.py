@@ -5,7 +5,9 @@ Reading the catalogue never imports a simulator, so a coordinator can list simul
 
 import difflib
 import importlib
+import inspect
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -108,6 +110,13 @@ def make_simulator(simulator_id: str) -> Simulator:
 def requirement_ids() -> tuple[str, ...]:
     """Return the ids of all registered requirements, sorted."""
     return plugin_ids(REQUIREMENTS)
+
+
+def requirement_words(requirement_id: str) -> str:
+    """Return what a registered requirement asks, in words: the first line of the documentation of its class."""
+    line, *_ = (inspect.getdoc(load_plugin(REQUIREMENTS, requirement_id)) or "").splitlines() or [""]
+    words = re.sub(r"^`[^`]*`: ", "", line)
+    return words[:1].upper() + words[1:]
 
 
 def make_requirement(requirement_id: str) -> Requirement:

@@ -101,8 +101,18 @@ class Status(IntEnum):
 class EdgeConfig(BoundaryConfig):
     """Settings of the search for pairs."""
 
-    eps: float = setting(0.02, help="Largest distance of a tight pair.", ge=1e-6, le=1)
-    d_th: float = setting(0.2, help="Smallest distance between two distinct pairs.", ge=0, le=1)
+    eps: float = setting(
+        0.02,
+        label="Distance within a pair",
+        main=True,
+        help="Largest distance of a tight pair.",
+        ge=1e-6,
+        le=1,
+    )
+    d_th: float = setting(
+        0.2, label="Distance between pairs", main=True, help="Smallest distance between two distinct pairs.",
+        ge=0, le=1,
+    )  # fmt: skip
     explore: float = setting(0.4, help="Share of the budget for random draws at the start.", ge=0.01, le=1)
     margin: float = setting(
         0.2,

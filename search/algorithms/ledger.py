@@ -33,9 +33,17 @@ MAX_RESTARTS: Final = 90
 class BoundaryConfig:
     """Settings of every algorithm that searches for the boundary of the p_th-unsafe region."""
 
-    radius: float = setting(0.3, help="Maximum distance of a neighbour (delta).", gt=0, le=1)
-    p_th: float = setting(0.1, help="Unsafe probability that defines the boundary.", gt=0, lt=1)
-    z: float = setting(1.96, help="Quantile of the standard normal for the Wilson interval.", gt=0, le=10)
+    radius: float = setting(
+        0.3, label="Neighbourhood radius", help="Maximum distance of a neighbour (delta).", gt=0, le=1
+    )
+    p_th: float = setting(
+        0.1, label="Threshold probability", main=True, help="Unsafe probability that defines the boundary.",
+        gt=0, lt=1,
+    )  # fmt: skip
+    z: float = setting(
+        1.96, label="Confidence quantile", help="Quantile of the standard normal for the Wilson interval.",
+        gt=0, le=10,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_settings(self)

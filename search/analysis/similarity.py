@@ -210,3 +210,18 @@ def nearest_solutions(archive: Archive, position: int, count: int) -> Nearest:
         others = others[distances[others] <= farthest]
     order = others[np.lexsort((archive.numbers[others], distances[others]))][:count]
     return Nearest(positions=order, distances=distances[order])
+
+
+def nearest_opposite(archive: Archive, position: int) -> tuple[int, float] | None:
+    """Return the nearest solution with the other verdict, as its position and its distance; None if there is none.
+
+    Args:
+        archive: The evaluated solutions.
+        position: Position of the solution in the archive.
+    """
+    others = np.flatnonzero(archive.unsafe != archive.unsafe[position])
+    if not others.size:
+        return None
+    distances = archive.distances([position], others)[0]
+    best = int(np.lexsort((archive.numbers[others], distances))[0])
+    return int(others[best]), float(distances[best])

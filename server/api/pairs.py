@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, Self
 
-import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection, Row
 
@@ -36,7 +35,7 @@ from brink.server.api.pair_views import (
     SideView,
 )
 from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified, set_created
-from brink.server.api.solutions import MEDIA, activity_view
+from brink.server.api.solutions import MEDIA, activity_view, simulated
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups import (
@@ -66,7 +65,6 @@ from brink.server.problems.base import (
     NamesRequirements,
     Problem,
     SimulatedSolution,
-    activity_of,
     describe_candidate,
     ignores_seeds,
 )
@@ -292,7 +290,7 @@ def _refusal(check: Callable[[], object]) -> str:
 def _pair(
     place: int, pair: Pair, problem: Problem, rows: Mapping[int, Row[Any]], evidence: "_Evidence"
 ) -> PairView:
-    safe, unsafe = (_simulated(problem, rows[side.number]) for side in (pair.safe, pair.unsafe))
+    safe, unsafe = (simulated(problem, rows[side.number]) for side in (pair.safe, pair.unsafe))
     changes, change = _changes(problem, safe, unsafe, pair.units)
     sides = [
         _side(side, problem, solution, rows[side.number])
@@ -457,7 +455,7 @@ class _Evidence:
         self, row: Row[Any], pairs: Reductions, place: int, safe: SimulatedSolution
     ) -> MinimisedView:
         problem, steps = self.plan.problem, pairs.steps
-        unsafe = _simulated(problem, row)
+        unsafe = simulated(problem, row)
         sides = pairs.safe[place], pairs.unsafe[place]
         changes, change = _changes(problem, safe, unsafe, steps.differing(*sides))
         return MinimisedView(
@@ -512,12 +510,6 @@ def _share(share: Share) -> ShareView:
         evaluated=share.evaluated, unsafe=share.unsafe, probability=share.probability, low=share.low,
         high=share.high,
     )  # fmt: skip
-
-
-def _simulated(problem: Problem, row: Row[Any]) -> SimulatedSolution:
-    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
-    result = _result(row)
-    return SimulatedSolution(vectors=vectors, activity=activity_of(problem, vectors, result), result=result)
 
 
 def _result(row: Row[Any] | None) -> dict[str, Any] | None:

@@ -15,8 +15,9 @@ from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
-from brink.search.analysis.similarity import Nearest, nearest_solutions
+from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
 from brink.search.archive import Archive
+from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
 from brink.server.api.boundary_table import boundary_rows, table_bytes
@@ -43,7 +44,8 @@ from brink.server.campaigns.plan import looks_for_boundary, make_plan
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
-from brink.server.problems.base import Activity, Problem, activity_of, describe_candidate
+from brink.server.problems.base import Activity, Problem, SimulatedSolution, activity_of, describe_candidate
+from brink.server.problems.changes import change_words, changes_between
 from brink.server.states import OutcomeKind, SolutionVerdict
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
@@ -419,6 +421,21 @@ class Neighbour(View):
     fitness: float
 
 
+class Opposite(View):
+    """The nearest solution with the other verdict, and what differs."""
+
+    number: int
+    distance: float
+    unsafe: bool
+    outcome: Annotated[str, Field(description="What its simulation showed, in words, with moments.")]
+    kind: OutcomeKind
+    change: Annotated[str, Field(description="What differs in the unsafe one of the two, in words.")]
+    differences: Annotated[int, Field(description="Number of parameters, or groups of them, that differ.")]
+    same_seed: Annotated[
+        bool, Field(description="Whether both had the same episode seed, so that chance has no part.")
+    ]
+
+
 class Neighbours(View):
     """The neighbourhood of a solution and the solutions closest to it."""
 
@@ -438,6 +455,9 @@ class Neighbours(View):
     fitness: Annotated[float, Field(description="Distance of that interval from p_th; 0 on the boundary.")]
     evaluated: Annotated[int, Field(description="Evaluated solutions of the campaign.")]
     nearest: Annotated[list[Neighbour], Field(description="Closest first, without this one.")]
+    opposite: Annotated[
+        Opposite | None, Field(description="Nearest solution with the other verdict; null if there is none.")
+    ] = None
 
 
 @router.get("/solutions/{number}/neighbours")
@@ -455,9 +475,48 @@ async def get_neighbours(
         if place is None:
             raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}")
         near = nearest_solutions(found.archive, place, most)
-        return _neighbours_view(found, outcomes, number, place, near, boundary=boundary)
+        view = _neighbours_view(found, outcomes, number, place, near, boundary=boundary)
+        with services.engines.reader.connect() as connection:
+            return view.model_copy(update={"opposite": _opposite(connection, campaign.id, found, place)})
 
     return await asyncio.get_running_loop().run_in_executor(None, look)
+
+
+def _opposite(connection: Connection, campaign_id: str, found: ReadArchive, place: int) -> Opposite | None:
+    nearest = nearest_opposite(found.archive, place)
+    if nearest is None:
+        return None
+    archive, problem, (other, distance) = found.archive, found.plan.problem, nearest
+    places = (other, place) if archive.unsafe[place] else (place, other)
+    rows = {
+        row.number: row
+        for row in view_store.read_solutions(
+            connection, campaign_id, [int(archive.numbers[one]) for one in places]
+        )
+    }
+    if len(rows) < len(places):
+        return None  # it was deleted meanwhile
+    safe, unsafe = (rows[int(archive.numbers[one])] for one in places)
+    units = Steps(problem.space).differing(archive.vectors[places[0]], archive.vectors[places[1]])
+    sides = simulated(problem, safe), simulated(problem, unsafe)
+    changes = changes_between(problem, *sides, units)
+    shown = rows[int(archive.numbers[other])]
+    outcome = outcome_of(
+        problem, json.loads(shown.result) if shown.result else None,
+        safe=shown.verdict == SolutionVerdict.SAFE, robustness=shown.robustness,
+    )  # fmt: skip
+    return Opposite(
+        number=shown.number, distance=distance, unsafe=bool(archive.unsafe[other]), outcome=outcome.words(),
+        kind=outcome.kind, change=change_words(problem, *sides, changes), differences=len(changes),
+        same_seed=safe.seed == unsafe.seed,
+    )  # fmt: skip
+
+
+def simulated(problem: Problem, row: Row[*tuple[Any, ...]]) -> SimulatedSolution:
+    """Return a stored solution with what its simulation showed."""
+    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
+    result = json.loads(row.result) if row.result else None
+    return SimulatedSolution(vectors=vectors, activity=activity_of(problem, vectors, result), result=result)
 
 
 def _neighbours_view(

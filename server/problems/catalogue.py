@@ -7,7 +7,7 @@ pydantic models, which validate and describe the input.
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields
 from importlib.util import find_spec
-from typing import Any, Literal, cast, get_type_hints
+from typing import Any, Final, Literal, cast, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
@@ -19,18 +19,23 @@ from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
 from brink.server.problems.base import (
     InProcessProblem,
+    NamesRequirements,
     NeedsExtra,
     Problem,
     ReportsViolations,
     SimulatedProblem,
 )
-from brink.sim.catalogue import load_plugin, plugin_ids
+from brink.sim.catalogue import load_plugin, plugin_ids, requirement_ids, requirement_words
 
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
 
 _BOUNDS = ("ge", "gt", "le", "lt")
 _MODELS: dict[type[Any], type[BaseModel]] = {}
+
+
+_SHOWN: Final = ("unit", "label", "main")
+"""Metadata that forms need besides a JSON schema's own."""
 
 
 def params_model(params_type: type[Any]) -> type[BaseModel]:
@@ -61,12 +66,13 @@ def _annotation(item: Field[Any], hint: Any) -> Any:
 
 def _field(item: Field[Any]) -> Any:
     bounds = {name: item.metadata[name] for name in _BOUNDS if item.metadata.get(name) is not None}
-    unit = item.metadata.get("unit")
-    extra = {"unit": unit} if unit else None
+    extra: dict[str, Any] = {name: item.metadata[name] for name in _SHOWN if item.metadata.get(name)}
+    about = {"description": item.metadata.get("help"), **bounds}
     if item.default_factory is not MISSING:
-        return PydanticField(default_factory=item.default_factory, **bounds)
+        extra["default"] = item.default_factory()
+        return PydanticField(default_factory=item.default_factory, json_schema_extra=extra, **about)
     default = ... if item.default is MISSING else item.default
-    return PydanticField(default, description=item.metadata.get("help"), json_schema_extra=extra, **bounds)
+    return PydanticField(default, json_schema_extra=extra or None, **about)
 
 
 def make_params(params_type: type[Any], values: Mapping[str, Any], prefix: str) -> Any:
@@ -176,7 +182,7 @@ def describe_problems() -> list[dict[str, Any]]:
             {
                 "id": problem_id,
                 "summary": kind.summary,
-                "params": params_model(kind.params_type).model_json_schema(),
+                "params": _problem_schema(kind, problem),
                 "space": problem.space.describe(),
                 "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
                 "finds": _finds(problem),
@@ -184,6 +190,20 @@ def describe_problems() -> list[dict[str, Any]]:
             }
         )
     return described
+
+
+def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
+    """Return the JSON schema of a problem's parameters; a requirement has options, each with its meaning."""
+    schema = params_model(kind.params_type).model_json_schema()
+    requirement = schema["properties"].get("requirement")
+    if requirement is not None and isinstance(problem, NamesRequirements):
+        requirement |= {"main": True, "options": requirement_options()}
+    return schema
+
+
+def requirement_options() -> list[dict[str, str]]:
+    """Return the registered requirements, each with its meaning in words, from the documentation of its class."""
+    return [{"value": name, "words": requirement_words(name)} for name in requirement_ids()]
 
 
 def _finds(problem: Problem) -> list[str]:

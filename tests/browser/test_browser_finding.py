@@ -33,6 +33,31 @@ def test_campaigns_are_found_by_name_and_state_and_steered_from_the_list(
     shown(page.get_by_text("No campaign matches.")).to_be_visible()
 
 
+def test_rows_with_equal_names_show_their_ids(own: httpx.Client, visit: Visits) -> None:
+    twins = [submit(own, ball(name="twin", seed=seed)) for seed in (1, 2)]
+    single = submit(own, ball(name="single"))
+    body = {
+        "name": "again", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}],
+        "budget": {"simulations": 8},
+    }  # fmt: skip
+    experiments = [
+        str(expect(own.post("/api/v1/experiments", json={**body, "seeds": [seed]}), 201)["id"])
+        for seed in (1, 2)
+    ]
+    page = visit(origin(own))
+    rows = page.locator("table.campaigns tbody tr")
+    for campaign in twins:
+        shown(rows.filter(has_text=campaign)).to_contain_text("twin")
+    shown(rows.filter(has_text="single")).to_be_visible()
+    shown(rows.filter(has_text=single)).to_have_count(0)
+    page.goto(f"{origin(own)}/#/experiments")
+    for experiment in experiments:
+        shown(page.locator("table.experiments tbody tr").filter(has_text=experiment)).to_contain_text("again")
+    page.goto(f"{origin(own)}/#/compare?ids={','.join(twins)}")
+    chosen = page.get_by_role("list", name="Compared campaigns").get_by_role("listitem")
+    shown(chosen).to_have_text([f"twin {campaign}×" for campaign in twins])
+
+
 def test_an_experiment_shows_its_results_and_its_campaigns(site: Served, browse: Browse) -> None:
     page = browse("#/experiments")
     page.get_by_role("link", name="two on a ball").click()

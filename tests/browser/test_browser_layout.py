@@ -2,10 +2,11 @@
 
 import re
 
+import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 
-from browser.served import Served
+from browser.served import Served, unsafe_one
 from browser.views import View, open_view
 from browser.visits import Browse, Visits
 
@@ -50,3 +51,17 @@ def test_the_theme_that_was_chosen_is_remembered(site: Served, visit: Visits) ->
     button.click()
     shown(button).to_have_text("Theme: system")
     assert ground(page) == dark, "the system's is dark now"
+
+
+@pytest.mark.parametrize("width", [320, PHONE_PX, 700, 1280])
+def test_the_requirement_that_decided_is_never_clipped(site: Served, browse: Browse, width: int) -> None:
+    page = browse()
+    page.set_viewport_size({"width": width, "height": 900})
+    page.goto(f"{site.url}/#/campaigns/{site.urban}/solutions/{unsafe_one(site)['number']}")
+    table = page.get_by_role("region", name="Table of verdicts")
+    shown(table.get_by_role("row").nth(1)).to_contain_text("decisive")
+    assert table.evaluate("node => node.scrollWidth <= node.clientWidth")
+    for cell in table.get_by_role("row").nth(1).locator("th, td").all():
+        box = cell.bounding_box()
+        assert box is not None
+        assert 0 <= box["x"] < box["x"] + box["width"] <= width

@@ -147,3 +147,18 @@ def _forget_workers(database: str) -> None:
             connection.execute(update(WorkerRow).values(last_seen_at=datetime(2020, 1, 1, tzinfo=UTC)))
     finally:
         engines.dispose()
+
+
+def test_the_nearest_solution_with_the_other_verdict_comes_first_with_what_differs(
+    site: Served, solution: Page
+) -> None:
+    number = unsafe_one(site)["number"]
+    told = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{number}/neighbours"))["opposite"]
+    assert not told["unsafe"]
+    card = solution.get_by_role("region").first
+    shown(card.get_by_role("heading", name="Nearest safe solution")).to_be_visible()
+    shown(card).to_contain_text(f"What differs here: {told['change'][0].upper()}{told['change'][1:]}")
+    card.get_by_role("link", name=f"Solution {told['number']}").click()
+    shown(solution.get_by_role("heading", name=f"Solution {told['number']}", exact=True)).to_be_visible()
+    shown(solution.get_by_role("heading", name="Nearest unsafe solution")).to_be_visible()
+    shown(solution.get_by_text("What differs there: ")).to_be_visible()

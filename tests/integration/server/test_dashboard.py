@@ -477,3 +477,18 @@ def test_jobs_are_listed_by_status_in_order_across_campaigns(client: httpx.Clien
     ours = [job["id"] for job in expect(client.get("/api/v1/jobs", params={"campaign": first}))["jobs"]]
     assert listed(client, status="queued", campaign=first) == [job for job in waiting if job in ours]
     assert listed(client, status="queued", campaign=second) == [job for job in waiting if job not in ours]
+
+
+def test_the_nearest_solution_with_the_other_verdict_is_told_with_what_differs(client: httpx.Client) -> None:
+    campaign = finish(client, ball())
+    found = expect(client.get(f"{API}/campaigns/{campaign}/solutions", params={"limit": 1000}))["solutions"]
+    verdicts = {one["number"]: one["verdict"] for one in found if one["verdict"] in ("safe", "unsafe")}
+    number = next(iter(verdicts))
+    near = expect(
+        client.get(f"{API}/campaigns/{campaign}/solutions/{number}/neighbours", params={"most": 1000})
+    )
+    nearest = next(one for one in near["nearest"] if one["unsafe"] != (verdicts[number] == "unsafe"))
+    opposite = near["opposite"]
+    assert (opposite["number"], opposite["distance"]) == (nearest["number"], nearest["distance"])
+    assert opposite["differences"] >= 1
+    assert opposite["change"]

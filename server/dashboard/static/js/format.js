@@ -72,6 +72,13 @@ export function spaced(name) {
   return String(name).replaceAll("_", " ");
 }
 
+/** Return the rows with ``alike``: the id where another row has the same name, otherwise empty. */
+export function toldApart(rows) {
+  const names = new Map();
+  for (const { name } of rows) names.set(name, (names.get(name) ?? 0) + 1);
+  return rows.map((row) => ({ ...row, alike: names.get(row.name) > 1 ? row.id : "" }));
+}
+
 /** An id without its version: ``mlcshe`` for ``mlcshe@1``. */
 export function plainId(id) {
   return String(id).split("@")[0];

@@ -1,11 +1,12 @@
 /** Form fields generated from a JSON schema. An empty field means the default; errors are shown next to the field. */
 
 import { attribute, h, text } from "../dom.js";
-import { capital, spaced } from "../format.js";
+import { capital, plainId, spaced } from "../format.js";
 
 /**
  * @typedef {object} FormField
  * @property {string} pointer JSON pointer of the field, such as ``/problem/params/duration_s``.
+ * @property {boolean} main Whether it is shown at once, and not among the further fields.
  * @property {HTMLElement} node
  * @property {() => *} read Return the value; undefined if the field is empty.
  * @property {(value: *) => void} fill
@@ -14,17 +15,34 @@ import { capital, spaced } from "../format.js";
  */
 
 /** Return a field for one property of a JSON schema. */
-export function field(name, schema, pointer, { label = capital(spaced(name)), required = false, help = schema.description } = {}) {
+export function field(name, schema, pointer, { label = labelOf(name, schema), required = false, help = schema.description } = {}) {
   const id = `field${pointer.replaceAll("/", "-")}`;
   const wrong = h("p.wrong", { id: `${id}-wrong`, role: "alert", hidden: true });
-  const hint = help || schema.unit ? h("p.help", { id: `${id}-help` }, [help, schema.unit && `in ${schema.unit}`].filter(Boolean).join(" ").replace(/\. in /, ", in ")) : null;
+  const meaning = h("span");
+  const hint = help || schema.unit || schema.options ? h("p.help", { id: `${id}-help` }, schema.options && meaning,
+    [!schema.options && help, schema.unit && h("span.read-out", null, ` In ${schema.unit}.`)]) : null;
   const input = control(schema, { id, required, described: [hint && `${id}-help`, `${id}-wrong`].filter(Boolean).join(" ") });
   showDefault(input, schema.default);
-  const node = h("div.field", null, h("label", { for: id }, label), input, hint, wrong);
+  const node = h("div.field", null, h("label", { for: id }, label),
+    schema.unit ? h("div.with-unit", null, input, h("span.muted", { "aria-hidden": "true" }, schema.unit)) : input, hint, wrong);
+
+  /** Say what the chosen option means. */
+  function explain() {
+    const chosen = valueOf(input, schema) ?? schema.default;
+    const known = schema.options?.filter((one) => [chosen].flat().includes(one.value)) ?? [];
+    text(meaning, known.length ? `${known.map((one) => one.words.replace(/\.$/, "")).join("; ")}. ` : "");
+  }
+  if (schema.options) {
+    input.addEventListener("change", explain);
+    explain();
+  }
   return {
-    pointer, node,
+    pointer, node, main: Boolean(schema.main),
     read: () => valueOf(input, schema),
-    fill: (value) => fill(input, value),
+    fill: (value) => {
+      fill(input, value);
+      explain();
+    },
     complain: (message) => {
       text(wrong, message);
       wrong.hidden = !message;
@@ -35,8 +53,15 @@ export function field(name, schema, pointer, { label = capital(spaced(name)), re
   };
 }
 
+/** Return the name of a field in words: the schema's label and the name itself, or the name without its unit. */
+function labelOf(name, { label, unit }) {
+  if (label) return label.toLowerCase().includes(name) ? label : [`${label} `, h("code", null, name)];
+  return capital(spaced(unit && name.endsWith(`_${unit}`) ? name.slice(0, -unit.length - 1) : name));
+}
+
 function control(schema, { id, required, described }) {
   const about = { id, "aria-describedby": described, required: required || null };
+  if (schema.options) return h("select", about, schema.options.map(({ value }) => h("option", { value }, spaced(plainId(value).replaceAll("-", " ")))));
   if (schema.enum || schema.type === "boolean") {
     const choices = schema.enum ?? [true, false];
     return h("select", about, choices.map((choice) => h("option", { value: String(choice) }, spaced(String(choice)))));
@@ -53,12 +78,13 @@ function control(schema, { id, required, described }) {
 /** Show the default of an empty field. */
 function showDefault(input, usual) {
   const known = usual !== undefined && usual !== null;
+  const words = () => spaced([usual].flat().map((one) => (input.querySelector?.(`option[value="${CSS.escape(String(one))}"]`)?.textContent ?? String(one)).replace(/ \(default\)$/, "")).join(" and "));
   if (input.localName === "input") {
     attribute(input, "placeholder", known ? String(usual) : null);
   } else if (input.localName === "select") {
     const first = input.querySelector("option[value='']");
-    if (known && first) text(first, `${spaced(String(usual))} (default)`);
-    else if (known) input.prepend(h("option", { value: "", selected: true }, `${spaced(String(usual))} (default)`));
+    if (known && first) text(first, `${words()} (default)`);
+    else if (known) input.prepend(h("option", { value: "", selected: true }, `${words()} (default)`));
   }
 }
 
@@ -68,7 +94,7 @@ function valueOf(input, schema) {
   if (written === "") return undefined;
   if (schema.type === "boolean") return written === "true";
   if (schema.type === "integer" || schema.type === "number") return input.validity.badInput ? written : Number(written);
-  if (schema.type === "array" || schema.type === "object") {
+  if (schema.type === "array" || schema.type === "object" || (schema.options && written.startsWith("["))) {
     try {
       return JSON.parse(written);
     } catch {
@@ -79,6 +105,9 @@ function valueOf(input, schema) {
 }
 
 function fill(input, value) {
-  if (value === undefined || value === null) input.value = "";
-  else input.value = typeof value === "object" ? JSON.stringify(value) : String(value);
+  const written = value === undefined || value === null ? "" : typeof value === "object" ? JSON.stringify(value) : String(value);
+  if (input.localName === "select" && written && ![...input.options].some((one) => one.value === written)) {
+    input.append(h("option", { value: written }, Array.isArray(value) ? value.map(plainId).join(" and ") : written)); // the server validates it
+  }
+  input.value = written;
 }

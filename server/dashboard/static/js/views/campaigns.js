@@ -2,7 +2,7 @@
 
 import { rowsOf, STATUSES } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { count, percent, plainId, rate, span, when } from "../format.js";
+import { count, percent, plainId, rate, span, toldApart, when } from "../format.js";
 import { go, link, place, rewrite } from "../router.js";
 import { badge, callout, meter, sparkline, sure, workerCommand } from "../parts/elements.js";
 
@@ -63,7 +63,7 @@ export async function show(main, context, { query }) {
   }
 
   function take(read) {
-    const rows = rowsOf(read);
+    const rows = toldApart(rowsOf(read));
     keyed(body, rows, (row) => row.id, (row) => campaignRow(row, context, polling));
     const found = rows.length > 0;
     const searching = Boolean(search.value.trim() || status.value || query.get("experiment"));
@@ -95,6 +95,7 @@ function nothing(searching, context) {
 
 function campaignRow(first, context, polling) {
   const name = h("a.row", { href: link("campaigns", first.id) }, first.name);
+  const alike = h("code.alike");
   const about = h("div.small.muted", null, `${plainId(first.problem)} · ${plainId(first.algorithm)} · seed ${first.seed} `,
     first.experiment && h("a", { href: link("experiments", first.experiment) }, "experiment"),
     first.repeats_of && h("a", { href: link("campaigns", first.repeats_of) }, "repeats"));
@@ -107,11 +108,12 @@ function campaignRow(first, context, polling) {
   const spark = sparkline("Boundary solutions");
   const dbs = h("span");
   const actions = h("td.actions-cell");
-  const node = h("tr", null, h("th.name", { scope: "row" }, name, about), h("td", null, state), h("td.progress", null, done, numbers),
+  const node = h("tr", null, h("th.name", { scope: "row" }, name, " ", alike, about), h("td", null, state), h("td.progress", null, done, numbers),
     speed, left, unsafe, h("td.dbs", null, spark, " ", dbs), h("td.wide-only.small", null, when(first.created_at)), actions);
   let drawn = null;
 
   node.update = (row) => {
+    text(alike, row.alike);
     state.update(row.status);
     attribute(state, "title", row.status_reason || null);
     done.update(row.simulations / row.budget, row.finished_at !== null);

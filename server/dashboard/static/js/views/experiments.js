@@ -2,7 +2,7 @@
 
 import { isOpen } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { count, when } from "../format.js";
+import { count, toldApart, when } from "../format.js";
 import { link } from "../router.js";
 import { badge, meter } from "../parts/elements.js";
 
@@ -25,7 +25,7 @@ export async function show(main, context, { query }) {
 
   const asked = new URLSearchParams({ limit: PAGE, ...(cursor ? { cursor } : {}) });
   context.watch(`experiments?${asked}`, (read) => {
-    keyed(body, read.experiments, (one) => one.id, experimentRow);
+    keyed(body, toldApart(read.experiments), (one) => one.id, experimentRow);
     table.hidden = read.experiments.length === 0;
     empty.hidden = read.experiments.length > 0;
     older.hidden = !read.next;
@@ -39,9 +39,11 @@ function experimentRow(first) {
   const done = meter(`Simulations of ${first.name}`);
   const numbers = h("span.small");
   const failed = h("td");
-  const node = h("tr", null, h("th", { scope: "row" }, h("a.row", { href: link("experiments", first.id) }, first.name)), h("td", null, state), finished,
+  const alike = h("code.alike");
+  const node = h("tr", null, h("th", { scope: "row" }, h("a.row", { href: link("experiments", first.id) }, first.name), " ", alike), h("td", null, state), finished,
     h("td.progress", null, done, numbers), failed, h("td.small", null, when(first.created_at)));
   node.update = (one) => {
+    text(alike, one.alike);
     state.update(one.status);
     text(finished, `${count(one.finished)} of ${count(one.campaigns)}${one.deleted ? `, ${count(one.deleted)} deleted` : ""}`);
     done.update(one.budget ? one.simulations / one.budget : 0, !isOpen(one.status));

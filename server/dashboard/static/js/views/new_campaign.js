@@ -53,7 +53,7 @@ export async function show(main, context, { query }) {
     h("div.head", null, h("h1", null, model ? `Clone of ${model.name}` : "New campaign"), h("div.segments", { role: "group", "aria-label": "Input" }, modes)),
     h("form.new-campaign", { novalidate: true, onsubmit: (event) => { event.preventDefault(); attempt(submitted); } },
       trouble, panes.form, panes.file, h("div.actions", null, submit, check)));
-  if (model) form.fill({ ...model.body, seed: Math.min(model.body.seed + 1, Number.MAX_SAFE_INTEGER) });
+  if (model) form.fill({ ...model.body, budget: { simulations: Number(query.get("simulations")) || model.body.budget.simulations }, seed: Math.min(model.body.seed + 1, Number.MAX_SAFE_INTEGER) });
 
   /** Switch between form and file, and convert what was entered. */
   async function turn(name) {
@@ -138,19 +138,19 @@ function formOf({ problems, algorithms, description }) {
     field("name", campaign.name, "/name", { required: true, help: "A name of your choice." }),
     field("simulations", description.Budget.properties.simulations, "/budget/simulations", { required: true, label: "Simulations", help: "Budget of the campaign." }),
     field("seed", campaign.seed, "/seed", { help: "The same seed gives the same results." }),
-    field("priority", campaign.priority, "/priority"),
-    field("repeats", campaign.repeats, "/repeats"),
   ];
+  const further = [field("priority", campaign.priority, "/priority"), field("repeats", campaign.repeats, "/repeats")];
   const execution = Object.entries(description.Execution.properties).map(([name, schema]) => field(name, schema, `/execution/${name}`));
   const algorithm = plugin("algorithm", "Algorithm", algorithms, FIRST.algorithm);
+  own.push(...further);
   const problem = plugin("problem", "Problem", problems, FIRST.problem, (chosen) => algorithm.suggest(chosen?.algorithm_defaults ?? {}));
   const every = () => [...own, ...execution, ...problem.fields(), ...algorithm.fields()];
   let kept = {}; // parts without a field in the form
 
   const node = h("div.stack", null,
-    h("fieldset.card", null, h("legend", null, "Campaign"), h("div.fields", null, own.map((one) => one.node))),
+    h("fieldset.card", null, h("legend", null, "Campaign"), h("div.fields", null, own.filter((one) => !further.includes(one)).map((one) => one.node))),
     problem.node, algorithm.node,
-    h("details.card", null, h("summary", null, "Execution"), h("div.fields", null, execution.map((one) => one.node))));
+    h("details.card", null, h("summary", null, "Advanced: priority, repeats, execution"), h("div.fields", null, [...further, ...execution].map((one) => one.node))));
 
   function read() {
     const document = { ...kept, problem: problem.read(), algorithm: algorithm.read(), budget: {} };
@@ -204,8 +204,10 @@ function plugin(part, title, known, first, told = () => {}) {
   select.setAttribute("aria-describedby", `about-${part}`);
   const wrong = h("p.wrong", { role: "alert", hidden: true });
   const place = h("div.fields");
+  const prominent = h("div.prominent");
   const more = h("details", null, h("summary", null, `Parameters of the ${part}`), place);
-  const node = h("fieldset.card", null, h("legend", null, title), h("div.field", null, h("label", { for: `choose-${part}` }, title), select, summary, wrong), more);
+  const node = h("fieldset.card", null, h("legend", null, title),
+    h("div.fields", null, h("div.field", null, h("label", { for: `choose-${part}` }, title), select, summary, wrong), prominent), more);
   let fields = [];
   let unknown = {}; // parameters of a plug-in that is not installed here
   let suggested = {}; // defaults that are not the schema's
@@ -219,8 +221,9 @@ function plugin(part, title, known, first, told = () => {}) {
     const properties = chosen?.params.properties ?? {};
     fields = Object.entries(properties).map(([name, schema]) => field(name, schema, `/${part}/params/${name}`));
     suggest(suggested);
-    replace(place, fields.map((one) => one.node));
-    more.hidden = fields.length === 0;
+    replace(prominent, fields.filter((one) => one.main).map((one) => one.node));
+    replace(place, fields.filter((one) => !one.main).map((one) => one.node));
+    more.hidden = !place.firstChild;
     told(chosen);
   }
 
@@ -228,7 +231,7 @@ function plugin(part, title, known, first, told = () => {}) {
     choose(given?.id ?? first);
     if (!known.some((one) => one.id === given?.id)) unknown = given?.params ?? {};
     for (const one of fields) one.fill(given?.params?.[one.pointer.split("/").at(-1)]);
-    if (fields.some((one) => one.read() !== undefined)) more.open = true;
+    if (fields.some((one) => !one.main && one.read() !== undefined)) more.open = true;
   }
 
   function read() {

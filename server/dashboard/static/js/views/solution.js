@@ -40,6 +40,7 @@ export async function show(main, context, { parts }) {
     h("div.stack", null,
       h("div.grid-2", null,
         h("div.stack", null,
+          evaluated && around.opposite,
           h("section.card", { "aria-label": "Description" }, h("h2", null, "Description"), h("p", null, solution.words || "–"),
             solution.failure && h("p.trouble", null, `Failed: ${solution.failure}`), figures),
           evaluated && around.card),

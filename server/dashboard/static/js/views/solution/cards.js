@@ -2,7 +2,7 @@
 
 import { isOpen } from "../../api.js";
 import { h, replace, text } from "../../dom.js";
-import { capital, count, figure, percent, plainId, plural, spaced, value } from "../../format.js";
+import { capital, count, figure, percent, plainId, plural, sentence, spaced, value } from "../../format.js";
 import { link } from "../../router.js";
 import { badge, outcomeBadge } from "../../parts/elements.js";
 import { seconds } from "./episode.js";
@@ -36,15 +36,15 @@ export function verdicts(solution, judged, goTo) {
   return h("section.card", { "aria-label": "Verdicts" }, h("h2", null, "Verdicts"), h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of verdicts" }, h("table.verdicts", null,
     h("caption", null, "Robustness is the distance to violation; below zero the requirement is violated."),
     h("thead", null, h("tr", null, ["Requirement", "Verdict"].map((name) => h("th", { scope: "col" }, name)),
-      h("th.right", { scope: "col" }, "Robustness"), h("th.right", { scope: "col" }, "First violated"))),
+      h("th.right", { scope: "col" }, "Robustness"))),
     h("tbody", null, found.map(([name, verdict]) => {
       const at = verdict.violated_at_s;
       const violated = verdict.robustness < 0;
       return h("tr", { class: solution.requirements.includes(name) ? "chosen" : null },
         h("th", { scope: "row" }, spaced(plainId(name)), solution.requirements.includes(name) && h("span.small.muted", null, ", decisive")),
-        h("td", null, badge(violated ? (solution.requirements.includes(name) ? "unsafe" : "other") : "safe", violated ? "violated" : "holds")),
-        h("td.right", null, withUnit(verdict.robustness, verdict.unit)),
-        h("td.right", null, at === null ? "–" : h("button.quiet.figure", { type: "button", onclick: () => goTo(at) }, `at ${seconds(at)}`)));
+        h("td", null, badge(violated ? (solution.requirements.includes(name) ? "unsafe" : "other") : "safe", violated ? "violated" : "holds"),
+          at !== null && [" ", h("button.quiet.figure", { type: "button", onclick: () => goTo(at) }, `at ${seconds(at)}`)]),
+        h("td.right", null, withUnit(verdict.robustness, verdict.unit)));
     })))));
 }
 
@@ -110,8 +110,12 @@ function getOr(mapping, key, make) {
   return mapping.get(key);
 }
 
-/** Return the cards of a solution's neighbourhood and of its nearest solutions; ``update`` takes the response of the API. */
+/**
+ * Return the cards of a solution's neighbourhood: ``opposite``, the nearest solution with the other verdict, ``card``, and
+ * ``table``, its nearest solutions; ``update`` takes the response of the API.
+ */
 export function neighbourhood(campaign) {
+  const opposite = h("section.card.opposite", { "aria-label": "Nearest opposite", hidden: true });
   const words = h("p", { id: "neighbourhood-words" });
   const bar = intervalBar();
   const card = h("section.card", { "aria-label": "Neighbourhood" }, h("h2", null, "Neighbourhood"), words, bar);
@@ -123,7 +127,23 @@ export function neighbourhood(campaign) {
         ["Distance", "Robustness", "Fitness"].map((name) => h("th.right", { scope: "col" }, name)))),
       rows)));
 
+  function showOpposite({ opposite: other }) {
+    opposite.hidden = other === null;
+    const told = JSON.stringify(other);
+    if (other === null || opposite.dataset.told === told) return;
+    opposite.dataset.told = told;
+    const place = link("campaigns", campaign.id, "solutions", other.number);
+    replace(opposite, h("h2", null, `Nearest ${other.unsafe ? "unsafe" : "safe"} solution`),
+      h("p", null, h("a", { href: place }, `Solution ${other.number}`), ` is ${figure(other.distance)} away: `, outcomeBadge(other)),
+      h("p.lead", null, `What differs ${other.unsafe ? "there" : "here"}: ${sentence(other.change)}`),
+      h("p.hint", null, [
+        `${plural(other.differences, "parameter")} ${other.differences === 1 ? "differs" : "differ"}.`,
+        other.same_seed ? "Both had the same episode seed, so chance has no part." : "They had different episode seeds, so chance may have a part.",
+      ].join(" ")));
+  }
+
   function update(read) {
+    showOpposite(read);
     text(words, neighbourhoodWords(read));
     bar.update({ low: read.interval[0], high: read.interval[1], part: read.unsafe_neighbours / read.neighbours, p_th: read.p_th });
     text(caption, `The ${plural(read.nearest.length, "nearest", "nearest")} of ${count(read.evaluated)} evaluated solutions; those within a distance of ${figure(read.radius)} are neighbours.`);
@@ -133,7 +153,7 @@ export function neighbourhood(campaign) {
       h("td.right", null, figure(one.distance), h("span.read-out", null, one.within ? ", a neighbour" : ""), !one.within && h("span.small.muted", null, " beyond")),
       h("td.right", null, figure(one.robustness)), h("td.right", null, figure(one.fitness)))));
   }
-  return { card, table, update };
+  return { opposite, card, table, update };
 }
 
 /** Return a bar from 0 to 1 with an unsafe share, its interval and p_th; ``update`` takes other values. */
