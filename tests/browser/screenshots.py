@@ -91,10 +91,16 @@ def demonstration(folder: Path) -> Iterator[tuple[httpx.Client, list[View]]]:
         eventually(ready, "the campaigns finish, and one goes on", PATIENCE_S)
         members = expect(client.get(f"{API}/experiments/{experiment}"))["members"]
         compared = [one["campaign"] for one in members if one["seed"] == 1]
-        yield client, views_of(
+        views = views_of(
             search, _telling(client, search), compared, experiment, f"#/campaigns/{pairs}/pairs",
             a_pair(client, pairs, "")[1],
         )  # fmt: skip
+        found = View(
+            name="finding", place=f"#/campaigns/{pairs}",
+            ready=("role=button[name='Confirm the pairs']", ".best-pairs figure:last-child", ".legend .ringed"),
+        )  # fmt: skip
+        goes_on = View(name="running", place=f"#/campaigns/{running}", ready=("canvas.map", ".legend li"))
+        yield client, [*views, found, goes_on]
 
 
 def photograph(browser: Browser, console: Console, client: httpx.Client, views: list[View]) -> Iterator[Path]:
