@@ -117,7 +117,7 @@ function steering(read, context, path, look) {
     context.may.remove && !open && button("Delete", async () => {
       const question = `Delete ${read.name} with its ${plural(read.campaigns - read.deleted, "campaign")} and all results? This cannot be undone.`;
       if ((await sure(question, { yes: "Delete" })) && (await context.act("DELETE", path, "The experiment has been deleted.")) === null) go("experiments");
-    }, "danger"),
+    }, "quiet"),
   ];
 }
 
