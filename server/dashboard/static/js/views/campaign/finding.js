@@ -58,12 +58,14 @@ export function finding(context, id, found, changed) {
     if (!progress) return;
     const ended = !isOpen(progress.status);
     const last = generations.list.at(-1);
+    const known = read?.pairs ?? null; // null if there are too many to tell
     const evaluated = progress.evaluated + progress.reported;
     const unsafe = progress.unsafe + progress.reported_unsafe;
     bar.update(progress.simulations / progress.budget, ended);
     figures.update({
-      ...(read?.pairs !== undefined && read?.pairs !== null && (progress.looks_for_pairs || read.pairs) ? { Pairs: count(read.pairs) } : {}),
+      ...(progress.looks_for_pairs && known !== null ? { Pairs: count(known) } : {}),
       ...(progress.looks_for_boundary && !progress.looks_for_pairs && last ? { "Boundary solutions (strict)": `${count(last.dbs)} (${count(last.strict_dbs)})` } : {}),
+      ...(!progress.looks_for_pairs && known ? { Pairs: count(known) } : {}),
       Unsafe: evaluated ? `${count(unsafe)} (${percent(unsafe / evaluated)})` : "–",
       Safe: evaluated ? count(evaluated - unsafe) : "–",
       Simulations: `${count(progress.simulations)} of ${count(progress.budget)}`,
@@ -92,7 +94,7 @@ function bestPairs(context, id) {
   function pair(one) {
     const sides = ["safe", "unsafe"].map((side) => {
       const canvas = h("canvas", { role: "img", "aria-label": `The ${side} drive of pair ${one.place} from above`, width: 720, height: 340 });
-      return { side, canvas, node: h("div.side", null, requirementBadge({ kind: side === "safe" ? "held" : "violated" }), canvas) };
+      return { side, canvas, node: h(`div.drive-picture.${side}`, null, requirementBadge({ kind: side === "safe" ? "held" : "violated" }), canvas) };
     });
     const node = h("figure", { hidden: true }, h("figcaption", null,
       h("a", { href: link("campaigns", id, "pairs", `${one.safe}-${one.unsafe}`) }, `Pair ${one.place}`), `: ${sentence(one.words)}`), sides.map((each) => each.node));
