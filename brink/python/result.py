@@ -125,7 +125,7 @@ class AsyncResult(CampaignResult):
         async with connection.open() as api:
             progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
             view = await api.read(CampaignView, f"/campaigns/{campaign}")
-            return cls(connection, progress, view.body, await _finding(api, progress))
+            return cls(connection, progress, view.body, await _finding(api, progress.id))
 
     async def archive(self) -> FetchedArchive:
         """Return all evaluated solutions with their search space."""
@@ -180,7 +180,7 @@ class AsyncResult(CampaignResult):
                 view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
                 await continue_follow_up(api, view)
                 await _ended(api, view.campaign)
-            self.finding = await _finding(api, self._progress)
+            self.finding = await _finding(api, self.id)
         return await self.pairs()
 
     async def violations(self) -> "pd.DataFrame":
@@ -387,15 +387,9 @@ class Result(CampaignResult):
         return f'<h4>{name}</h4><p><b>{finding}</b></p><p style="opacity:0.7">{facts}</p>'
 
 
-async def _finding(api: Api, progress: Progress) -> str:
+async def _finding(api: Api, campaign: str) -> str:
     """Return what a campaign found, in a sentence."""
-    path = f"/campaigns/{progress.id}"
-    for looks, part in ((progress.looks_for_pairs, "pairs"), (progress.looks_for_tolerances, "tolerance")):
-        if looks:
-            with contextlib.suppress(CoordinatorError):  # such as too many pairs to list
-                return str((await api.get(f"{path}/{part}"))["note"])
-    words = str((await api.get(f"{path}/outcomes"))["words"])
-    return words or f"{progress.unsafe:,} of {progress.evaluated:,} solutions are unsafe"
+    return str((await api.get(f"/campaigns/{campaign}/finding"))["words"])
 
 
 async def _ended(api: Api, campaign: str) -> None:
