@@ -16,6 +16,7 @@ SHARE = 0.7
 """Share of the requests that get existing ids."""
 
 _NEED_TRACES = ("/trace", "/episode", "/pictures/{index}.jpg", "/replay.{extension}")
+_PICTURE_OF_PAIR = "/{side}.png"
 _rng = random.Random(1)
 
 
@@ -26,7 +27,7 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
     for place in (body, body.get("lease")):
         if isinstance(place, dict) and "capabilities" in place:
             place["wait_s"] = 0
-    if case.path.endswith(_NEED_TRACES) and _would_wait(case.query):
+    if case.path.endswith((*_NEED_TRACES, _PICTURE_OF_PAIR)) and _would_wait(case.query):
         case.query["wait_s"] = 0
     if isinstance(case.path_parameters, dict) and (_rng.random() < SHARE or _would_end_a_needed_one(case)):
         _use_existing_ids_in_path(case)
@@ -98,6 +99,7 @@ def _use_existing_ids_in_path(case: Any) -> None:
         path["experiment_id"] = _rng.choice(KNOWN["spare_experiments" if ends else "experiments"])
     elif "campaign_id" in path:
         path["campaign_id"] = _rng.choice(KNOWN["spares" if ends else "campaigns"])
+        path.update({side: _rng.choice(KNOWN["numbers"]) for side in ("safe", "unsafe") if side in path})
         if "number" in path:
             path["number"] = _rng.choice(KNOWN["numbers"])
     elif "job" in path:
