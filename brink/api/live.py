@@ -122,7 +122,7 @@ class LiveDisplay:
             self._live.update(panel())
         elif time.monotonic() - self._printed_at >= PLAIN_EVERY_S:
             self._printed_at = time.monotonic()
-            self._console.print(line(), soft_wrap=True)
+            self._console.print(Text(line()), soft_wrap=True)
 
 
 class CampaignDisplay(LiveDisplay):

@@ -30,14 +30,14 @@ class Terminal(io.StringIO):
 class Lines(io.StringIO):
     """Output that can be waited for."""
 
-    def __init__(self, wanted: int) -> None:
+    def __init__(self, wanted: str) -> None:
         super().__init__()
         self._wanted = wanted
         self.complete = threading.Event()
 
     def write(self, text: str) -> int:
         written = super().write(text)
-        if self.getvalue().count("\n") >= self._wanted:
+        if self._wanted in self.getvalue():
             self.complete.set()
         return written
 
@@ -90,7 +90,7 @@ def test_no_row_of_the_panel_wraps(width: int) -> None:
 
 
 def test_steps_in_a_file_are_a_line_now_and_then() -> None:
-    output = Lines(wanted=2)
+    output = Lines(wanted="2 of 3, 0 s\n")
     with Steps(Console(file=output, width=20, markup=False), "drawing", plain_every_s=0.001) as steps:
         steps.show("drawing [replays] of a long list", 2, 3)
         assert output.complete.wait(20.0)
