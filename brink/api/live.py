@@ -1,5 +1,6 @@
 """Live progress displays: a panel updated in place on a terminal, an occasional line elsewhere."""
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
@@ -11,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from brink.server.api.schemas import GenerationView, Progress
+from brink.server.api.schemas import ExperimentProgress, GenerationView, Progress
 from brink.server.states import CampaignStatus
 
 PLAIN_EVERY_S = 10.0
@@ -19,14 +20,87 @@ BARS = "▁▂▃▄▅▆▇█"
 SERIES_WIDTH = 40
 
 
+def updates_in_place(console: Console) -> bool:
+    """Return whether a console can show progress in place: elsewhere, control characters would litter its output.
+
+    A console that is told to use colours, as by ``FORCE_COLOR``, counts as a terminal although its output may be a
+    file.
+    """
+    return console.is_terminal and not console.is_dumb_terminal and console.file.isatty()
+
+
+class Steps:
+    """What a command is doing, how far it is, and for how long.
+
+    On a terminal a line in place, such as ``drawing replays, 2 of 3, 41 s``; elsewhere such a line every ten seconds.
+
+    Args:
+        console: Shows the progress.
+        first: The first step, in words.
+        plain_every_s: Time between two lines on a console that is not a terminal.
+    """
+
+    def __init__(self, console: Console, first: str, *, plain_every_s: float = PLAIN_EVERY_S) -> None:
+        self._console = console
+        self._plain_every_s = plain_every_s
+        self._what, self._done, self._total = first, 0, 0
+        self._began = time.monotonic()
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._live: Live | None = None
+        if updates_in_place(console):
+            self._live = Live(
+                get_renderable=self._line, console=console, refresh_per_second=4, transient=True
+            )  # fmt: skip
+
+    def __enter__(self) -> Self:
+        """Start the display."""
+        if self._live is not None:
+            self._live.start(refresh=True)
+        else:
+            self._thread = threading.Thread(target=self._print_now_and_then, name="brink-steps", daemon=True)
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop the display and restore the terminal."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self, what: str, done: int = 0, total: int = 0) -> None:
+        """Show a step, and how far it is unless `total` is 0; safe from any thread."""
+        self._what, self._done, self._total = what, done, total
+
+    def of(self, what: str) -> Callable[[int, int], None]:
+        """Return a function that shows how far a step is."""
+        self.show(what)
+        return lambda done, total: self.show(what, done, total)
+
+    def _line(self) -> Text:
+        parts = [self._what]
+        if self._total:
+            parts.append(f"{self._done:,} of {self._total:,}")
+        parts.append(duration(time.monotonic() - self._began))
+        return Text(", ".join(parts), no_wrap=True, overflow="ellipsis")
+
+    def _print_now_and_then(self) -> None:
+        while not self._ended.wait(self._plain_every_s):
+            self._console.print(self._line(), soft_wrap=True)
+
+
 class LiveDisplay:
     """A panel updated in place on a terminal; elsewhere a line every ten seconds."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._live = (
-            Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
-        )
+        self._live: Live | None = None
+        if updates_in_place(console):
+            self._live = Live(console=console, refresh_per_second=4, transient=True)
         self._printed_at = float("-inf")
 
     def __enter__(self) -> Self:
@@ -48,7 +122,7 @@ class LiveDisplay:
             self._live.update(panel())
         elif time.monotonic() - self._printed_at >= PLAIN_EVERY_S:
             self._printed_at = time.monotonic()
-            self._console.print(line(), highlight=False)
+            self._console.print(Text(line()), soft_wrap=True)
 
 
 class CampaignDisplay(LiveDisplay):
@@ -70,9 +144,9 @@ class CampaignDisplay(LiveDisplay):
 
     def _panel(self, progress: Progress) -> Group:
         kind = "evaluations" if progress.measured else "simulations"
-        facts = Table.grid(padding=(0, 2))
-        for name, value, series in self._facts(progress):
-            facts.add_row(Text(name, style="dim"), value, Text(series, style="cyan"))
+        facts = facts_table(
+            [(name, Text(value), Text(series, style="cyan")) for name, value, series in self._facts(progress)]
+        )
         return Group(budget_bar(progress.name, progress.simulations, progress.budget, kind), facts)
 
     def _facts(self, progress: Progress) -> list[tuple[str, str, str]]:
@@ -89,12 +163,8 @@ class CampaignDisplay(LiveDisplay):
                 f"{last.best_fitness:.3f}" if last and last.best_fitness is not None else "–",
                 spark(best),
             ),
-            ("rate", f"{rate_of(progress.rate_per_s)}   remaining {duration(progress.remaining_s)}", ""),
-            (
-                "workers",
-                f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}",
-                "",
-            ),
+            ("rate", rate_words(progress), ""),
+            ("workers", workers_words(progress), ""),
         ]
         if (
             diverse and not best
@@ -127,9 +197,8 @@ class CampaignDisplay(LiveDisplay):
         shown = ("unsafe", "best fitness", "criticality", "boundary")
         parts = [
             f"{progress.simulations}/{progress.budget} simulations",
-            *(f"{name} {facts[name]}" for name in shown if name in facts),
-            rate_of(progress.rate_per_s),
-            f"remaining {duration(progress.remaining_s)}",
+            *(f"{name} {facts[name]}" for name in shown if facts.get(name, "–") != "–"),
+            *rate_parts(progress),
             f"workers {progress.workers}",
         ]
         return ", ".join([*parts, progress.asking] if progress.asking else parts)
@@ -145,12 +214,45 @@ def budget_bar(name: str, simulations: int, budget: int, kind: str = "simulation
         kind: What is counted, in words.
     """
     bar = Table.grid(padding=(0, 1))
+    bar.add_column(no_wrap=True, overflow="ellipsis")
+    bar.add_column()  # the only one that may shrink
+    bar.add_column(no_wrap=True, overflow="ellipsis")
     bar.add_row(
         Text(name, style="bold"),
         ProgressBar(total=budget, completed=min(simulations, budget), width=SERIES_WIDTH),
         f"{simulations:,} of {budget:,} {kind}",
     )
     return bar
+
+
+def facts_table(rows: Sequence[tuple[str, *tuple[Text, ...]]]) -> Table:
+    """Return a table of facts below a progress bar: a name and its values in each row, cut at the screen's edge."""
+    facts = Table.grid(padding=(0, 2))
+    for name, *values in rows:
+        facts.add_row(Text(name, style="dim"), *values)
+    for column in facts.columns:
+        column.no_wrap, column.overflow = True, "ellipsis"
+    return facts
+
+
+def rate_parts(progress: Progress | ExperimentProgress) -> list[str]:
+    """Return how fast the simulations are, how many results came from the cache, and the time left, if known."""
+    parts = [] if progress.rate_per_s is None else [rate_of(progress.rate_per_s)]
+    if progress.cached:
+        parts.append(f"{progress.cached:,} from the cache")
+    if progress.remaining_s is not None:
+        parts.append(f"remaining {duration(progress.remaining_s)}")
+    return parts
+
+
+def rate_words(progress: Progress | ExperimentProgress) -> str:
+    """Return `rate_parts` as the text of a row."""
+    return "   ".join(rate_parts(progress)) or "–"
+
+
+def workers_words(progress: Progress | ExperimentProgress) -> str:
+    """Return how many workers there are and what they do."""
+    return f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}"
 
 
 def spark(values: Sequence[float]) -> str:

@@ -9,13 +9,14 @@ from typing import Annotated, Any
 
 import httpx
 import typer
-from rich.console import Console, RenderableType
+from rich.console import RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBars
 from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import TIMEOUT, Api
+from brink.api.live import Steps
 from brink.bench.measurement import Progress, Row
 from brink.cli.campaigns import follow
 from brink.cli.compare import compared, print_rows, rows_json
@@ -42,9 +43,9 @@ Processes = Annotated[int, typer.Option(min=1, help="Number of processes.")]
 @contextmanager
 def _progress() -> Iterator[Progress]:
     """Yield a progress callback that draws bars on a terminal, and otherwise prints a line every 10%."""
-    screen = Console(stderr=True)
+    screen = console(stderr=True)
     bars = ProgressBars(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         console=screen, transient=True,
     )  # fmt: skip
     parts: dict[str, TaskID] = {}
@@ -355,13 +356,13 @@ def sim(
     from brink.bench.urban import measure_costs
 
     rates = []
-    with console(stderr=True).status(
-        "measuring CPU time and memory of episodes; takes some minutes"
-    ) as status:
+    with Steps(
+        console(stderr=True), "measuring CPU time and memory of episodes; takes some minutes"
+    ) as steps:
         kinds = list(measure_costs())
         for algorithm in ("random@1", "mlcshe@1"):
             for workers in (1, 2):
-                status.update(f"{algorithm} with {workers} workers against a bare loop")
+                steps.show(f"{algorithm} with {workers} workers against a bare loop")
                 rates.append(measure_service(workers, algorithm, episodes=episodes, repeats=repeats))
     costs = _table(
         ("what", "value", "", "target", ""),
@@ -377,9 +378,10 @@ def sim(
             for rate in rates
         ),
     )  # fmt: skip
-    note = (
-        "[dim]CPU time in ms per episode. The rest of the difference is waiting for the last episodes of a generation"
-        " and for the next one. Random search proposes all episodes at once, MLCSHE proposes generations.[/dim]"
+    note = Text(
+        "CPU time in ms per episode. The rest of the difference is waiting for the last episodes of a generation"
+        " and for the next one. Random search proposes all episodes at once, MLCSHE proposes generations.",
+        "dim",
     )
     document = {"episodes": [fields(kind) for kind in kinds], "service": [fields(rate) for rate in rates]}
     _conclude(document, costs, service, note, as_json=as_json)
@@ -539,7 +541,7 @@ def queue(
         ),
     )  # fmt: skip
     notes: list[RenderableType] = [
-        f"[dim]{system}: {setting}[/dim]" for system, setting in found.settings.items()
+        Text(f"{system}: {setting}", "dim") for system, setting in found.settings.items()
     ]
     notes += [Text(f"{name} was not measured: {reason}", "yellow") for name, reason in found.left_out.items()]
     missed = any(ratio < TARGET_RATIO for *_, ratio in ratios) or any(met is False for _, met in pickups)

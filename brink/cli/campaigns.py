@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.live import CampaignDisplay, spark
@@ -177,7 +178,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
     screen = console()
     series = progress.generations
     reason = f": {progress.status_reason}" if progress.status_reason else ""
-    screen.print(f"[bold]{progress.name}[/bold] ({progress.id}) is {progress.status}{reason}")
+    screen.print(Text.assemble((progress.name, "bold"), f" ({progress.id}) is {progress.status}{reason}"))
     screen.print(
         f"{progress.simulations} of {progress.budget} simulations in {progress.elapsed_s:.0f} s, "
         f"{progress.unsafe} unsafe, {progress.failed} failed, {progress.measured} measured on data, "
@@ -195,13 +196,12 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"live workers: {workers}"
     )
     for needs, count in progress.unrunnable.items():
-        screen.print(f"[yellow]{count} jobs need {needs}, which no live worker provides[/yellow]")
+        screen.print(f"{count} jobs need {needs}, which no live worker provides", style="yellow")
     for job in quarantined[:ERRORS_SHOWN]:
         error = (job.last_error or "").strip().splitlines()
         screen.print(
             f"  quarantined: job {job.id}, solution {job.number}, {job.attempt} attempts: "
-            f"{error[0] if error else ''}",
-            markup=False,
+            f"{error[0] if error else ''}"
         )
     if len(quarantined) > ERRORS_SHOWN:
         more = len(quarantined) - ERRORS_SHOWN
@@ -247,7 +247,7 @@ def results(
             )
             screen.print(solution_table(boundary, shown=50))
             screen.print(grid_table(boundary.grid))
-            screen.print(f"[dim]{boundary.note}[/dim]")
+            screen.print(boundary.note, style="dim")
             found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
             if found.looks_for_pairs:
                 screen.print(_where_pairs_are(found), soft_wrap=True)
@@ -280,7 +280,7 @@ def grid_table(grid: list[DbsCell]) -> Table:
     table.title_style = "dim"
     for d_th in sorted({cell.d_th for cell in grid}):
         cells = {cell.t_b: cell for cell in grid if cell.d_th == d_th}
-        table.add_row(f"[dim]{d_th:g}[/dim]", *(f"{cells[t].dbs} ({cells[t].strict_dbs})" for t in t_bs))
+        table.add_row(Text(f"{d_th:g}", "dim"), *(f"{cells[t].dbs} ({cells[t].strict_dbs})" for t in t_bs))
     return table
 
 

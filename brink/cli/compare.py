@@ -99,8 +99,9 @@ def print_rows(screen: Console, rows: Sequence[Row]) -> None:
         for sentence in control_summaries(rows, DEFAULT_T_B, DEFAULT_D_TH):
             screen.print(f"  {sentence}")
         screen.print(
-            f"[dim]Controls: verdicts redrawn independently of behaviour; means of {DRAWS} draws.[/dim]"
+            f"Controls: verdicts redrawn independently of behaviour; means of {DRAWS} draws.", style="dim"
         )
     screen.print(
-        "[dim]At t_b >= 1/9, DBS also counts all-safe neighbourhoods; strict DBS, a part of it, does not.[/dim]"
+        "At t_b >= 1/9, DBS also counts all-safe neighbourhoods; strict DBS, a part of it, does not.",
+        style="dim",
     )

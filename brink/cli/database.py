@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from brink.cli.options import (
     AsJson,
@@ -84,9 +84,8 @@ def doctor(
     else:
         table = Table(box=None, pad_edge=False, show_header=False)
         for one in found:
-            colour = _COLOURS[one.state]
-            finding = escape(one.found) + (f"\n[dim]{escape(one.advice)}[/dim]" if one.advice else "")
-            table.add_row(f"[{colour}]{one.state}[/{colour}]", one.check, finding)
+            finding = Text.assemble(one.found, (f"\n{one.advice}" if one.advice else "", "dim"))
+            table.add_row(Text(one.state, _COLOURS[one.state]), one.check, finding)
         console().print(table)
     raise typer.Exit(1 if any(one.state is State.WRONG for one in found) else 0)
 
@@ -300,7 +299,7 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
     for one in found:
         valid = f"valid until {one.expires_at:%Y-%m-%d %H:%M} UTC" if one.expires_at else "valid"
         state = "revoked" if one.revoked_at else valid if one.is_valid(now) else "expired"
-        table.add_row(one.id, one.scope, escape(one.name), f"{one.created_at:%Y-%m-%d %H:%M}", state)
+        table.add_row(one.id, one.scope, one.name, f"{one.created_at:%Y-%m-%d %H:%M}", state)
     console().print(table)
 
 

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
-from rich.progress import Progress
 
 from brink.api.client import Api
+from brink.api.live import Steps
 from brink.api.results import (
     TRACE_TIMEOUT_S,
     fetch_archive,
@@ -66,12 +65,12 @@ def plot(
         if searches_for_pairs(fetched.body.algorithm.id):
             pairs = await read_all_pairs(api, fetched.id)
         if isinstance(pairs, TooManyPairs):
-            console(stderr=True).print(
-                f"[yellow]no pair is marked: {escape(str(pairs))}[/yellow]", soft_wrap=True
-            )
-        return await asyncio.to_thread(
-            draw_figures, fetched, folder, t_b=t_b, d_th=d_th, pairs=pairs, formats=formats
-        )
+            console(stderr=True).print(f"no pair is marked: {pairs}", soft_wrap=True, style="yellow")
+        with Steps(console(stderr=True), "drawing figures") as steps:
+            return await asyncio.to_thread(
+                draw_figures, fetched, folder, t_b=t_b, d_th=d_th, pairs=pairs, formats=formats,
+                on_progress=steps.of("drawing figures"),
+            )  # fmt: skip
 
     files = with_api(server, database, work)
     if as_json:
@@ -101,19 +100,14 @@ def replay(
 
     async def work(api: Api) -> None:
         requirement = await fetch_requirements(api, campaign)
-        if server is None:
-            trace = await run_episode(api, campaign, number)
-        else:
-            trace = await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
-        with Progress(console=console(), transient=True) as progress:
-            task = progress.add_task(f"drawing {out}", total=None)
-            await asyncio.to_thread(
-                render,
-                trace,
-                out,
-                requirement=requirement,
-                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
-            )
+        # On stderr: the output of this command is the name of the file.
+        with Steps(console(stderr=True), f"simulating solution {number}") as steps:
+            if server is None:
+                trace = await run_episode(api, campaign, number)
+            else:
+                trace = await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
+            drawn = steps.of(f"drawing {out}")
+            await asyncio.to_thread(render, trace, out, requirement=requirement, on_progress=drawn)
 
     with_api(server, database, work)
     typer.echo(out)

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import Progress
 
 from brink import __version__
 from brink.api.client import Api, CoordinatorError
+from brink.api.live import Steps
 from brink.api.results import (
     FetchedArchive,
     NoTrace,
@@ -91,9 +91,9 @@ def evidence(
         print_json(summary)
         return
     for line in summary["notes"]:
-        screen.print(line, soft_wrap=True, markup=False)
+        screen.print(line, soft_wrap=True)
     counts = f"{summary['solutions']} boundary solutions, {summary['replays']} with replays"
-    screen.print(f"{out}: {counts}; start with {out / 'README.md'}", soft_wrap=True, markup=False)
+    screen.print(f"{out}: {counts}; start with {out / 'README.md'}", soft_wrap=True)
 
 
 async def _write(api: Api, campaign: str, options: _Options, screen: Console) -> dict[str, Any]:
@@ -106,7 +106,7 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
         notes.append(f"no boundary.parquet: {install_command('analysis')}")
     _tables(rows, options.folder)
     found: list[Rules] = []
-    with screen.status("finding rules"):
+    with Steps(screen, "finding rules"):
         try:
             found = await asyncio.to_thread(_rules, fetched, options.t_b)
         except MissingExtra as error:
@@ -168,8 +168,9 @@ async def _replays(
     for row in rows:
         row.update({f"component.{name}": None for name in names} | {"replay": None})
     drawn, notes = 0, []
-    with Progress(console=screen, transient=True) as progress:
-        for row, number in progress.track(chosen, description="replays"):
+    with Steps(screen, "drawing replays") as steps:
+        for done, (row, number) in enumerate(chosen):
+            steps.show("drawing replays", done, len(chosen))
             try:
                 trace = await _trace(api, fetched.id, number, options)
                 counts = count_detections(trace).to_columns()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from brink.api.client import Api
-from brink.api.live import duration, rate_of
+from brink.api.live import rate_parts
 from brink.cli.options import (
     RESULTS,
     AsJson,
@@ -113,8 +113,7 @@ def status(
 def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
     print_line(
         f"experiment {progress.id} ({progress.name}): {progress.status}, "
-        f"{progress.simulations:,} of {progress.budget:,} simulations, {rate_of(progress.rate_per_s)}, "
-        f"remaining {duration(progress.remaining_s)}"
+        + ", ".join([f"{progress.simulations:,} of {progress.budget:,} simulations", *rate_parts(progress)])
     )
     numbers = ("simulations", "unsafe", "failed")
     table = plain_table("campaign", "method", "problem", "seed", "status", *numbers, right=("seed", *numbers))

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
@@ -17,6 +16,7 @@ from brink.api.follow_ups import (
     follow_up_requests,
     pause_follow_up,
 )
+from brink.api.live import Steps
 from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
 from brink.cli.local import Session, run_locally, stopping
 from brink.cli.options import RESULTS, plain_table, settings_with, with_api
@@ -51,13 +51,13 @@ async def fetch_experiment_pairs(
     Raises:
         CoordinatorError: The experiment does not exist.
     """
-    with screen.status("searching for pairs") as status:
+    with Steps(screen, "searching for pairs") as steps:
         while True:
             path, params = f"/experiments/{experiment}/pairs", {"wait_s": 5, **settings}
             response = await api.request("GET", path, params=params)
             if response.status_code == 200:
                 return ExperimentPairs.model_validate_json(response.content)
-            status.update(str(response.json()["detail"]))
+            steps.show(str(response.json()["detail"]))
             await asyncio.sleep(POLL_S)
 
 
@@ -97,8 +97,9 @@ async def ask_follow_ups(
     settings = {"eps": pairs.eps, "d_th": pairs.d_th}
     asked: list[FollowUpView] = []
     refused: dict[tuple[str, str], str] = {}
-    with screen.status("asking for follow-ups"):
-        for one in pairs.repeats:
+    with Steps(screen, "asking for follow-ups") as steps:
+        for done, one in enumerate(pairs.repeats):
+            steps.show("asking for follow-ups", done, len(pairs.repeats))
             for request in follow_up_requests(settings, confirm, component=component):
                 if stop is not None and stop.is_set():
                     return asked, False
@@ -115,7 +116,7 @@ async def ask_follow_ups(
                 await continue_follow_up(api, found)
                 asked.append(found)
     for message in refused.values():
-        screen.print(f"[yellow]{escape(message)}[/yellow]", soft_wrap=True)
+        screen.print(message, soft_wrap=True, style="yellow")
     return asked, not refused
 
 
@@ -153,7 +154,7 @@ async def run_follow_ups(session: Session, pairs: ExperimentPairs, *, confirm: i
         )
         progress = await _watch(session, pairs.id)
         for reason in progress.paused if not session.stop.is_set() else ():
-            screen.print(f"  campaign {reason}", markup=False)
+            screen.print(f"  campaign {reason}")
         complete = complete and progress.status is CampaignStatus.FINISHED
     if session.stop.is_set():
         for one in asked:
@@ -243,16 +244,16 @@ def print_experiment_pairs(screen: Console, pairs: ExperimentPairs) -> None:
     repeats = pair_repeats_of(pairs)
     for sentence in left_out_sentences(pairs.left_out):
         text = sentence.replace("**", "").rstrip()
-        screen.print(text, markup=False, highlight=False, soft_wrap=True)
+        screen.print(text, soft_wrap=True)
     if not repeats and not pairs.left_out:
         screen.print("no campaign has finished yet")
         return
     for problem in problems_of(repeats):
         screen.print(_table(repeats, problem, pairs.counted), "")
-        screen.print(f"[dim]{settings_words(pairs.eps, pairs.d_th)}[/dim]", soft_wrap=True)
+        screen.print(settings_words(pairs.eps, pairs.d_th), soft_wrap=True, style="dim")
         for sentence in pair_sentences(repeats, problem):
             text = sentence.replace("**", "").rstrip()
-            screen.print(text, markup=False, highlight=False, soft_wrap=True)
+            screen.print(text, soft_wrap=True)
         screen.print()
 
 

@@ -7,7 +7,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from brink.api.live import LiveDisplay, budget_bar, duration, rate_of
+from brink.api.live import LiveDisplay, budget_bar, facts_table, rate_parts, rate_words, workers_words
 from brink.cli.options import plain_table
 from brink.server.api.schemas import ExperimentProgress, MemberView
 from brink.server.states import CampaignStatus
@@ -27,20 +27,15 @@ class ExperimentDisplay(LiveDisplay):
 def _panel(progress: ExperimentProgress, members: Sequence[MemberView]) -> Group:
     rows = [
         ("campaigns", f"{progress.finished} of {progress.campaigns} finished"),
-        ("rate", f"{rate_of(progress.rate_per_s)}   remaining {duration(progress.remaining_s)}"),
-        (
-            "workers",
-            f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}",
-        ),
+        ("rate", rate_words(progress)),
+        ("workers", workers_words(progress)),
     ]
     if progress.failed or progress.quarantined:
         rows.append(("failed", f"{progress.failed}   quarantined {progress.quarantined}"))
     rows += [("paused", reason) for reason in progress.paused]
     if progress.trouble:
         rows.append(("trouble", progress.trouble))
-    facts = Table.grid(padding=(0, 2))
-    for name, value in rows:
-        facts.add_row(Text(name, style="dim"), Text(value))
+    facts = facts_table([(name, Text(value)) for name, value in rows])
     bar = budget_bar(progress.name, progress.simulations, progress.budget)
     return Group(bar, facts, _methods(members)) if members else Group(bar, facts)
 
@@ -64,8 +59,10 @@ def _methods(members: Sequence[MemberView]) -> Table:
 
 
 def _line(progress: ExperimentProgress) -> str:
-    return (
-        f"{progress.simulations}/{progress.budget} simulations, {progress.finished} of "
-        f"{progress.campaigns} campaigns finished, {rate_of(progress.rate_per_s)}, "
-        f"remaining {duration(progress.remaining_s)}, workers {progress.workers}"
-    )
+    parts = [
+        f"{progress.simulations}/{progress.budget} simulations",
+        f"{progress.finished} of {progress.campaigns} campaigns finished",
+        *rate_parts(progress),
+        f"workers {progress.workers}",
+    ]
+    return ", ".join(parts)

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from brink.api.client import Api
 from brink.api.follow_ups import OPEN
+from brink.api.live import Steps
 from brink.cli.experiment_pairs import (
     fetch_experiment_pairs,
     pair_repeats_of,
@@ -89,7 +90,7 @@ def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperim
                 return None
         results = await fetch_results(session.api, progress.id, screen)
         folder = options.out / f"{file_name(body.name)}-{progress.id}"
-        with screen.status("drawing"):
+        with Steps(screen, "drawing the report"):
             files = await asyncio.to_thread(write_report, results, progress.elapsed_s, body, folder)
         if options.json:
             print_json({**results.model_dump(mode="json"), "files": [str(path) for path in files]})
@@ -164,12 +165,12 @@ async def fetch_results(api: Api, experiment: str, screen: Console) -> Results:
     Raises:
         CoordinatorError: The experiment does not exist.
     """
-    with screen.status("scoring") as status:
+    with Steps(screen, "scoring") as steps:
         while True:
             response = await api.request("GET", f"/experiments/{experiment}/results", params={"wait_s": 5})
             if response.status_code == 200:
                 return Results.model_validate_json(response.content)
-            status.update(str(response.json()["detail"]))
+            steps.show(str(response.json()["detail"]))
             await asyncio.sleep(POLL_S)
 
 
@@ -221,7 +222,7 @@ def print_results(screen: Console, results: Results) -> None:
             table.add_row(line.label, *cells, share, style="dim" if line.control else None)
         screen.print(table, "")
         for sentence in sentences(repeats, scored, compared, problem):
-            screen.print(sentence.replace("**", "").rstrip(), markup=False, highlight=False)
+            screen.print(sentence.replace("**", "").rstrip())
         screen.print()
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Protocol
 import numpy as np
 import typer
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from brink.api.client import Api
 from brink.api.results import FetchedArchive
@@ -150,7 +150,7 @@ class CombinationFindings:
         if chains:
             screen.print(table)
             if len(chains) > shown:
-                screen.print(f"[dim]… and {len(chains) - shown} more in combinations.json[/dim]")
+                screen.print(f"… and {len(chains) - shown} more in combinations.json", style="dim")
         steps = [step for step in self._found.steps if step.alone_unsafe or step.joined_unsafe]
         if steps:
             table = plain_table("technique at a level", "alone", "with others")
@@ -181,6 +181,7 @@ class CombinationFindings:
             if drawing.stop.is_set() or len(files) == CHAINS_DRAWN:
                 break
             solutions = one.together or one.turned
+            drawing.show("drawing combinations", len(files), CHAINS_DRAWN)
             rows = await _variants(drawing, solutions[0]) if solutions else []
             if not rows or any(row.trace.film is None for row in rows):
                 continue
@@ -360,13 +361,14 @@ def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOW
     numbers = ("solutions", "distinct", "first")
     table = plain_table(*numbers, "type of violation", right=numbers)
     for kind in types[:shown]:
-        named = " [dim](named)[/dim]" if kind.named else ""
-        table.add_row(str(kind.solutions), str(kind.instances), str(kind.first), escape(kind.type) + named)
+        words = Text.assemble(kind.type, (" (named)" if kind.named else "", "dim"))
+        table.add_row(str(kind.solutions), str(kind.instances), str(kind.first), words)
     if types:
         screen.print(table)
         if len(types) > shown:
             screen.print(
-                f"[dim]… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run[/dim]"
+                f"… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run",
+                style="dim",
             )
     screen.print(found.words)
 
@@ -448,9 +450,11 @@ async def _draw_gallery(found: Violations, drawing: Drawing) -> list[Path]:
     """Draw the first solution of each common type, skipping those without a trace; return the files."""
     files = []
     requirement = {(one.number, one.type): one.requirement for one in found.violations}
-    for place, kind in enumerate(_by_frequency(found)[:TYPES_DRAWN], start=1):
+    types = _by_frequency(found)[:TYPES_DRAWN]
+    for place, kind in enumerate(types, start=1):
         if drawing.stop.is_set():
             break
+        drawing.show("drawing types of violations", place - 1, len(types))
         trace = await drawing.trace(kind.first)
         if trace is None:
             continue

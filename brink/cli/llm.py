@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
-from rich.markup import escape
 
 from brink.api.client import Api
+from brink.api.live import Steps
 from brink.cli.options import (
     AsJson,
     CampaignFile,
@@ -43,7 +43,7 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
     Example: brink llm check examples/traffic-llm.yaml
     """
     settings = _settings(read_campaign_file(file))
-    with console().status(f"querying {settings.model}"):
+    with Steps(console(stderr=True), f"querying {settings.model}"):
         report = asyncio.run(check_endpoint(settings))
     if as_json:
         print_json(
@@ -61,24 +61,24 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
 def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
     screen = console()
     if report.trouble:
-        screen.print(f"[red]{escape(report.trouble)}[/red]", soft_wrap=True)
+        screen.print(report.trouble, soft_wrap=True, style="red")
         return
     if report.model_listed is False:
-        known = escape(", ".join((report.models or ())[:10]))
+        known = ", ".join((report.models or ())[:10])
         screen.print(
-            f"[yellow]{escape(settings.model)} is not among the models that the endpoint lists: {known}[/yellow]"
+            f"{settings.model} is not among the models that the endpoint lists: {known}", style="yellow"
         )
     table = plain_table(
         "reply format", "accepted", "usable", "reports tokens", "finish reason", "seconds", "trouble"
     )
     for one in report.modes:
         table.add_row(
-            one.mode, _yes(one.accepted), _yes(one.usable), _yes(one.usage_stated), escape(one.finish_reason or "–"),
-            "–" if one.latency_s is None else f"{one.latency_s:.1f}", escape(one.trouble or ""),
+            one.mode, _yes(one.accepted), _yes(one.usable), _yes(one.usage_stated), one.finish_reason or "–",
+            "–" if one.latency_s is None else f"{one.latency_s:.1f}", one.trouble or "",
         )  # fmt: skip
     screen.print(table)
     works = f"works; reply format: {report.mode}" if report.works else "gives no usable reply"
-    screen.print(f"{settings.model} at {settings.endpoint} {works}", markup=False)
+    screen.print(f"{settings.model} at {settings.endpoint} {works}")
 
 
 def _yes(value: bool) -> str:
@@ -132,8 +132,8 @@ def dry_run(
     screen = console()
     for title, prompt in (("first", messages), ("differential", differential)):
         for one in prompt:
-            screen.print(f"[bold]{title} request, {one.role}[/bold]")
-            screen.print(one.content, markup=False, highlight=False, soft_wrap=True)
+            screen.print(f"{title} request, {one.role}", style="bold")
+            screen.print(one.content, soft_wrap=True)
             screen.print()
     screen.print(f"with {requests} differential requests: {found.words}", soft_wrap=True)
     if asks_later:
@@ -185,7 +185,7 @@ def _print_calls(found: LlmCalls) -> None:
             tokens = f"{call.prompt_tokens + call.completion_tokens}{estimate}"
         table.add_row(
             str(call.request), str(call.turn), call.outcome, tokens, _money(call.cost),
-            f"{call.latency_s:.1f}", escape(call.error or ""),
+            f"{call.latency_s:.1f}", call.error or "",
         )  # fmt: skip
     screen = console()
     screen.print(table)

@@ -235,7 +235,7 @@ def run_to_end(
             if progress.status is not CampaignStatus.FINISHED:
                 screen.print(f"{workload.noun} {name} is {progress.status}")
                 for reason in workload.reasons(progress):
-                    screen.print(f"  {reason}", markup=False)
+                    screen.print(f"  {reason}")
                 session.hint("see details with", f"{workload.command}status {name}")
                 return None
             return await finish(session, progress)

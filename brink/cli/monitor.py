@@ -123,11 +123,11 @@ def fit(
     screen.print(
         f"{out}: {fitted.model}, fitted to {len(fitted):,} solutions, {fitted.unsafe_share:.0%} unsafe; "
         f"unsafe above {level:g}",
-        soft_wrap=True, markup=False,
+        soft_wrap=True,
     )  # fmt: skip
     if fitted.model is Model.NEIGHBOURS:
         parameters = ", ".join(f"{name} {weight:g}" for name, weight in weights.items()) or "none"
-        screen.print(f"parameters by weight: {parameters}", soft_wrap=True, markup=False)
+        screen.print(f"parameters by weight: {parameters}", soft_wrap=True)
 
 
 @monitor.command()
@@ -173,7 +173,7 @@ def score(
     for place, risk in enumerate(risks):
         if risk.unlike:
             screen.print(
-                f"{place} is unlike anything simulated: {risk.unlike}", soft_wrap=True, markup=False, style="yellow"
+                f"{place} is unlike anything simulated: {risk.unlike}", soft_wrap=True, style="yellow"
             )  # fmt: skip
 
 
@@ -331,4 +331,4 @@ def _print(evaluation: MonitorEvaluation) -> None:
             soft_wrap=True,
         )  # fmt: skip
     for name, reason in evaluation.left_out.items():
-        screen.print(f"[yellow]left out: {name}, {reason}[/yellow]")
+        screen.print(f"left out: {name}, {reason}", soft_wrap=True, style="yellow")

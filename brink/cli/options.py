@@ -198,16 +198,19 @@ def fields(value: Any, *names: str) -> dict[str, Any]:
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a console; one that is not a terminal is wide enough for the tables of all commands."""
-    screen = Console(stderr=stderr, highlight=False)
+    """Return a console; one that is not a terminal is wide enough for the tables of all commands.
+
+    Text is shown as it is: names and messages may contain square brackets, which would otherwise be taken for markup.
+    """
+    screen = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
     if screen.is_terminal or stderr:
         return screen
-    return Console(highlight=False, width=PLAIN_WIDTH)
+    return Console(highlight=False, markup=False, emoji=False, width=PLAIN_WIDTH)
 
 
 def print_line(text: str) -> None:
-    """Print a line without wrapping or markup."""
-    console().print(text, soft_wrap=True, markup=False)
+    """Print a line without wrapping."""
+    console().print(text, soft_wrap=True)
 
 
 def plain_table(*columns: str, right: Collection[str] = (), title: str | None = None) -> Table:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
@@ -70,25 +70,26 @@ class PairFindings:
         """Print the first pairs if the search looked for them, otherwise one line."""
         view = self._view
         if not self.searched:
-            screen.print(f"pairs across the boundary: {escape(view.note)}", soft_wrap=True)
+            screen.print(f"pairs across the boundary: {view.note}", soft_wrap=True)
             return
         words, _, rest = view.note.partition("; ")
-        screen.print(f"[bold]{escape(words)}[/bold]{escape('; ' + rest if rest else '')}", soft_wrap=True)
+        screen.print(Text.assemble((words, "bold"), f"; {rest}" if rest else ""), soft_wrap=True)
         if view.pairs:
             what = "solutions" if view.computed else "drives"
             screen.print(
-                f"[dim]a pair is two {what} that are almost the same, on either side of the boundary[/dim]",
+                f"a pair is two {what} that are almost the same, on either side of the boundary",
                 soft_wrap=True,
+                style="dim",
             )
             screen.print(pairs_table(view, _PAIRS_SHOWN))
             if view.distinct > _PAIRS_SHOWN:
-                screen.print(f"[dim]… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv[/dim]")
+                screen.print(f"… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv", style="dim")
             for words in legend(view):
-                screen.print(f"[dim]{escape(words)}[/dim]", soft_wrap=True)
+                screen.print(words, soft_wrap=True, style="dim")
         if view.chancy:
             screen.print(chance_words(view), soft_wrap=True)
         if self._no_picture:
-            screen.print(f"[yellow]no picture of pair 1: {escape(self._no_picture)}[/yellow]", soft_wrap=True)
+            screen.print(f"no picture of pair 1: {self._no_picture}", soft_wrap=True, style="yellow")
 
     def write(self, folder: Path) -> list[Path]:
         """Write the pairs to files, unless there is none; return the files."""
@@ -182,7 +183,7 @@ class TooManyFindings:
 
     def show(self, screen: Console) -> None:
         """Print why there is no pair, in one line."""
-        screen.print(f"[yellow]no list of pairs: {escape(str(self._refusal))}[/yellow]", soft_wrap=True)
+        screen.print(f"no list of pairs: {self._refusal}", soft_wrap=True, style="yellow")
 
     def write(self, folder: Path) -> list[Path]:
         """Write nothing."""

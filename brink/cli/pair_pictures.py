@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import Final
 
-from rich.progress import Progress
-
 from brink.api.client import Api
+from brink.api.live import Steps
 from brink.cli.options import console
 from brink.report.pair_pictures import write_pair
 from brink.server.api.pair_views import PairsView, PairView
@@ -54,13 +53,7 @@ async def draw_pair(api: Api, view: PairsView, pair: PairView, path: Path, *, wo
     Raises:
         NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
     """
-    with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(f"drawing {path}", total=None)
-        await write_pair(
-            api,
-            view,
-            pair,
-            path,
-            workers=workers,
-            on_progress=lambda done, total: progress.update(task, completed=done, total=total),
-        )
+    # On stderr: the output of this command is the names of the files.
+    with Steps(console(stderr=True), f"drawing {path}") as steps:
+        drawn = steps.of(f"drawing {path}")
+        await write_pair(api, view, pair, path, workers=workers, on_progress=drawn)

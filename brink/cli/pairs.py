@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from brink.api.client import Api
 from brink.api.follow_ups import (
@@ -307,7 +307,7 @@ async def _run(session: Session, campaign: str, requests: Sequence[dict[str, Any
                 )
                 return False
             if progress.status_reason:
-                session.screen.print(f"[yellow]{escape(progress.status_reason)}[/yellow]", soft_wrap=True)
+                session.screen.print(progress.status_reason, soft_wrap=True, style="yellow")
     return complete
 
 
@@ -349,22 +349,24 @@ async def fetch_pairs(api: Api, campaign: str, **params: Any) -> PairsView:
 
 def print_pairs(screen: Console, view: PairsView) -> None:
     """Print what was found, and the first pairs."""
-    screen.print(f"[bold]{escape(view.name)}[/bold] ({view.campaign}): {view.note}", soft_wrap=True)
+    screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
     if not view.pairs:
         return
     screen.print(
-        f"[dim]a safe and an unsafe drive at most {view.eps:g} apart, or one step; pairs at least {view.d_th:g} "
-        f"apart[/dim]",
+        f"a safe and an unsafe drive at most {view.eps:g} apart, or one step; pairs at least {view.d_th:g} "
+        f"apart",
         soft_wrap=True,
+        style="dim",
     )
     if view.chancy:
         screen.print(chance_words(view), soft_wrap=True)
     screen.print(pairs_table(view))
     for words in legend(view):
-        screen.print(f"[dim]{words}[/dim]", soft_wrap=True)
+        screen.print(words, soft_wrap=True, style="dim")
     if view.distinct > len(view.pairs):
         screen.print(
-            f"[dim]and {view.distinct - len(view.pairs)} more: --limit {min(view.distinct, MOST_PAIRS)}[/dim]"
+            f"and {view.distinct - len(view.pairs)} more: --limit {min(view.distinct, MOST_PAIRS)}",
+            style="dim",
         )
 
 
@@ -385,7 +387,7 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
             name = "minimal" if less.minimal else "smaller"
             lines.append(f"{name} change: {less.change}: {less.outcome}")
         evidence = [*evidence_words(view, pair).split(", "), _extent_words(pair)]
-        table.add_row(str(pair.place), escape("\n".join([*lines, ""])), "\n".join(evidence))
+        table.add_row(str(pair.place), "\n".join([*lines, ""]), "\n".join(evidence))
     return table
 
 

@@ -10,10 +10,11 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from brink.api.client import Api
+from brink.api.live import Steps
 from brink.api.results import fetch_archive
 from brink.cli.campaigns import grid_table, solution_table, within_budget
 from brink.cli.compare import compared_archives
@@ -147,7 +148,7 @@ async def _finish(
             session.screen.print(repeated.words, soft_wrap=True)
         _print_summary(session.screen, body, progress, report, summary, session.database)
     if session.stop.is_set():
-        session.screen.print("[yellow]interrupted: some figures are missing[/yellow]")
+        session.screen.print("interrupted: some figures are missing", style="yellow")
         session.hint("draw them with", f"run {options.file} --resume")
         return False
     return repeated is None or repeated.status is CampaignStatus.FINISHED
@@ -181,7 +182,7 @@ async def _write_all(
     api, campaign = session.api, progress.id
     boundary = await write_results(api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
     files: list[Path] = []
-    with session.screen.status("looking for pairs") as status:
+    with Steps(session.screen, "looking for pairs") as steps:
         fetched = await fetch_archive(api, campaign)
         pairs = await fetch_pair_findings(api, fetched)
         if not progress.looks_for_tolerances:
@@ -190,7 +191,7 @@ async def _write_all(
         found = await fetch_findings(api, fetched)
         for findings in found:
             files += findings.write(folder)
-        status.update("comparing with a control")
+        steps.show("comparing with a control")
         control = []
         if not progress.looks_for_tolerances:
             control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
@@ -202,23 +203,23 @@ async def _write_all(
             return report
         began = time.monotonic()
         drawing = Drawing(
-            api=api, campaign=campaign, folder=folder, stop=session.stop, timeout_s=TRACE_TIMEOUT_S
-        )
-        status.update("drawing a pair")
+            api=api, campaign=campaign, folder=folder, stop=session.stop, timeout_s=TRACE_TIMEOUT_S,
+            show=steps.show,
+        )  # fmt: skip
+        steps.show("drawing a pair")
         files += await pairs.draw(drawing)
         if not progress.looks_for_tolerances:
-            status.update("drawing figures")
             files += await asyncio.to_thread(
                 draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
-                pairs=pairs.view if pairs.searched else None,
+                pairs=pairs.view if pairs.searched else None, on_progress=steps.of("drawing figures"),
             )  # fmt: skip
         for findings in found:
-            status.update(f"drawing {findings.name}")
+            steps.show(f"drawing {findings.name}")
             files += await findings.draw(drawing)
         numbers = [solution.number for solution in boundary.solutions if solution.spec is not None]
         if progress.looks_for_tolerances:
             numbers = [number for findings in found for number in findings.examples]
-        status.update("drawing replays")
+        steps.show("drawing replays")
         files += await write_replays(drawing, numbers[:replays])
     log.info("drawing figures took %.1f s", time.monotonic() - began)
     return report
@@ -268,10 +269,11 @@ def _print_summary(
     extra = progress.simulations - body.budget.simulations
     beyond = f" ({extra} extra to complete the last generation)" if extra > 0 else ""
     screen.print()
-    screen.print(
-        f"[bold]{body.name}[/bold]: {progress.simulations} simulations{beyond} in {progress.elapsed_s:.0f} s, "
-        f"{share:.0%} unsafe, {progress.failed} failed"
+    words = (
+        f": {progress.simulations} simulations{beyond} in {progress.elapsed_s:.0f} s, {share:.0%} unsafe, "
+        f"{progress.failed} failed"
     )
+    screen.print(Text.assemble((body.name, "bold"), words))
     if report.outcomes.words:
         screen.print(report.outcomes.words, soft_wrap=True)
     if progress.origins:
@@ -279,9 +281,10 @@ def _print_summary(
         screen.print(f"origins of the solutions: {origins}")
     if body.llm is not None and not any(origin.startswith("llm") for origin in progress.origins):
         screen.print(
-            f"[yellow]{escape(body.llm.model)} provided none of the seeds; patterns were used instead. "
-            f"See why with: {program()} llm log {progress.id}{database}[/yellow]",
+            f"{body.llm.model} provided none of the seeds; patterns were used instead. "
+            f"See why with: {program()} llm log {progress.id}{database}",
             soft_wrap=True,
+            style="yellow",
         )
     if report.pairs.searched:
         screen.print()
@@ -292,16 +295,16 @@ def _print_summary(
         screen.print()
     if report.pairs.searched and boundary.dbs:
         screen.print(
-            f"[dim]by the measure of the MLCSHE paper, which this search does not pursue: {_boundary_words(boundary)}"
-            "[/dim]",
+            f"by the measure of the MLCSHE paper, which this search does not pursue: {_boundary_words(boundary)}",
             soft_wrap=True,
+            style="dim",
         )
     elif _about_the_boundary(progress, report):
-        screen.print(f"[bold]{_boundary_words(boundary)}[/bold]", soft_wrap=True)
+        screen.print(_boundary_words(boundary), soft_wrap=True, style="bold")
         if boundary.solutions:
             screen.print(solution_table(boundary))
         screen.print(grid_table(boundary.grid))
-        screen.print(f"[dim]{boundary.note}[/dim]")
+        screen.print(boundary.note, style="dim")
     if not report.pairs.searched and not progress.looks_for_tolerances:
         for line in report.control:
             screen.print(line, soft_wrap=True)
@@ -353,7 +356,7 @@ def _print_next(
         hints.append(("run examples/paper-mlcshe.yaml", "use the paper's budget of 1,300 simulations"))
     table = Table.grid(padding=(0, 2))
     for command, what in hints:
-        table.add_row(f"  {program()} {command}", f"[dim]{what}[/dim]")
+        table.add_row(f"  {program()} {command}", Text(what, "dim"))
     screen.print()
     screen.print("next:")
     screen.print(table)

@@ -8,8 +8,8 @@ from typing import Annotated, Final
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from brink.api.client import Api
 from brink.cli.options import (
@@ -258,11 +258,12 @@ _RESULT_STYLES: Final = {
 
 def show_detector(screen: Console, view: DetectorView) -> None:
     """Print a row for each cell, and how often the detector's own drives violated."""
-    screen.print(f"[bold]{escape(view.note)}[/bold]", soft_wrap=True)
+    screen.print(view.note, soft_wrap=True, style="bold")
     screen.print(
-        f"[dim]met: with {view.confidence:.0%} confidence, errors of this size make at most {view.limit:.0%} of "
-        "drives violate; each type of error for itself[/dim]",
+        f"met: with {view.confidence:.0%} confidence, errors of this size make at most {view.limit:.0%} of "
+        "drives violate; each type of error for itself",
         soft_wrap=True,
+        style="dim",
     )
     names = [name.rpartition(".")[2] for name in view.cells[0].choices]
     table = plain_table(
@@ -274,15 +275,15 @@ def show_detector(screen: Console, view: DetectorView) -> None:
         if cell.share is not None and cell.low is not None and cell.high is not None:
             share, interval = f"{cell.share:.1%}", f"[{cell.low:.1%}, {cell.high:.1%}]"
         table.add_row(
-            *map(escape, cell.choices.values()), escape(cell.condition), str(cell.drives),
+            *cell.choices.values(), cell.condition, str(cell.drives),
             _with_unit(cell.typical, cell.unit), _with_unit(cell.grossest, cell.unit), str(cell.beyond), share,
-            escape(interval), f"[{_RESULT_STYLES[cell.result]}]{cell.result}[/]", escape(" ".join(cell.worst[:3])),
+            interval, Text(cell.result, _RESULT_STYLES[cell.result]), " ".join(cell.worst[:3]),
         )  # fmt: skip
     screen.print(table)
     for one in view.conditions:
         if one.violations is not None:
             screen.print(
-                f"{escape(one.condition)}: {one.violations} of {one.drives} drives with this detector violate",
+                f"{one.condition}: {one.violations} of {one.drives} drives with this detector violate",
                 soft_wrap=True,
             )
 
@@ -309,8 +310,8 @@ def _compare(campaign: str, fresh: str, server: str | None, database: str | None
     )
     for cell in view.cells:
         table.add_row(
-            *map(escape, cell.choices.values()), escape(cell.condition), str(cell.drives), str(cell.caused),
-            f"{cell.low} to {cell.high}", "" if cell.agrees else "[yellow]not as predicted[/yellow]",
+            *cell.choices.values(), cell.condition, str(cell.drives), str(cell.caused),
+            f"{cell.low} to {cell.high}", "" if cell.agrees else Text("not as predicted", "yellow"),
         )  # fmt: skip
     screen = console()
     screen.print(table)
@@ -358,40 +359,42 @@ def draw_tolerance(view: ToleranceView, path: Path) -> None:
 
 def show_tolerance(screen: Console, view: ToleranceView, shown: int | None = None) -> None:
     """Print the requirement: a row for each cell, then where more error is safer, and the drives without error."""
-    screen.print(f"[bold]{escape(view.name)}[/bold] ({view.campaign}): {view.note}", soft_wrap=True)
+    screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
     screen.print(
-        f"[dim]tolerated: the magnitude at which {view.limit:.0%} of drives violate because of the error, with an "
-        f"interval of {view.confidence:.0%}; mean width of the intervals: {view.mean_width:.3f} of the scale[/dim]",
+        f"tolerated: the magnitude at which {view.limit:.0%} of drives violate because of the error, with an "
+        f"interval of {view.confidence:.0%}; mean width of the intervals: {view.mean_width:.3f} of the scale",
         soft_wrap=True,
+        style="dim",
     )
     screen.print(tolerance_table(view.cells[:shown]))
     if shown is not None and len(view.cells) > shown:
-        screen.print(f"[dim]… and {len(view.cells) - shown} more in tolerance.csv[/dim]")
+        screen.print(f"… and {len(view.cells) - shown} more in tolerance.csv", style="dim")
     for cell in view.cells:
         if cell.fall is not None:
             name = ", ".join([*cell.choices.values(), cell.condition])
-            screen.print(f"{escape(name)}: {cell.fall.words}", soft_wrap=True)
+            screen.print(f"{name}: {cell.fall.words}", soft_wrap=True)
     screen.print("without any error, these shares of drives violate:")
     table = plain_table("condition", "drives", "violate")
     for one in view.baseline:
         only = " or ".join(" ".join(choices.values()) for choices in one.choices if choices)
         share = one.share
         table.add_row(
-            escape(f"{one.condition}{f' ({only})' if only else ''}"), str(share.evaluated),
+            f"{one.condition}{f' ({only})' if only else ''}", str(share.evaluated),
             f"{share.unsafe / share.evaluated:.0%} [{share.low:.0%}, {share.high:.0%}]" if share.evaluated else "–",
         )  # fmt: skip
     screen.print(table)
     if view.audited:
         screen.print(
-            f"[dim]drives that hold with the grossest error are taken to hold with milder ones; of {view.audited} "
-            f"that were simulated all the same, {view.leaks} violated[/dim]",
+            f"drives that hold with the grossest error are taken to hold with milder ones; of {view.audited} "
+            f"that were simulated all the same, {view.leaks} violated",
             soft_wrap=True,
+            style="dim",
         )
     if view.open:
         screen.print(
-            f"[dim]of {view.open} violations it is not known yet whether the error caused them; they count as caused"
-            "[/dim]",
+            f"of {view.open} violations it is not known yet whether the error caused them; they count as caused",
             soft_wrap=True,
+            style="dim",
         )
 
 
@@ -404,7 +407,7 @@ def tolerance_table(cells: Sequence[CellView]) -> Table:
     )  # fmt: skip
     for cell in cells:
         table.add_row(
-            *(escape(choice) for choice in cell.choices.values()), escape(cell.condition),
+            *cell.choices.values(), cell.condition,
             *_tolerated(cell), str(cell.screened or ""), str(cell.vulnerable if cell.screened else ""),
             str(cell.drives), str(cell.caused),
         )  # fmt: skip

@@ -428,7 +428,11 @@ _METADATA: Final[Mapping[str, dict[str, Any]]] = {"png": {"Software": None}, "sv
 
 
 def write_campaign_figures(
-    inputs: CampaignFigures, folder: Path, formats: Sequence[str] = ("png",)
+    inputs: CampaignFigures,
+    folder: Path,
+    formats: Sequence[str] = ("png",),
+    *,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Write the figures of a campaign to a folder, creating it if needed and replacing existing files.
 
@@ -438,6 +442,7 @@ def write_campaign_figures(
         inputs: The campaign.
         folder: The folder.
         formats: ``png``, ``svg`` or both.
+        on_progress: Called with the number of figures written so far, and of all.
 
     Returns:
         The files, in the order of `FIGURES`, then of the formats.
@@ -451,10 +456,11 @@ def write_campaign_figures(
             raise ValueError(f"formats: expected some of {', '.join(FORMATS)}; got {name!r}")
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
-    for stem, make in FIGURES.items():
-        if inputs.pairs is not None and stem in _OF_THE_BOUNDARY:
-            continue
-        figure = make(inputs)
+    stems = [stem for stem in FIGURES if inputs.pairs is None or stem not in _OF_THE_BOUNDARY]
+    for done, stem in enumerate(stems):
+        if on_progress is not None:
+            on_progress(done, len(stems))
+        figure = FIGURES[stem](inputs)
         for extension in formats:
             path = folder / f"{stem}.{extension}"
             figure.savefig(path, format=extension, dpi=DPI, metadata=_METADATA[extension])

@@ -1,7 +1,7 @@
 """The figures of a campaign and replays of its solutions, as files."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,6 +31,7 @@ def draw_figures(
     d_th: float,
     pairs: PairsView | TooManyPairs | None = None,
     formats: tuple[str, ...] = ("png",),
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Draw the figures of a campaign.
 
@@ -42,6 +43,7 @@ def draw_figures(
         pairs: The pairs to mark in place of boundary solutions, if the campaign searched for them; none are marked
             if there are too many.
         formats: File formats.
+        on_progress: Called with the number of figures drawn so far, and of all.
 
     Returns:
         The files.
@@ -49,7 +51,9 @@ def draw_figures(
     # matplotlib takes half a second to load: only what draws waits for it.
     from brink.plots import write_campaign_figures
 
-    return write_campaign_figures(_inputs(fetched, t_b, d_th, pairs), folder, formats=formats)
+    return write_campaign_figures(
+        _inputs(fetched, t_b, d_th, pairs), folder, formats=formats, on_progress=on_progress
+    )
 
 
 def campaign_figure(
@@ -130,6 +134,7 @@ class Drawing:
         folder: Folder for the pictures.
         stop: Once set, no further picture is drawn.
         timeout_s: How long to wait for a trace.
+        show: Called with what is being drawn, how many are done, and how many there are; 0 if that is unknown.
     """
 
     api: Api
@@ -137,6 +142,7 @@ class Drawing:
     folder: Path
     stop: asyncio.Event
     timeout_s: float
+    show: Callable[[str, int, int], None] = lambda _what, _done, _total: None
 
     async def trace(self, number: int) -> Trace | None:
         """Return the trace of a solution; None if it is not available."""
@@ -150,9 +156,10 @@ async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
     """Draw replays of solutions as PNG files, skipping solutions without a trace; return the files."""
     files = []
     requirement = await fetch_requirements(drawing.api, drawing.campaign)
-    for number in numbers:
+    for done, number in enumerate(numbers):
         if drawing.stop.is_set():
             break
+        drawing.show("drawing replays", done, len(numbers))
         trace = await drawing.trace(number)
         if trace is None:
             continue

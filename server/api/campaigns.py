@@ -242,9 +242,9 @@ def read_progress(
     campaign = CAMPAIGNS.find(connection, campaign_id)
     if campaign is None:
         raise NotFound(f"campaign {campaign_id}: no such campaign")
-    standing = read_campaign_progress(connection, campaign)
     reported = results.read(connection, campaign)
     live = live_capabilities(connection, worker_seen_s)
+    standing = read_campaign_progress(connection, campaign, workers=len(live))
     capabilities = set().union(*live.values())
     waiting = queued_needs(connection, campaign.id) if standing.queued else {}
     return Progress(
@@ -254,7 +254,7 @@ def read_progress(
         measured=campaign.measured, reported=len(reported.results), reported_unsafe=reported.unsafe,
         quarantined=standing.quarantined, queued=standing.queued,
         leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
-        remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
+        cached=standing.cached, remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive.digest if archive is not None else None,
         looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
@@ -381,7 +381,8 @@ def _overview(
     services: Services, connection: Connection, outlines: list[Outline], limit: int, workers: int
 ) -> Overview:
     standings = [
-        read_campaign_progress(connection, one) if one.finished_at is None else None for one in outlines
+        read_campaign_progress(connection, one, workers=workers) if one.finished_at is None else None
+        for one in outlines
     ]
     both = list(zip(outlines, standings, strict=True))
     sparks = services.figures.sparks.of(connection, outlines)

@@ -344,21 +344,28 @@ def progress_of(
     ends = [campaign.finished_at for campaign in campaigns if campaign.finished_at is not None]
     now = max(ends) if ended and ends else datetime.now(UTC)
     elapsed_s = max(0.0, (now - summary["created_at"]).total_seconds())
-    span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
-    before = 0 if ended else store.completed_by(connection, campaigns, now - timedelta(seconds=span_s))
+    whole = ended or elapsed_s <= RATE_S
+    span_s = elapsed_s if whole else RATE_S
+    since = None if whole else now - timedelta(seconds=RATE_S)
+    before = 0 if since is None else store.completed_by(connection, campaigns, since)
     done = sum(campaign.completed for campaign in campaigns) + in_flight
-    rate = (done - before) / span_s if span_s > 0 and done > before else None
+    cached = store.cached_after(connection, campaigns, since or datetime.min.replace(tzinfo=UTC))
+    simulated = done - before - cached
+    rate = simulated / span_s if span_s > 0 and simulated > 0 else None
+    workers = len(live_capabilities(connection, worker_seen_s))
+    waiting = summary["status"] is not CampaignStatus.RUNNING or (queued > 0 and leased == 0 and workers == 0)
     remaining = sum(max(0, campaign.budget - campaign.completed) for campaign in running)
     remaining = max(0, remaining - in_flight)
     return ExperimentProgress(
         **{**summary, "simulations": done},
         rate_per_s=rate,
-        remaining_s=remaining / rate if rate and not ended else None,
+        cached=cached,
+        remaining_s=remaining / rate if rate and not waiting else None,
         elapsed_s=elapsed_s,
         queued=queued,
         leased=leased,
         quarantined=open_jobs.get(JobStatus.QUARANTINED, 0),
-        workers=len(live_capabilities(connection, worker_seen_s)),
+        workers=workers,
         paused=[
             f"{campaign.id}: {campaign.status_reason or 'paused by a user'}"
             for campaign in campaigns

@@ -116,8 +116,17 @@ class Progress(View):
     queued: int
     leased: int
     generation: int
-    rate_per_s: float | None
-    remaining_s: float | None
+    rate_per_s: Annotated[
+        float | None,
+        Field(description="Simulations over the last generations while it runs, then over all of them."),
+    ]
+    cached: Annotated[
+        int,
+        Field(
+            description="Candidates in the same time whose results came from the cache, not from a worker."
+        ),
+    ] = 0
+    remaining_s: Annotated[float | None, Field(description="Null while it is paused or waits for a worker.")]
     elapsed_s: float
     workers: Annotated[int, Field(description="Live workers.")]
     unrunnable: Annotated[
@@ -616,8 +625,14 @@ class ExperimentList(View):
 class ExperimentProgress(ExperimentSummary):
     """Counts and rates over all campaigns of an experiment."""
 
-    rate_per_s: Annotated[float | None, Field(description="Average over the last minute.")]
-    remaining_s: float | None
+    rate_per_s: Annotated[float | None, Field(description="Simulations, averaged over the last minute.")]
+    cached: Annotated[
+        int,
+        Field(
+            description="Candidates in the same time whose results came from the cache, not from a worker."
+        ),
+    ] = 0
+    remaining_s: Annotated[float | None, Field(description="Null while it is paused or waits for a worker.")]
     elapsed_s: float
     queued: int
     leased: int

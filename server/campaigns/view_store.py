@@ -8,8 +8,8 @@ from typing import Any, Final, NamedTuple, Protocol
 from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
 from brink.server.campaigns.step_store import GenerationSummary
-from brink.server.db.models import CampaignRow, GenerationRow, SolutionRow
-from brink.server.queue.job_store import EVALUATIONS, MAX_NAMED, count_unfinished
+from brink.server.db.models import CampaignRow, GenerationRow, JobRow, SolutionRow
+from brink.server.queue.job_store import EVALUATIONS, IS_EVALUATION, MAX_NAMED, count_unfinished
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 RATE_WINDOW: Final = 5
@@ -49,8 +49,10 @@ class CampaignProgress:
         queued: Queued jobs.
         leased: Leased jobs.
         quarantined: Jobs in quarantine.
-        rate_per_s: Candidates per second over the last generations, or since the start; None if there are none yet.
-        remaining_s: Time for the rest of the budget at this rate.
+        rate_per_s: Candidates per second over the last generations, or since the first one was simulated, without
+            those from the cache; None if there are none yet.
+        cached: Candidates in the same time whose results came from the cache: no worker simulated them.
+        remaining_s: Time for the rest of the budget at this rate; None while the campaign waits.
         elapsed_s: Time since the submission, or between submission and end.
     """
 
@@ -59,12 +61,21 @@ class CampaignProgress:
     leased: int
     quarantined: int
     rate_per_s: float | None
+    cached: int
     remaining_s: float | None
     elapsed_s: float
 
 
-def read_campaign_progress(connection: Connection, campaign: CampaignSummary) -> CampaignProgress:
-    """Return the progress of a campaign, with an estimate of the remaining time."""
+def read_campaign_progress(
+    connection: Connection, campaign: CampaignSummary, *, workers: int
+) -> CampaignProgress:
+    """Return the progress of a campaign, with an estimate of the remaining time.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign: The campaign.
+        workers: Number of live workers.
+    """
     jobs = count_unfinished(connection, campaign.id)
     queued, leased = jobs.get(JobStatus.QUEUED, 0), jobs.get(JobStatus.LEASED, 0)
     ended = campaign.finished_at is not None
@@ -72,25 +83,71 @@ def read_campaign_progress(connection: Connection, campaign: CampaignSummary) ->
     done = campaign.completed + max(0, pending - queued - leased)
     latest = list_generations(connection, campaign.id, max(0, campaign.generation - RATE_WINDOW - 1))
     end = campaign.finished_at or datetime.now(UTC)
-    rate = _rate(campaign, latest, done, end)
+    rate, cached = _rate(connection, campaign, latest, done, end)
     remaining = max(0, campaign.budget - done)
+    waiting = campaign.status is not CampaignStatus.RUNNING or (queued > 0 and leased == 0 and workers == 0)
     return CampaignProgress(
         done=done, queued=queued, leased=leased, quarantined=jobs.get(JobStatus.QUARANTINED, 0),
-        rate_per_s=rate, remaining_s=remaining / rate if rate and not ended else None,
+        rate_per_s=rate, cached=cached, remaining_s=remaining / rate if rate and not waiting else None,
         elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()),
     )  # fmt: skip
 
 
 def _rate(
-    campaign: CampaignSummary, latest: Sequence[GenerationSummary], done: int, end: datetime
-) -> float | None:
-    start, before = campaign.created_at, 0
+    connection: Connection,
+    campaign: CampaignSummary,
+    latest: Sequence[GenerationSummary],
+    done: int,
+    end: datetime,
+) -> tuple[float | None, int]:
+    """Return the simulated candidates per second, and how many others came from the cache in the same time."""
+    start, before, generation = campaign.created_at, 0, 0
     if campaign.status is CampaignStatus.RUNNING and len(latest) > RATE_WINDOW:
         base = latest[-RATE_WINDOW - 1]
         assert base.told_at is not None
-        start, before = base.told_at, base.completed
+        start, before, generation = base.told_at, base.completed, base.number + 1
+    elif (first := _first_simulated(connection, campaign.id)) is not None:
+        # Until then, the campaign may have waited for a worker.
+        start, before = max(start, first), 1
+    cached = _count_cached(connection, campaign.id, generation)
+    simulated = done - before - cached
     elapsed = (end - start).total_seconds()
-    return (done - before) / elapsed if elapsed > 0 and done > before else None
+    return (simulated / elapsed if elapsed > 0 and simulated > 0 else None), cached
+
+
+_NEVER_LEASED: Final = (IS_EVALUATION, JobRow.status == JobStatus.DONE, JobRow.attempt == 0)
+"""Conditions on a job whose result came from another job: no worker has ever attempted it."""
+FIRST_JOBS: Final = 100
+"""Jobs among which the first simulated one is looked for: workers take them in the order of their numbers."""
+
+
+def _first_simulated(connection: Connection, campaign_id: str) -> datetime | None:
+    """Return when the first simulation of a campaign ended; None if none of its first jobs was simulated."""
+    first = (
+        select(JobRow.finished_at, JobRow.attempt, JobRow.status)
+        .where(JobRow.campaign_id == campaign_id, IS_EVALUATION)
+        .order_by(JobRow.number)
+        .limit(FIRST_JOBS)
+        .subquery()
+    )
+    query = select(func.min(first.c.finished_at)).where(first.c.attempt > 0, first.c.status == JobStatus.DONE)
+    ended: datetime | None = connection.execute(query).scalar_one()
+    return ended
+
+
+def _count_cached(connection: Connection, campaign_id: str, generation: int) -> int:
+    """Return the number of candidates from a generation on whose results came from the cache."""
+    # By number, for which there is an index: a condition on the generation would read all jobs of the campaign.
+    number = select(func.min(SolutionRow.number)).where(
+        SolutionRow.campaign_id == campaign_id, SolutionRow.generation >= generation
+    )
+    since: int | None = connection.execute(number).scalar_one_or_none()
+    if since is None:
+        return 0
+    query = select(func.count()).where(
+        JobRow.campaign_id == campaign_id, JobRow.number >= since, *_NEVER_LEASED
+    )
+    return connection.execute(query).scalar_one()
 
 
 class CampaignVersion(NamedTuple):

@@ -18,7 +18,7 @@ from brink.server.db.models import (
 )
 from brink.server.db.sql import DocumentTable, database_now
 from brink.server.experiments.body import Cell, ExperimentBody
-from brink.server.states import CampaignStatus, JobKind
+from brink.server.states import CampaignStatus, JobKind, JobStatus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,6 +200,40 @@ _SIMULATED_AFTER: Final = (
 
 One statement a campaign: in a join over all of them, no index limits the generations.
 """
+
+
+def cached_after(connection: Connection, campaigns: Sequence[Campaign], moment: datetime) -> int:
+    """Return how many candidates were given results from the cache, rather than by a worker, after a point in time.
+
+    Args:
+        connection: For reading.
+        campaigns: The campaigns.
+        moment: The point in time.
+    """
+    ids = [one.id for one in campaigns if one.finished_at is None or one.finished_at > moment]
+    told = (
+        select(GenerationRow.campaign_id, func.max(GenerationRow.number))
+        .where(GenerationRow.campaign_id.in_(ids), GenerationRow.told_at <= moment)
+        .group_by(GenerationRow.campaign_id)
+    )
+    last: dict[str, int] = {row[0]: row[1] for row in connection.execute(told)}
+    values = [{"campaign": one, "generation": last.get(one, -1), "moment": moment} for one in ids]
+    return sum(connection.execute(_CACHED_AFTER, one).scalar_one() for one in values)
+
+
+_CACHED_AFTER: Final = (
+    select(func.count())
+    .select_from(SolutionRow)
+    .where(SolutionRow.campaign_id == bindparam("campaign"))
+    .where(SolutionRow.generation > bindparam("generation"))
+    .where(
+        exists()
+        .where(JobRow.campaign_id == SolutionRow.campaign_id, JobRow.number == SolutionRow.number)
+        .where(JobRow.kind != JobKind.TRACE, JobRow.status == JobStatus.DONE, JobRow.attempt == 0)
+        .where(JobRow.finished_at > bindparam("moment"))
+    )
+)
+"""Counts the candidates of a campaign in generations after the given one whose results no worker reported."""
 
 
 def delete_experiment(connection: Connection, experiment: Experiment) -> None:

@@ -70,6 +70,7 @@ function figuresOf(read) {
     Simulations: `${count(read.simulations)} of ${count(read.budget)}`,
     Failed: count(read.failed),
     ...(open ? { "Time left": span(read.remaining_s), Queued: count(read.queued), Leased: count(read.leased), "Live workers": count(read.workers) } : {}),
+    ...(read.cached ? { "From the cache": count(read.cached) } : {}),
     ...(read.deleted ? { Deleted: count(read.deleted) } : {}),
     ...(read.quarantined ? { "In quarantine": count(read.quarantined) } : {}),
     Rate: rate(read.rate_per_s), [open ? "So far" : "Took"]: span(read.elapsed_s), Submitted: when(read.created_at),

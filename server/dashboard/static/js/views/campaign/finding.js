@@ -71,6 +71,7 @@ export function finding(context, id, found, changed) {
       Simulations: `${count(progress.simulations)} of ${count(progress.budget)}`,
       ...(ended ? { Took: span(progress.elapsed_s) } : { "Time left": span(progress.remaining_s), Rate: rate(progress.rate_per_s), Workers: count(progress.workers) }),
       ...(progress.failed ? { Failed: count(progress.failed) } : {}),
+      ...(progress.cached ? { "From the cache": count(progress.cached) } : {}),
       ...(progress.measured ? { Measured: count(progress.measured) } : {}),
       ...(progress.quarantined ? { "In quarantine": count(progress.quarantined) } : {}),
     });
