@@ -19,6 +19,10 @@ TOKEN_FORM: Final = "expected printable ASCII characters without spaces, such as
 """The format of a bearer token, which must fit into a header."""
 
 
+SHORTEST_ID: Final = 2
+"""Least number of characters by which a campaign or an experiment can be named."""
+
+
 class ServerError(Exception):
     """Base class of all errors that the server package raises deliberately."""
 

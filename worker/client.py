@@ -16,7 +16,7 @@ import httpx
 from pydantic import ValidationError
 
 from brink.worker.backoff import Backoff
-from brink.worker.errors import CoordinatorUnavailable, RequestRefused, UnexpectedReply
+from brink.worker.errors import CoordinatorUnavailable, RequestRefused, UnexpectedReply, no_token_words
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
@@ -150,6 +150,9 @@ class CoordinatorClient:
         message = f"{self.server}: {name} returned {_explain(response)}"
         if response.status_code >= 500 or response.status_code in _RETRYABLE:
             raise CoordinatorUnavailable(message, retry_after_s=_retry_after_s(response))
+        if response.status_code == httpx.codes.UNAUTHORIZED:
+            words = no_token_words(self.server, given="Authorization" in self._http.headers, scope="worker")
+            raise RequestRefused(words, status=response.status_code)
         if response.status_code >= 400:
             raise RequestRefused(message, status=response.status_code)
         raise UnexpectedReply(f"{message}; expected 200. Is this the address of a Brink coordinator?")

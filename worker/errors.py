@@ -88,3 +88,23 @@ class UnserializableResult(WorkerError):
 
 class BrokenFrame(WorkerError):
     """The pipe to the simulation process carries something other than frames."""
+
+
+def no_token_words(server: str, *, given: bool, scope: str) -> str:
+    """Return why a coordinator answers a request with 401, and what to do.
+
+    Args:
+        server: Address of the coordinator.
+        given: Whether the request carried a token.
+        scope: Scope that a new token needs.
+    """
+    create = f"one that this prints, on the coordinator's database: brink token create NAME --scope {scope}"
+    if given:
+        return (
+            f"token rejected: the coordinator at {server} does not know it, or it was revoked or has expired; "
+            f"set the environment variable BRINK_TOKEN to {create}"
+        )
+    return (
+        f"the coordinator at {server} requires a token: set the environment variable BRINK_TOKEN to the one that it "
+        f"was started with, or to {create}"
+    )

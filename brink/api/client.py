@@ -12,6 +12,7 @@ import httpx
 from pydantic import TypeAdapter, ValidationError
 
 from brink.server.errors import TOKEN_FORM, FieldError, InvalidInput, ServerError
+from brink.worker.errors import no_token_words
 
 if TYPE_CHECKING:
     from brink.server.settings import Settings
@@ -98,7 +99,9 @@ class Api:
 
         Raises:
             CoordinatorError: The request failed.
+            InvalidInput: The path has an empty part, or leads elsewhere: an id in it is none.
         """
+        _check_path(path)
         try:
             response = await self._client.request(method, f"/api/v1{path}", **options)
         except httpx.HTTPError as error:
@@ -109,9 +112,8 @@ class Api:
         if response.is_success:
             return response
         if response.status_code == httpx.codes.UNAUTHORIZED:
-            raise CoordinatorError(
-                f"the coordinator at {self.where} requires a token: set the environment variable BRINK_TOKEN"
-            )
+            given = "Authorization" in self._client.headers
+            raise CoordinatorError(no_token_words(self.where, given=given, scope="user"))
         raise _error_of(response)
 
     def _validated(self, schema: Any, response: httpx.Response) -> Any:
@@ -124,6 +126,12 @@ class Api:
                 f"unexpected answer from {self.where}: {place}: {fault['msg']}; "
                 "is it a coordinator of the same version of Brink?"
             ) from None
+
+
+def _check_path(path: str) -> None:
+    for part in path.removeprefix("/").split("/"):
+        if part in ("", ".", "..") or any(letter in part for letter in "?#%\\"):
+            raise InvalidInput.at("", f"expected an id or a name, got {part!r} in {path}")
 
 
 @cache

@@ -22,6 +22,7 @@ from brink.cli.options import (
     DistanceThreshold,
     FitnessThreshold,
     Server,
+    check_ids,
     console,
     database_option,
     delete_confirmed,
@@ -84,6 +85,9 @@ def submit(
             console().print(f"campaign {campaign.id}{known}")
             if not watch:
                 print_line(f"show its progress with: {program()} status {campaign.id} --server {server}")
+                found = await api.read(Progress, f"/campaigns/{campaign.id}/progress")
+                if words := waiting_words(found, server):
+                    console().print(words, soft_wrap=True, style="yellow")
         return await follow(api, campaign.id, as_json=as_json) if watch else True
 
     if not with_api(server, None, work):
@@ -102,13 +106,18 @@ async def follow(api: Api, campaign: str, *, as_json: bool, quiet: bool = False)
     Returns:
         Whether the campaign finished.
     """
-    screen = console()
+    screen = console(stderr=as_json)
+    waiting = ""
     with CampaignDisplay(screen) as display:
         while True:
             document = await api.get(f"/campaigns/{campaign}/progress", {"since": display.generations})
             progress = Progress.model_validate(document)
             if not (as_json or quiet):
                 display.show(progress)
+            words = "" if quiet else waiting_words(progress, api.where)
+            if words and words != waiting:
+                screen.print(words, soft_wrap=True, style="yellow")
+            waiting = words
             if progress.status is not CampaignStatus.RUNNING:
                 break
             await asyncio.sleep(POLL_S)
@@ -123,9 +132,27 @@ async def follow(api: Api, campaign: str, *, as_json: bool, quiet: bool = False)
     return progress.status is CampaignStatus.FINISHED
 
 
+def waiting_words(progress: Progress, server: str) -> str:
+    """Return why no worker simulates a running campaign, and what to do; empty if nothing is amiss.
+
+    Args:
+        progress: Progress of the campaign.
+        server: URL of its coordinator.
+    """
+    if progress.status is not CampaignStatus.RUNNING or not progress.queued or progress.leased:
+        return ""
+    if not progress.workers:
+        return f"waiting: no worker is connected; start one with: {program()} worker --server {server}"
+    if sum(progress.unrunnable.values()) == progress.queued:
+        needs = ", ".join(progress.unrunnable)
+        return f"waiting: no connected worker provides {needs}; start one that does, with its plug-ins and extras"
+    return ""
+
+
 def status(
     campaign: Annotated[
-        str | None, typer.Argument(metavar="[ID]", help="Campaign id (default: all campaigns).")
+        str | None,
+        typer.Argument(metavar="ID", help="Campaign id (default: all campaigns).", callback=check_ids),
     ] = None,
     database: Database = None,
     server: Server = None,

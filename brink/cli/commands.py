@@ -99,6 +99,7 @@ def load(name: str, target: str) -> Any:
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
         single.command(name)(found)
         found = single
+    found.rich_markup_mode = None  # square brackets in help and errors are no markup
     command = typer.main.get_command(found)
     command.name = name
     return command

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from brink.api.client import Api
 from brink.api.results import FetchedArchive, fetch_archive
-from brink.cli.options import AsJson, Database, Server, console, plain_table, print_json, with_api
+from brink.cli.options import AsJson, Database, Server, check_ids, console, plain_table, print_json, with_api
 from brink.search.analysis.comparison import ComparedCampaign, Row, control_summaries
 from brink.search.analysis.comparison import compare as compare_campaigns
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
@@ -17,7 +17,9 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 
 
 def compare(
-    campaigns: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of the campaigns.")],
+    campaigns: Annotated[
+        list[str], typer.Argument(metavar="ID...", help="Ids of the campaigns.", callback=check_ids)
+    ],
     control: Annotated[
         bool, typer.Option(help="Add controls: verdicts redrawn independently of the component's behaviour.")
     ] = True,

@@ -17,6 +17,7 @@ from brink.cli.options import (
     Resume,
     Server,
     Workers,
+    check_ids,
     console,
     delete_confirmed,
     file_name,
@@ -37,7 +38,10 @@ ExperimentFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Experiment file (YAML or JSON).", show_default=False)
 ]
 ExperimentId = Annotated[
-    str, typer.Argument(metavar="ID", help="Experiment id or a unique prefix of it.", show_default=False)
+    str,
+    typer.Argument(
+        metavar="ID", help="Experiment id or a unique prefix of it.", show_default=False, callback=check_ids
+    ),
 ]
 experiment = typer.Typer(
     name="experiment",
@@ -55,7 +59,7 @@ def run(
     resume: Resume = False,
     new: New = False,
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
-    port: Port = 0,
+    port: Port = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Run every algorithm on every problem with every seed, and write a report that compares them.

@@ -17,11 +17,11 @@ from rich.console import Console
 
 from brink.api.client import TIMEOUT, Api, CoordinatorError
 from brink.api.live import CampaignDisplay
-from brink.cli.options import database_option, program, settings_with
+from brink.cli.options import database_option, database_place, program, settings_with
 from brink.server.api.schemas import ExperimentProgress, Progress
 from brink.server.errors import Conflict, Unavailable
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
-from brink.server.settings import Settings
+from brink.server.settings import LOOPBACK, Settings
 from brink.server.states import CampaignStatus
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -45,6 +45,8 @@ class Session:
         processes: Its workers; none is started yet.
         stop: Set on Ctrl-C or SIGTERM.
         screen: Console for progress and hints.
+        place: Where its database is, in words.
+        serve: The command that serves its dashboard later, and the address it then has.
     """
 
     api: Api
@@ -54,6 +56,8 @@ class Session:
     processes: WorkerProcesses
     stop: asyncio.Event
     screen: Console
+    place: str = ""
+    serve: tuple[str, str] = ("serve", "http://127.0.0.1:8700")
 
     def hint(self, text: str, command: str) -> None:
         """Print a hint with a command that can be pasted."""
@@ -108,7 +112,7 @@ class RunOptions:
         new: Whether to start a new run even if an earlier one is unfinished.
         json: Whether to print the results as JSON.
         database: Database URL; None takes the default one.
-        port: Port of the coordinator; 0 picks a free port.
+        port: Port of the coordinator; 0 picks a free port, None the usual one unless it is in use.
     """
 
     file: Path
@@ -118,7 +122,7 @@ class RunOptions:
     new: bool
     json: bool
     database: str | None = None
-    port: int = 0
+    port: int | None = None
 
 
 class Workload(Protocol[ProgressT]):
@@ -154,7 +158,12 @@ class Workload(Protocol[ProgressT]):
 
 
 def run_locally(
-    settings: Settings, worker_log: Path, screen: Console, work: Callable[[Session], Awaitable[T]]
+    settings: Settings,
+    worker_log: Path,
+    screen: Console,
+    work: Callable[[Session], Awaitable[T]],
+    *,
+    any_port: bool = False,
 ) -> T:
     """Start a coordinator, run some work against it, and stop the coordinator and its workers.
 
@@ -163,6 +172,7 @@ def run_locally(
         worker_log: Log file of the workers. Its folder is created first, so an unwritable one fails early.
         screen: Console for progress and hints.
         work: Called with the session.
+        any_port: Whether to listen on a free port if another program uses that of the settings.
 
     Raises:
         DatabaseError: The database is unusable.
@@ -176,11 +186,21 @@ def run_locally(
             session = Session(
                 api=Api(client, url), url=url, needs_token=token is not None,
                 database=database_option(settings), processes=processes, stop=asyncio.Event(), screen=screen,
+                place=database_place(settings), serve=_serve_later(settings),
             )  # fmt: skip
             return await work(session)
 
-    with _default_signals_afterwards(), local_coordinator(settings, worker_log) as (url, token, processes):
+    coordinator = local_coordinator(settings, worker_log, any_port=any_port)
+    with _default_signals_afterwards(), coordinator as (url, token, processes):
         return asyncio.run(run(url, token, processes))
+
+
+def _serve_later(settings: Settings) -> tuple[str, str]:
+    """Return the command that serves the dashboard of a database, and its address."""
+    usual = settings_with().port
+    port = settings.port or usual
+    option = "" if port == usual else f" --port {port}"
+    return f"serve{option}{database_option(settings)}", f"http://{LOOPBACK[0]}:{port}"
 
 
 @contextlib.contextmanager
@@ -218,8 +238,9 @@ def run_to_end(
 
     async def work(session: Session) -> T | None:
         name = await _start(workload, options, session)
-        if workload.noun == "campaign" and not session.needs_token:  # the token is secret
-            screen.print(f"watch it in a browser: {session.url}/#/campaigns/{name}", soft_wrap=True)
+        page = f"/#/{workload.noun}s/{name}"
+        if not session.needs_token:  # the token is secret
+            screen.print(f"watch it in a browser until it ends: {session.url}{page}", soft_wrap=True)
         async with stopping(session.stop):
             session.processes.start(options.workers)
             progress = await workload.watch(session, name)
@@ -238,9 +259,13 @@ def run_to_end(
                     screen.print(f"  {reason}")
                 session.hint("see details with", f"{workload.command}status {name}")
                 return None
-            return await finish(session, progress)
+            result = await finish(session, progress)
+            command, url = session.serve
+            screen.print(f"\nlook at it again: {program()} {command}, then open {url}{page}", soft_wrap=True)
+            return result
 
-    return run_locally(settings, options.out / "worker.log", screen, work)
+    any_port = options.port is None
+    return run_locally(settings, options.out / "worker.log", screen, work, any_port=any_port)
 
 
 async def _start(workload: Workload[ProgressT], options: RunOptions, session: Session) -> str:
@@ -250,6 +275,12 @@ async def _start(workload: Workload[ProgressT], options: RunOptions, session: Se
         statuses.append(CampaignStatus.FINISHED)
     found = None if options.new else await workload.latest(session.api, statuses)
     if found is None:
+        if options.resume and not options.new:
+            session.screen.print(
+                f"there is no earlier {workload.noun} of {options.file}, as it is now, in {session.place}: "
+                "this starts one",
+                soft_wrap=True,
+            )
         name, summary = await workload.submit(session.api)
         session.screen.print(f"{workload.noun} {name}: {summary}")
         return name

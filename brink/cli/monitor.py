@@ -16,6 +16,7 @@ from brink.cli.options import (
     AsJson,
     Database,
     Server,
+    check_ids,
     check_picture,
     console,
     plain_table,
@@ -52,7 +53,8 @@ MonitorFile = Annotated[
     ),
 ]
 Campaigns = Annotated[
-    list[str], typer.Argument(metavar="ID...", help="Ids of campaigns.", show_default=False)
+    list[str],
+    typer.Argument(metavar="ID...", help="Ids of campaigns.", show_default=False, callback=check_ids),
 ]
 
 
@@ -204,6 +206,7 @@ def judge(
     fitted = _read(file)
     sides = None if pairs is None else _pairs(pairs, fitted.space)
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
+    _check_fresh(file, [one.id for one in fetched])
     vectors, unsafe = _evaluated(fetched)
     if fetched[0].plan.problem.space.column_names() != fitted.space.column_names():
         raise Conflict(f"the search space of {file} differs from that of campaign {fetched[0].id}")
@@ -232,6 +235,30 @@ def _read(file: Path) -> Monitor:
         return Monitor.load(file)
     except DocumentError as error:
         raise InvalidInput.at("", f"{file}: {error}") from None
+
+
+def _check_fresh(file: Path, campaigns: Sequence[str]) -> None:
+    """Check that a monitor was not fitted to the campaigns on which it is to be evaluated; warn if to some of them.
+
+    Raises:
+        Conflict: It was fitted to all of them.
+    """
+    about = json.loads(file.read_text(encoding="utf-8")).get("about")
+    learned = about.get("campaigns") if isinstance(about, dict) else None
+    own = [one for one in campaigns if isinstance(learned, list) and one in learned]
+    if not own:
+        return
+    words = f"{file} was fitted to {'campaign' if len(own) == 1 else 'campaigns'} {', '.join(own)}"
+    if len(own) == len(campaigns):
+        raise Conflict(
+            f"{words}: how well it does on what it has learned from says nothing; judge it on another campaign on "
+            "the same problem, best a random search (random@1) with another seed"
+        )
+    console(stderr=True).print(
+        f"{words}: what it has learned from is left out, and the rest of that search resembles it",
+        soft_wrap=True,
+        style="yellow",
+    )
 
 
 def _pairs(file: Path, space: SearchSpace) -> tuple[FloatArray, FloatArray]:

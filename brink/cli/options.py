@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from brink.api.client import Api, connect, in_process
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
 
 if TYPE_CHECKING:
@@ -45,7 +45,28 @@ Server = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-CampaignId = Annotated[str, typer.Argument(metavar="ID", help="Campaign id or a unique prefix of it.")]
+
+
+def check_ids(given: str | list[str] | None) -> str | list[str] | None:
+    """Return ids as they were given, on the command line; an empty or malformed one matches nothing.
+
+    Raises:
+        typer.BadParameter: An id is not one, nor the beginning of one.
+    """
+    for one in [given] if isinstance(given, str) else given or ():
+        if len(one) < SHORTEST_ID or not (one.isascii() and one.isalnum()):
+            words = (
+                f"expected an id, or at least its first {SHORTEST_ID} characters, such as 3f2a; got {one!r}"
+            )
+            if one.endswith((".yaml", ".yml", ".json")):
+                words += f"; the last run of a file is continued with: {program()} run {one} --resume"
+            raise typer.BadParameter(words)
+    return given
+
+
+CampaignId = Annotated[
+    str, typer.Argument(metavar="ID", help="Campaign id or a unique prefix of it.", callback=check_ids)
+]
 CampaignFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Campaign file (YAML or JSON).", show_default=False)
 ]
@@ -69,7 +90,13 @@ Resume = Annotated[
     bool, typer.Option("--resume", help="Resume the latest run of this file, or show it if it has finished.")
 ]
 New = Annotated[bool, typer.Option("--new", help="Start a new run even if an earlier one is unfinished.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 picks a free port.")]
+Port = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=65535, show_default=False,
+        help="Port of the coordinator; 0 picks a free one (default: 8700, or a free one if that is in use).",
+    ),
+]  # fmt: skip
 FitnessThreshold = Annotated[
     float, typer.Option("--t-b", min=0.0, max=1.0, help="Maximum fitness of a boundary solution.")
 ]
@@ -131,6 +158,14 @@ def database_option(settings: "Settings") -> str:
 
     usual = {Settings.model_fields["database"].default, os.environ.get("BRINK_DATABASE")}
     return "" if settings.database in usual else f" --database {shown_url(settings)}"
+
+
+def database_place(settings: "Settings") -> str:
+    """Return where a database is, in words: the path of its file, or its URL without the password."""
+    from brink.server.runtime.database import shown_url
+
+    file = settings.sqlite_file
+    return shown_url(settings) if file is None else str(file.absolute())
 
 
 def with_api(server: str | None, database: str | None, work: Callable[[Api], Awaitable[T]]) -> T:

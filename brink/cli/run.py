@@ -64,7 +64,7 @@ def run(
     replays: Annotated[
         int, typer.Option(min=0, max=50, help="Number of boundary solutions to replay, best first.")
     ] = 3,
-    port: Port = 0,
+    port: Port = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Run one campaign: start a coordinator and workers, show progress, write results and figures.
@@ -332,7 +332,6 @@ def _print_next(
     replayed = any("replay-" in path.name for path in report.files)
     hints = report.pairs.hints(campaign, database) if report.pairs.searched else []
     hints += [hint for findings in report.findings for hint in findings.hints(campaign, database)]
-    hints.append((f"serve{database}", "open the dashboard, with replays"))
     if not searched:
         hints += report.pairs.hints(campaign, database)
     if replayed and not searched:

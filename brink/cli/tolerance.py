@@ -17,6 +17,7 @@ from brink.cli.options import (
     CampaignId,
     Database,
     Server,
+    check_ids,
     check_picture,
     console,
     plain_table,
@@ -72,6 +73,7 @@ def tolerance(
         typer.Option(
             metavar="ID",
             show_default=False,
+            callback=check_ids,
             help="Compare with the fresh drives of another campaign instead: does it find what these predict?",
         ),
     ] = None,
@@ -80,6 +82,7 @@ def tolerance(
         typer.Option(
             metavar="ID",
             show_default=False,
+            callback=check_ids,
             help="Check a detector against it: that of a campaign with a camera, such as urban-camera@1.",
         ),
     ] = None,

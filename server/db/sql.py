@@ -35,10 +35,11 @@ from sqlalchemy.sql.functions import FunctionElement
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow
-from brink.server.errors import NotFound
+from brink.server.errors import SHORTEST_ID, NotFound
 
 V = TypeVar("V")
 MAX_ID = 16
+AMBIGUOUS_SHOWN = 5
 
 
 def database_now(connection: Connection) -> datetime:
@@ -142,13 +143,24 @@ class DocumentTable(Generic[V]):
         if found is not None:
             return found
         rows: Sequence[Row[*tuple[Any, ...]]] = ()
-        if plausible and len(name) >= 2:
+        if plausible and len(name) >= SHORTEST_ID:
             matches = select(self.table).where(self.table.c.id.startswith(name, autoescape=True))
-            rows = connection.execute(matches.limit(2)).all()
+            rows = connection.execute(matches.order_by(self.table.c.id).limit(AMBIGUOUS_SHOWN + 1)).all()
         if len(rows) == 1:
             return self.build(connection, rows)[0]
-        reason = f"more than one {self.kind} has an id with this prefix" if rows else f"no such {self.kind}"
-        raise NotFound(f"{self.kind} {name[:40]!r}: {reason}")
+        raise NotFound(f"{self.kind} {name[:40]!r}: {self._why_none(name, [row.id for row in rows])}")
+
+    def _why_none(self, name: str, matching: Sequence[str]) -> str:
+        """Return why a name, or the beginning of an id, stands for no value."""
+        if matching:
+            shown = ", ".join(matching[:AMBIGUOUS_SHOWN])
+            more = " and more" if len(matching) > AMBIGUOUS_SHOWN else ""
+            return (
+                f"more than one {self.kind} has an id with this prefix: {shown}{more}; give more characters"
+            )
+        if len(name) < SHORTEST_ID:
+            return f"expected at least {SHORTEST_ID} characters of the id"
+        return f"no such {self.kind}"
 
     def page(
         self,

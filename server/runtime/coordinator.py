@@ -1,6 +1,7 @@
 """Running a coordinator in this process, and worker processes alongside it."""
 
 import contextlib
+import errno
 import logging
 import os
 import resource
@@ -32,6 +33,10 @@ class CannotListen(ServerError):
     """The coordinator cannot listen on the configured address."""
 
 
+class PortInUse(CannotListen):
+    """Another program listens on the configured port."""
+
+
 def check_exposed(settings: Settings) -> None:
     """Check that a coordinator which other machines can reach has a token.
 
@@ -60,7 +65,8 @@ def listen(settings: Settings) -> socket.socket:
         listener.bind((settings.host, settings.port))
     except OSError as error:
         listener.close()
-        raise CannotListen(
+        reason = PortInUse if error.errno == errno.EADDRINUSE else CannotListen
+        raise reason(
             f"cannot listen on {settings.host}:{settings.port}: {error.strerror}; choose another port with --port"
         ) from None
     listener.listen(512)
@@ -197,13 +203,14 @@ class WorkerProcesses:
 
 @contextlib.contextmanager
 def local_coordinator(
-    settings: Settings, worker_log: Path
+    settings: Settings, worker_log: Path, *, any_port: bool = False
 ) -> Iterator[tuple[str, str | None, WorkerProcesses]]:
     """Yield URL, token and workers of a coordinator in this process; all are stopped at the end of the block.
 
     Args:
         settings: Settings of the coordinator. Its database is created or upgraded.
         worker_log: Log file of the workers, none of which is started yet.
+        any_port: Whether to listen on a free port if another program uses that of the settings.
 
     Raises:
         DatabaseError: The database is unusable.
@@ -214,7 +221,12 @@ def local_coordinator(
         # The database belongs to a coordinator with tokens: this process and its workers share a separate token.
         settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
     release_leases_of_dead_workers(settings)
-    coordinator = EmbeddedCoordinator(settings)
+    try:
+        coordinator = EmbeddedCoordinator(settings)
+    except PortInUse:
+        if not any_port:
+            raise
+        coordinator = EmbeddedCoordinator(settings.model_copy(update={"port": 0}))
     coordinator.start()
     token = settings.token.get_secret_value() if settings.token else None
     processes = WorkerProcesses(url=coordinator.url, log_file=worker_log, token=token)

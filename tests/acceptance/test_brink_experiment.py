@@ -54,7 +54,9 @@ def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_p
         resumed = brink(*command, "--resume", "--json", cwd=tmp_path, env=TOY)
         assert resumed.returncode == 0, resumed.stderr
         assert re.search(r"continuing at [\d,]+ of 160 simulations", resumed.stderr)
+        assert "no earlier" not in resumed.stderr
         name = json.loads(resumed.stdout)["id"]
+        assert f", then open http://127.0.0.1:8700/#/experiments/{name}\n" in resumed.stderr
         folder = tmp_path / "brink-results" / f"two-methods-{name}"
         assert (folder / "report.html").read_text().count("data:image/png;base64,") == 4
         assert "**GA** and **RS**" in (folder / "report.md").read_text()

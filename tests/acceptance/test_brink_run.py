@@ -44,10 +44,18 @@ def test_a_campaign_file_becomes_results(
         assert said.returncode == 0, said.stderr
         assert "distinct boundary solutions" in said.stdout
         assert "archive sha256 " in said.stdout
+        place = re.escape(url.removeprefix("sqlite:///").partition("@")[2] or url.removeprefix("sqlite:///"))
+        assert re.search(
+            rf"no earlier campaign of .*campaign.yaml, as it is now, in .*{place}: this", said.stdout
+        )
+        [page] = re.findall(r"watch it in a browser until it ends: http://127.0.0.1:\d+(/\S+)", said.stdout)
+        again = rf"look at it again: \S*brink serve --database \S*{place}, then open http://127.0.0.1:8700{page}\n"
+        assert re.search(again, said.stdout), said.stdout
         monkeypatch.chdir(tmp_path)
         shown = CliRunner().invoke(app, [*command, url, "--no-pictures"])  # importing takes longer than this
         assert shown.exit_code == 0, shown.output
         assert "has finished" in shown.stdout
+        assert "no earlier" not in shown.stdout
     (folder,) = (tmp_path / "brink-results").glob("known-boundary-*")
     assert list(folder.glob("*.png"))
 

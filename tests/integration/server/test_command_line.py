@@ -17,7 +17,7 @@ import typer
 import yaml
 from PIL import Image
 from sqlalchemy import text, update
-from support.api import FakeWorker, ball, coordinator, expect, listening_coordinator, submit
+from support.api import FakeWorker, ball, coordinator, expect, listening_coordinator, settings_for, submit
 from support.databases import Databases, on_sqlite
 from support.queue import Queue
 from typer.testing import CliRunner
@@ -32,6 +32,7 @@ from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow,
 from brink.server.db.sql import database_now
 from brink.server.db.upgrade import upgrade
 from brink.server.operations.doctor import State, examine
+from brink.server.runtime.coordinator import PortInUse, local_coordinator
 from brink.server.settings import Settings
 from brink.worker.wire import JobFailed
 
@@ -180,6 +181,44 @@ def test_missing_token_is_one_line(brink: Command, database_url: str, small_prob
         assert "BRINK_TOKEN" in brink("status", "--server", str(client.base_url)).line
 
 
+@pytest.mark.parametrize(
+    "command", [("status",), ("results", "3f2a"), ("experiment", "list"), ("worker",)], ids=" ".join
+)
+def test_rejected_token_is_told_from_a_missing_one(
+    brink: Command,
+    database_url: str,
+    small_problems: None,
+    monkeypatch: pytest.MonkeyPatch,
+    command: tuple[str, ...],
+) -> None:
+    with listening_coordinator(database_url, token="secret") as client:
+        arguments = (*command, "--server", str(client.base_url))
+        said = brink(*arguments)
+        assert (said.status, "requires a token: set the environment variable BRINK_TOKEN" in said.err) == (
+            1,
+            True,
+        )
+        monkeypatch.setenv("BRINK_TOKEN", "wrong")
+        said = brink(*arguments)
+        assert (said.status, "token rejected: " in said.err, "wrong" in said.err) == (1, True, False)
+
+
+IDS = [
+    ("results",), ("status",), ("pause",), ("delete", "--yes"), ("pairs",), ("export",), ("monitor", "fit"),
+    ("compare",), ("experiment", "status"), ("experiment", "cancel"), ("replay", "1", "--out", "x.png"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("given", ["", "b", "../jobs", "3f?x", "campaign.yaml"])
+@pytest.mark.parametrize("command", IDS, ids=" ".join)
+def test_what_is_no_id_matches_nothing(brink: Command, command: tuple[str, ...], given: str) -> None:
+    place = 2 if command[0] in ("experiment", "monitor") else 1
+    said = brink(*command[:place], given, *command[place:])
+    assert said.status == 2
+    assert f"expected an id, or at least its first 2 characters, such as 3f2a; got {given!r}" in said.err
+    assert ("brink run campaign.yaml --resume" in said.err) == (given == "campaign.yaml")
+
+
 def test_interrupt_is_one_line(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted() -> None:
         raise KeyboardInterrupt
@@ -248,6 +287,21 @@ def test_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_path:
             line = brink(*arguments, "--port", port, "--database", url).line
             assert f"127.0.0.1:{port}" in line
             assert "--port" in line
+
+
+def test_run_takes_another_port_if_the_usual_one_is_in_use(database_url: str, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        settings = settings_for(database_url, port=taken.getsockname()[1])
+        with (
+            pytest.raises(PortInUse, match="Address already in use"),
+            local_coordinator(settings, tmp_path / "log"),
+        ):
+            pass
+        with local_coordinator(settings, tmp_path / "log", any_port=True) as (url, _, _):
+            assert httpx.get(f"{url}/healthz").status_code == 200
+            assert not url.endswith(f":{settings.port}")
+    with local_coordinator(settings, tmp_path / "log", any_port=True) as (url, _, _):
+        assert url.endswith(f":{settings.port}"), "the address of the last run is that of the next"
 
 
 def test_listening_beyond_this_machine_without_a_token_is_one_line(brink: Command, tmp_path: Path) -> None:

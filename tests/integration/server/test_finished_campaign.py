@@ -10,6 +10,7 @@ import httpx
 import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from sqlalchemy import insert, select
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import Databases, on_sqlite
 from support.problems import REQUIREMENT, small_problems
@@ -19,6 +20,8 @@ from brink.search.analysis.similarity import nearest_solutions
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.fitness import wilson_interval
 from brink.search.metric import Metric
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignRow
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 OPENAPI_PATHS = ("/api/v1/campaigns", "/api/v1/jobs/lease", "/api/v1/jobs/heartbeat", "/api/v1/jobs/results")
@@ -71,6 +74,25 @@ def test_known_etag_gets_no_body(finished: Finished) -> None:
     assert again.headers["ETag"] == first.headers["ETag"]
     other = finished.client.get(path, params={"since": 1}, headers={"If-None-Match": first.headers["ETag"]})
     assert other.status_code == 200
+
+
+@on_sqlite
+def test_ambiguous_prefix_names_what_it_could_be(client: httpx.Client, engines: Engines) -> None:
+    ids = [f"ab{letter}00000" for letter in "cdefgh"]
+    campaign = submit(client, ball())
+    with engines.writer.begin() as connection:
+        row = (
+            connection.execute(select(CampaignRow.__table__).where(CampaignRow.id == campaign))
+            .mappings()
+            .one()
+        )
+        connection.execute(insert(CampaignRow), [{**row, "id": one} for one in ids])
+    detail = expect(client.get("/api/v1/campaigns/ab"), 404)["detail"]
+    assert detail == (
+        "campaign 'ab': more than one campaign has an id with this prefix: "
+        f"{', '.join(ids[:5])} and more; give more characters"
+    )
+    assert "at least 2 characters" in expect(client.get("/api/v1/campaigns/a"), 404)["detail"]
 
 
 def test_campaign_is_found_by_a_prefix_of_its_id(finished: Finished) -> None:

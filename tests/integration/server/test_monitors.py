@@ -115,9 +115,14 @@ def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Cl
     assert "evaluated on 400 others" in said.output
     assert "pairs across the boundary: 1; both sides right 1 (100%)" in said.output
 
-    known = run(app, ["monitor", "judge", str(file), learned, *server])
+    known = run(app, ["monitor", "judge", str(file), learned[:4], *server])
     assert known.exit_code == 1
-    assert "safe and unsafe" in str(known.exception), "a monitor is not evaluated on its own training data"
+    assert f"was fitted to campaign {learned}: " in str(known.exception)
+    assert "judge it on another campaign" in str(known.exception)
+    both = run(app, ["monitor", "judge", str(file), learned, fresh, *server])
+    assert both.exit_code == 0, both.output
+    assert f"was fitted to campaign {learned}: what it has learned from is left out" in both.stderr
+    assert "evaluated on 400 others" in both.stdout
 
 
 @on_sqlite

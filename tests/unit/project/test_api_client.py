@@ -9,6 +9,7 @@ import pytest
 
 from brink.api.client import Api, CoordinatorError
 from brink.server.api.schemas import DbsCell, TechniqueLevel, WorkerView
+from brink.server.errors import InvalidInput
 
 
 def read(schema: Any, answer: httpx.Response) -> Any:
@@ -31,6 +32,19 @@ def test_an_answer_is_read_into_its_schema_and_dumps_to_the_same_document() -> N
     [found] = read(list[WorkerView], httpx.Response(200, json=[worker]))
     assert found.live
     assert json.dumps(found.model_dump(mode="json")) == json.dumps(worker)
+
+
+@pytest.mark.parametrize(
+    "path", ["/campaigns//progress", "/campaigns/../jobs", "/campaigns/a?b", "/campaigns/"]
+)
+def test_a_path_with_an_empty_or_foreign_id_is_not_requested(path: str) -> None:
+    async def work() -> None:
+        transport = httpx.MockTransport(lambda _: pytest.fail("it was requested"))
+        async with httpx.AsyncClient(transport=transport, base_url="http://c") as client:
+            await Api(client, "http://c").get(path)
+
+    with pytest.raises(InvalidInput, match="expected an id or a name, got"):
+        asyncio.run(work())
 
 
 def test_an_unexpected_answer_names_the_field() -> None:

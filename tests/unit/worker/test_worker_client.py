@@ -127,7 +127,7 @@ def test_a_retry_after_that_is_not_a_number_of_seconds_is_ignored(value: str) ->
     assert 0.05 <= pauses[0] <= 0.1
 
 
-@pytest.mark.parametrize("status", [400, 401, 403, 404, 413, 422])
+@pytest.mark.parametrize("status", [400, 403, 404, 413, 422])
 def test_a_refusal_is_final_and_gives_the_detail_on_one_line(status: int) -> None:
     script = Script(
         httpx.Response(
@@ -139,6 +139,32 @@ def test_a_refusal_is_final_and_gives_the_detail_on_one_line(status: int) -> Non
     assert caught.value.status == status
     assert str(caught.value) == f"http://coordinator: lease returned {status} No: max_jobs: expected 1 to 256"
     assert len(script.requests) == 1
+
+
+@pytest.mark.parametrize(
+    ("token", "words"),
+    [
+        (
+            None,
+            "the coordinator at http://coordinator requires a token: set the environment variable BRINK_TOKEN",
+        ),
+        (
+            "wrong",
+            "token rejected: the coordinator at http://coordinator does not know it, or it was revoked",
+        ),
+    ],
+)
+def test_a_rejected_token_is_told_from_a_missing_one(token: str | None, words: str) -> None:
+    transport = Script(httpx.Response(401, json={"title": "Unauthorised", "detail": "no", "status": 401}))
+    with (
+        CoordinatorClient("http://coordinator", token=token, transport=transport) as c,
+        pytest.raises(RequestRefused) as caught,
+    ):
+        c.lease(LEASE)
+    assert str(caught.value).startswith(words)
+    assert "brink token create NAME --scope worker" in str(caught.value)
+    assert token is None or token not in str(caught.value)
+    assert len(transport.requests) == 1, "trying again would not help"
 
 
 def test_a_refusal_that_is_not_problem_json_is_quoted() -> None:
