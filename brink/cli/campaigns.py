@@ -24,13 +24,12 @@ from brink.cli.options import (
     Server,
     check_ids,
     console,
-    database_option,
     delete_confirmed,
+    place_option,
     plain_table,
     print_json,
     print_line,
     program,
-    settings_with,
     with_api,
     write_json,
 )
@@ -165,11 +164,15 @@ def status(
     with_api(
         server,
         database,
-        lambda api: _show_campaign(api, campaign, as_json) if campaign else _list_campaigns(api, as_json),
+        lambda api: (
+            _show_campaign(api, campaign, as_json, place_option(server, database))
+            if campaign
+            else _list_campaigns(api, as_json)
+        ),
     )
 
 
-async def _show_campaign(api: Api, campaign: str, as_json: bool) -> None:
+async def _show_campaign(api: Api, campaign: str, as_json: bool, place: str) -> None:
     document = await api.get(f"/campaigns/{campaign}/progress")
     progress = Progress.model_validate(document)
     failed = {"campaign": progress.id, "status": "quarantined", "limit": 1000}
@@ -179,7 +182,7 @@ async def _show_campaign(api: Api, campaign: str, as_json: bool) -> None:
         return
     quarantined = (await api.read(JobList, "/jobs", failed)).jobs
     live = [one for one in await api.read(list[WorkerView], "/workers") if one.live]
-    _print_status(progress, quarantined, len(live))
+    _print_status(progress, quarantined, len(live), place)
 
 
 async def _list_campaigns(api: Api, as_json: bool) -> None:
@@ -201,7 +204,7 @@ async def _list_campaigns(api: Api, as_json: bool) -> None:
     console().print(table if campaigns else f"no campaigns yet; start one with: {program()} run FILE")
 
 
-def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: int) -> None:
+def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: int, place: str) -> None:
     screen = console()
     series = progress.generations
     reason = f": {progress.status_reason}" if progress.status_reason else ""
@@ -212,7 +215,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"generation {progress.generation}"
     )
     if progress.looks_for_pairs:
-        screen.print(_where_pairs_are(progress), soft_wrap=True)
+        screen.print(_where_pairs_are(progress, place), soft_wrap=True)
     elif series:
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
@@ -232,7 +235,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         )
     if len(quarantined) > ERRORS_SHOWN:
         more = len(quarantined) - ERRORS_SHOWN
-        screen.print(f"  and {more} more: {program()} status {progress.id} --json")
+        screen.print(f"  and {more} more: {program()} status {progress.id} --json{place}", soft_wrap=True)
     if progress.digest:
         screen.print(f"archive sha256 {progress.digest}")
 
@@ -272,22 +275,23 @@ def results(
             screen.print(
                 f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict{within_budget(boundary)}"
             )
-            screen.print(solution_table(boundary, shown=50))
+            screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
             screen.print(grid_table(boundary.grid))
             screen.print(boundary.note, style="dim")
             found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
             if found.looks_for_pairs:
-                screen.print(_where_pairs_are(found), soft_wrap=True)
+                screen.print(_where_pairs_are(found, place_option(server, database)), soft_wrap=True)
 
     with_api(server, database, work)
 
 
-def _where_pairs_are(progress: Progress) -> str:
+def _where_pairs_are(progress: Progress, place: str) -> str:
     """Return how to see what a search for pairs found."""
     ended = progress.status not in (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
     verb = "searched" if ended else "is searching"
     return (
-        f"this campaign {verb} for pairs across the boundary; show them with: {program()} pairs {progress.id}"
+        f"this campaign {verb} for pairs across the boundary; show them with: "
+        f"{program()} pairs {progress.id}{place}"
     )
 
 
@@ -311,8 +315,10 @@ def grid_table(grid: list[DbsCell]) -> Table:
     return table
 
 
-def solution_table(boundary: Boundary, shown: int = SOLUTIONS_SHOWN) -> Table:
-    """Return a table of the best boundary solutions."""
+def solution_table(
+    boundary: Boundary, shown: int = SOLUTIONS_SHOWN, *, rest: str = "in boundary.csv"
+) -> Table:
+    """Return a table of the best boundary solutions, and where the rest is."""
     table = plain_table(
         "number", "outcome", "robustness", "fitness", "unsafe neighbours", "description",
         right=("number", "robustness", "fitness", "unsafe neighbours"),
@@ -323,7 +329,7 @@ def solution_table(boundary: Boundary, shown: int = SOLUTIONS_SHOWN) -> Table:
             f"{solution.fitness:.3f}", f"{solution.unsafe_neighbours} of {solution.neighbours}", solution.words,
         )  # fmt: skip
     if len(boundary.solutions) > shown:
-        table.add_row("…", "", "", "", "", f"and {len(boundary.solutions) - shown} more in boundary.csv")
+        table.add_row("…", "", "", "", "", f"and {len(boundary.solutions) - shown} more {rest}")
     return table
 
 
@@ -337,7 +343,7 @@ def pause(campaign: CampaignId, database: Database = None, server: Server = None
     Example: brink pause 3f2a --server http://coordinator:8700
     """
     found = _control(campaign, "pause", server, database)
-    place = f" --server {server}" if server else database_option(settings_with(database=database))
+    place = place_option(server, database)
     print_line(f"campaign {found.id} is paused; continue it with: {program()} resume {found.id}{place}")
 
 

@@ -113,7 +113,9 @@ def replay(
     typer.echo(out)
 
 
-async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float) -> Boundary:
+async def write_results(
+    api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float, even_empty: bool = True
+) -> tuple[Boundary, list[Path]]:
     """Write the boundary (CSV and JSON) and the archive of a campaign.
 
     Args:
@@ -122,16 +124,21 @@ async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_
         folder: Folder to write to; created if missing.
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
+        even_empty: Whether to write the boundary even if it is empty.
 
     Returns:
-        The boundary.
+        The boundary, and the files.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
     document = await api.get(path, params)
-    write_json(folder / "boundary.json", document)
-    table = await api.request("GET", path, params={**params, "format": "csv"})
-    (folder / "boundary.csv").write_bytes(table.content)
+    boundary, files = Boundary.model_validate(document), []
+    if boundary.solutions or even_empty:
+        files = [folder / "boundary.csv", folder / "boundary.json"]
+        table = await api.request("GET", path, params={**params, "format": "csv"})
+        files[0].write_bytes(table.content)
+        write_json(files[1], document)
     archive = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
-    (folder / "archive.npz").write_bytes(archive.content)
-    return Boundary.model_validate(document)
+    files.append(folder / "archive.npz")
+    files[-1].write_bytes(archive.content)
+    return boundary, files

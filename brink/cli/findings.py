@@ -6,7 +6,7 @@ Each kind of findings is a class that prints, writes and draws itself.
 import asyncio
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Protocol
 
@@ -133,6 +133,7 @@ class CombinationFindings:
 
     def __init__(self, found: Combinations) -> None:
         self._found = found
+        self._missing: Collection[int] = ()
 
     def sentence(self) -> str:
         """Return a sentence on how many chains are hazardous, and how."""
@@ -150,7 +151,10 @@ class CombinationFindings:
         if chains:
             screen.print(table)
             if len(chains) > shown:
-                screen.print(f"… and {len(chains) - shown} more in combinations.json", style="dim")
+                screen.print(
+                    f"… and {len(chains) - shown} more: --shown {len(chains)}, or combinations.json of a run",
+                    style="dim",
+                )
         steps = [step for step in self._found.steps if step.alone_unsafe or step.joined_unsafe]
         if steps:
             table = plain_table("technique at a level", "alone", "with others")
@@ -177,6 +181,7 @@ class CombinationFindings:
     async def draw(self, drawing: Drawing) -> list[Path]:
         """Draw the clearest combinations, each with its parts and other orders; return the files."""
         files: list[Path] = []
+        self._missing = drawing.missing
         for one in self._found.combinations:
             if drawing.stop.is_set() or len(files) == CHAINS_DRAWN:
                 break
@@ -194,9 +199,11 @@ class CombinationFindings:
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
+        if not self._found.combinations:
+            return []
         hints = [(f"combinations {campaign}{database}", "list all chains of techniques")]
         hazards = [number for one in self._found.combinations for number in (*one.together, *one.turned)]
-        if hazards:
+        if hazards and hazards[0] not in self._missing:
             hints.append((f"replay {campaign} {hazards[0]} --out hazard.mp4{database}", "watch the hazard"))
         return hints
 
@@ -321,6 +328,7 @@ class ViolationFindings:
     def __init__(self, found: Violations, fetched: FetchedArchive) -> None:
         self._found = found
         self._fetched = fetched
+        self._missing: Collection[int] = ()
 
     def sentence(self) -> str:
         """Return the findings in one sentence."""
@@ -336,6 +344,7 @@ class ViolationFindings:
 
     async def draw(self, drawing: Drawing) -> list[Path]:
         """Plot types over time and Pareto fronts, and draw a replay of each common type; return the files."""
+        self._missing = drawing.missing
         files = [await asyncio.to_thread(draw_types, self._found, drawing.folder)]
         if isinstance(self._fetched.plan.config, MultiObjectiveConfig):
             criticality = await _criticality(drawing.api, self._fetched)
@@ -344,8 +353,11 @@ class ViolationFindings:
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
+        types = _by_frequency(self._found)
+        if not types:
+            return []
         hints = [(f"violations {campaign}{database}", "list all types of violations")]
-        if types := _by_frequency(self._found):
+        if types[0].first not in self._missing:
             hints.append((f"replay {campaign} {types[0].first} --out violation.mp4{database}", "watch one"))
         return hints
 

@@ -160,6 +160,11 @@ def database_option(settings: "Settings") -> str:
     return "" if settings.database in usual else f" --database {shown_url(settings)}"
 
 
+def place_option(server: str | None, database: str | None) -> str:
+    """Return the option that names a coordinator or a database in hints, as a command was given it."""
+    return f" --server {server}" if server else database_option(settings_with(database=database))
+
+
 def database_place(settings: "Settings") -> str:
     """Return where a database is, in words: the path of its file, or its URL without the password."""
     from brink.server.runtime.database import shown_url

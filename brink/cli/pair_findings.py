@@ -45,6 +45,7 @@ class PairFindings:
         self._fetched = fetched
         self._tables = tables
         self._no_picture = ""
+        self._replayable = not view.computed
 
     @property
     def view(self) -> PairsView:
@@ -106,10 +107,12 @@ class PairFindings:
         path = drawing.folder / "pair-1.png"
         try:
             # Not by workers: after --resume of a finished campaign there is none.
-            await write_pair(drawing.api, self._view, self._view.pairs[0], path, workers=False)
+            drives = await write_pair(drawing.api, self._view, self._view.pairs[0], path, workers=False)
         except _UNDRAWABLE as error:
             self._no_picture = str(error)
+            self._replayable = False
             return []
+        self._replayable = drives
         return [path]
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
@@ -134,9 +137,9 @@ class PairFindings:
             if options[-1] == "--component":
                 what = "do they hold with other seeds, and is the component to blame?"
             hints.append((f"pairs {campaign} {' '.join(options)}{database}", what))
-        if not view.computed:
-            if len(view.pairs) > 1:
-                hints.append((f"pairs {campaign} --picture 2 pair-2.png{database}", "see another pair"))
+        if not view.computed and len(view.pairs) > 1 and not self._no_picture:
+            hints.append((f"pairs {campaign} --picture 2 pair-2.png{database}", "see another pair"))
+        if self._replayable:
             hints.append((f"pairs {campaign} --film 1 pair-1.mp4{database}", "watch both drives of a pair"))
         return hints
 

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api
@@ -180,14 +179,16 @@ async def _write_all(
 ) -> Report:
     """Write results, comparison and figures of a campaign; Ctrl-C skips the figures that are not drawn yet."""
     api, campaign = session.api, progress.id
-    boundary = await write_results(api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+    boundary, results = await write_results(
+        api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, even_empty=progress.looks_for_boundary
+    )
     files: list[Path] = []
     with Steps(session.screen, "looking for pairs") as steps:
         fetched = await fetch_archive(api, campaign)
         pairs = await fetch_pair_findings(api, fetched)
         if not progress.looks_for_tolerances:
             files += pairs.write(folder)
-        files += [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
+        files += results
         found = await fetch_findings(api, fetched)
         for findings in found:
             files += findings.write(folder)
@@ -329,14 +330,14 @@ def _print_next(
     campaign, boundary = progress.id, report.boundary
     searched = report.pairs.searched or progress.looks_for_tolerances
     about_boundary = _about_the_boundary(progress, report)
-    replayed = any("replay-" in path.name for path in report.files)
+    replayed = [path.stem.removeprefix("replay-") for path in report.files if path.stem.startswith("replay-")]
     hints = report.pairs.hints(campaign, database) if report.pairs.searched else []
     hints += [hint for findings in report.findings for hint in findings.hints(campaign, database)]
     if not searched:
         hints += report.pairs.hints(campaign, database)
     if replayed and not searched:
-        best = boundary.solutions[0].number
-        hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best solution"))
+        best = f"replay {campaign} {replayed[0]} --out replay.mp4{database}"
+        hints.append((best, "watch the best solution"))
     if about_boundary:
         hints.append((f"results {campaign} --t-b 0.15 --d-th 0.1{database}", "try other thresholds"))
     if replayed and not searched:
@@ -352,13 +353,15 @@ def _print_next(
         and body.budget.simulations < PAPER_BUDGET
     )
     if urban and Path("examples/paper-mlcshe.yaml").exists():
-        hints.append(("run examples/paper-mlcshe.yaml", "use the paper's budget of 1,300 simulations"))
-    table = Table.grid(padding=(0, 2))
-    for command, what in hints:
-        table.add_row(f"  {program()} {command}", Text(what, "dim"))
-    screen.print()
-    screen.print("next:")
-    screen.print(table)
+        hints.append(
+            (f"run examples/paper-mlcshe.yaml{database}", "use the paper's budget of 1,300 simulations")
+        )
+    if hints:
+        screen.print()
+        screen.print("next:")
+    width = max((len(command) for command, _ in hints), default=0)
+    for command, what in hints:  # not in a table, which would break commands that are to be pasted
+        screen.print(Text.assemble(f"  {program()} {command:{width}}  ", (what, "dim")), soft_wrap=True)
     if boundary.strict_dbs == 0 and not report.findings and not searched:
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"

@@ -1,7 +1,7 @@
 """`brink tolerance`: how gross a component's errors may be, and the requirement that follows."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Final
@@ -462,6 +462,7 @@ class ToleranceFindings:
     def __init__(self, view: ToleranceView, table: bytes) -> None:
         self._view = view
         self._table = table
+        self._missing: Collection[int] = ()
         self.examples: Sequence[int] = [cell.examples[0].number for cell in view.cells if cell.examples]
 
     def sentence(self) -> str:
@@ -482,6 +483,7 @@ class ToleranceFindings:
 
     async def draw(self, drawing: Drawing) -> list[Path]:
         """Draw the curves; return the file."""
+        self._missing = drawing.missing  # of the replays, which are drawn later
         path = drawing.folder / "tolerance.png"
         await asyncio.to_thread(draw_tolerance, self._view, path)
         return [path]
@@ -489,7 +491,7 @@ class ToleranceFindings:
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
         hints = [(f"tolerance {campaign} --format sentences{database}", "the requirement in sentences")]
-        if self.examples:
+        if self.examples and self.examples[0] not in self._missing:
             replay = f"replay {campaign} {self.examples[0]} --out replay.mp4{database}"
             hints.append((replay, "watch an error cause a violation"))
         return hints

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -135,6 +135,7 @@ class Drawing:
         stop: Once set, no further picture is drawn.
         timeout_s: How long to wait for a trace.
         show: Called with what is being drawn, how many are done, and how many there are; 0 if that is unknown.
+        missing: Numbers of the solutions that had no trace when it was asked for.
     """
 
     api: Api
@@ -143,12 +144,14 @@ class Drawing:
     stop: asyncio.Event
     timeout_s: float
     show: Callable[[str, int, int], None] = lambda _what, _done, _total: None
+    missing: set[int] = field(default_factory=set)
 
     async def trace(self, number: int) -> Trace | None:
         """Return the trace of a solution; None if it is not available."""
         try:
             return await fetch_trace(self.api, self.campaign, number, self.timeout_s)
         except (NoTrace, CoordinatorError):
+            self.missing.add(number)
             return None
 
 

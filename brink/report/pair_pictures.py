@@ -44,7 +44,7 @@ async def write_pair(
     *,
     workers: bool,
     on_progress: Callable[[int, int], None] | None = None,
-) -> None:
+) -> bool:
     """Draw a pair to a file and show no progress; otherwise as `draw_pair`.
 
     Args:
@@ -54,6 +54,9 @@ async def write_pair(
         path: A picture (.png) or a film (.mp4, .gif).
         workers: Whether the coordinator's workers run the drives again; otherwise this machine does.
         on_progress: Called with the number of pictures drawn so far, and of all.
+
+    Returns:
+        Whether it shows the drives: False if there is nothing to replay, so that it is a figure.
 
     Raises:
         NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
@@ -65,8 +68,9 @@ async def write_pair(
             raise
         fetched = await fetch_archive(api, view.campaign)
         await asyncio.to_thread(_draw_figure, fetched, view, pair, path)
-        return
+        return False
     await asyncio.to_thread(render_pair, drives, path, on_progress=on_progress)
+    return True
 
 
 async def _drives(api: Api, view: PairsView, pair: PairView, *, workers: bool) -> DrivePair:
