@@ -30,7 +30,7 @@ from brink.sim.aeb.specification import (
     describe_street,
 )
 from brink.sim.episode import EpisodeSpec, Json
-from brink.sim.perception.user_files import DatasetError, read_coco, weights_digest
+from brink.sim.perception.user_files import DatasetError, check_loads, check_sample, read_coco, weights_digest
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.wire import Completed
 
@@ -162,7 +162,11 @@ class AebCrossing:
         """Return the errors of the detector and the data set."""
         wrong = wrong_detector(self.params.detector)
         try:
-            self._digest()
+            if self.params.dataset != "simulator":
+                data = read_coco(Path(self.params.dataset))
+                # Cached: the detector was loaded above.
+                labels = None if wrong else check_loads(self.params.detector)
+                check_sample(data, self.params.dataset_frames, labels)
         except DatasetError as error:
             wrong.append(("dataset", str(error).removeprefix("dataset: ")))
         return wrong

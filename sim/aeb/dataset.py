@@ -12,7 +12,7 @@ specification gives the same result.
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from enum import IntEnum
 from functools import lru_cache
@@ -39,7 +39,7 @@ from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.perception.boxes import GroundTruth, LabelledFrame, curves
 from brink.sim.perception.detector import LABELS, Picture, find_detector
-from brink.sim.perception.user_files import CocoPicture, DatasetError, read_coco
+from brink.sim.perception.user_files import CocoPicture, DatasetError, read_coco, sample_evenly
 from brink.sim.perturbations import Pipeline
 from brink.sim.provenance import provenance
 from brink.sim.rendering.canvas import visible_bodies
@@ -269,13 +269,6 @@ def _frames(request: _Request) -> tuple[tuple[Picture, GroundTruth], ...]:
         )
     chosen = sample_evenly(data.pictures, request.frames)
     return tuple((_read_picture(one), one.truth) for one in chosen)
-
-
-def sample_evenly(pictures: Sequence[CocoPicture], count: int) -> list[CocoPicture]:
-    """Return `count` images spread evenly over a data set, or all of them if it has fewer."""
-    if count >= len(pictures):
-        return list(pictures)
-    return [pictures[index * len(pictures) // count] for index in range(count)]
 
 
 def _read_picture(one: CocoPicture) -> Picture:

@@ -14,15 +14,17 @@ with grey. Its output, in px of its input, has one of two forms:
 
 Class names are read from ``FILE.json`` next to the weights, ``{"names": ["vehicle", "person"]}``, or from the
 metadata that YOLO's exporter writes. Without names, a single array of two classes means vehicle and person, and of
-any other number COCO's classes in YOLO's order; three arrays use torchvision's COCO numbers. Any other output is
-rejected when the network is loaded.
+80 classes COCO's in YOLO's order; three arrays use torchvision's COCO numbers. The size of the input is that of the
+network, if it is fixed, else ``"input_px": [width, height]`` in ``FILE.json`` or the exporter's ``imgsz``, else
+640 x 384. Any other output, number of classes or size of the input is rejected when the network is loaded.
 """
 
 import ast
 import importlib
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -50,10 +52,14 @@ MIN_SCORE: Final = 0.001
 MAX_DETECTIONS: Final = 100
 NMS_OVERLAP: Final = 0.6
 WEIGHTS: Final = "weights/brink-det-1.onnx"
+MAX_NAMED: Final = 5
+"""Number of classes that a message names."""
+MAX_INPUT_PX: Final = 4096
 FLEXIBLE_INPUT_PX: Final = (640, 384)
 """Width and height used for a network that accepts inputs of any size."""
 COCO_LABELS: Final[Mapping[int, int]] = {0: 1, 2: 0, 3: 0, 5: 0, 6: 0, 7: 0}
 """Labels of COCO's classes numbered from 0: person; car, motorcycle, bus, train, truck."""
+COCO_CLASSES: Final = 80
 TORCHVISION_LABELS: Final[Mapping[int, int]] = {1: 1, 3: 0, 4: 0, 6: 0, 7: 0, 8: 0}
 """The same for torchvision's class numbers, which start at 1."""
 _OWN_PADDING: Final = 115
@@ -246,14 +252,34 @@ class FileDetector:
         source: Its file, named in messages.
 
     Raises:
-        DetectorError: Its output for a grey image is not a detection.
+        DetectorError: It fails on a grey image of its input size, its output is not a detection, or it has none of
+            the known classes.
+
+    Attributes:
+        labels: The labels that it may give.
     """
 
     def __init__(self, network: LoadedNetwork, source: str) -> None:
         self._network = network
         self._source = source
+        known = _labels_by_name(network.names)
+        if network.names and not known:
+            raise DetectorError(
+                f"{source}: expected a network with at least one of the classes {', '.join(CATEGORY_LABELS)}; got "
+                f"{_some(network.names.values())}"
+            )
         width_px, height_px = network.input_px
-        self.detect(np.full((height_px, width_px, 3), _PADDING, np.uint8))
+        grey = np.full((height_px, width_px, 3), _PADDING, np.uint8)
+        try:
+            outputs = network.infer(_to_planes(grey))
+        except Exception as error:  # neither onnxruntime's nor torch's errors have a common class
+            raise DetectorError(
+                f"{source}: cannot process an image of {width_px} x {height_px} px: {_one_line(error)}. If it "
+                f'takes another size, name it in {Path(source).name}.json: {{"input_px": [width, height]}}'
+            ) from error
+        *_, default_labels = self._parse(outputs)
+        self.labels = frozenset((known or default_labels).values())
+        self.detect(grey)
 
     def detect(self, picture: Picture) -> Detections:
         """Return the detections in an image."""
@@ -282,7 +308,7 @@ class FileDetector:
             and outputs[0].shape[0] == 1
             and outputs[0].shape[1] > 4
         ):
-            default_labels = {0: 0, 1: 1} if outputs[0].shape[1] == 6 else COCO_LABELS
+            default_labels = self._check_classes(outputs[0].shape)
             rows = outputs[0][0].T.astype(np.float32)
             best = rows[:, 4:].argmax(axis=1)
             half = 0.5 * rows[:, 2:4]
@@ -297,6 +323,39 @@ class FileDetector:
             f"{self._source}: expected one output (1, 4 + classes, n), or boxes (n, 4), scores (n,) and labels "
             f"(n,); got outputs of shapes {shapes}"
         )
+
+    def _check_classes(self, shape: tuple[int, ...]) -> Mapping[int, int]:
+        """Return the labels of the classes in a single array, if the network has no class names.
+
+        Raises:
+            DetectorError: The array has another number of classes than there are names, or than can be known.
+        """
+        classes = shape[1] - 4
+        names = self._network.names
+        if names and len(names) != classes:
+            raise DetectorError(
+                f"{self._source}: expected an output (1, {4 + len(names)}, n): a box and a score for each of the "
+                f"classes {_some(names.values())}; got shape {shape}"
+            )
+        if not names and classes not in (len(LABELS), COCO_CLASSES):
+            raise DetectorError(
+                f"{self._source}: expected an output (1, {4 + len(LABELS)}, n) of vehicle and person or "
+                f"(1, {4 + COCO_CLASSES}, n) of COCO's classes, got shape {shape}; name any other classes in "
+                f'{Path(self._source).name}.json: {{"names": ["vehicle", "person"]}}'
+            )
+        return {0: 0, 1: 1} if classes == len(LABELS) else COCO_LABELS
+
+
+def _some(names: Iterable[str]) -> str:
+    """Return the first names of a list, in words."""
+    listed = list(names)
+    return ", ".join(listed[:MAX_NAMED]) + (" and more" if len(listed) > MAX_NAMED else "")
+
+
+def _one_line(error: Exception) -> str:
+    """Return the first line of an error that says something."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[-1] if lines else type(error).__name__)[:200]
 
 
 def _labels_by_name(names: Mapping[int, str]) -> Mapping[int, int]:
@@ -327,14 +386,20 @@ class _OnnxNetwork:
             raise DetectorError(
                 f"{file}: expected one input of shape (1, 3, h, w), got {[i.shape for i in inputs]}"
             )
-        fixed = isinstance(shape[2], int) and isinstance(shape[3], int)
-        self.input_px = (shape[3], shape[2]) if fixed else FLEXIBLE_INPUT_PX
+        fixed = (shape[3], shape[2]) if isinstance(shape[2], int) and isinstance(shape[3], int) else None
         self._input = inputs[0].name
         outputs = [output.name for output in self._session.get_outputs()]
         by_name = ("boxes", "scores", "labels")
         self._outputs = list(by_name) if set(by_name) <= set(outputs) else outputs
         metadata = self._session.get_modelmeta().custom_metadata_map
-        self.names = _read_names_file(file) or _parse_names(metadata.get("names"))
+        described = _read_description(file)
+        self.names = described.names or _parse_names(metadata.get("names"))
+        if fixed and described.input_px and fixed != described.input_px:
+            raise DetectorError(
+                f"{file}: takes images of {fixed[0]} x {fixed[1]} px, but {file.name}.json says "
+                f"{described.input_px[0]} x {described.input_px[1]} px"
+            )
+        self.input_px = fixed or described.input_px or _exported_size(metadata) or FLEXIBLE_INPUT_PX
 
     def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
         outputs: list[NDArray[Any]] = self._session.run(self._outputs, {self._input: planes})
@@ -355,9 +420,10 @@ class _TorchNetwork:
             line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
             raise DetectorError(f"{file}: cannot be loaded as a TorchScript network: {line}") from error
         config = _parse_literal(extra["config.txt"])
-        self.input_px = FLEXIBLE_INPUT_PX
-        metadata_names = config.get("names") if isinstance(config, dict) else None
-        self.names = _read_names_file(file) or _parse_names(metadata_names)
+        metadata = config if isinstance(config, dict) else {}
+        described = _read_description(file)
+        self.names = described.names or _parse_names(metadata.get("names"))
+        self.input_px = described.input_px or _exported_size(metadata) or FLEXIBLE_INPUT_PX
 
     def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
         with self._torch.no_grad():
@@ -386,6 +452,11 @@ class UltralyticsDetector:
         except Exception as error:  # its errors have no common class
             raise DetectorError(f"{file}: cannot be loaded by ultralytics: {error}") from error
         self._label_of = _labels_by_name(dict(self._model.names))
+        self.labels = frozenset(self._label_of.values())
+        if not self.labels:
+            raise DetectorError(
+                f"{file}: expected a network with at least one of the classes {', '.join(CATEGORY_LABELS)}"
+            )
 
     def detect(self, picture: Picture) -> Detections:
         """Return the detections in an image."""
@@ -404,7 +475,7 @@ class UltralyticsDetector:
 
 
 @cache
-def load_file_detector(detector_id: str) -> Detector:
+def load_file_detector(detector_id: str) -> "FileDetector | UltralyticsDetector":
     """Load the detector with an id such as ``onnx:FILE``, once per process.
 
     Raises:
@@ -429,24 +500,56 @@ def _import(module: str, kind: str, requirement: str) -> Any:
         raise DetectorError(f"detector: {kind} needs {requirement}") from None
 
 
-def _read_names_file(file: Path) -> dict[int, str]:
-    """Return the class names from the JSON file next to the weights; empty if there is no such file.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Description:
+    """What a user says of a network.
+
+    Attributes:
+        names: Class names by index; empty if not stated.
+        input_px: Width and height of the network's input; None if not stated.
+    """
+
+    names: Mapping[int, str] = field(default_factory=dict)
+    input_px: tuple[int, int] | None = None
+
+
+def _read_description(file: Path) -> _Description:
+    """Return what the JSON file next to the weights says; nothing if there is no such file.
 
     Raises:
         DetectorError: The file is invalid or has no known class.
     """
-    names_file = file.with_name(file.name + ".json")
-    if not names_file.is_file():
-        return {}
+    beside = file.with_name(file.name + ".json")
+    if not beside.is_file():
+        return _Description()
     try:
-        names = _parse_names(json.loads(names_file.read_text(encoding="utf-8"))["names"])
-    except (ValueError, KeyError, TypeError):
-        names = {}
-    if not _labels_by_name(names):
+        document = json.loads(beside.read_text(encoding="utf-8"))
+        names = _parse_names(document.get("names"))
+    except (ValueError, AttributeError):
+        document, names = {}, {}
+    size = document.get("input_px")
+    if not _labels_by_name(names) and (size is None or "names" in document):
         raise DetectorError(
-            f'{names_file}: expected {{"names": ["vehicle", "person"]}} with at least one of these names'
+            f'{beside}: expected {{"names": ["vehicle", "person"]}} with at least one of these names'
         )
-    return names
+    if size is not None and not _is_size(size):
+        raise DetectorError(f"{beside}: input_px: expected [width, height] in px, got {size!r:.80}")
+    return _Description(names=names, input_px=None if size is None else (size[0], size[1]))
+
+
+def _is_size(value: object) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 2
+        and all(type(side) is int and 0 < side <= MAX_INPUT_PX for side in value)
+    )
+
+
+def _exported_size(metadata: Mapping[str, Any]) -> tuple[int, int] | None:
+    """Return the width and height that YOLO's exporter wrote, as [height, width]; None if it wrote none."""
+    value = metadata.get("imgsz")
+    size: Any = _parse_literal(value) if isinstance(value, str) else value
+    return (size[1], size[0]) if _is_size(size) else None
 
 
 def _parse_names(value: object) -> dict[int, str]:
@@ -464,12 +567,13 @@ def _parse_literal(text: object) -> Any:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Load the detector with the given id; if that fails, print the reason and return 1."""
+    """Load the detector with the given id and print its labels; if that fails, print the reason and return 1."""
     try:
-        load_file_detector(arguments[0])
+        labels = load_file_detector(arguments[0]).labels
     except DetectorError as error:
         print(" ".join(str(error).split()))  # noqa: T201
         return 1
+    print(*sorted(labels))  # noqa: T201
     return 0
 
 

@@ -18,7 +18,7 @@ import json
 import stat
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
@@ -38,6 +38,7 @@ CATEGORY_LABELS: Final[Mapping[str, int]] = {
     "person": 1, "pedestrian": 1,
 }  # fmt: skip
 """Label of each known category: 0 for a vehicle, 1 for a person."""
+LABEL_WORDS: Final = ("vehicles", "persons")
 MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
 """Boxes lower than this share of the image's height are ignored."""
 MAX_LISTED: Final = 3
@@ -109,19 +110,25 @@ def _digest(file: Path, _modified_ns: int, _size: int) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
 
 
-def check_loads(detector_id: str) -> None:
+def check_loads(detector_id: str) -> frozenset[int] | None:
     """Check that a weights file can be loaded, in a separate process, if this machine has the libraries for it.
+
+    Returns:
+        The labels that the detector may give; None if they are unknown.
 
     Raises:
         DetectorError: The file is not a detector.
     """
     file = weights_file(detector_id)
-    if file is not None and all(find_spec(module) is not None for module in ("cv2", "onnxruntime")):
-        _check_loads(detector_id, weights_digest(detector_id))
+    if file is None or any(find_spec(module) is None for module in ("cv2", "onnxruntime")):
+        return None
+    described = file.with_name(file.name + ".json")
+    words = described.read_bytes() if described.is_file() else b""
+    return _check_loads(detector_id, weights_digest(detector_id), words)
 
 
 @lru_cache(maxsize=8)
-def _check_loads(detector_id: str, _content: str) -> None:
+def _check_loads(detector_id: str, _content: str, _description: bytes) -> frozenset[int]:
     command = [sys.executable, "-m", "brink.sim.perception.detector", detector_id]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LOAD_TIMEOUT_S)
@@ -130,6 +137,7 @@ def _check_loads(detector_id: str, _content: str) -> None:
     if done.returncode != 0:
         output = (done.stdout or done.stderr).strip().splitlines()
         raise DetectorError(output[-1] if output else f"{detector_id}: cannot be loaded")
+    return frozenset(map(int, done.stdout.split()[-len(LABEL_WORDS) :]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,7 +179,7 @@ def read_coco(file: Path) -> CocoDataset:
         file: Annotations in JSON. Images are searched for in its folder and in the subfolder ``images``.
 
     Raises:
-        DatasetError: The file is missing or invalid, a box is invalid, or an image is missing.
+        DatasetError: The file is missing or invalid, a box is invalid, or an image is missing or not in its folder.
     """
     try:
         status = file.stat()
@@ -237,7 +245,12 @@ def _image(row: Any) -> tuple[str, int, int]:
         raise DatasetError(
             f"image {row.get('id')!r}: expected width and height in px, got {width_px!r}, {height_px!r}"
         )
-    return str(row["file_name"]), width_px, height_px
+    name = str(row["file_name"])
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise DatasetError(
+            f"image {row.get('id')!r}: file_name: expected a path in the folder of the annotations, got {name!r}"
+        )
+    return name, width_px, height_px
 
 
 def _boxes_by_image(
@@ -309,7 +322,81 @@ def _truth(boxes: list[_Box], height_px: int) -> GroundTruth:
 
 
 def _find(file: Path, name: str) -> Path | None:
+    """Return the path of an image; None if it is missing.
+
+    Raises:
+        DatasetError: It is a link to a place outside the folder of the annotations.
+    """
     for folder in (file.parent, file.parent / "images"):
-        if _unreadable(folder / name) is None:
-            return folder / name
+        path = folder / name
+        if _unreadable(path) is not None:
+            continue
+        if not path.resolve().is_relative_to(file.parent.resolve()):
+            raise DatasetError(
+                f"{file}: {name}: expected a file in the folder of the annotations, got a link to {path.resolve()}"
+            )
+        return path
     return None
+
+
+def sample_evenly(pictures: Sequence[CocoPicture], count: int) -> list[CocoPicture]:
+    """Return `count` images spread evenly over a data set, or all of them if it has fewer."""
+    if count >= len(pictures):
+        return list(pictures)
+    return [pictures[index * len(pictures) // count] for index in range(count)]
+
+
+def check_sample(data: CocoDataset, count: int, labels: Collection[int] | None) -> None:
+    """Check that a detector can be measured on the images that are used of a data set.
+
+    Args:
+        data: The data set.
+        count: Number of images to use.
+        labels: The labels that the detector may give; None if they are unknown.
+
+    Raises:
+        DatasetError: An image cannot be read or has another size than stated, no box counts, or none of those that
+            count has a label that the detector gives.
+    """
+    chosen = sample_evenly(data.pictures, count)
+    faults = [fault for one in chosen if (fault := _wrong_size(one)) is not None]
+    if faults:
+        more = f"; and {len(faults) - MAX_LISTED} more" if len(faults) > MAX_LISTED else ""
+        raise DatasetError(f"{data.file}: {'; '.join(faults[:MAX_LISTED])}{more}")
+    counted = {int(label) for one in chosen for label in one.truth.labels[~one.truth.ignored]}
+    if not counted:
+        raise DatasetError(
+            f"{data.file}: expected boxes that count in the {len(chosen)} images to use, got none: crowds and boxes "
+            f"lower than {MIN_HEIGHT_SHARE:.1%} of the image are ignored"
+        )
+    if labels is not None and not counted & set(labels):
+        found, there = (" and ".join(LABEL_WORDS[one] for one in sorted(some)) for some in (labels, counted))
+        raise DatasetError(
+            f"{data.file}: the detector only finds {found}, but all boxes that count are {there}"
+        )
+
+
+def _wrong_size(one: CocoPicture) -> str | None:
+    """Return how the size of an image differs from the annotations, or why it cannot be read; None if it fits."""
+    # Pillow reads the header alone; imported here, because most of what reads this module reads no image.
+    from PIL import Image
+
+    try:
+        with Image.open(one.file) as opened:
+            width_px, height_px = opened.size
+            if opened.getexif().get(_ORIENTATION, 1) in _TURNED:
+                width_px, height_px = height_px, width_px
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return f"{one.file} cannot be read as an image"
+    if (width_px, height_px) == (one.width_px, one.height_px):
+        return None
+    return (
+        f"{one.file}: expected {one.width_px} x {one.height_px} px according to the annotations, got {width_px} x "
+        f"{height_px}"
+    )
+
+
+_ORIENTATION: Final = 0x0112
+"""Tag of an image's orientation in EXIF."""
+_TURNED: Final = (5, 6, 7, 8)
+"""Orientations in which width and height change places when the image is shown."""

@@ -262,8 +262,13 @@ def read_coco(
             raise DetectionFileError(
                 f"{where}: expected image_id, category_id, bbox and score, got {one!r:.80}"
             )
+        for name in ("image_id", "category_id"):
+            if not isinstance(one[name], int | str):
+                raise DetectionFileError(f"{where}: {name}: expected an id, got {one[name]!r:.80}")
         if one["image_id"] not in images:
             raise DetectionFileError(f"{where}: expected the id of an image, got {one['image_id']!r}")
+        if not _is_number(one["score"]):
+            raise DetectionFileError(f"{where}: score: expected a number, got {one['score']!r:.80}")
         label = labels.get(one["category_id"])
         if label is not None and one["score"] >= threshold:
             name, time_s = times[one["image_id"]]

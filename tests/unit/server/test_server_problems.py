@@ -1,5 +1,6 @@
 """The problems: from candidates to episodes, and from outcomes to evaluations."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from support.circumstances import violation
+from support.onnx_file import write_network
 
 from brink.search.algorithm import Measured, Scored
 from brink.search.analysis.violations import signature_of
@@ -123,6 +126,38 @@ def test_missing_and_broken_files_are_reported_at_submission(tmp_path: Path) -> 
     assert set(refused(detector="onnx:no.onnx", dataset="no.json")) == {
         "/problem/params/detector", "/problem/params/dataset",
     }  # fmt: skip
+
+
+def test_a_detector_that_does_not_fit_the_data_is_refused_at_submission(tmp_path: Path) -> None:
+    Image.new("RGB", (320, 180)).save(tmp_path / "a.png")
+    labels = tmp_path / "labels.json"
+    document: dict[str, Any] = {
+        "images": [{"id": 1, "file_name": "a.png", "width": 320, "height": 180}],
+        "annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [10, 20, 30, 60]}],
+        "categories": [{"id": 1, "name": "person"}],
+    }
+    labels.write_text(json.dumps(document))
+    file, output = tmp_path / "net.onnx", np.ones((1, 6, 3), np.float32)
+    weights = write_network(file, output, input_px=(320, 192))
+    assert AebCrossing(AebCrossingParams(dataset=str(labels), detector=weights)).wrong_inputs() == []
+    (tmp_path / "net.onnx.json").write_text('{"names": ["car", "dog"]}')
+    told = refused(dataset=str(labels), detector=weights)
+    assert told == {
+        "/problem/params/dataset": f"{labels}: the detector only finds vehicles, but all boxes that count are persons"
+    }
+    (tmp_path / "net.onnx.json").write_text('{"input_px": [640, 640]}')
+    told = refused(dataset=str(labels), detector=weights)
+    assert set(told) == {"/problem/params/detector"}
+    assert (
+        "takes images of 320 x 192 px, but net.onnx.json says 640 x 640 px"
+        in told["/problem/params/detector"]
+    )
+    document["images"][0]["height"] = 200
+    labels.write_text(json.dumps(document))
+    told = refused(dataset=str(labels))
+    assert (
+        "expected 320 x 200 px according to the annotations, got 320 x 180" in told["/problem/params/dataset"]
+    )
 
 
 def test_only_the_chosen_techniques_are_used() -> None:

@@ -8,10 +8,19 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
+from support.onnx_file import write_network
 
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.detector import NetworkDetector, find_detector, fit_picture
-from brink.sim.perception.user_files import DatasetError, DetectorError, read_coco, weights_file
+from brink.sim.perception.detector import NetworkDetector, find_detector, fit_picture, load_file_detector
+from brink.sim.perception.user_files import (
+    DatasetError,
+    DetectorError,
+    check_loads,
+    check_sample,
+    read_coco,
+    weights_file,
+)
 
 BRIGHT = np.zeros((180, 320, 3), np.uint8)
 BRIGHT[40:120, 100:140] = 255
@@ -101,6 +110,130 @@ def test_missing_pictures_are_listed(tmp_path: Path) -> None:
     (tmp_path / "text.json").write_text("{")
     with pytest.raises(DatasetError, match="not JSON"):
         read_coco(tmp_path / "text.json")
+
+
+@pytest.mark.parametrize("name", ["../a.png", "images/../../a.png", "/etc/hostname", "images/../a.png"])
+def test_pictures_elsewhere_are_refused(tmp_path: Path, name: str) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), BRIGHT)
+    folder = tmp_path / "data"
+    folder.mkdir()
+    images = [{"id": 7, "file_name": name, "width": 320, "height": 180}, DOCUMENT["images"][1]]
+    with pytest.raises(
+        DatasetError, match=f"image 7: file_name: expected a path in the folder .*, got '{name}'"
+    ):
+        read_coco(written(folder, images=images))
+
+
+def test_links_out_of_the_folder_are_refused_and_links_within_it_are_not(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    file = written(folder)
+    (folder / "b.png").symlink_to(folder / "a.png")
+    assert len(read_coco(file).pictures) == 2
+    (folder / "a.png").rename(tmp_path / "a.png")
+    (folder / "a.png").symlink_to(tmp_path / "a.png")
+    file.write_text(file.read_text() + "\n")
+    with pytest.raises(
+        DatasetError, match=r"a\.png: expected a file in the folder .*, got a link to .*a\.png"
+    ):
+        read_coco(file)
+    (folder / "a.png").unlink()
+    (tmp_path / "all").mkdir()
+    (tmp_path / "a.png").rename(tmp_path / "all" / "a.png")
+    (folder / "sub").symlink_to(tmp_path / "all")
+    images = [{**DOCUMENT["images"][0], "file_name": "sub/a.png"}, DOCUMENT["images"][1]]
+    file.write_text(json.dumps({**DOCUMENT, "images": images}))
+    with pytest.raises(DatasetError, match="got a link to"):
+        read_coco(file)
+
+
+def test_images_that_will_be_used_are_checked(tmp_path: Path) -> None:
+    data = read_coco(written(tmp_path))
+    check_sample(data, 10, {0, 1})
+    check_sample(data, 10, {1})
+    cv2.imwrite(str(tmp_path / "a.png"), BRIGHT[:, :300])
+    with pytest.raises(DatasetError, match=r"a\.png: expected 320 x 180 px according to .*, got 300 x 180"):
+        check_sample(data, 10, None)
+    (tmp_path / "a.png").write_text("no image")
+    with pytest.raises(DatasetError, match=r"a\.png cannot be read as an image"):
+        check_sample(data, 10, None)
+
+
+def test_an_image_that_lies_on_its_side_has_the_size_that_is_shown(tmp_path: Path) -> None:
+    data = read_coco(written(tmp_path))
+    turned = Image.fromarray(np.ascontiguousarray(BRIGHT.transpose(1, 0, 2)))
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    turned.save(tmp_path / "a.png", exif=exif)
+    shown = cv2.imread(str(tmp_path / "a.png"))
+    assert shown is not None
+    assert shown.shape == (180, 320, 3), "as the evaluator reads it"
+    check_sample(data, 10, None)
+
+
+def test_a_detector_of_other_classes_than_the_boxes_is_refused(tmp_path: Path) -> None:
+    person = [DOCUMENT["annotations"][0]]
+    data = read_coco(written(tmp_path, annotations=person))
+    check_sample(data, 10, None)
+    with pytest.raises(
+        DatasetError, match="the detector only finds vehicles, but all boxes that count are persons"
+    ):
+        check_sample(data, 10, {0})
+    crowd = [{**person[0], "iscrowd": 1}]
+    with pytest.raises(DatasetError, match="expected boxes that count in the 2 images to use, got none"):
+        check_sample(read_coco(written(tmp_path, annotations=crowd)), 10, {1})
+
+
+def yolo(classes: int, boxes: int = 3) -> NDArray[np.float32]:
+    return np.ones((1, 4 + classes, boxes), np.float32)
+
+
+def test_a_network_is_loaded_and_says_what_it_finds(tmp_path: Path) -> None:
+    detector = load_file_detector(write_network(tmp_path / "two.onnx", yolo(2), input_px=(320, 192)))
+    assert detector.labels == {0, 1}
+    assert len(detector.detect(BRIGHT).labels) > 0
+    name = write_network(tmp_path / "one.onnx", yolo(2), metadata={"names": "{0: 'person', 1: 'dog'}"})
+    assert check_loads(name) == frozenset({1})
+    (tmp_path / "one.onnx.json").write_text('{"names": ["cat", "truck"]}')
+    assert check_loads(name) == frozenset({0}), "what is said of it has changed"
+
+
+@pytest.mark.parametrize("said", ["json", "imgsz"])
+def test_the_size_of_a_network_is_stated_if_it_is_not_fixed(tmp_path: Path, said: str) -> None:
+    file = tmp_path / "net.onnx"
+    metadata = {"imgsz": "[192, 320]"} if said == "imgsz" else {}
+    name = write_network(file, yolo(2), needs_px=(320, 192), metadata=metadata)
+    if said == "json":
+        with pytest.raises(
+            DetectorError, match=r"cannot process an image of 640 x 384 px: .*net\.onnx\.json"
+        ):
+            check_loads(name)
+        (tmp_path / "net.onnx.json").write_text('{"input_px": [320, 192]}')
+    assert check_loads(name) == frozenset({0, 1})
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "beside", "message"),
+    [
+        (yolo(2), {"input_px": (320, 192), "needs_px": (640, 384)}, "", "cannot be loaded as an ONNX"),
+        (yolo(2), {"input_px": (320, 192)}, '{"input_px": [640, 384]}', "takes images of 320 x 192 px, but"),
+        (yolo(2), {}, '{"input_px": [640]}', r"input_px: expected \[width, height\] in px, got \[640\]"),
+        (yolo(2), {}, '{"names": ["person"]}', r"expected an output \(1, 5, n\): .* classes person; got shape"),
+        (yolo(3), {}, "", r"\(1, 6, n\) of vehicle and person or \(1, 84, n\) .*, got shape \(1, 7, 3\)"),
+        (np.ones((1, 8400, 84), np.float32), {}, "", r"got shape \(1, 8400, 84\)"),
+        (yolo(2), {"metadata": {"names": "['cat', 'dog']"}}, "", "at least one of the classes .*; got cat, dog"),
+        (np.ones((1, 1000), np.float32), {}, "", r"expected one output .* got outputs of shapes \[\(1, 1000\)\]"),
+    ],
+    ids=["false size", "other size", "no size", "names", "classes", "transposed", "no class", "classifier"],
+)  # fmt: skip
+def test_networks_of_another_size_or_kind_are_refused(
+    tmp_path: Path, output: NDArray[np.float32], options: dict[str, Any], beside: str, message: str
+) -> None:
+    name = write_network(tmp_path / "net.onnx", output, **options)
+    if beside:
+        (tmp_path / "net.onnx.json").write_text(beside)
+    with pytest.raises(DetectorError, match=message):
+        load_file_detector(name)
 
 
 def test_pictures_keep_their_aspect_ratio() -> None:

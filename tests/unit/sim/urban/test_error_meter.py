@@ -295,6 +295,9 @@ def test_a_coco_data_set_with_sequences_is_measured(tmp_path: Path) -> None:
         (lambda d, r: (d, [{**r[0], "image_id": 5000}]), "expected the id of an image, got 5000"),
         (lambda d, r: (d, [{**r[0], "bbox": [1, 2, 0, 4]}]), "a positive width and height"),
         (lambda d, r: (d, [{"image_id": 0}]), "expected image_id, category_id, bbox and score"),
+        (lambda d, r: (d, [{**r[0], "score": "0.9"}]), "result 0: score: expected a number, got '0.9'"),
+        (lambda d, r: (d, [{**r[0], "image_id": [0]}]), "result 0: image_id: expected an id, got"),
+        (lambda d, r: (d, [{**r[0], "category_id": {}}]), "result 0: category_id: expected an id, got"),
     ],
 )
 def test_a_coco_data_set_that_does_not_fit_is_refused(
