@@ -127,7 +127,7 @@ async def follow(api: Api, campaign: str, *, as_json: bool, quiet: bool = False)
             f"campaign {campaign} is {progress.status}: {progress.simulations} simulations, "
             f"{progress.unsafe} unsafe {progress.status_reason}"
         )
-        screen.print(f"archive sha256 {progress.digest}")
+        screen.print(f"archive sha256 {progress.digest}", soft_wrap=True)
     return progress.status is CampaignStatus.FINISHED
 
 
@@ -237,7 +237,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         more = len(quarantined) - ERRORS_SHOWN
         screen.print(f"  and {more} more: {program()} status {progress.id} --json{place}", soft_wrap=True)
     if progress.digest:
-        screen.print(f"archive sha256 {progress.digest}")
+        screen.print(f"archive sha256 {progress.digest}", soft_wrap=True)
 
 
 def results(

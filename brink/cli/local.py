@@ -237,9 +237,9 @@ def run_to_end(
     settings = settings_with(database=options.database, port=options.port, llm_endpoints="*")
 
     async def work(session: Session) -> T | None:
-        name = await _start(workload, options, session)
+        name, ended = await _start(workload, options, session)
         page = f"/#/{workload.noun}s/{name}"
-        if not session.needs_token:  # the token is secret
+        if not ended and not session.needs_token:  # the token is secret
             screen.print(f"watch it in a browser until it ends: {session.url}{page}", soft_wrap=True)
         async with stopping(session.stop):
             session.processes.start(options.workers)
@@ -268,8 +268,8 @@ def run_to_end(
     return run_locally(settings, options.out / "worker.log", screen, work, any_port=any_port)
 
 
-async def _start(workload: Workload[ProgressT], options: RunOptions, session: Session) -> str:
-    """Return the id of the run to watch: the latest one of this file, or a new one."""
+async def _start(workload: Workload[ProgressT], options: RunOptions, session: Session) -> tuple[str, bool]:
+    """Return the id of the run to watch, the latest one of this file or a new one, and whether it has ended."""
     statuses = [CampaignStatus.RUNNING, CampaignStatus.PAUSED]
     if options.resume:
         statuses.append(CampaignStatus.FINISHED)
@@ -283,7 +283,7 @@ async def _start(workload: Workload[ProgressT], options: RunOptions, session: Se
             )
         name, summary = await workload.submit(session.api)
         session.screen.print(f"{workload.noun} {name}: {summary}")
-        return name
+        return name, False
     done = f"{found.simulations:,} of {found.budget:,} simulations"
     if not options.resume:
         raise Conflict(
@@ -295,7 +295,7 @@ async def _start(workload: Workload[ProgressT], options: RunOptions, session: Se
     else:
         await workload.resume(session.api, found)
         session.screen.print(f"{workload.noun} {found.id}: continuing at {done}")
-    return found.id
+    return found.id, found.status is CampaignStatus.FINISHED
 
 
 @contextlib.asynccontextmanager

@@ -310,11 +310,11 @@ def _print_summary(
         for line in report.control:
             screen.print(line, soft_wrap=True)
         report.pairs.show(screen)
-    screen.print(f"archive sha256 {progress.digest}")
+    screen.print(f"archive sha256 {progress.digest}", soft_wrap=True)
     screen.print()
-    screen.print(f"files in {folder}:")
+    screen.print(f"files in {folder}:", soft_wrap=True)
     for path in summary["files"]:
-        screen.print(f"  {path.removeprefix(folder + '/')}")
+        screen.print(f"  {path.removeprefix(folder + '/')}", soft_wrap=True)
     _print_next(screen, body, progress, report, repeated=summary["repeats"] is not None, database=database)
 
 

@@ -70,7 +70,7 @@ def plan_component(
         of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=SINGLE, numbers=tuple(numbers),
         campaign=prepare_campaign(
             follow_up_body(
-                campaign, plan, f"{len(numbers)} unsafe drives with ground truth", Repeats.id, len(numbers),
+                campaign, plan, f"{_count(len(numbers), 'unsafe drive')} with ground truth", Repeats.id, len(numbers),
                 {"solutions": rows.tolist(), "seed_numbers": _seed_numbers(campaign, numbers, seeds)},
             ).model_copy(update={"ground_truth": True}),
             llm_endpoints="",
@@ -116,7 +116,8 @@ def plan_minimisation(
         of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=REDUCTION, numbers=tuple(numbers),
         campaign=prepare_campaign(
             follow_up_body(
-                campaign, plan, f"{len(open_pairs)} pairs minimised", Minimise.id, most_trials(reduced), params
+                campaign, plan, f"{_count(len(open_pairs), 'pair')} minimised", Minimise.id,
+                most_trials(reduced), params,
             ),
             llm_endpoints="",
         ),
@@ -188,3 +189,7 @@ def read_reduced(connection: Connection, plan: Plan, stored: StoredRepeats) -> R
     verdicts: dict[int, bool | None] = dict(zip(stored.evaluated, stored.unsafe, strict=True))
     failed = view_store.read_failed(connection, stored.campaign.id)
     return replay(given, verdicts | dict.fromkeys(failed), stored.campaign.budget)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
