@@ -438,6 +438,8 @@ class _NetworkBuilder:
 
 def _elevations(line: ReferenceLine, one: _Arm, other: _Arm) -> tuple[Elevation, ...]:
     """Return the height of a way through a junction: straights continue the roads, the turn blends between them."""
+    if one.height_m == other.height_m and one.slope == other.slope == 0.0:
+        return (Elevation(a=one.height_m),)
     straight_m = line.pieces[0].length_m if len(line.pieces) > 1 else 0.0
     turn_m = line.length_m - 2.0 * straight_m
     start = (one.height_m + straight_m * one.slope, one.slope)

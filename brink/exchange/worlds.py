@@ -39,6 +39,8 @@ ENCOUNTER_SIMULATORS: Final = ("brink-encounter@1", "brink-encounter-camera@1")
 STREET_SIMULATORS: Final = ("brink-aeb@1",)
 EXPORTABLE: Final = (*URBAN_SIMULATORS, *ENCOUNTER_SIMULATORS, *STREET_SIMULATORS)
 """Simulators whose worlds have roads that can be exported."""
+PROBLEMS: Final = ("urban-injected@1", "urban-errors@1", "urban-camera@1", "npc-actions@1", "aeb-crossing@1")
+"""Problems that use them."""
 
 Pose: TypeAlias = tuple[float, float, float]
 """x_m, y_m and yaw_rad."""
@@ -121,10 +123,10 @@ def check_exportable(simulator: str | None) -> None:
         NotExportable: They cannot.
     """
     if simulator not in EXPORTABLE:
-        drive = "a solution that no simulator drove" if simulator is None else f"a drive of {simulator}"
+        drive = "a solution that was not simulated" if simulator is None else f"a drive of {simulator}"
         raise NotExportable(
-            f"{drive} has no roads that can be exported; expected one of {', '.join(EXPORTABLE)}, which simulate the "
-            "problems urban-injected@1, urban-errors@1, urban-camera@1, npc-actions@1 and aeb-crossing@1"
+            f"{drive} has no roads that can be exported; expected a drive of {', '.join(PROBLEMS)}, or of another "
+            f"problem that uses {', '.join(EXPORTABLE)}"
         )
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from brink.exchange.environment import environment, friction_scale
 from brink.exchange.folder import Origin, write_openscenario
 from brink.exchange.opendrive import DRY_FRICTION, opendrive
 from brink.exchange.openscenario import openscenario
-from brink.exchange.worlds import EgoControl, NotExportable, check_exportable, world_of
+from brink.exchange.worlds import EXPORTABLE, PROBLEMS, EgoControl, NotExportable, check_exportable, world_of
 from brink.sim.driving.interface import LightState
 from brink.sim.trace import Trace
 from brink.sim.world.road import build_road, ego_route
@@ -394,10 +395,21 @@ def test_the_same_drive_is_exported_to_the_same_files(tmp_path: Path) -> None:
 
 
 def test_a_drive_without_known_roads_is_refused() -> None:
-    with pytest.raises(NotExportable, match=r"no roads that can be exported; expected one of brink-drive@2"):
+    with pytest.raises(
+        NotExportable, match=r"no roads that can be exported; expected a drive of urban-injected@1"
+    ):
         world_of(make_trace())
     for simulator in ("brink-dataset@1", "mine@1"):
         with pytest.raises(NotExportable, match=f"a drive of {simulator}"):
             check_exportable(simulator)
-    with pytest.raises(NotExportable, match="that no simulator drove"):
+    with pytest.raises(NotExportable, match="that was not simulated"):
         check_exportable(None)
+
+
+def test_the_problems_named_in_the_refusal_are_those_with_exportable_drives() -> None:
+    found = []
+    for point in entry_points(group="brink.problems"):
+        problem = point.load()
+        if getattr(problem(problem.params_type()), "needs", None) in EXPORTABLE:
+            found.append(point.name)
+    assert sorted(found) == sorted(PROBLEMS)
