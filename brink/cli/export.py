@@ -14,7 +14,7 @@ from brink.api.client import Api
 from brink.api.results import TRACE_TIMEOUT_S, fetch_requirements, fetch_trace, run_episode
 from brink.cli.database import export as export_campaign
 from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, with_api
-from brink.exchange.worlds import EgoControl, check_exportable
+from brink.exchange.exportable import MODULES, EgoControl, check_exportable
 from brink.search.errors import MissingExtra, install_command
 from brink.server.api.schemas import CampaignView, SolutionView
 from brink.server.errors import InvalidInput
@@ -70,9 +70,9 @@ def scenario(
 
     Example: brink export scenario 3f2a 17 --out scenario-17
     """
-    if find_spec("scenariogeneration") is None:
+    if missing := [module for module in MODULES if find_spec(module) is None]:
         raise MissingExtra(
-            f"--format {format_} needs scenariogeneration, which is not installed: {install_command('exchange')}"
+            f"--format {format_} needs {missing[0]}, which is not installed: {install_command('exchange')}"
         )
     if out.exists() and not out.is_dir():
         raise InvalidInput.at("--out", f"{out}: expected a folder, or a name that is still free")

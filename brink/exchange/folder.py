@@ -13,7 +13,8 @@ from typing import Final
 
 from brink import __version__
 from brink.exchange import opendrive, openscenario, replay_in_carla
-from brink.exchange.worlds import EgoControl, spec_of, world_of
+from brink.exchange.exportable import EgoControl
+from brink.exchange.worlds import spec_of, world_of
 from brink.report.component import write_boxes
 from brink.sim.catalogue import make_requirements
 from brink.sim.episode import Json, JsonObject

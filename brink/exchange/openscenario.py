@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scenariogeneration import xosc
 
 from brink.exchange.environment import FRICTION_PARAMETER, environment, friction_scale
+from brink.exchange.exportable import EgoControl
 from brink.exchange.network import RoadNetwork
 from brink.exchange.urban_network import MAIN_LIGHTS
-from brink.exchange.worlds import Body, BodyKind, EgoControl, ExportWorld, spec_of
+from brink.exchange.worlds import Body, BodyKind, ExportWorld, spec_of
 from brink.sim.driving.interface import LightState
 from brink.sim.trace import FloatArray, Trace
 from brink.sim.world.ego import EGO_CAR

@@ -12,6 +12,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from brink.exchange.exportable import ENCOUNTER_SIMULATORS, STREET_SIMULATORS, check_exportable
 from brink.exchange.network import FlatGround, Ground, RoadNetwork
 from brink.exchange.street_network import street_network
 from brink.exchange.urban_network import UrbanGround, reach_of, urban_network
@@ -19,7 +20,6 @@ from brink.sim.aeb.specification import AebScenario
 from brink.sim.aeb.street import END_M, LANE_Y_M, VAN_SIZE_M, Actor, make_street
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.episode import EpisodeSpec
-from brink.sim.errors import InvalidEpisode
 from brink.sim.rendering.scene import BodyKind as RenderedKind
 from brink.sim.trace import Trace
 from brink.sim.world.ego import EGO_CAR
@@ -34,29 +34,8 @@ from brink.sim.world.world import signal_plan
 WHEELBASE_SHARE: Final = EGO_CAR.wheelbase_m / EGO_CAR.length_m
 WAYPOINT_EVERY_M: Final = 20.0
 
-URBAN_SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1", "brink-drive-camera@1")
-ENCOUNTER_SIMULATORS: Final = ("brink-encounter@1", "brink-encounter-camera@1")
-STREET_SIMULATORS: Final = ("brink-aeb@1",)
-EXPORTABLE: Final = (*URBAN_SIMULATORS, *ENCOUNTER_SIMULATORS, *STREET_SIMULATORS)
-"""Simulators whose worlds have roads that can be exported."""
-PROBLEMS: Final = ("urban-injected@1", "urban-errors@1", "urban-camera@1", "npc-actions@1", "aeb-crossing@1")
-"""Problems that use them."""
-
 Pose: TypeAlias = tuple[float, float, float]
 """x_m, y_m and yaw_rad."""
-
-
-class NotExportable(InvalidEpisode):
-    """The world of a drive has no roads that can be exported."""
-
-
-class EgoControl(StrEnum):
-    """What moves the ego in an exported scenario."""
-
-    RECORDED = "recorded"
-    """Its recorded trajectory."""
-    CONTROLLED = "controlled"
-    """A controller of the simulator that runs the scenario."""
 
 
 class BodyKind(StrEnum):
@@ -111,23 +90,6 @@ class ExportWorld:
     route: tuple[Pose, ...]
     bodies: Mapping[str, Body]
     parked: Mapping[str, tuple[Body, Pose]]
-
-
-def check_exportable(simulator: str | None) -> None:
-    """Check that the drives of a simulator can be exported.
-
-    Args:
-        simulator: Id of the simulator; None if the solution was not simulated.
-
-    Raises:
-        NotExportable: They cannot.
-    """
-    if simulator not in EXPORTABLE:
-        drive = "a solution that was not simulated" if simulator is None else f"a drive of {simulator}"
-        raise NotExportable(
-            f"{drive} has no roads that can be exported; expected a drive of {', '.join(PROBLEMS)}, or of another "
-            f"problem that uses {', '.join(EXPORTABLE)}"
-        )
 
 
 def spec_of(trace: Trace) -> EpisodeSpec:

@@ -3,6 +3,8 @@
 import base64
 import json
 import shutil
+import subprocess
+import sys
 import threading
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -16,10 +18,8 @@ from support.problems import small_problems
 from support.standards import ScenarioReader, schema_errors
 from typer.testing import CliRunner, Result
 
-import brink.cli.export
 from brink.cli.commands import app
-from brink.exchange.worlds import NotExportable
-from brink.search.errors import MissingExtra
+from brink.exchange.exportable import NotExportable
 from brink.server.errors import InvalidInput
 from brink.sim.episode import EpisodeSpec
 from brink.sim.trace import Trace
@@ -171,10 +171,34 @@ def test_a_file_in_the_way_of_the_folder_is_refused(driven: Driven, tmp_path: Pa
         )
 
 
-def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(brink.cli.export, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtra, match=r"needs scenariogeneration.*\.\[exchange\]"):
-        export("scenario", "3f2a", "1", "--out", str(tmp_path))
+@pytest.mark.parametrize("module", ["scenariogeneration", "cv2"])
+def test_a_missing_extra_is_named(driven: Driven, tmp_path: Path, module: str) -> None:
+    # In another process: here, the modules are loaded already.
+    without = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "{module}":
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Missing())
+real = __import__("importlib.util").util.find_spec
+__import__("importlib.util").util.find_spec = lambda name: None if name == "{module}" else real(name)
+from brink.cli.main import main
+main()
+"""
+    where = ["--database", driven.database, "--out"]
+    for words, file, status in (
+        (["export", driven.campaign], "campaign.brink", 0),
+        (["export", "scenario", driven.campaign, "1"], "scenario", 1),
+    ):
+        ended = subprocess.run(
+            [sys.executable, "-c", without, *words, *where, str(tmp_path / file)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert ended.returncode == status, ended.stderr
+        assert (tmp_path / file).exists() == (status == 0)
+    assert f"needs {module}, which is not installed: pip install" in ended.stderr
+    assert ".[exchange]" in ended.stderr
 
 
 def test_an_unknown_format_is_wrong_usage(tmp_path: Path) -> None:

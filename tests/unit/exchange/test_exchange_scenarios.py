@@ -19,10 +19,11 @@ from support.standards import NetworkReader, ScenarioReader, number, place, sche
 from support.traces import make_trace
 
 from brink.exchange.environment import environment, friction_scale
+from brink.exchange.exportable import EXPORTABLE, PROBLEMS, EgoControl, NotExportable, check_exportable
 from brink.exchange.folder import Origin, write_openscenario
 from brink.exchange.opendrive import DRY_FRICTION, opendrive
 from brink.exchange.openscenario import openscenario
-from brink.exchange.worlds import EXPORTABLE, PROBLEMS, EgoControl, NotExportable, check_exportable, world_of
+from brink.exchange.worlds import world_of
 from brink.sim.driving.interface import LightState
 from brink.sim.trace import Trace
 from brink.sim.world.road import build_road, ego_route

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from support.drives import absent, urban_drive
 
+from brink.exchange.exportable import EgoControl
 from brink.exchange.folder import Origin, write_openscenario
-from brink.exchange.worlds import EgoControl
 from brink.sim.trace import Trace
 
 ORIGIN = Origin(campaign="3f2a0000", name="quickstart", number=17, words="a drive", deciding=())
