@@ -53,7 +53,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "token": ("brink.cli.database:token", "Create, list and revoke tokens"),
         "db": ("brink.cli.database:db", "Upgrade or prune the database"),
         "doctor": ("brink.cli.database:doctor", "Check the database, campaigns, jobs and workers"),
-        "export": ("brink.cli.database:export", "Write a campaign to a file"),
+        "export": ("brink.cli.export:export", "Write a campaign to a file, or a drive as a scenario"),
         "import": ("brink.cli.database:import_", "Read a campaign from a file"),
     },
     "Tools": {

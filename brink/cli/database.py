@@ -100,7 +100,7 @@ def export(
 ) -> None:
     """Write a campaign with all its data to one file, for archiving or for import into another database.
 
-    Example: brink export 3f2a --out traffic.brink
+    Example: brink export campaign 3f2a --out traffic.brink
     """
     settings = settings_with(database=database)
     check_database(settings)

@@ -1,0 +1,1 @@
+"""Exchange: recorded drives in formats that other simulators read."""

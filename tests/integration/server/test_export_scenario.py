@@ -1,0 +1,207 @@
+"""`brink export scenario` through a coordinator: real drives, written as scenarios."""
+
+import base64
+import json
+import shutil
+import subprocess
+import sys
+import threading
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.api import FakeWorker, ball, coordinator, expect, finish, listening_coordinator, submit
+from support.problems import small_problems
+from support.standards import ScenarioReader, schema_errors
+from typer.testing import CliRunner, Result
+
+from brink.cli.commands import app
+from brink.exchange.exportable import NotExportable
+from brink.server.errors import InvalidInput
+from brink.sim.episode import EpisodeSpec
+from brink.sim.trace import Trace
+from brink.sim.urban.simulator import BrinkDrive
+from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+
+CAMPAIGN: dict[str, Any] = {
+    "name": "drives", "problem": {"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
+    "algorithm": {"id": "random@1"}, "budget": {"simulations": 6}, "seed": 4,
+}  # fmt: skip
+SOLUTION = 3
+
+
+def simulate(job: LeasedJob) -> Completed | JobFailed:
+    """Simulate a job in this process."""
+    result = BrinkDrive().run(EpisodeSpec.from_json(job.spec), record=job.record)
+    verdicts = {
+        name: WireVerdict(robustness=one.robustness, unit=one.unit, violated_at_s=one.violated_at_s)
+        for name, one in result.verdicts.items()
+    }
+    return Completed(
+        verdicts=verdicts, objectives=dict(result.objectives), features=dict(result.features),
+        trace=None if result.trace is None else base64.b64encode(result.trace).decode(),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Driven:
+    """A campaign of real drives that has ended.
+
+    Attributes:
+        database: Where it is stored.
+        campaign: Its id.
+        solution: The solution to export, from the API.
+    """
+
+    database: str
+    campaign: str
+    solution: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def driven(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Driven:
+    url = copied(sqlite_file, tmp_path_factory.mktemp("driven"))
+    with coordinator(url) as client:
+        campaign = submit(client, CAMPAIGN)
+        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
+        assert worker.work(campaign)["status"] == "finished"
+        solution = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/{SOLUTION}"))
+    return Driven(database=url, campaign=campaign, solution=solution)
+
+
+def copied(sqlite_file: Path, folder: Path) -> str:
+    """Return the URL of a new database."""
+    return f"sqlite:///{shutil.copyfile(sqlite_file, folder / 'drives.db')}"
+
+
+def export(*arguments: str) -> Result:
+    return CliRunner().invoke(app, ["export", *arguments], catch_exceptions=False)
+
+
+def test_a_stored_drive_is_exported_as_it_was(driven: Driven, tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "scenario"
+    told = export(
+        "scenario",
+        driven.campaign[:6],
+        str(SOLUTION),
+        "--database",
+        driven.database,
+        "--out",
+        str(out),
+        "--json",
+    )
+    assert told.exit_code == 0, told.output
+    assert {Path(file) for file in json.loads(told.stdout)} == set(out.iterdir())
+    assert schema_errors(out / "scenario.xosc", "OpenSCENARIO_1_2.xsd") == []
+    assert schema_errors(out / "road.xodr", "opendrive_17_core.xsd") == []
+    spec = EpisodeSpec.from_json(driven.solution["spec"])
+    trace = BrinkDrive().run(spec, record=True).trace
+    assert trace is not None
+    ego = Trace.from_bytes(trace).ego
+    bodies = ScenarioReader(ET.parse(out / "scenario.xosc").getroot()).bodies("ego")
+    assert np.hypot(*(bodies[0] - ego[0, :2])) < 0.01
+    assert np.hypot(*(bodies[-1] - ego[-1, :2])) < 0.01
+    verdicts = json.loads((out / "verdicts.json").read_text())
+    assert verdicts["campaign"] == driven.campaign
+    assert verdicts["words"] == driven.solution["words"]
+    for name, one in verdicts["requirements"].items():
+        stored = driven.solution["verdicts"][name]
+        assert one["violated_at_s"] == stored["violated_at_s"]
+        assert one["robustness"] == pytest.approx(stored["robustness"], abs=1e-4)
+        assert one["decides_the_verdict"] == (name == "front-gap@1")
+    assert driven.campaign in (out / "README.txt").read_text()
+
+
+def test_a_coordinators_worker_simulates_the_drive(driven: Driven, tmp_path: Path) -> None:
+    stopped = threading.Event()
+    with listening_coordinator(driven.database) as client:
+        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
+
+        def work() -> None:
+            while not stopped.is_set():
+                worker.report(worker.lease(wait_s=0.2))
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            told = export(
+                "scenario", driven.campaign, str(SOLUTION), "--server", str(client.base_url), "--out", str(tmp_path),
+                "--ego", "controlled",
+            )  # fmt: skip
+        finally:
+            stopped.set()
+            thread.join()
+    assert told.exit_code == 0, told.output
+    assert str(tmp_path / "scenario.xosc") in told.stdout.splitlines()
+    scenario = ScenarioReader(ET.parse(tmp_path / "scenario.xosc").getroot())
+    assert scenario.trajectories("ego") == []
+    assert scenario.trajectories("lead")
+
+
+def test_a_campaign_is_still_exported_without_naming_the_command(driven: Driven, tmp_path: Path) -> None:
+    for words in ([driven.campaign], ["campaign", driven.campaign]):
+        file = tmp_path / f"{len(words)}.brink"
+        told = export(*words, "--database", driven.database, "--out", str(file))
+        assert told.exit_code == 0, told.output
+        assert file.stat().st_size > 0
+    first = export("--out", str(tmp_path / "0.brink"), driven.campaign, "--database", driven.database)
+    assert first.exit_code == 0, first.output
+
+
+def test_a_problem_without_roads_is_refused_with_those_that_have_some(
+    sqlite_file: Path, tmp_path: Path
+) -> None:
+    url = copied(sqlite_file, tmp_path)
+    with small_problems():
+        with coordinator(url) as client:
+            campaign = finish(client, ball())
+        with pytest.raises(NotExportable, match=r"no roads that can be exported.*urban-injected@1"):
+            export("scenario", campaign, "1", "--database", url, "--out", str(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_in_the_way_of_the_folder_is_refused(driven: Driven, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("here")
+    with pytest.raises(InvalidInput, match="expected a folder"):
+        export(
+            "scenario", driven.campaign, "1", "--database", driven.database, "--out", str(tmp_path / "taken")
+        )
+
+
+@pytest.mark.parametrize("module", ["scenariogeneration", "cv2"])
+def test_a_missing_extra_is_named(driven: Driven, tmp_path: Path, module: str) -> None:
+    # In another process: here, the modules are loaded already.
+    without = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "{module}":
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Missing())
+real = __import__("importlib.util").util.find_spec
+__import__("importlib.util").util.find_spec = lambda name: None if name == "{module}" else real(name)
+from brink.cli.main import main
+main()
+"""
+    where = ["--database", driven.database, "--out"]
+    for words, file, status in (
+        (["export", driven.campaign], "campaign.brink", 0),
+        (["export", "scenario", driven.campaign, "1"], "scenario", 1),
+    ):
+        ended = subprocess.run(
+            [sys.executable, "-c", without, *words, *where, str(tmp_path / file)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert ended.returncode == status, ended.stderr
+        assert (tmp_path / file).exists() == (status == 0)
+    assert f"needs {module}, which is not installed: pip install" in ended.stderr
+    assert ".[exchange]" in ended.stderr
+
+
+def test_an_unknown_format_is_wrong_usage(tmp_path: Path) -> None:
+    told = export("scenario", "3f2a", "1", "--out", str(tmp_path), "--format", "lanelet")
+    assert told.exit_code == 2
+    assert "openscenario" in told.output
