@@ -41,6 +41,8 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),
     },
     "Control": {
+        "tag": ("brink.cli.campaigns:tag", "Add or remove tags of a campaign"),
+        "note": ("brink.cli.campaigns:note", "Write notes on a campaign"),
         "pause": ("brink.cli.campaigns:pause", "Pause a campaign"),
         "resume": ("brink.cli.campaigns:resume", "Resume a paused campaign"),
         "cancel": ("brink.cli.campaigns:cancel", "Cancel a campaign and keep its results"),
