@@ -17,7 +17,6 @@ from brink.api.client import Api
 from brink.api.live import Steps
 from brink.api.results import fetch_archive
 from brink.cli.campaigns import grid_table, solution_table, within_budget
-from brink.cli.compare import compared_archives
 from brink.cli.draw import write_results
 from brink.cli.findings import Findings, fetch_findings
 from brink.cli.local import RunOptions, Session, run_to_end
@@ -36,6 +35,7 @@ from brink.cli.options import (
 )
 from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
+from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
