@@ -7,7 +7,7 @@ import typer
 
 from brink.api.client import Api
 from brink.cli.options import CampaignId, Database, Server, console, with_api
-from brink.report.campaign import MOST_PAIRS, campaign_report
+from brink.report.campaign import MOST_PAIRS, campaign_report, write_page
 from brink.server.errors import InvalidInput
 
 
@@ -43,15 +43,3 @@ def report(
 
     size = write_page(out, with_api(server, database, work))
     screen.print(f"{out}: {size / 1e6:.1f} MB", soft_wrap=True, markup=False)
-
-
-def write_page(file: Path, page: str) -> int:
-    """Write a page to a file, which appears only when it is complete; return its size in bytes."""
-    data = page.encode()
-    part = file.with_name(f".{file.name}.part")
-    try:
-        part.write_bytes(data)
-        part.replace(file)
-    finally:
-        part.unlink(missing_ok=True)
-    return len(data)

@@ -35,8 +35,7 @@ from brink.cli.options import (
 )
 from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
-from brink.cli.report import write_page
-from brink.report.campaign import campaign_report
+from brink.report.campaign import campaign_report, write_page
 from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries

@@ -121,6 +121,18 @@ def compose(facts: Facts, pictures: Mapping[str, Path], *, most_pairs: int = MOS
     )  # fmt: skip
 
 
+def write_page(file: Path, page: str) -> int:
+    """Write a page to a file, which appears only when it is complete; return its size in bytes."""
+    data = page.encode()
+    part = file.with_name(f".{file.name}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(file)
+    finally:
+        part.unlink(missing_ok=True)
+    return len(data)
+
+
 @cache
 def _template() -> Template:
     environment = Environment(
@@ -136,7 +148,7 @@ def _key_figures(facts: Facts) -> list[Term]:
         return []
     view = facts.fetched.outcomes
     unsafe = view.kinds[OutcomeKind.VIOLATED] if view.requirements else "unsafe"
-    verb = "evaluated" if facts.computed else "simulated"
+    verb = "simulated" if facts.drives else "evaluated"
     told = [Term(f"{facts.evaluated:,}", f"{noun(facts)}s {verb}, with a verdict")]
     if facts.tolerance is None:
         told.append(Term(share(facts.unsafe, facts.evaluated), f"of these {unsafe}"))
@@ -233,7 +245,7 @@ def _moment(moment: datetime) -> str:
 def _campaign_file(facts: Facts) -> str:
     """Return the campaign file, with every parameter spelled out; empty if it is too long to print."""
     document = facts.view.body.document()
-    for name in ("llm", "repeats", "ground_truth"):
+    for name in ("llm", "repeats", "ground_truth", "start_from"):
         if not document[name]:
             del document[name]
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)

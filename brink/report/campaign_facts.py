@@ -12,6 +12,7 @@ from brink.search.analysis.comparison import control_summaries
 from brink.search.analysis.rules import Rules, region_rules
 from brink.search.errors import MissingExtra, TooManyPairs, UnsupportedSpace
 from brink.search.slots import slots_of
+from brink.server.api.finding import FindingView
 from brink.server.api.pair_views import PairsView
 from brink.server.api.repeats import RepeatsView
 from brink.server.api.schemas import (
@@ -26,7 +27,7 @@ from brink.server.api.schemas import (
 )
 from brink.server.api.tolerance import ToleranceView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.problems.base import InProcessProblem, ReportsViolations
+from brink.server.problems.base import InProcessProblem, ReportsViolations, ignores_seeds, records_traces
 from brink.server.states import CampaignStatus, JobStatus
 
 RANDOM: Final = "random@1"
@@ -75,6 +76,7 @@ class Facts:
     Attributes:
         view: The campaign.
         progress: Its counts.
+        finding: What it found in a sentence, and the campaign that it follows up, if any.
         fetched: Its archive.
         pairs: Its pairs, or that there are too many.
         boundary: Its distinct boundary solutions.
@@ -92,6 +94,7 @@ class Facts:
 
     view: CampaignView
     progress: Progress
+    finding: FindingView
     fetched: FetchedArchive
     pairs: PairsView | TooManyPairs
     boundary: Boundary
@@ -123,8 +126,13 @@ class Facts:
 
     @property
     def computed(self) -> bool:
-        """Whether verdicts are computed, not simulated."""
-        return isinstance(self.fetched.plan.problem, InProcessProblem)
+        """Whether chance has no part in the verdicts."""
+        return ignores_seeds(self.fetched.plan.problem)
+
+    @property
+    def drives(self) -> bool:
+        """Whether solutions are drives, which can be replayed."""
+        return records_traces(self.fetched.plan.problem)
 
     @property
     def searched_pairs(self) -> bool:
@@ -153,6 +161,7 @@ async def fetch_facts(api: Api, campaign: str, on_progress: Callable[[str], None
     view = await api.read(CampaignView, f"/campaigns/{campaign}")
     path = f"/campaigns/{view.id}"
     progress = await api.read(Progress, f"{path}/progress", {"since": _ALL_GENERATIONS})
+    finding = await api.read(FindingView, f"{path}/finding")
     fetched = await fetch_archive(api, view.id)
     on_progress("looking for pairs")
     pairs = await read_all_pairs(api, view.id)
@@ -172,7 +181,7 @@ async def fetch_facts(api: Api, campaign: str, on_progress: Callable[[str], None
         tolerance = await api.read(ToleranceView, f"{path}/tolerance")
     first = int(archive.numbers[0]) if len(archive) else None
     return Facts(
-        view=view, progress=progress, fetched=fetched, pairs=pairs, boundary=boundary,
+        view=view, progress=progress, finding=finding, fetched=fetched, pairs=pairs, boundary=boundary,
         violations=violations, combinations=combinations, tolerance=tolerance,
         repeats=await api.read(list[RepeatsView], f"{path}/repeats"),
         control=control, rules=rules, no_rules=no_rules,

@@ -9,15 +9,13 @@ from typing import Any, Final
 from brink.report.campaign_facts import RANDOM, Facts
 from brink.report.pair_words import chance_words
 from brink.report.violations import by_frequency
-from brink.search.algorithms.minimise import MinimiseConfig
-from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.analysis.confirmation import Confirmation
-from brink.search.errors import TooManyPairs
 from brink.search.parameters import Categorical
 from brink.search.space import Parameter, SearchSpace
 from brink.server.api.pair_views import PairsView, PairView
 from brink.server.api.tolerance import CellView, Finding, ToleranceView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.problems.base import ReplacesComponent
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind
@@ -26,6 +24,7 @@ from brink.sim.errors import SimulatorError
 
 MOST_CHOICES: Final = 12
 """Choices of a parameter that are listed by name."""
+LONGEST_VALUE: Final = 100
 TIGHTEST: Final = 3
 """Tolerances in the first paragraph."""
 
@@ -62,7 +61,7 @@ def share(part: int, whole: int) -> str:
 
 def noun(facts: Facts) -> str:
     """Return what a solution is called."""
-    return "solution" if facts.computed else "drive"
+    return "drive" if facts.drives else "solution"
 
 
 def subject(facts: Facts) -> str:
@@ -76,9 +75,21 @@ def others_recorded(facts: Facts) -> bool:
     return bool(recorded.keys() - set(facts.fetched.outcomes.requirements))
 
 
+_FOLLOW_UPS: Final = {
+    FollowUpKind.CONFIRM: "Brink simulated {many} of {of} again, with other random numbers, to see how often each is "
+    "unsafe.",
+    FollowUpKind.COMPONENT: "Brink simulated unsafe {many} of {of} again, with ground truth in place of the "
+    "component.",
+    FollowUpKind.MINIMISE: "Brink reverted differences between {many} of {of} one by one, to find those that matter.",
+}
+"""What follow-ups ask."""
+
+
 def purpose(facts: Facts) -> str:
     """Return what the campaign asked, in a sentence for people who have never seen Brink."""
-    config, many = facts.fetched.plan.config, f"{noun(facts)}s"
+    many, of = f"{noun(facts)}s", facts.finding.of
+    if of is not None:
+        return _FOLLOW_UPS[of.kind].format(many=many, of=f"campaign {of.campaign} ({of.name})")
     if facts.searched_pairs:
         return (
             f"Brink searched for pairs of {many} that are almost the same, although one is safe and the other is "
@@ -97,14 +108,6 @@ def purpose(facts: Facts) -> str:
     if facts.combinations is not None:
         return (
             "Brink searched for changes to the camera image, alone or together, that make the driving unsafe."
-        )
-    if isinstance(config, RepeatsConfig):
-        return (
-            f"Brink simulated given {many} again, with other random numbers, to see how often each is unsafe."
-        )
-    if isinstance(config, MinimiseConfig):
-        return (
-            "Brink reverted differences between two drives one by one, to find those that change the verdict."
         )
     if facts.view.body.algorithm.id == RANDOM:
         return f"Brink drew {many} at random, as a baseline for searches that choose them."
@@ -128,52 +131,40 @@ def verdicts(facts: Facts) -> list[str]:
     )
     if facts.tolerance is not None:
         return [
-            f"Of {count(facts.evaluated, 'drive')}, most of them with an error, {facts.unsafe:,} "
+            f"Of {count(facts.evaluated, 'drive')}, with and without errors, {facts.unsafe:,} "
             f"{view.kinds[OutcomeKind.VIOLATED]}."
         ]
     if not view.requirements:
-        how = "computed, not simulated" if facts.computed else "given by the problem itself"
+        how = "computed: chance has no part in them" if facts.computed else "given by the problem itself"
         return [f"{unsafe} were unsafe, {safe:,} safe; the verdicts are {how}."]
     these = "this requirement" if len(view.requirements) == 1 else "these requirements"
     told = [f"{unsafe} were unsafe: they {view.kinds[OutcomeKind.VIOLATED]}."]
     if safe:
-        rest = view.words.partition("; ")[2].rstrip(".")
+        rest = view.words.partition("; ")[2].rstrip(".") if others_recorded(facts) else ""
         more = f"; {rest}" if rest else ""
         told.append(f"The other {safe:,} {many} were safe with regard to {these}{more}.")
     return told
 
 
 def findings(facts: Facts) -> list[str]:
-    """Return what the campaign found of what it looked for."""
+    """Return what the campaign found of what it looked for, with an example."""
     if not facts.evaluated:
         return []
+    told = [f"The result: {facts.finding.words[0].lower()}{facts.finding.words[1:]}"]
     if facts.tolerance is not None:
-        return _tolerances(facts.tolerance)
-    told = []
+        if limits := limiting(facts.tolerance):
+            told.append(f"Tightest: {' '.join(cell.sentence for cell in limits[:TIGHTEST])}")
+        return told
     if facts.violations is not None and facts.violations.types:
         most = by_frequency(facts.violations)[0]
-        told += [
-            f"{as_sentence(facts.violations.words)}.",
-            f"The most frequent type, in {count(most.solutions, noun(facts))}: {most.type}.",
-        ]
-    if facts.combinations is not None and facts.combinations.combinations:
-        told.append(f"{as_sentence(facts.combinations.words)}.")
-    if facts.searched_pairs:
-        return [*told, *_pairs(facts.pairs)]
-    if facts.progress.looks_for_boundary and facts.combinations is None:
-        told.append(boundary_words(facts))
-    if not isinstance(facts.pairs, TooManyPairs) and facts.pairs.distinct:
-        told.append(f"Without looking for them, it came across {facts.pairs.note}.")
-    return told
-
-
-def _pairs(pairs: PairsView | TooManyPairs) -> list[str]:
-    if isinstance(pairs, TooManyPairs):
-        return [f"{as_sentence(str(pairs))}."]
-    told = [f"The result: {pairs.note}."]
-    if pairs.pairs:
-        best = best_first(pairs)[0]
-        told.append(f"For example, pair {best.place}: {as_sentence(best.words)}.")
+        told.append(f"The most frequent type, in {count(most.solutions, noun(facts))}: {most.type}.")
+    pairs = facts.pairs
+    if isinstance(pairs, PairsView) and pairs.pairs and facts.finding.of is None:
+        if facts.searched_pairs:
+            best = best_first(pairs)[0]
+            told.append(f"For example, pair {best.place}: {as_sentence(best.words)}.")
+        else:
+            told.append(f"Without looking for them, it came across {pairs.note}.")
     return told
 
 
@@ -181,14 +172,6 @@ def best_first(view: PairsView) -> list[PairView]:
     """Return pairs in the order of the evidence for them: confirmed ones first, then those that were not tried."""
     ranks = {Confirmation.CONFIRMED: 0, Confirmation.NOT_CONFIRMED: 2}
     return sorted(view.pairs, key=lambda pair: (ranks.get(pair.confirmation.state, 1), pair.place))
-
-
-def _tolerances(view: ToleranceView) -> list[str]:
-    told = [f"The result: {view.note}."]
-    limits = limiting(view)
-    if limits:
-        told.append(f"Tightest: {' '.join(cell.sentence for cell in limits[:TIGHTEST])}")
-    return told
 
 
 def limiting(view: ToleranceView) -> list[CellView]:
@@ -271,9 +254,18 @@ def trust(facts: Facts) -> list[Term]:
     many = f"{noun(facts)}s"
     terms = []
     if facts.computed:
-        terms.append(Term("Chance", "Verdicts are computed by formula: chance has no part in them."))
+        terms.append(Term("Chance", "Verdicts are computed, and other seeds do not change them."))
     else:
         terms += _repeated(facts)
+    known = facts.progress.known
+    if known is not None and known.results:
+        terms.append(
+            Term(
+                "Start",
+                f"The search began with {count(known.results, 'result')} that it did not simulate, "
+                f"{known.unsafe:,} of them unsafe; they count nowhere on this page.",
+            )
+        )
     if facts.control:
         told = " ".join(f"{one}." for one in facts.control)
         terms.append(Term("Control", f"{told} A control shows what scenarios and chance alone explain."))
@@ -448,6 +440,8 @@ def _value(value: object, unit: str = "") -> str:
         shown = ", ".join(map(str, value)) or "none"
     else:
         shown = str(value)
+    if len(shown) > LONGEST_VALUE:
+        return f"{shown[:LONGEST_VALUE]}… (see the campaign file)"
     return f"{shown} {unit}".strip()
 
 

@@ -8,8 +8,7 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from brink.cli.options import with_api
-from brink.cli.report import write_page
-from brink.report.campaign import campaign_report
+from brink.report.campaign import campaign_report, write_page
 from browser.console import Console
 from browser.served import Served
 from browser.test_browser_accessibility import COLOURS, EVERYTHING, faults

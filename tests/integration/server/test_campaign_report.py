@@ -249,7 +249,7 @@ def test_failures_repeats_and_results_of_the_cache_are_told(database_url: str) -
     assert "distinct boundary solution" in found.text
     assert re.search(r"\d+ of \d+ results were taken over from identical", read(database_url, other).text)
     follow_up = read(database_url, again)
-    assert "Brink simulated given drives again" in follow_up.text
+    assert f"Brink simulated drives of campaign {campaign} (ball) again" in follow_up.text
 
 
 @on_sqlite
