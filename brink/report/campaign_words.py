@@ -290,7 +290,7 @@ def _repeated(facts: Facts) -> list[Term]:
         if pairs.tried or pairs.pending:
             pending = f", {pairs.pending:,} are being simulated" if pairs.pending else ""
             words = (
-                f"Of {count(pairs.distinct, 'pair')}, {pairs.tried:,} were simulated again with other seeds: "
+                f"Simulated again with other seeds: {pairs.tried:,} of {count(pairs.distinct, 'pair')}. "
                 f"{pairs.confirmed:,} confirmed (the safe side unsafe in at most {pairs.rule.safe_at_most:.0%}, the "
                 f"unsafe side in at least {pairs.rule.unsafe_at_least:.0%} of at least {pairs.rule.least_drives} "
                 f"drives each), {pairs.not_confirmed:,} not{pending}."

@@ -15,6 +15,8 @@ from browser.test_browser_accessibility import COLOURS, EVERYTHING, faults
 from browser.test_browser_layout import OVERHANGING, PHONE_PX
 from browser.visits import WIDTH, Theme
 
+A4_PX = 688
+"""Width of an A4 page within its margins."""
 Open = Callable[..., Page]
 
 
@@ -80,4 +82,6 @@ def test_the_theme_is_that_of_the_system_and_paper_is_white(open_report: Open) -
     assert page.evaluate(ground) != "rgb(255, 255, 255)"
     page.emulate_media(media="print")
     assert page.evaluate(ground) == "rgb(255, 255, 255)"
+    page.set_viewport_size({"width": A4_PX, "height": 900})
+    assert page.evaluate("document.scrollingElement.scrollWidth") == A4_PX
     assert page.pdf(prefer_css_page_size=True).startswith(b"%PDF")
