@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from brink.api.client import Api
+from brink.api.live import Steps
 from brink.cli.options import CampaignId, Database, Server, console, with_api
 from brink.report.campaign import MOST_PAIRS, campaign_report, write_page
 from brink.server.errors import InvalidInput
@@ -36,10 +37,10 @@ def report(
     screen = console()
 
     async def work(api: Api) -> str:
-        with screen.status("reading the campaign") as status:
+        with Steps(screen, "reading the campaign") as steps:
             return await campaign_report(
-                api, campaign, most_pairs=pairs, workers=server is not None, on_progress=status.update
+                api, campaign, most_pairs=pairs, workers=server is not None, show=steps.show
             )
 
     size = write_page(out, with_api(server, database, work))
-    screen.print(f"{out}: {size / 1e6:.1f} MB", soft_wrap=True, markup=False)
+    screen.print(f"{out}: {size / 1e6:.1f} MB", soft_wrap=True)

@@ -163,8 +163,10 @@ async def _write_page(session: Session, campaign: str, folder: Path, files: Sequ
     """Write the report to hand on, with the pictures among the files that are written already; return its file."""
     pictures = {path.name: path for path in files if path.suffix == ".png"}
     began = time.monotonic()
-    with session.screen.status("writing the report"):
-        page = await campaign_report(session.api, campaign, pictures=pictures, most_pairs=PAIRS_DRAWN)
+    with Steps(session.screen, "writing the report") as steps:
+        page = await campaign_report(
+            session.api, campaign, pictures=pictures, most_pairs=PAIRS_DRAWN, show=steps.show
+        )
     write_page(folder / "report.html", page)
     log.info("writing the report took %.1f s", time.monotonic() - began)
     return folder / "report.html"

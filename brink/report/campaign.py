@@ -6,7 +6,7 @@ it. The same finished campaign gives the same page.
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from brink import __version__
 from brink.api.client import Api
-from brink.report.campaign_facts import Facts, fetch_facts
+from brink.report.campaign_facts import Facts, Show, fetch_facts
 from brink.report.campaign_pictures import draw_pictures, shown_pairs
 from brink.report.campaign_sections import (
     Album,
@@ -66,7 +66,7 @@ async def campaign_report(
     pictures: Mapping[str, Path] | None = None,
     most_pairs: int = MOST_PAIRS,
     workers: bool = False,
-    on_progress: Callable[[str], None] = lambda _: None,
+    show: Show = lambda _what, _done, _total: None,
 ) -> str:
     """Return the report of a campaign as an HTML page that is complete in itself.
 
@@ -77,18 +77,19 @@ async def campaign_report(
             None draws them.
         most_pairs: Most pairs to show in full; the others are in a table.
         workers: Whether the coordinator's workers run episodes again for pictures; otherwise this machine does.
-        on_progress: Called with what is being done, in words.
+        show: Called with what is being done, in words, how much of it is done, and how much there is; 0 if that is
+            unknown.
 
     Raises:
         CoordinatorError: The campaign does not exist.
         InvalidInput: Its problem or algorithm is not installed here.
     """
-    facts = await fetch_facts(api, campaign, on_progress)
+    facts = await fetch_facts(api, campaign, show)
     if pictures is not None:
         return await asyncio.to_thread(compose, facts, pictures, most_pairs=most_pairs)
     with TemporaryDirectory(prefix="brink-report-") as folder:
         drawn = await draw_pictures(
-            api, facts, Path(folder), most_pairs=most_pairs, workers=workers, on_progress=on_progress
+            api, facts, Path(folder), most_pairs=most_pairs, workers=workers, show=show
         )
         return await asyncio.to_thread(compose, facts, drawn, most_pairs=most_pairs)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
@@ -30,6 +30,8 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.problems.base import InProcessProblem, ReportsViolations, ignores_seeds, records_traces
 from brink.server.states import CampaignStatus, JobStatus
 
+Show: TypeAlias = Callable[[str, int, int], None]
+"""Called with what is being done, in words, how much of it is done, and how much there is; 0 if that is unknown."""
 RANDOM: Final = "random@1"
 OPEN: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
 LISTED: Final = 200
@@ -145,29 +147,29 @@ class Facts:
         return isinstance(self.fetched.plan.config, MultiObjectiveConfig)
 
 
-async def fetch_facts(api: Api, campaign: str, on_progress: Callable[[str], None]) -> Facts:
+async def fetch_facts(api: Api, campaign: str, show: Show) -> Facts:
     """Fetch everything that the report of a campaign tells.
 
     Args:
         api: Coordinator of the campaign.
         campaign: Id of the campaign, or a unique prefix of it.
-        on_progress: Called with what is being done, in words.
+        show: Called with what is being done.
 
     Raises:
         CoordinatorError: The campaign does not exist.
         InvalidInput: Its problem or algorithm is not installed here.
     """
-    on_progress("reading the campaign")
+    show("reading the campaign", 0, 0)
     view = await api.read(CampaignView, f"/campaigns/{campaign}")
     path = f"/campaigns/{view.id}"
     progress = await api.read(Progress, f"{path}/progress", {"since": _ALL_GENERATIONS})
     finding = await api.read(FindingView, f"{path}/finding")
     fetched = await fetch_archive(api, view.id)
-    on_progress("looking for pairs")
+    show("looking for pairs", 0, 0)
     pairs = await read_all_pairs(api, view.id)
     boundary = await api.read(Boundary, f"{path}/boundary", {"t_b": DEFAULT_T_B, "d_th": DEFAULT_D_TH})
     problem, archive = fetched.plan.problem, fetched.archive
-    on_progress("comparing with a control and with random search")
+    show("comparing with a control and with random search", 0, 0)
     control: Sequence[str] = ()
     if progress.looks_for_boundary and not progress.looks_for_pairs and len(archive):
         control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)

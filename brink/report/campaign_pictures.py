@@ -1,13 +1,13 @@
 """The pictures of a campaign's report, drawn anew: those that show what the campaign looked for."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import TRACE_TIMEOUT_S, NoTrace
-from brink.report.campaign_facts import Facts
+from brink.report.campaign_facts import Facts, Show
 from brink.report.campaign_words import best_first
 from brink.report.combinations import draw_chains
 from brink.report.figures import Drawing, campaign_figure, write_replays
@@ -49,13 +49,7 @@ def shown_pairs(facts: Facts, most: int) -> list[PairView]:
 
 
 async def draw_pictures(
-    api: Api,
-    facts: Facts,
-    folder: Path,
-    *,
-    most_pairs: int,
-    workers: bool,
-    on_progress: Callable[[str], None],
+    api: Api, facts: Facts, folder: Path, *, most_pairs: int, workers: bool, show: Show
 ) -> Mapping[str, Path]:
     """Draw the pictures of a report; return those that could be drawn, by file name.
 
@@ -65,35 +59,35 @@ async def draw_pictures(
         folder: Folder for the pictures.
         most_pairs: Most pairs to draw.
         workers: Whether the coordinator's workers run episodes again; otherwise this machine does.
-        on_progress: Called with what is being drawn, in words.
+        show: Called with what is being drawn.
     """
     drawing = Drawing(
         api=api, campaign=facts.view.id, folder=folder, stop=asyncio.Event(), timeout_s=TRACE_TIMEOUT_S,
-        workers=workers,
+        workers=workers, show=show,
     )  # fmt: skip
     files: list[Path] = []
     if not isinstance(facts.pairs, TooManyPairs):
-        files += await _draw_pairs(drawing, facts.pairs, shown_pairs(facts, most_pairs), on_progress)
+        files += await _draw_pairs(drawing, facts.pairs, shown_pairs(facts, most_pairs))
     if facts.tolerance is not None and facts.tolerance.cells:
         # matplotlib takes half a second to load: only what draws waits for it.
         from brink.plots.tolerance import figure_tolerance
 
-        on_progress("drawing curves")
+        show("drawing curves", 0, 0)
         files.append(folder / "tolerance.png")
         await asyncio.to_thread(figure_tolerance(facts.tolerance).savefig, files[-1])
     elif facts.evaluated:
-        on_progress("drawing the map")
+        show("drawing the map", 0, 0)
         pairs = facts.pairs if facts.searched_pairs else None
         files.append(folder / "map.png")
         await asyncio.to_thread(_draw_map, facts, pairs, files[-1])
     if facts.violations is not None:
-        on_progress("drawing violations")
+        show("drawing violations", 0, 0)
         files += await draw_gallery(facts.violations, drawing, TYPES_DRAWN)
     if facts.combinations is not None:
-        on_progress("drawing combinations")
+        show("drawing combinations", 0, 0)
         files += await draw_chains(facts.combinations, drawing, CHAINS_DRAWN)
     if replayed := shown_replays(facts):
-        on_progress("drawing replays")
+        show("drawing replays", 0, 0)
         files += await write_replays(drawing, replayed)
     return {file.name: file for file in files}
 
@@ -111,9 +105,7 @@ def _draw_map(facts: Facts, pairs: PairsView | TooManyPairs | None, file: Path) 
     figure.savefig(file, metadata={"Software": None})
 
 
-async def _draw_pairs(
-    drawing: Drawing, view: PairsView, pairs: list[PairView], on_progress: Callable[[str], None]
-) -> list[Path]:
+async def _draw_pairs(drawing: Drawing, view: PairsView, pairs: list[PairView]) -> list[Path]:
     """Draw pairs, several at once; return the files of those that could be drawn."""
     slots, done = asyncio.Semaphore(_AT_ONCE), 0
 
@@ -127,9 +119,9 @@ async def _draw_pairs(
                 return None
             finally:
                 done += 1
-                on_progress(f"drawing pairs: {done} of {len(pairs)}")
+                drawing.show("drawing pairs", done, len(pairs))
         return path
 
     if pairs:
-        on_progress(f"drawing pairs: 0 of {len(pairs)}")
+        drawing.show("drawing pairs", 0, len(pairs))
     return [path for path in await asyncio.gather(*map(draw, pairs)) if path is not None]

@@ -112,8 +112,8 @@ def computed(database: str, document: Mapping[str, Any]) -> str:
 @on_sqlite
 def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(database_url: str) -> None:
     campaign = computed(database_url, {**MTQ, "tags": ["disc", "demo"], "notes": "First line.\nSecond line."})
-    told: list[str] = []
-    page = written(database_url, campaign, most_pairs=2, on_progress=told.append)
+    told: list[tuple[str, int, int]] = []
+    page = written(database_url, campaign, most_pairs=2, show=lambda *step: told.append(step))
     found = Page(page)
     assert found.headings == [
         "What was found", "The best pairs", "The boundary", "Requirements held and violated", "How far to trust it",
@@ -138,8 +138,8 @@ def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(da
     assert "No finished campaign of random search on the same problem" in found.text
     assert "disc" in found.text
     assert "First line. Second line." in found.text
-    assert told[0] == "reading the campaign"
-    assert "drawing pairs: 2 of 2" in told
+    assert told[0] == ("reading the campaign", 0, 0)
+    assert ("drawing pairs", 2, 2) in told
     assert written(database_url, campaign) == written(database_url, campaign), (
         "the same campaign, the same page"
     )
