@@ -58,18 +58,19 @@ class Api:
         answer: T = self._validated(schema, await self.request("GET", path, params=params))
         return answer
 
-    async def send(self, schema: type[T], path: str, content: Any = None) -> T:
-        """Send a POST request and return the response, validated against a schema.
+    async def send(self, schema: type[T], path: str, content: Any = None, *, method: str = "POST") -> T:
+        """Send a request with a body and return the response, validated against a schema.
 
         Args:
             schema: Type of the response.
             path: Path below ``/api/v1``.
             content: JSON body; None sends no body.
+            method: HTTP method.
 
         Raises:
             CoordinatorError: The request failed, or the response does not match the schema.
         """
-        answer: T = self._validated(schema, await self.request("POST", path, json=content))
+        answer: T = self._validated(schema, await self.request(method, path, json=content))
         return answer
 
     async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:

@@ -1,4 +1,4 @@
-"""Commands that talk to a coordinator about campaigns: submit, status, results, pause, resume, cancel, retry, delete.
+"""Commands that talk to a coordinator about campaigns: submit, status, results, tag, note, pause, resume, and others.
 
 They load neither the search nor the server, so they start fast with ``--server``.
 """
@@ -153,6 +153,23 @@ def status(
         str | None,
         typer.Argument(metavar="ID", help="Campaign id (default: all campaigns).", callback=check_ids),
     ] = None,
+    tags: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tag",
+            metavar="TAG",
+            show_default=False,
+            help="List only campaigns with this tag; with all of them, if repeated.",
+        ),
+    ] = None,
+    search: Annotated[
+        str,
+        typer.Option(
+            metavar="WORDS",
+            show_default=False,
+            help="List only campaigns with all of these words in name, notes or tags.",
+        ),
+    ] = "",
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -160,14 +177,19 @@ def status(
     """Show the progress of all campaigns, or of one with its failures and workers.
 
     Example: brink status 3f2a
-    """
+
+    Example: brink status --tag night --search rain
+    """  # fmt: skip
+    if campaign is not None and (tags or search):
+        raise InvalidInput.at("--tag" if tags else "--search", "expected it without ID: it lists campaigns")
+    asked = {"limit": 200, **({"tag": tags} if tags else {}), **({"search": search} if search else {})}
     with_api(
         server,
         database,
         lambda api: (
             _show_campaign(api, campaign, as_json, place_option(server, database))
             if campaign
-            else _list_campaigns(api, as_json)
+            else _list_campaigns(api, asked, as_json)
         ),
     )
 
@@ -185,23 +207,28 @@ async def _show_campaign(api: Api, campaign: str, as_json: bool, place: str) -> 
     _print_status(progress, quarantined, len(live), place)
 
 
-async def _list_campaigns(api: Api, as_json: bool) -> None:
-    page = {"limit": 200}
+async def _list_campaigns(api: Api, asked: dict[str, Any], as_json: bool) -> None:
     if as_json:
-        print_json(await api.get("/campaigns", page))
+        print_json(await api.get("/campaigns", asked))
         return
-    campaigns = (await api.read(CampaignList, "/campaigns", page)).campaigns
-    table = plain_table("id", "name", "status", "simulations", "unsafe", "failed", "submitted")
+    campaigns = (await api.read(CampaignList, "/campaigns", asked)).campaigns
+    tagged = any(one.tags for one in campaigns)
+    more = ("tags",) if tagged else ()
+    table = plain_table("id", "name", "status", "simulations", "unsafe", "failed", "submitted", *more)
     for one in campaigns:
         counts: CampaignView | Progress = one
         if one.status in (CampaignStatus.RUNNING, CampaignStatus.PAUSED):
             # The progress includes the generation under way.
             counts = await api.read(Progress, f"/campaigns/{one.id}/progress", {"since": ALL_GENERATIONS})
         table.add_row(
-            one.id, one.name, counts.status, f"{counts.simulations} of {counts.budget}", str(counts.unsafe),
-            str(counts.failed), f"{one.created_at:%Y-%m-%d %H:%M}",
+            one.id, one.name, counts.status, f"{counts.simulations} of {counts.budget}",
+            str(counts.unsafe), str(counts.failed), f"{one.created_at:%Y-%m-%d %H:%M}",
+            *([" ".join(one.tags)] if tagged else []),
         )  # fmt: skip
-    console().print(table if campaigns else f"no campaigns yet; start one with: {program()} run FILE")
+    none = f"no campaigns yet; start one with: {program()} run FILE"
+    if len(asked) > 1:
+        none = "no such campaign"
+    console().print(table if campaigns else none)
 
 
 def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: int, place: str) -> None:
@@ -209,6 +236,10 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
     series = progress.generations
     reason = f": {progress.status_reason}" if progress.status_reason else ""
     screen.print(Text.assemble((progress.name, "bold"), f" ({progress.id}) is {progress.status}{reason}"))
+    if progress.tags:
+        screen.print(f"tags: {' '.join(progress.tags)}", soft_wrap=True)
+    if progress.notes:
+        screen.print(f"notes: {progress.notes}", soft_wrap=True)
     screen.print(
         f"{progress.simulations} of {progress.budget} simulations in {progress.elapsed_s:.0f} s, "
         f"{progress.unsafe} unsafe, {progress.failed} failed, {progress.measured} measured on data, "
@@ -331,6 +362,68 @@ def solution_table(
     if len(boundary.solutions) > shown:
         table.add_row("…", "", "", "", "", f"and {len(boundary.solutions) - shown} more {rest}")
     return table
+
+
+def tag(
+    campaign: CampaignId,
+    tags: Annotated[
+        list[str] | None, typer.Argument(metavar="TAG...", help="Tags to add.", show_default=False)
+    ] = None,
+    remove: Annotated[
+        list[str] | None,
+        typer.Option("--remove", metavar="TAG", help="Tag to remove; may be repeated.", show_default=False),
+    ] = None,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Add tags to a campaign, or remove some. Tags are short words; case does not matter.
+
+    Example: brink tag 3f2a night release-4 --remove draft
+    """
+    change = {"add_tags": tags or [], "remove_tags": remove or []}
+    found = _change(campaign, change if tags or remove else None, server, database)
+    if as_json:
+        print_json(found.tags)
+    else:
+        print_line(f"campaign {found.id}: {' '.join(found.tags) or 'no tags'}")
+
+
+def note(
+    campaign: CampaignId,
+    text: Annotated[
+        str | None,
+        typer.Argument(metavar="[TEXT]", help="The notes from now on; empty for none.", show_default=False),
+    ] = None,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write notes on a campaign, in place of earlier ones; without a text, show them.
+
+    Example: brink note 3f2a "Detector of release 4. The rain looks too dark."
+    """
+    found = _change(campaign, None if text is None else {"notes": text}, server, database)
+    if as_json:
+        print_json(found.notes)
+    elif text is None:
+        print_line(found.notes or f"campaign {found.id} has no notes")
+    else:
+        print_line(f"campaign {found.id} {'has notes now' if found.notes else 'has no notes now'}")
+
+
+def _change(
+    campaign: str, change: dict[str, Any] | None, server: str | None, database: str | None
+) -> CampaignView:
+    """Change tags or notes of a campaign and return it; None changes nothing."""
+    path = f"/campaigns/{campaign}"
+
+    async def work(api: Api) -> CampaignView:
+        if change is None:
+            return await api.read(CampaignView, path)
+        return await api.send(CampaignView, path, change, method="PATCH")
+
+    return with_api(server, database, work)
 
 
 def _control(campaign: str, verb: str, server: str | None, database: str | None) -> CampaignView:

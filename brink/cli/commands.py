@@ -32,6 +32,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
         "compare": ("brink.cli.compare:compare", "Compare campaigns, each with its control"),
         "plot": ("brink.cli.draw:plot", "Draw the figures of a campaign"),
+        "report": ("brink.cli.report:report", "Write a report to hand on: one HTML file"),
         "replay": ("brink.cli.draw:replay", "Draw one episode as PNG, GIF or MP4"),
     },
     "Trust": {
@@ -41,6 +42,8 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),
     },
     "Control": {
+        "tag": ("brink.cli.campaigns:tag", "Add or remove tags of a campaign"),
+        "note": ("brink.cli.campaigns:note", "Write notes on a campaign"),
         "pause": ("brink.cli.campaigns:pause", "Pause a campaign"),
         "resume": ("brink.cli.campaigns:resume", "Resume a paused campaign"),
         "cancel": ("brink.cli.campaigns:cancel", "Cancel a campaign and keep its results"),

@@ -7,10 +7,10 @@ import typer
 from rich.console import Console
 
 from brink.api.client import Api
-from brink.api.results import FetchedArchive, fetch_archive
+from brink.api.results import fetch_archive
 from brink.cli.options import AsJson, Database, Server, check_ids, console, plain_table, print_json, with_api
-from brink.search.analysis.comparison import ComparedCampaign, Row, control_summaries
-from brink.search.analysis.comparison import compare as compare_campaigns
+from brink.report.comparison import compared_archives
+from brink.search.analysis.comparison import Row, control_summaries
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
@@ -42,26 +42,6 @@ def compare(
 async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:
     """Fetch campaigns and compare them."""
     return compared_archives([await fetch_archive(api, campaign) for campaign in campaigns], control=control)
-
-
-def compared_archives(fetched: Sequence[FetchedArchive], *, control: bool) -> list[Row]:
-    """Compare the archives of campaigns; a campaign given twice counts once."""
-    fetched = list({item.id: item for item in fetched}.values())
-    names = [item.body.name for item in fetched]
-    return compare_campaigns(
-        [
-            ComparedCampaign(
-                id=item.id,
-                label=item.body.name if names.count(item.body.name) == 1 else f"{item.body.name} {item.id}",
-                space=item.plan.problem.space,
-                archive=item.archive,
-                simulations=item.body.budget.simulations,
-                seed=item.body.seed,
-            )
-            for item in fetched
-        ],
-        control=control,
-    )
 
 
 def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:

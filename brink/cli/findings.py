@@ -30,26 +30,17 @@ from brink.cli.options import (
     write_json,
 )
 from brink.cli.tolerance import fetch_tolerance_findings
+from brink.report.combinations import claim_words, draw_chains, tally_words
 from brink.report.figures import Drawing
+from brink.report.violations import by_frequency, draw_gallery
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
-from brink.server.api.schemas import (
-    ChainTally,
-    Combinations,
-    CombinationView,
-    SolutionPage,
-    StepTally,
-    TypeView,
-    Variant,
-    Violations,
-)
+from brink.server.api.schemas import Combinations, SolutionPage, StepTally, Violations
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
-from brink.sim.replay import render
-from brink.sim.replay.sheets import Row, side_by_side
 
 CHAINS_SHOWN: Final = 10
 CHAINS_DRAWN: Final = 3
@@ -145,8 +136,8 @@ class CombinationFindings:
         table = plain_table("chain", "unsafe", "parts alone", "other order", "")
         for one in chains[:shown]:
             table.add_row(
-                one.words, _counts(one), ", ".join(map(_counts, one.parts)) or "not simulated",
-                ", ".join(map(_counts, one.orders)), _claim(one),
+                one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",
+                ", ".join(map(tally_words, one.orders)), claim_words(one),
             )  # fmt: skip
         if chains:
             screen.print(table)
@@ -180,22 +171,8 @@ class CombinationFindings:
 
     async def draw(self, drawing: Drawing) -> list[Path]:
         """Draw the clearest combinations, each with its parts and other orders; return the files."""
-        files: list[Path] = []
         self._missing = drawing.missing
-        for one in self._found.combinations:
-            if drawing.stop.is_set() or len(files) == CHAINS_DRAWN:
-                break
-            solutions = one.together or one.turned
-            drawing.show("drawing combinations", len(files), CHAINS_DRAWN)
-            rows = await _variants(drawing, solutions[0]) if solutions else []
-            if not rows or any(row.trace.film is None for row in rows):
-                continue
-            title = f"The same street with the same seed: solution {solutions[0]} and its parts"
-            picture = await asyncio.to_thread(side_by_side, rows, title=title)
-            path = drawing.folder / f"combination-{len(files) + 1}.png"
-            await asyncio.to_thread(picture.save, path)
-            files.append(path)
-        return files
+        return await draw_chains(self._found, drawing, CHAINS_DRAWN)
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
@@ -206,32 +183,6 @@ class CombinationFindings:
         if hazards and hazards[0] not in self._missing:
             hints.append((f"replay {campaign} {hazards[0]} --out hazard.mp4{database}", "watch the hazard"))
         return hints
-
-
-async def _variants(drawing: Drawing, number: int) -> list[Row]:
-    """Return the traces of a solution and its variants; empty if one of them is not available."""
-    path = f"/campaigns/{drawing.campaign}/solutions/{number}/variants"
-    rows = []
-    for variant in await drawing.api.read(list[Variant], path):
-        trace = await drawing.trace(variant.number)
-        if trace is None:
-            return []
-        rows.append(Row(words=variant.words, trace=trace))
-    return rows
-
-
-def _claim(one: CombinationView) -> str:
-    """Return in which ways a chain is hazardous; "minimal" is omitted where "only together" implies it."""
-    claims = {
-        "only together": one.only_together,
-        "only in this order": one.order_matters,
-        "minimal": one.minimal and not one.only_together,
-    }
-    return ", ".join(name for name, holds in claims.items() if holds)
-
-
-def _counts(tally: ChainTally) -> str:
-    return f"{tally.unsafe} of {tally.trials}"
 
 
 def _ratio(unsafe: int, trials: int) -> str:
@@ -349,11 +300,11 @@ class ViolationFindings:
         if isinstance(self._fetched.plan.config, MultiObjectiveConfig):
             criticality = await _criticality(drawing.api, self._fetched)
             files.append(await asyncio.to_thread(_draw_fronts, self._fetched, criticality, drawing.folder))
-        return files + await _draw_gallery(self._found, drawing)
+        return files + await draw_gallery(self._found, drawing, TYPES_DRAWN)
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
-        types = _by_frequency(self._found)
+        types = by_frequency(self._found)
         if not types:
             return []
         hints = [(f"violations {campaign}{database}", "list all types of violations")]
@@ -362,14 +313,9 @@ class ViolationFindings:
         return hints
 
 
-def _by_frequency(found: Violations) -> list[TypeView]:
-    """Return the types of violations, most frequent first."""
-    return sorted(found.types, key=lambda kind: (-kind.solutions, kind.first))
-
-
 def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOWN) -> None:
     """Print the most common types of violations, and a summary sentence."""
-    types = _by_frequency(found)
+    types = by_frequency(found)
     numbers = ("solutions", "distinct", "first")
     table = plain_table(*numbers, "type of violation", right=numbers)
     for kind in types[:shown]:
@@ -456,21 +402,3 @@ def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path)
     path = folder / "fronts.png"
     figure.savefig(path)
     return path
-
-
-async def _draw_gallery(found: Violations, drawing: Drawing) -> list[Path]:
-    """Draw the first solution of each common type, skipping those without a trace; return the files."""
-    files = []
-    requirement = {(one.number, one.type): one.requirement for one in found.violations}
-    types = _by_frequency(found)[:TYPES_DRAWN]
-    for place, kind in enumerate(types, start=1):
-        if drawing.stop.is_set():
-            break
-        drawing.show("drawing types of violations", place - 1, len(types))
-        trace = await drawing.trace(kind.first)
-        if trace is None:
-            continue
-        path = drawing.folder / f"violation-{place}.png"
-        await asyncio.to_thread(render, trace, path, requirement=requirement[kind.first, kind.type])
-        files.append(path)
-    return files

@@ -9,9 +9,10 @@ from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
-from brink.cli.pairs import chance_words, legend, pairs_table
+from brink.cli.pairs import pairs_table
 from brink.report.figures import Drawing
 from brink.report.pair_pictures import write_pair
+from brink.report.pair_words import chance_words, legend
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView

@@ -1,6 +1,5 @@
 """`brink pairs`: pairs of drives across the boundary, one safe and one unsafe, and the change between them."""
 
-import itertools
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -36,15 +35,9 @@ from brink.cli.options import (
 )
 from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
 from brink.report.pair_pictures import FILMS
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation
-from brink.server.api.pair_views import (
-    MOST_PAIRS,
-    ComponentPart,
-    FollowUpView,
-    Minimality,
-    PairsView,
-    PairView,
-)
+from brink.report.pair_words import chance_words, common_words, evidence_words, extent_words, legend
+from brink.search.analysis.confirmation import LEAST_DRIVES
+from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, Minimality, PairsView
 from brink.server.api.schemas import CampaignView
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.plan import make_plan
@@ -378,7 +371,7 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     for pair in view.pairs[:shown]:
         lines = [
             as_sentence(pair.change),
-            *_common_words(pair),
+            *common_words(pair),
             f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
             f"safe, solution {pair.safe.number}: {pair.safe.outcome}",
         ]
@@ -386,88 +379,6 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
         if less is not None and less.change != pair.change:
             name = "minimal" if less.minimal else "smaller"
             lines.append(f"{name} change: {less.change}: {less.outcome}")
-        evidence = [*evidence_words(view, pair).split(", "), _extent_words(pair)]
+        evidence = [*evidence_words(view, pair).split(", "), extent_words(pair)]
         table.add_row(str(pair.place), "\n".join([*lines, ""]), "\n".join(evidence))
     return table
-
-
-def _common_words(pair: PairView) -> list[str]:
-    """Return what the descriptions of both sides begin with, such as the scenario; empty if they differ at once."""
-    both = zip(pair.safe.words.split("; "), pair.unsafe.words.split("; "), strict=False)
-    common = [safe for safe, unsafe in itertools.takewhile(lambda two: two[0] == two[1], both)]
-    return [f"in both: {'; '.join(common)}"] if common else []
-
-
-def _extent_words(pair: PairView) -> str:
-    """Return in how many of the parameters the sides differ."""
-    differing = sum(len(change.names) for change in pair.changes)
-    return f"{differing} of {sum(map(len, pair.safe.parameters.values()))} parameters"
-
-
-def chance_words(view: PairsView) -> str:
-    """Return at how many places the verdict depends on chance; such solutions are on neither side of a pair."""
-    places = "1 place" if view.chancy == 1 else f"{view.chancy:,} places"
-    return f"{places} where the verdict depends on chance: the same solution was safe and unsafe with different seeds"
-
-
-def legend(view: PairsView) -> list[str]:
-    """Return what the words of the table mean that need it."""
-    found = [view.terms] if view.terms else []
-    if view.pairs and not view.computed:
-        found.append(
-            "safe and unsafe: by the requirement of the campaign alone; checked: both drives kept their verdicts in "
-            "another simulation, with another seed"
-        )
-    if any(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs):
-        found.append("minimal: none of the differences can go without losing the opposite verdicts")
-    if view.tried or view.pending:
-        found.append(
-            "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations and the unsafe "
-            f"side in 9 of 10; confirmed means at most 20% and at least 80%, with at least {LEAST_DRIVES} each"
-        )
-    if any(pair.minimality.state is Minimality.DIFFERENT_SEEDS for pair in view.pairs):
-        found.append(
-            "different seeds: the sides also differ in their episode seeds, so chance may be the reason rather than "
-            "the change"
-        )
-    if view.component or view.scenario:
-        found.append(
-            "hazard: the component's if the unsafe side keeps the requirement with ground truth in place of the "
-            "component, otherwise the scenario's; in the same episode, with one seed"
-        )
-    return found
-
-
-def evidence_words(view: PairsView, pair: PairView) -> str:
-    """Return what is known of a pair beyond one simulation of each side, such as ``checked, confirmed 0/10 10/10``.
-
-    The two shares say how often the safe and the unsafe side were unsafe with other seeds.
-    """
-    words = ["computed" if view.computed else "checked" if pair.checked else "found once"]
-    again = pair.confirmation
-    if again.state is not Confirmation.NOT_TRIED:
-        counts = " ".join(f"{one.unsafe}/{one.evaluated}" for one in (again.safe, again.unsafe))
-        state = "confirmation pending" if again.state is Confirmation.PENDING else again.state
-        words.append(f"{state} {counts}")
-    if pair.component.state is not ComponentPart.NOT_TRIED:
-        words.append(_PARTS[pair.component.state])
-    less = pair.minimality
-    if less.unsafe is not None:
-        enough, differing = len(less.unsafe.changes), len(pair.changes)
-        words.append(f"{enough} of {differing} differences {'is' if enough == 1 else 'are'} enough")
-    elif less.state is Minimality.DIFFERENT_SEEDS and not view.computed:
-        words.append("different seeds")
-    elif less.state is not Minimality.NOT_TRIED:
-        words.append(_REDUCED.get(less.state, str(less.state)))
-    return ", ".join(words)
-
-
-_REDUCED = {Minimality.PENDING: "being minimised", Minimality.UNDECIDED: "minimal or not: undecided"}
-"""Words for states that do not speak for themselves."""
-_PARTS = {
-    ComponentPart.COMPONENT: "component's hazard",
-    ComponentPart.SCENARIO: "scenario's hazard",
-    ComponentPart.FAILED: "ground truth failed",
-    ComponentPart.PENDING: "ground truth pending",
-}
-"""Whose hazard it is."""

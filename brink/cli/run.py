@@ -16,7 +16,6 @@ from brink.api.client import Api
 from brink.api.live import Steps
 from brink.api.results import fetch_archive
 from brink.cli.campaigns import grid_table, solution_table, within_budget
-from brink.cli.compare import compared_archives
 from brink.cli.draw import write_results
 from brink.cli.findings import Findings, fetch_findings
 from brink.cli.local import RunOptions, Session, run_to_end
@@ -35,6 +34,8 @@ from brink.cli.options import (
 )
 from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
+from brink.report.campaign import campaign_report, write_page
+from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
@@ -48,6 +49,8 @@ from brink.server.states import CampaignStatus
 
 PAPER_BUDGET = 1300
 TRACE_TIMEOUT_S = 30.0
+PAIRS_DRAWN = 1
+"""Pairs that the report of a run shows in full; `brink report` draws more."""
 
 log = logging.getLogger(__name__)
 
@@ -139,6 +142,8 @@ async def _finish(
     repeated = await repeat_finished(session, progress.id, body.repeats)
     if repeated is not None:
         report.files.extend(write_repeats(repeated, folder, picture=pictures))
+    if not session.stop.is_set():
+        report.files.append(await _write_page(session, progress.id, folder, report.files))
     summary = _summary(progress, report, repeated, folder)
     if options.json:
         print_json(summary)
@@ -151,6 +156,19 @@ async def _finish(
         session.hint("draw them with", f"run {options.file} --resume")
         return False
     return repeated is None or repeated.status is CampaignStatus.FINISHED
+
+
+async def _write_page(session: Session, campaign: str, folder: Path, files: Sequence[Path]) -> Path:
+    """Write the report to hand on, with the pictures among the files that are written already; return its file."""
+    pictures = {path.name: path for path in files if path.suffix == ".png"}
+    began = time.monotonic()
+    with Steps(session.screen, "writing the report") as steps:
+        page = await campaign_report(
+            session.api, campaign, pictures=pictures, most_pairs=PAIRS_DRAWN, show=steps.show
+        )
+    write_page(folder / "report.html", page)
+    log.info("writing the report took %.1f s", time.monotonic() - began)
+    return folder / "report.html"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -333,6 +351,9 @@ def _print_next(
     replayed = [path.stem.removeprefix("replay-") for path in report.files if path.stem.startswith("replay-")]
     hints = report.pairs.hints(campaign, database) if report.pairs.searched else []
     hints += [hint for findings in report.findings for hint in findings.hints(campaign, database)]
+    hints.append(
+        (f"report {campaign} --out report.html{database}", "write a report to hand on, with more pictures")
+    )
     if not searched:
         hints += report.pairs.hints(campaign, database)
     if replayed and not searched:

@@ -26,14 +26,13 @@ from brink.cli.options import (
     write_json,
 )
 from brink.report.figures import Drawing
-from brink.report.tolerance import requirement_document
+from brink.report.tolerance import requirement_document, tolerated_words
 from brink.server.api.tolerance import (
     AgreementView,
     CellView,
     DetectorBody,
     DetectorView,
     DriveBody,
-    Finding,
     ToleranceView,
 )
 from brink.server.campaigns.detector_check import CheckResult
@@ -411,42 +410,10 @@ def tolerance_table(cells: Sequence[CellView]) -> Table:
     for cell in cells:
         table.add_row(
             *cell.choices.values(), cell.condition,
-            *_tolerated(cell), str(cell.screened or ""), str(cell.vulnerable if cell.screened else ""),
+            *tolerated_words(cell), str(cell.screened or ""), str(cell.vulnerable if cell.screened else ""),
             str(cell.drives), str(cell.caused),
         )  # fmt: skip
     return table
-
-
-def _tolerated(cell: CellView) -> tuple[str, str]:
-    """Return the tolerated magnitude of a cell and its interval."""
-    found = cell.tolerated
-    ends = sorted(
-        (found.low, found.high), key=lambda one: (one.severity is None, _shown(one.magnitude, one.severity))
-    )
-    if cell.unit and cell.curve.magnitude and cell.curve.magnitude[0] > cell.curve.magnitude[-1]:
-        ends = [found.high, found.low]
-    interval = ", ".join(_amount(one.magnitude, one.severity) for one in ends)
-    if found.finding is Finding.THROUGHOUT:
-        return "any", ""
-    value = _amount(found.value.magnitude, found.value.severity)
-    unit = cell.unit if cell.unit == "%" else f" {cell.unit}".rstrip()
-    return (value if value == _BEYOND else f"{value}{unit}"), f"[{interval}]"
-
-
-_BEYOND: Final = "beyond"
-
-
-def _shown(magnitude: float | None, severity: float | None) -> float:
-    if magnitude is not None:
-        return magnitude
-    return severity if severity is not None else 0.0
-
-
-def _amount(magnitude: float | None, severity: float | None) -> str:
-    if severity is None:
-        return _BEYOND
-    value = _shown(magnitude, severity)
-    return f"{value:.0f}" if value >= 20 else f"{value:.1f}" if magnitude is not None else f"{value:.2f}"
 
 
 class ToleranceFindings:

@@ -27,6 +27,8 @@ from brink.api.results import (
 from brink.python.connection import Connection, wait_for, with_workers
 from brink.python.frames import archive_frame, data_frame, frame_of_csv
 from brink.python.picture import Picture
+from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
+from brink.report.campaign import campaign_report, write_page
 from brink.report.figures import campaign_figure
 from brink.report.pair_pictures import headline, write_pair
 from brink.search.errors import TooManyPairs
@@ -238,6 +240,13 @@ class AsyncResult(CampaignResult):
             words = f"solution {number} of {self.name}"
             return Picture(content=path.read_bytes(), suffix=path.suffix, words=words)
 
+    async def report(self, file: str | Path = "report.html", *, pairs: int = MOST_SHOWN) -> Path:
+        """Write a report to hand on."""
+        async with self._connection.open() as api:
+            page = await campaign_report(api, self.id, most_pairs=pairs, workers=self._connection.has_workers)
+        write_page(Path(file), page)
+        return Path(file)
+
 
 class Result(CampaignResult):
     """What a campaign found: data frames, figures, replays. A notebook shows it with its map.
@@ -364,6 +373,18 @@ class Result(CampaignResult):
             CoordinatorError: There is no such solution.
         """
         return wait_for(lambda: self._async.replay(number, film=film))
+
+    def report(self, file: str | Path = "report.html", *, pairs: int = MOST_SHOWN) -> Path:
+        """Write a report to hand on: one HTML file with all pictures, for people who have never seen Brink.
+
+        Args:
+            file: The file to write.
+            pairs: Most pairs to show in full, with pictures; the others are in a table.
+
+        Returns:
+            The file.
+        """
+        return wait_for(lambda: self._async.report(file, pairs=pairs))
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the finding, the counts and the map."""

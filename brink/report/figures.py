@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace
+from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace, run_episode
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView
 from brink.server.errors import InvalidInput
 from brink.server.states import OutcomeKind
+from brink.sim.errors import SimulatorError
 from brink.sim.replay import render
 from brink.sim.trace import Trace
+from brink.worker.errors import WorkerError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,6 +136,7 @@ class Drawing:
         folder: Folder for the pictures.
         stop: Once set, no further picture is drawn.
         timeout_s: How long to wait for a trace.
+        workers: Whether the coordinator's workers run episodes again; otherwise this machine does.
         show: Called with what is being drawn, how many are done, and how many there are; 0 if that is unknown.
         missing: Numbers of the solutions that had no trace when it was asked for.
     """
@@ -143,14 +146,17 @@ class Drawing:
     folder: Path
     stop: asyncio.Event
     timeout_s: float
+    workers: bool = True
     show: Callable[[str, int, int], None] = lambda _what, _done, _total: None
     missing: set[int] = field(default_factory=set)
 
     async def trace(self, number: int) -> Trace | None:
         """Return the trace of a solution; None if it is not available."""
         try:
-            return await fetch_trace(self.api, self.campaign, number, self.timeout_s)
-        except (NoTrace, CoordinatorError):
+            if self.workers:
+                return await fetch_trace(self.api, self.campaign, number, self.timeout_s)
+            return await run_episode(self.api, self.campaign, number)
+        except (NoTrace, CoordinatorError, SimulatorError, WorkerError):
             self.missing.add(number)
             return None
 

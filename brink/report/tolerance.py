@@ -1,7 +1,9 @@
 """The requirement that follows from tolerances, as a document in Markdown."""
 
+from typing import Final
+
 from brink.report.text import table_row
-from brink.server.api.tolerance import Finding, ToleranceView
+from brink.server.api.tolerance import CellView, Finding, ToleranceView
 
 
 def requirement_document(view: ToleranceView, picture: str | None = None) -> str:
@@ -60,3 +62,35 @@ _SECTIONS = {
     "Tolerated however gross": Finding.THROUGHOUT,
     "Undecided": Finding.UNDECIDED,
 }
+
+
+def tolerated_words(cell: CellView) -> tuple[str, str]:
+    """Return the tolerated magnitude of a cell and its interval."""
+    found = cell.tolerated
+    ends = sorted(
+        (found.low, found.high), key=lambda one: (one.severity is None, _shown(one.magnitude, one.severity))
+    )
+    if cell.unit and cell.curve.magnitude and cell.curve.magnitude[0] > cell.curve.magnitude[-1]:
+        ends = [found.high, found.low]
+    interval = ", ".join(_amount(one.magnitude, one.severity) for one in ends)
+    if found.finding is Finding.THROUGHOUT:
+        return "any", ""
+    value = _amount(found.value.magnitude, found.value.severity)
+    unit = cell.unit if cell.unit == "%" else f" {cell.unit}".rstrip()
+    return (value if value == _BEYOND else f"{value}{unit}"), f"[{interval}]"
+
+
+_BEYOND: Final = "beyond"
+
+
+def _shown(magnitude: float | None, severity: float | None) -> float:
+    if magnitude is not None:
+        return magnitude
+    return severity if severity is not None else 0.0
+
+
+def _amount(magnitude: float | None, severity: float | None) -> str:
+    if severity is None:
+        return _BEYOND
+    value = _shown(magnitude, severity)
+    return f"{value:.0f}" if value >= 20 else f"{value:.1f}" if magnitude is not None else f"{value:.2f}"

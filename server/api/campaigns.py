@@ -5,7 +5,7 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from sqlalchemy import Connection
 
 from brink.server.api.context import Context, Services
@@ -36,12 +36,21 @@ from brink.server.api.schemas import (
 )
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, parse_body
+from brink.server.campaigns.body import (
+    DEFAULT_D_TH,
+    DEFAULT_T_B,
+    MOST_TAGS,
+    CampaignBody,
+    CampaignChange,
+    Tag,
+    check_notes,
+    parse_body,
+)
 from brink.server.campaigns.known import count_known
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.reported import ReportedResults
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.overview import Outline, list_outlines
@@ -56,6 +65,16 @@ from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
+
+TagQuery = Annotated[
+    list[Tag] | None,
+    Query(max_length=MOST_TAGS, description="Only campaigns with this tag; with all of them, if repeated."),
+]
+SearchQuery = Annotated[
+    str,
+    Query(max_length=200, description="Only campaigns with all of these words in name, notes or tags."),
+    AfterValidator(check_notes),
+]
 
 
 @router.post("", status_code=201, responses=existing(CampaignView, "campaign"))
@@ -93,11 +112,14 @@ async def list_campaigns(
     cursor: Cursor = None,
     status: Annotated[list[CampaignStatus] | None, Query()] = None,
     document_hash: DocumentHash = None,
+    tag: TagQuery = None,
+    search: SearchQuery = "",
 ) -> CampaignList:
     """List campaigns, newest first."""
     campaigns = await services.campaigns.list(
-        limit=limit, before=read_cursor(cursor), statuses=tuple(status or ()), document_hash=document_hash
-    )
+        limit=limit, before=read_cursor(cursor), statuses=tuple(status or ()), document_hash=document_hash,
+        conditions=labelled(tag or (), search),
+    )  # fmt: skip
     return CampaignList(
         campaigns=[campaign_view(campaign) for campaign in campaigns], next=next_cursor(campaigns, limit)
     )
@@ -107,6 +129,12 @@ async def list_campaigns(
 async def get_campaign(campaign_id: str, services: Services) -> CampaignView:
     """Return a campaign by its id or a unique prefix of it."""
     return campaign_view(await services.campaigns.get(campaign_id))
+
+
+@router.patch("/{campaign_id}")
+async def change_campaign(campaign_id: str, change: CampaignChange, services: Services) -> CampaignView:
+    """Change the tags or notes of a campaign; everything that was simulated stays as it is."""
+    return campaign_view(await services.campaigns.change(campaign_id, change))
 
 
 @router.post("/{campaign_id}/pause")
@@ -209,7 +237,7 @@ def campaign_view(campaign: Campaign) -> CampaignView:
         status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.completed,
         budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
         measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
-        finished_at=campaign.finished_at,
+        finished_at=campaign.finished_at, tags=campaign.body.tags, notes=campaign.body.notes,
         body=campaign.body, thresholds=THRESHOLDS,
     )  # fmt: skip
 
@@ -263,6 +291,7 @@ def read_progress(
         origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
         known=_known_view(connection, campaign),
         asking=asking,
+        tags=campaign.body.tags, notes=campaign.body.notes,
         trouble=trouble.reason if trouble else None,
         trouble_s=trouble.span_s if trouble else 0.0,
         t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
@@ -326,6 +355,7 @@ class Overview(View):
     finished_at: list[datetime | None]
     experiment: Annotated[list[str | None], Field(description="Experiment that the campaign belongs to.")]
     repeats_of: Annotated[list[str | None], Field(description="Campaign whose solutions this one repeats.")]
+    tags: list[list[str]]
     workers: Annotated[int, Field(description="Live workers.")]
     trouble: Annotated[
         str | None, Field(description="Why the database currently rejects writes, if it does.")
@@ -343,6 +373,8 @@ async def get_overview(
     status: Annotated[list[CampaignStatus] | None, Query()] = None,
     name: Annotated[str, Query(max_length=200, description="Part of a name, or prefix of an id.")] = "",
     experiment: Annotated[str | None, Query(max_length=16)] = None,
+    tag: TagQuery = None,
+    search: SearchQuery = "",
 ) -> Overview:
     """Return a summary of campaigns, newest first. Supports conditional requests with ETag."""
     before = read_cursor(cursor)
@@ -356,6 +388,8 @@ async def get_overview(
             statuses=tuple(status or ()),
             named=name,
             experiment=experiment,
+            tags=tag or (),
+            search=search,
         )
         states = [_outline_state(connection, one) for one in outlines]
         workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
@@ -392,6 +426,7 @@ def _overview(
         for name in (
             "id", "name", "problem", "algorithm", "seed", "status", "status_reason", "sequence", "budget",
             "evaluated", "unsafe", "failed", "generation", "created_at", "finished_at", "experiment", "repeats_of",
+            "tags",
         )
     }  # fmt: skip
     return Overview(

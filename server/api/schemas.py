@@ -48,6 +48,8 @@ class CampaignView(View):
     generation: int
     created_at: datetime
     finished_at: datetime | None
+    tags: list[str] = []
+    notes: str = ""
     body: CampaignBody
     thresholds: Thresholds
 
@@ -160,6 +162,8 @@ class Progress(View):
     ]
     trouble_s: Annotated[float, Field(description="How long the database has rejected writes, in seconds.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
+    tags: list[str] = []
+    notes: str = ""
     t_b: float
     d_th: float
     generations: list[GenerationView]

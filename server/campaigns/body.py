@@ -1,11 +1,17 @@
-"""The body of ``POST /campaigns``, and campaign files, which have the same fields."""
+"""The body of ``POST /campaigns``, and campaign files, which have the same fields.
 
+Tags and notes belong to people: they may change at any time, so they are not part of what identifies a submission.
+"""
+
+import unicodedata
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from brink.server.documents import Body, check_printable, hash_document, parse_document, read_yaml
+from brink.server.errors import InvalidInput
 from brink.server.llm.settings import LlmSettings
 from brink.worker.wire import JsonValues
 
@@ -18,6 +24,46 @@ DEFAULT_EPS = 0.02
 """Default of the largest distance between the two sides of a pair."""
 DEFAULT_PAIRS_D_TH = 0.2
 """Default of the smallest distance between two distinct pairs."""
+
+MOST_TAGS: Final = 32
+LONGEST_TAG: Final = 40
+LONGEST_NOTES: Final = 10_000
+_IN_TAGS: Final = "-_.:/+#@"
+
+
+def check_tag(text: str) -> str:
+    """Return a tag in lower case, the form in which it is stored and compared.
+
+    Raises:
+        ValueError: It is not a short word.
+    """
+    tag = unicodedata.normalize("NFC", text.strip().lower())
+    if not 1 <= len(tag) <= LONGEST_TAG or not all(one.isalnum() or one in _IN_TAGS for one in tag):
+        raise ValueError(
+            f"expected a word of 1 to {LONGEST_TAG} letters, digits or characters of {_IN_TAGS}, without spaces"
+        )
+    return tag
+
+
+def check_notes(text: str) -> str:
+    """Return notes with line feeds as the only line ends.
+
+    Raises:
+        ValueError: They contain other control characters than tabs.
+    """
+    notes = text.replace("\r\n", "\n").replace("\r", "\n")
+    if any(unicodedata.category(one) in ("Cc", "Cs") and one not in "\n\t" for one in notes):
+        raise ValueError("expected text without control characters")
+    return notes
+
+
+def _as_set(tags: list[str]) -> list[str]:
+    return sorted(set(tags))
+
+
+Tag = Annotated[str, Field(max_length=LONGEST_TAG), AfterValidator(check_tag)]
+Tags = Annotated[list[Tag], Field(max_length=MOST_TAGS), AfterValidator(_as_set)]
+Notes = Annotated[str, Field(max_length=LONGEST_NOTES), AfterValidator(check_notes)]
 
 
 MOST_KNOWN = 5_000
@@ -143,10 +189,12 @@ class CampaignBody(Body):
     start_from: Annotated[
         StartFrom | None, Field(description="Known solutions and results to start from.")
     ] = None
+    tags: Tags = Field(default_factory=list, description="Short words by which to find the campaign again.")
+    notes: Annotated[Notes, Field(description="What people should know about the campaign.")] = ""
 
     def document_hash(self) -> str:
-        """Return a hash that identifies identical submissions."""
-        document = self.model_dump(mode="json")
+        """Return a hash that identifies identical submissions, whatever their tags and notes are."""
+        document = self.document()
         if self.llm is None:
             del document["llm"]  # the hashes of older submissions stay valid
         if not self.repeats:
@@ -156,6 +204,55 @@ class CampaignBody(Body):
         if self.start_from is None:
             del document["start_from"]
         return hash_document(document)
+
+    def document(self) -> dict[str, Any]:
+        """Return the campaign as it is stored: without tags and notes, which have columns of their own."""
+        return self.model_dump(mode="json", exclude={"tags", "notes"})
+
+
+class CampaignChange(Body):
+    """A change to what people may change about a campaign; what is left out stays as it is."""
+
+    tags: Annotated[Tags | None, Field(description="All tags from now on.")] = None
+    add_tags: Tags = Field(default_factory=list, description="Tags to add.")
+    remove_tags: Tags = Field(
+        default_factory=list, description="Tags to remove; those that it does not have are ignored."
+    )
+    notes: Annotated[Notes | None, Field(description="The notes from now on.")] = None
+
+    @model_validator(mode="after")
+    def _check_either_all_or_some(self) -> Self:
+        if self.tags is not None and (self.add_tags or self.remove_tags):
+            raise ValueError("expected either tags or add_tags and remove_tags, not both")
+        return self
+
+    def tags_after(self, before: Iterable[str]) -> list[str]:
+        """Return the tags of a campaign after the change, in alphabetical order.
+
+        Args:
+            before: Its tags before the change.
+
+        Raises:
+            InvalidInput: There would be too many.
+        """
+        if self.tags is not None:
+            return self.tags
+        after = sorted({*before, *self.add_tags} - set(self.remove_tags))
+        if len(after) > MOST_TAGS:
+            raise InvalidInput.at(
+                "/add_tags", f"expected at most {MOST_TAGS} tags a campaign, got {len(after)}: remove some"
+            )
+        return after
+
+
+def search_words(text: str) -> list[str]:
+    """Return the words to search for, in the form in which `search_text` has them."""
+    return text.casefold().split()
+
+
+def search_text(name: str, notes: str, tags: Iterable[str]) -> str:
+    """Return the text of a campaign that is searched, without differences of case."""
+    return "\n".join([name, " ".join(tags), notes]).casefold()
 
 
 def parse_body(document: object) -> CampaignBody:

@@ -25,7 +25,7 @@ from brink.search.archive import Archive
 from brink.search.streams import Stream, generator
 from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
 from brink.server.campaigns.plan import Plan, PreparedCampaign, prepare_campaign, store_campaign
-from brink.server.campaigns.store import ENDED, Campaign, campaign_of
+from brink.server.campaigns.store import ENDED, Campaign, campaigns_of
 from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
 from brink.server.db.sql import note_change
 from brink.server.errors import Conflict, FieldError, InvalidInput
@@ -256,7 +256,7 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
     )  # fmt: skip
     known = next((row for row in candidates if tuple(row.numbers) == planned.numbers), None)
     if known is not None:
-        return campaign_of(known), False
+        return campaigns_of(connection, [known])[0], False
     campaign = store_campaign(connection, planned.campaign)
     connection.execute(
         insert(RepeatsRow).values(
@@ -283,8 +283,8 @@ def read_follow_ups(connection: Connection, campaign_id: str) -> list[StoredRepe
         .order_by(CampaignRow.created_at, CampaignRow.id)
     )
     found = []
-    for row in connection.execute(query):
-        campaign = campaign_of(row)
+    rows = connection.execute(query).all()
+    for row, campaign in zip(rows, campaigns_of(connection, rows), strict=True):
         verdicts = _verdicts(connection, campaign.id)
         found.append(
             StoredRepeats(
@@ -311,7 +311,7 @@ def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> lis
         )
         .order_by(CampaignRow.created_at, CampaignRow.id)
     )  # fmt: skip
-    return [campaign_of(row) for row in connection.execute(query)]
+    return campaigns_of(connection, connection.execute(query).all())
 
 
 def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:

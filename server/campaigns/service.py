@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Generic, Protocol, TypeVar
 
-from sqlalchemy import Connection
+from sqlalchemy import ColumnElement, Connection
 
 from brink.search.archive import Archive
 from brink.server.campaigns import store, traces
 from brink.server.campaigns.advance import Scheduler
-from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.body import CampaignBody, CampaignChange
 from brink.server.campaigns.plan import (
     Plan,
     PreparedCampaign,
@@ -159,6 +159,7 @@ class DocumentService(ABC, Generic[B, S]):
         before: tuple[datetime, str] | None = None,
         document_hash: str | None = None,
         statuses: tuple[CampaignStatus, ...] = (),
+        conditions: Sequence[ColumnElement[bool]] = (),
     ) -> list[S]:
         """Return one page of campaigns or experiments, newest first.
 
@@ -167,11 +168,17 @@ class DocumentService(ABC, Generic[B, S]):
             before: Creation time and id of the last entry of the previous page.
             document_hash: Only entries whose document has this hash.
             statuses: Only campaigns with one of these statuses; any if empty.
+            conditions: Further conditions on the table.
         """
         return await read(
             self.engines,
             lambda connection: self.table.page(
-                connection, limit=limit, before=before, document_hash=document_hash, statuses=statuses
+                connection,
+                limit=limit,
+                before=before,
+                document_hash=document_hash,
+                statuses=statuses,
+                conditions=conditions,
             ),
         )
 
@@ -298,6 +305,23 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         campaign = await self._change(name, "cancel", allowed, CampaignStatus.CANCELLED)
         self.scheduler.stepper.forget(campaign.id)
         return campaign
+
+    async def change(self, name: str, change: CampaignChange) -> Campaign:
+        """Change the tags and notes of a campaign, in whatever state it is.
+
+        Raises:
+            NotFound: No id matches, or several do.
+            InvalidInput: It would have too many tags.
+        """
+        campaign_id = (await self.get(name)).id
+
+        def unit(connection: Connection) -> Campaign:
+            current = self.table.get(connection, campaign_id, lock=True)
+            if not store.change_campaign(connection, current, change):
+                return current
+            return self.table.get(connection, campaign_id)
+
+        return await self.writer.write(unit)
 
     async def repeat(
         self,

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
 
-from brink.server.campaigns.body import CampaignBody
-from brink.server.db.models import NEXT_SEQUENCE, CampaignRow, RepeatsRow, SolutionRow
-from brink.server.db.sql import DocumentTable, database_now, note_change
+from brink.server.campaigns.body import CampaignBody, CampaignChange, search_text, search_words
+from brink.server.db.models import NEXT_SEQUENCE, CampaignRow, CampaignTagRow, RepeatsRow, SolutionRow
+from brink.server.db.sql import DocumentTable, database_now, in_list, note_change
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobSettings
@@ -28,7 +28,7 @@ class Campaign:
     """A campaign as it is stored.
 
     Attributes:
-        body: What was submitted, with every parameter spelled out.
+        body: What was submitted, with every parameter spelled out, and with its tags and notes as they are now.
         document_hash: Hash of the body as it was submitted.
         generation: Number of completed generations.
         generation_end: First number that belongs to a later generation than the current one; None in a campaign that
@@ -70,10 +70,30 @@ class Campaign:
         return JobSettings(cache=execution.cache, max_attempts=execution.max_attempts)
 
 
-def campaign_of(row: Row[*tuple[Any, ...]]) -> Campaign:
-    """Return the campaign stored in a row with all columns of the table."""
+_TAGS = select(CampaignTagRow.campaign_id, CampaignTagRow.tag).where(
+    in_list(CampaignTagRow.campaign_id, "campaigns")
+)
+
+
+def campaigns_of(connection: Connection, rows: Sequence[Row[*tuple[Any, ...]]]) -> list[Campaign]:
+    """Return the campaigns stored in rows with all columns of the table."""
+    tags = read_tags(connection, [row.id for row in rows])
+    return [_campaign(row, tags[row.id]) for row in rows]
+
+
+def read_tags(connection: Connection, campaigns: Sequence[str]) -> dict[str, list[str]]:
+    """Return the tags of each of the given campaigns, in alphabetical order."""
+    tags: dict[str, list[str]] = {campaign: [] for campaign in campaigns}
+    if campaigns:
+        for campaign, tag in connection.execute(_TAGS, {"campaigns": list(tags)}):
+            tags[campaign].append(tag)
+    return {campaign: sorted(found) for campaign, found in tags.items()}
+
+
+def _campaign(row: Row[*tuple[Any, ...]], tags: list[str]) -> Campaign:
+    body = CampaignBody.model_validate({**row.document, "tags": tags, "notes": row.notes})
     return Campaign(
-        id=row.id, body=CampaignBody.model_validate(row.document), document_hash=row.document_hash,
+        id=row.id, body=body, document_hash=row.document_hash,
         status=CampaignStatus(row.status),
         status_reason=row.status_reason, generation=row.generation, generation_end=row.generation_end,
         evaluated=row.evaluated,
@@ -82,9 +102,51 @@ def campaign_of(row: Row[*tuple[Any, ...]]) -> Campaign:
     )  # fmt: skip
 
 
-CAMPAIGNS = DocumentTable(
-    kind="campaign", table=CampaignRow.__table__, build=lambda _, rows: [campaign_of(row) for row in rows]
-)
+CAMPAIGNS = DocumentTable(kind="campaign", table=CampaignRow.__table__, build=campaigns_of)
+
+
+def labelled(tags: Sequence[str], search: str) -> list[ColumnElement[bool]]:
+    """Return the conditions that a campaign has all of these tags, and all of these words in name, notes or tags.
+
+    Args:
+        tags: Tags as `check_tag` returns them.
+        search: Words; case does not matter.
+    """
+    row = CampaignRow
+    tagged = [
+        row.id.in_(select(CampaignTagRow.campaign_id).where(CampaignTagRow.tag == tag))
+        for tag in dict.fromkeys(tags)
+    ]
+    said = [row.search_text.contains(word, autoescape=True) for word in dict.fromkeys(search_words(search))]
+    return [*tagged, *said]
+
+
+def change_campaign(connection: Connection, campaign: Campaign, change: CampaignChange) -> bool:
+    """Change the tags and notes of a campaign; return whether they are different now.
+
+    Args:
+        connection: In a write transaction that has locked the campaign.
+        campaign: The campaign as it is stored.
+        change: What to change.
+
+    Raises:
+        InvalidInput: It would have too many tags.
+    """
+    before = campaign.body
+    tags, notes = change.tags_after(before.tags), before.notes if change.notes is None else change.notes
+    if (tags, notes) == (before.tags, before.notes):
+        return False
+    values = {"notes": notes, "search_text": search_text(before.name, notes, tags), "sequence": NEXT_SEQUENCE}
+    connection.execute(update(CampaignRow).where(CampaignRow.id == campaign.id).values(values))
+    connection.execute(delete(CampaignTagRow).where(CampaignTagRow.campaign_id == campaign.id))
+    insert_tags(connection, campaign.id, tags)
+    return True
+
+
+def insert_tags(connection: Connection, campaign_id: str, tags: Sequence[str]) -> None:
+    """Store tags of a campaign that has none of them."""
+    if tags:
+        connection.execute(insert(CampaignTagRow), [{"campaign_id": campaign_id, "tag": tag} for tag in tags])
 
 
 def insert_campaign(
@@ -101,13 +163,15 @@ def insert_campaign(
     """
     connection.execute(
         insert(CampaignRow).values(
-            id=campaign_id, name=body.name, document=body.model_dump(mode="json"),
+            id=campaign_id, name=body.name, document=body.document(), notes=body.notes,
+            search_text=search_text(body.name, body.notes, body.tags),
             document_hash=document_hash, idempotency_key=key, status=CampaignStatus.RUNNING,
             status_reason="", seed=body.seed, priority=body.priority, budget=body.budget.simulations,
             generation=0, evaluated=0, unsafe=0, failed=0, failures_accepted=0, turn=0,
             created_at=database_now(connection), finished_at=None,
         )
     )  # fmt: skip
+    insert_tags(connection, campaign_id, body.tags)
 
 
 def running(connection: Connection) -> tuple[str, ...]:

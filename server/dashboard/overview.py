@@ -9,6 +9,7 @@ from typing import Final
 
 from sqlalchemy import Connection, func, select
 
+from brink.server.campaigns.store import labelled, read_tags
 from brink.server.db.models import CampaignRow, ExperimentCampaignRow, GenerationRow, RepeatsRow
 from brink.server.db.sql import newest_first
 from brink.server.states import CampaignStatus
@@ -45,6 +46,7 @@ class Outline:
     finished_at: datetime | None
     experiment: str | None
     repeats_of: str | None
+    tags: list[str]
 
     @property
     def completed(self) -> int:
@@ -60,6 +62,8 @@ def list_outlines(
     statuses: Sequence[CampaignStatus] = (),
     named: str = "",
     experiment: str | None = None,
+    tags: Sequence[str] = (),
+    search: str = "",
 ) -> list[Outline]:
     """Return campaigns, newest first.
 
@@ -70,6 +74,8 @@ def list_outlines(
         statuses: Only campaigns in one of these states; all if empty.
         named: Only campaigns whose name contains this or whose id begins with it, ignoring case.
         experiment: Only campaigns of this experiment.
+        tags: Only campaigns with all of these tags.
+        search: Only campaigns with all of these words in name, notes or tags, ignoring case.
     """
     row = CampaignRow
     page = newest_first(row.__table__, limit=limit, before=before)
@@ -89,9 +95,11 @@ def list_outlines(
         query = query.where(inside | row.id.startswith(named.lower(), autoescape=True))
     if experiment is not None:
         query = query.where(ExperimentCampaignRow.experiment_id == experiment)
+    rows = connection.execute(query.where(*labelled(tags, search))).all()
+    tagged = read_tags(connection, [one.id for one in rows])
     return [
-        Outline(**{**found._mapping, "status": CampaignStatus(found.status)})
-        for found in connection.execute(query)
+        Outline(**{**one._mapping, "status": CampaignStatus(one.status), "tags": tagged[one.id]})
+        for one in rows
     ]
 
 

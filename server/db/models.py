@@ -95,8 +95,21 @@ class CampaignRow(Base):
     turn: Mapped[int] = mapped_column(BigInteger, default=0)
     served: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
     sequence: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
+    notes: Mapped[str] = mapped_column(Text, default="", server_default="")
+    search_text: Mapped[str] = mapped_column(Text, default="", server_default="")
+    """Name, notes and tags without differences of case, which the databases ignore in different ways."""
     created_at: Mapped[datetime]
     finished_at: Mapped[datetime | None]
+
+
+class CampaignTagRow(Base):
+    """A tag of a campaign."""
+
+    __tablename__ = "campaign_tags"
+    __table_args__ = (Index(None, "tag", "campaign_id"),)
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    tag: Mapped[str] = mapped_column(String(40), primary_key=True)
 
 
 class ExperimentRow(Base):

@@ -170,6 +170,7 @@ class DocumentTable(Generic[V]):
         before: tuple[datetime, str] | None = None,
         document_hash: str | None = None,
         statuses: Sequence[str] = (),
+        conditions: Sequence[ColumnElement[bool]] = (),
     ) -> list[V]:
         """Return one page of values, newest first.
 
@@ -179,8 +180,9 @@ class DocumentTable(Generic[V]):
             before: Creation time and id of the last value of the previous page.
             document_hash: Only values whose document has this hash.
             statuses: Only values with one of these statuses; any if empty. Needs a column ``status``.
+            conditions: Further conditions on the table.
         """
-        query = newest_first(self.table, limit=limit, before=before)
+        query = newest_first(self.table, limit=limit, before=before).where(*conditions)
         if document_hash is not None:
             query = query.where(self.table.c.document_hash == document_hash)
         if statuses:

@@ -7,7 +7,7 @@ from typing import Final
 
 from sqlalchemy import Connection, Row, bindparam, delete, exists, func, insert, select
 
-from brink.server.campaigns.store import Campaign, campaign_of, delete_campaign
+from brink.server.campaigns.store import Campaign, campaigns_of, delete_campaign
 from brink.server.db.models import (
     CampaignRow,
     ExperimentCampaignRow,
@@ -100,8 +100,9 @@ def _members(connection: Connection, experiments: Sequence[str]) -> Mapping[str,
         .order_by(ExperimentCampaignRow.place)
     )  # fmt: skip
     found: dict[str, list[Member]] = {}
-    for row in connection.execute(query) if experiments else ():
-        member = Member(place=row.place, method=row.method, problem=row.problem, campaign=campaign_of(row))
+    rows = connection.execute(query).all() if experiments else []
+    for row, campaign in zip(rows, campaigns_of(connection, rows), strict=True):
+        member = Member(place=row.place, method=row.method, problem=row.problem, campaign=campaign)
         found.setdefault(row.experiment_id, []).append(member)
     return found
 

@@ -27,12 +27,13 @@ from sqlalchemy import JSON, Connection, RowMapping, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
-from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.body import CampaignBody, search_text
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.models import (
     Base,
     CampaignRow,
+    CampaignTagRow,
     CheckpointRow,
     DistanceBlockRow,
     GenerationRow,
@@ -60,6 +61,7 @@ _MANIFEST: Final = "manifest.json"
 _LEASE: Final = ("lease_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before")
 _TABLES: Final[Mapping[str, type[Base]]] = {
     "campaigns": CampaignRow,
+    "campaign_tags": CampaignTagRow,
     "generations": GenerationRow,
     "solutions": SolutionRow,
     "known_solutions": KnownSolutionRow,
@@ -69,15 +71,17 @@ _TABLES: Final[Mapping[str, type[Base]]] = {
     "violation_names": ViolationNameRow,
     "llm_calls": LlmCallRow,
 }
-_OPTIONAL: Final = ("known_solutions",)
+_OPTIONAL: Final = ("campaign_tags", "known_solutions")
 """Tables that a file has only if the campaign has rows there; files of older versions lack them."""
+_OPTIONAL_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {"campaigns": {"notes": ""}}
+"""Columns that a file has only if their values are others than these; files of older versions lack them."""
 _VECTORS: Final[Mapping[str, str]] = {"solutions": "vectors", "known_solutions": "known-vectors"}
 """Arrays with the vectors of a table's rows."""
 _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
-    "campaigns": ("idempotency_key", "turn", "sequence"),
+    "campaigns": ("idempotency_key", "turn", "sequence", "search_text"),
     "jobs": ("id", "cache", *_LEASE),
 }
-"""Columns that are meaningless in another database."""
+"""Columns that are meaningless in another database, or follow from others."""
 
 
 class BadFile(ServerError):
@@ -166,6 +170,7 @@ class _Export:
     def _write_table(self, name: str, table: Any) -> int:
         """Write the campaign's rows of a table: binary columns as arrays, the others as JSON Lines."""
         columns = [column.name for column in table.columns if column.name not in _LEFT_OUT.get(name, ())]
+        optional = _OPTIONAL_COLUMNS.get(name, {})
         own = table.c.id if name == "campaigns" else table.c.campaign_id
         query = select(*(table.c[column] for column in columns)).where(own == self._id)
         query = query.order_by(*(table.c.id,) if name == "jobs" else table.primary_key.columns)
@@ -174,7 +179,11 @@ class _Export:
         with self._member(f"{name}.jsonl") as member:
             for row in self._rows(query, _BATCH):
                 count += 1
-                plain = {key: _json(value) for key, value in row.items() if not isinstance(value, bytes)}
+                plain = {
+                    key: _json(value)
+                    for key, value in row.items()
+                    if not isinstance(value, bytes) and (key not in optional or value != optional[key])
+                }
                 member.write(json.dumps(plain, separators=(",", ":"), sort_keys=True).encode() + b"\n")
                 if name in _VECTORS:
                     vectors.append(row["vector"])
@@ -297,14 +306,22 @@ class _Import:
         if len(rows) != 1 or rows[0]["id"] != self._id:
             raise BadFile("campaigns.jsonl: expected exactly one campaign, the one in the manifest")
         row = rows[0]
+        tags = []
+        if "campaign_tags.jsonl" in self._sums:
+            tags = [one["tag"] for one in self._rows("campaign_tags", CampaignTagRow.__table__)]
         try:
-            body = CampaignBody.model_validate(row["document"])
+            body = CampaignBody.model_validate({**row["document"], "tags": tags, "notes": row["notes"]})
         except ValidationError as error:
-            raise BadFile(f"campaigns.jsonl: document: {error.errors(include_url=False)[0]['msg']}") from None
+            fault = error.errors(include_url=False)[0]
+            where = fault["loc"][0] if fault["loc"] and fault["loc"][0] in ("tags", "notes") else "document"
+            raise BadFile(f"campaigns.jsonl: {where}: {fault['msg']}") from None
+        if body.tags != sorted(tags):
+            raise BadFile("campaign_tags.jsonl: expected each tag once, in lower case")
         self._dimension = make_plan(body).problem.space.dimension
         if row["status"] == CampaignStatus.RUNNING:
             row |= {"status": CampaignStatus.PAUSED, "status_reason": "imported; resume it to continue"}
-        return {**row, "idempotency_key": None, "turn": 0}
+        searched = search_text(row["name"], body.notes, body.tags)
+        return {**row, "idempotency_key": None, "turn": 0, "notes": body.notes, "search_text": searched}
 
     def _insert(self, name: str, model: type[Base]) -> int:
         batch: list[dict[str, Any]] = []
@@ -400,7 +417,7 @@ class _Import:
 
     def _rows(self, name: str, table: Table | Any) -> Iterator[dict[str, Any]]:
         """Yield a table's rows, after checks of their columns and types."""
-        left_out = _LEFT_OUT.get(name, ())
+        left_out, optional = _LEFT_OUT.get(name, ()), _OPTIONAL_COLUMNS.get(name, {})
         columns = {
             column.name: column
             for column in table.columns
@@ -413,11 +430,11 @@ class _Import:
                     values = json.loads(line)
                 except ValueError as error:
                     raise BadFile(f"{member}, line {place}: {error}") from None
-                if not isinstance(values, dict) or set(values) != set(columns):
+                if not isinstance(values, dict) or values.keys() | optional.keys() != columns.keys():
                     raise BadFile(f"{member}, line {place}: expected an object with {', '.join(columns)}")
                 yield {
                     key: _value(value, columns[key], f"{member}, line {place}")
-                    for key, value in values.items()
+                    for key, value in {**optional, **values}.items()
                 }
 
 

@@ -20,6 +20,7 @@ from sqlalchemy.exc import IntegrityError
 from support.databases import Databases
 from support.queue import Queue
 
+from brink.server.campaigns.body import search_text
 from brink.server.db import upgrade as upgrading
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import Base, CampaignRow, JobRow, SolutionRow, TraceRow
@@ -65,7 +66,7 @@ def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
             text(
                 "INSERT INTO campaigns (id, name, document, document_hash, status, status_reason, seed, priority,"
                 " budget, generation, evaluated, unsafe, failed, failures_accepted, turn, created_at)"
-                " VALUES ('a', 'old', :document, 'h', 'running', '', 1, 0, 9, 1, 3, 1, 0, 0, 0, :moment)"
+                " VALUES ('a', 'Old', :document, 'h', 'running', '', 1, 0, 9, 1, 3, 1, 0, 0, 0, :moment)"
             ),
             {
                 "document": json.dumps({"algorithm": {"id": "random@1", "params": {"generation_size": 60}}}),
@@ -90,7 +91,8 @@ def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
     assert upgrade(empty) == ("0001", head_revision())
     with empty.reader.connect() as connection:
         campaign = connection.execute(select(CampaignRow)).one()
-        assert (campaign.name, campaign.measured, campaign.generation_end) == ("old", 0, None)
+        assert (campaign.name, campaign.measured, campaign.generation_end) == ("Old", 0, None)
+        assert (campaign.notes, campaign.search_text) == ("", search_text("Old", "", [])), "it can be found"
         params = campaign.document["algorithm"]["params"]
         assert params == {"generation_size": 60, "in_flight": 1}, "it goes on with one generation in flight"
         kept = select(SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness)

@@ -40,6 +40,7 @@ ALLOWED = {
     ("GET", "/api/v1/access"): {"read", "user", "admin"},
     ("GET", "/metrics"): {"read", "user", "admin"},
     ("POST", "/api/v1/campaigns"): {"user", "admin"},
+    ("PATCH", "/api/v1/campaigns/{campaign}"): {"user", "admin"},
     ("POST", "/api/v1/campaigns/{campaign}/pause"): {"user", "admin"},
     ("POST", "/api/v1/campaigns/{campaign}/resume"): {"user", "admin"},
     ("POST", "/api/v1/jobs/1/retry"): {"user", "admin"},

@@ -236,6 +236,13 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "distances of another generation": (
         {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))}, "does not match its checksum",
     ),
+    "notes that are none": ({"campaigns.jsonl": in_line(lambda row: row.update(notes="a\0b"))}, "notes: "),
+    "a tag that is none": (
+        {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "two words"}'}, "tags: ",
+    ),
+    "a tag in capitals": (
+        {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "Night"}'}, "in lower case",
+    ),
     "an unknown problem": (
         {"campaigns.jsonl": in_line(lambda row: row["document"]["problem"].update(id="none@1"))}, "unknown problem",
     ),

@@ -47,6 +47,15 @@ def circle(folder: Path) -> brink.Result:
     return brink.search(inside, SPACE, simulations=300, progress=False)
 
 
+def test_a_report_to_hand_on_is_one_file(circle: brink.Result, tmp_path: Path) -> None:
+    file = circle.report(tmp_path / "circle.html", pairs=1)
+    page = file.read_text()
+    assert page.startswith("<!DOCTYPE html>")
+    assert page.count("<article>") == 1
+    assert f"{len(circle.pairs())} distinct pairs across the boundary" in page
+    assert str(circle.digest) in page
+
+
 def test_a_search_finds_the_known_boundary_of_a_function(circle: brink.Result) -> None:
     assert (circle.evaluated, circle.failed, circle.status) == (300, 0, CampaignStatus.FINISHED)
     pairs = circle.pairs()

@@ -11,7 +11,7 @@ from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.cli.pairs import evidence_words
+from brink.report.pair_words import evidence_words
 from brink.search.fitness import wilson_interval
 from brink.server.api.pair_views import PairsView
 from brink.server.campaigns.body import parse_body

@@ -30,15 +30,15 @@ def test_a_wheel_holds_the_package_and_its_metadata_and_nothing_else(tmp_path: P
     }
 
 
-def test_a_wheel_holds_the_page_the_weights_and_the_type_marker(tmp_path: Path) -> None:
+def test_a_wheel_holds_the_page_the_templates_the_weights_and_the_type_marker(tmp_path: Path) -> None:
     names = set(build(tmp_path))
 
     tracked = subprocess.run(
-        ["git", "ls-files", "server/dashboard/static", "sim/perception/weights"],
+        ["git", "ls-files", "brink/report/templates", "server/dashboard/static", "sim/perception/weights"],
         cwd=ROOT, check=True, capture_output=True, text=True,
     ).stdout.splitlines()  # fmt: skip
     assert tracked
-    assert {f"brink/{name}" for name in tracked} | {"brink/py.typed"} <= names
+    assert {f"brink/{name.removeprefix('brink/')}" for name in tracked} | {"brink/py.typed"} <= names
 
 
 def test_importing_brink_loads_no_heavy_module() -> None:

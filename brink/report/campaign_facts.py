@@ -1,0 +1,269 @@
+"""Everything that the report of a campaign tells, fetched over the API."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from brink.api.client import Api, CoordinatorError
+from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
+from brink.report.comparison import compared_archives
+from brink.search.algorithms.multi_objective import MultiObjectiveConfig
+from brink.search.analysis.comparison import control_summaries
+from brink.search.analysis.rules import Rules, region_rules
+from brink.search.errors import MissingExtra, TooManyPairs, UnsupportedSpace
+from brink.search.slots import slots_of
+from brink.server.api.finding import FindingView
+from brink.server.api.pair_views import PairsView
+from brink.server.api.repeats import RepeatsView
+from brink.server.api.schemas import (
+    Boundary,
+    CampaignList,
+    CampaignView,
+    Combinations,
+    JobList,
+    Progress,
+    SolutionView,
+    Violations,
+)
+from brink.server.api.tolerance import ToleranceView
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.problems.base import InProcessProblem, ReportsViolations, ignores_seeds, records_traces
+from brink.server.states import CampaignStatus, JobStatus
+
+Show: TypeAlias = Callable[[str, int, int], None]
+"""Called with what is being done, in words, how much of it is done, and how much there is; 0 if that is unknown."""
+RANDOM: Final = "random@1"
+OPEN: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
+LISTED: Final = 200
+"""Campaigns among which random search on the same problem is looked for, newest first."""
+_JOBS: Final = 1000
+_ALL_GENERATIONS: Final = 10**9
+"""Cursor beyond the last generation of every campaign, for progress without its series of generations."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jobs:
+    """Where the results of a campaign came from.
+
+    Attributes:
+        simulated: Results that its own jobs gave.
+        cached: Results that were taken over from identical simulations.
+        repeated: Jobs that took more than one attempt.
+    """
+
+    simulated: int
+    cached: int
+    repeated: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RandomSearch:
+    """A finished campaign of random search on the same problem.
+
+    Attributes:
+        campaign: The campaign.
+        evaluated: Its solutions with a verdict.
+        found: What it found of what the campaign of the report looks for, in words; empty if that is not known.
+    """
+
+    campaign: CampaignView
+    evaluated: int
+    found: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Facts:
+    """What is known of a campaign.
+
+    Attributes:
+        view: The campaign.
+        progress: Its counts.
+        finding: What it found in a sentence, and the campaign that it follows up, if any.
+        fetched: Its archive.
+        pairs: Its pairs, or that there are too many.
+        boundary: Its distinct boundary solutions.
+        violations: Types of violations, if its simulator reports their circumstances.
+        combinations: Chains of techniques, if it perturbs images.
+        tolerance: Tolerances, if it looks for them.
+        repeats: Simulations of its solutions with other seeds, in separate campaigns.
+        control: A sentence for each comparison with its control.
+        rules: The rules of its unsafe region.
+        no_rules: Why there are none; empty if there are some, or nothing to explain.
+        jobs: Where its results came from; None if verdicts are computed.
+        random: Random search on the same problem.
+        sample: Its first evaluated solution, with provenance.
+    """
+
+    view: CampaignView
+    progress: Progress
+    finding: FindingView
+    fetched: FetchedArchive
+    pairs: PairsView | TooManyPairs
+    boundary: Boundary
+    violations: Violations | None
+    combinations: Combinations | None
+    tolerance: ToleranceView | None
+    repeats: Sequence[RepeatsView]
+    control: Sequence[str]
+    rules: Rules | None
+    no_rules: str
+    jobs: Jobs | None
+    random: Sequence[RandomSearch]
+    sample: SolutionView | None
+
+    @property
+    def ended(self) -> bool:
+        """Whether the campaign has ended; if not, more results may come."""
+        return self.progress.status not in OPEN
+
+    @property
+    def evaluated(self) -> int:
+        """Solutions with a verdict."""
+        return len(self.fetched.archive)
+
+    @property
+    def unsafe(self) -> int:
+        """Those that are unsafe."""
+        return int(self.fetched.archive.unsafe.sum())
+
+    @property
+    def computed(self) -> bool:
+        """Whether chance has no part in the verdicts."""
+        return ignores_seeds(self.fetched.plan.problem)
+
+    @property
+    def drives(self) -> bool:
+        """Whether solutions are drives, which can be replayed."""
+        return records_traces(self.fetched.plan.problem)
+
+    @property
+    def searched_pairs(self) -> bool:
+        """Whether the campaign searched for pairs."""
+        return self.progress.looks_for_pairs
+
+    @property
+    def searched_violations(self) -> bool:
+        """Whether the campaign searched for different violations."""
+        return isinstance(self.fetched.plan.config, MultiObjectiveConfig)
+
+
+async def fetch_facts(api: Api, campaign: str, show: Show) -> Facts:
+    """Fetch everything that the report of a campaign tells.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign, or a unique prefix of it.
+        show: Called with what is being done.
+
+    Raises:
+        CoordinatorError: The campaign does not exist.
+        InvalidInput: Its problem or algorithm is not installed here.
+    """
+    show("reading the campaign", 0, 0)
+    view = await api.read(CampaignView, f"/campaigns/{campaign}")
+    path = f"/campaigns/{view.id}"
+    progress = await api.read(Progress, f"{path}/progress", {"since": _ALL_GENERATIONS})
+    finding = await api.read(FindingView, f"{path}/finding")
+    fetched = await fetch_archive(api, view.id)
+    show("looking for pairs", 0, 0)
+    pairs = await read_all_pairs(api, view.id)
+    boundary = await api.read(Boundary, f"{path}/boundary", {"t_b": DEFAULT_T_B, "d_th": DEFAULT_D_TH})
+    problem, archive = fetched.plan.problem, fetched.archive
+    show("comparing with a control and with random search", 0, 0)
+    control: Sequence[str] = ()
+    if progress.looks_for_boundary and not progress.looks_for_pairs and len(archive):
+        control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
+    rules, no_rules = _rules(fetched)
+    violations = combinations = tolerance = None
+    if isinstance(problem, ReportsViolations):
+        violations = await api.read(Violations, f"{path}/violations")
+    if _has_slots(fetched):
+        combinations = await api.read(Combinations, f"{path}/combinations")
+    if progress.looks_for_tolerances:
+        tolerance = await api.read(ToleranceView, f"{path}/tolerance")
+    first = int(archive.numbers[0]) if len(archive) else None
+    return Facts(
+        view=view, progress=progress, finding=finding, fetched=fetched, pairs=pairs, boundary=boundary,
+        violations=violations, combinations=combinations, tolerance=tolerance,
+        repeats=await api.read(list[RepeatsView], f"{path}/repeats"),
+        control=control, rules=rules, no_rules=no_rules,
+        jobs=None if isinstance(problem, InProcessProblem) else await _jobs(api, view.id),
+        random=await _random_search(api, view, pairs),
+        sample=None if first is None else await api.read(SolutionView, f"{path}/solutions/{first}"),
+    )  # fmt: skip
+
+
+def _has_slots(fetched: FetchedArchive) -> bool:
+    try:
+        slots_of(fetched.plan.problem.space)
+    except UnsupportedSpace:
+        return False
+    return True
+
+
+def _rules(fetched: FetchedArchive) -> tuple[Rules | None, str]:
+    """Return the rules of the unsafe region, or why there are none."""
+    unsafe = fetched.archive.unsafe
+    if not unsafe.any() or unsafe.all():
+        return None, ""
+    try:
+        rules = region_rules(
+            fetched.archive, fetched.plan.problem.space, unsafe, "the unsafe solutions", seed=fetched.body.seed,
+            recorded=fetched.active,
+        )  # fmt: skip
+    except MissingExtra as error:
+        return None, str(error)
+    return rules, ""
+
+
+async def _jobs(api: Api, campaign: str) -> Jobs:
+    """Count where results came from: a job that was never leased took its result from an identical one."""
+    simulated = cached = repeated = 0
+    after: int | None = 0
+    while after is not None:
+        params = {"campaign": campaign, "status": JobStatus.DONE.value, "after": after, "limit": _JOBS}
+        page = await api.read(JobList, "/jobs", params)
+        for job in page.jobs:
+            if job.kind != "trace":
+                simulated += job.attempt > 0
+                cached += job.attempt == 0
+                repeated += job.attempt > 1
+        after = page.next
+    return Jobs(simulated=simulated, cached=cached, repeated=repeated)
+
+
+async def _random_search(
+    api: Api, view: CampaignView, pairs: PairsView | TooManyPairs
+) -> Sequence[RandomSearch]:
+    """Return finished campaigns of random search on the same problem, the largest first."""
+    if view.body.algorithm.id == RANDOM:
+        return []
+    asked = {"limit": LISTED, "status": CampaignStatus.FINISHED.value}
+    found = [
+        one
+        for one in (await api.read(CampaignList, "/campaigns", asked)).campaigns
+        if one.body.algorithm.id == RANDOM
+        and one.body.problem == view.body.problem
+        and one.body.ground_truth == view.body.ground_truth
+    ]
+    found.sort(key=lambda one: -one.simulations)
+    return [
+        RandomSearch(
+            campaign=one, evaluated=one.simulations - one.failed - one.measured,
+            found=await _found_pairs(api, one.id, pairs),
+        )
+        for one in found[:1]
+    ]  # fmt: skip
+
+
+async def _found_pairs(api: Api, campaign: str, pairs: PairsView | TooManyPairs) -> str:
+    """Return how many pairs a campaign found with the settings of another one that searched for pairs."""
+    if isinstance(pairs, TooManyPairs) or not pairs.searched:
+        return ""
+    params = {"limit": 1, "eps": pairs.eps, "d_th": pairs.d_th}
+    try:
+        there = await api.read(PairsView, f"/campaigns/{campaign}/pairs", params)
+    except CoordinatorError:
+        return ""  # too many to tell apart
+    noun = "pair" if there.distinct == 1 else "pairs"
+    return f"{there.distinct or 'no'} distinct {noun}"

@@ -1,0 +1,462 @@
+"""What the report of a campaign says in sentences: what was asked and found, how sure that is, what was left out."""
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from brink.report.campaign_facts import RANDOM, Facts
+from brink.report.pair_words import chance_words
+from brink.report.violations import by_frequency
+from brink.search.analysis.confirmation import Confirmation
+from brink.search.parameters import Categorical
+from brink.search.space import Parameter, SearchSpace
+from brink.server.api.pair_views import PairsView, PairView
+from brink.server.api.tolerance import CellView, Finding, ToleranceView
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.problems.base import ReplacesComponent
+from brink.server.problems.changes import as_sentence
+from brink.server.states import CampaignStatus, OutcomeKind
+from brink.sim.catalogue import REQUIREMENTS, load_plugin
+from brink.sim.errors import SimulatorError
+
+MOST_CHOICES: Final = 12
+"""Choices of a parameter that are listed by name."""
+LONGEST_VALUE: Final = 100
+TIGHTEST: Final = 3
+"""Tolerances in the first paragraph."""
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A term and what is to be said about it."""
+
+    term: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Parameters of the search space with the same range."""
+
+    component: str
+    names: str
+    values: str
+
+
+def count(number: int, noun: str) -> str:
+    """Return a number with its noun, such as ``1 pair`` or ``1,300 pairs``."""
+    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
+
+
+def share(part: int, whole: int) -> str:
+    """Return a share in whole per cent, or more precisely where that would be 0 or 100."""
+    if not whole:
+        return "–"
+    value = part / whole
+    return f"{value:.0%}" if value in (0, 1) or 0.01 <= value <= 0.99 else f"{value:.2%}"
+
+
+def noun(facts: Facts) -> str:
+    """Return what a solution is called."""
+    return "drive" if facts.drives else "solution"
+
+
+def subject(facts: Facts) -> str:
+    """Return what was tested, in a few words."""
+    return facts.fetched.plan.problem.summary.partition(":")[0].rstrip(".")
+
+
+def others_recorded(facts: Facts) -> bool:
+    """Return whether requirements were recorded that do not decide the verdict."""
+    recorded = (facts.sample.verdicts if facts.sample is not None else None) or {}
+    return bool(recorded.keys() - set(facts.fetched.outcomes.requirements))
+
+
+_FOLLOW_UPS: Final = {
+    FollowUpKind.CONFIRM: "Brink simulated {many} of {of} again, with other random numbers, to see how often each is "
+    "unsafe.",
+    FollowUpKind.COMPONENT: "Brink simulated unsafe {many} of {of} again, with ground truth in place of the "
+    "component.",
+    FollowUpKind.MINIMISE: "Brink reverted differences between {many} of {of} one by one, to find those that matter.",
+}
+"""What follow-ups ask."""
+
+
+def purpose(facts: Facts) -> str:
+    """Return what the campaign asked, in a sentence for people who have never seen Brink."""
+    many, of = f"{noun(facts)}s", facts.finding.of
+    if of is not None:
+        return _FOLLOW_UPS[of.kind].format(many=many, of=f"campaign {of.campaign} ({of.name})")
+    if facts.searched_pairs:
+        return (
+            f"Brink searched for pairs of {many} that are almost the same, although one is safe and the other is "
+            "not: the boundary of what the system can handle runs between them."
+        )
+    if facts.tolerance is not None:
+        return (
+            "Brink measured how gross the errors of the component may be before more than "
+            f"{facts.tolerance.limit:.0%} of drives violate a requirement because of them."
+        )
+    if facts.searched_violations:
+        return (
+            "Brink searched for ways in which other road users make the driving system violate a requirement, as "
+            "different from each other as possible."
+        )
+    if facts.combinations is not None:
+        return (
+            "Brink searched for changes to the camera image, alone or together, that make the driving unsafe."
+        )
+    if facts.view.body.algorithm.id == RANDOM:
+        return f"Brink drew {many} at random, as a baseline for searches that choose them."
+    near = facts.fetched.plan.neighbourhood
+    return (
+        f"Brink searched for the hazard boundary: {many} around which about {near.p_th:.0%} of similar {many} are "
+        "unsafe."
+    )
+
+
+def verdicts(facts: Facts) -> list[str]:
+    """Return how many solutions were safe and unsafe, and with regard to which requirements."""
+    many, view = f"{noun(facts)}s", facts.fetched.outcomes
+    if not facts.evaluated:
+        return [
+            f"No {noun(facts)} has a verdict{'' if facts.ended else ' yet'}, so there is nothing to report."
+        ]
+    safe = facts.evaluated - facts.unsafe
+    unsafe = (
+        f"{facts.unsafe:,} of {count(facts.evaluated, noun(facts))} ({share(facts.unsafe, facts.evaluated)})"
+    )
+    if facts.tolerance is not None:
+        return [
+            f"Of {count(facts.evaluated, 'drive')}, with and without errors, {facts.unsafe:,} "
+            f"{view.kinds[OutcomeKind.VIOLATED]}."
+        ]
+    if not view.requirements:
+        how = "computed: chance has no part in them" if facts.computed else "given by the problem itself"
+        return [f"{unsafe} were unsafe, {safe:,} safe; the verdicts are {how}."]
+    these = "this requirement" if len(view.requirements) == 1 else "these requirements"
+    told = [f"{unsafe} were unsafe: they {view.kinds[OutcomeKind.VIOLATED]}."]
+    if safe:
+        rest = view.words.partition("; ")[2].rstrip(".") if others_recorded(facts) else ""
+        more = f"; {rest}" if rest else ""
+        told.append(f"The other {safe:,} {many} were safe with regard to {these}{more}.")
+    return told
+
+
+def findings(facts: Facts) -> list[str]:
+    """Return what the campaign found of what it looked for, with an example."""
+    if not facts.evaluated:
+        return []
+    told = [f"The result: {facts.finding.words[0].lower()}{facts.finding.words[1:]}"]
+    if facts.tolerance is not None:
+        if limits := limiting(facts.tolerance):
+            told.append(f"Tightest: {' '.join(cell.sentence for cell in limits[:TIGHTEST])}")
+        return told
+    if facts.violations is not None and facts.violations.types:
+        most = by_frequency(facts.violations)[0]
+        told.append(f"The most frequent type, in {count(most.solutions, noun(facts))}: {most.type}.")
+    pairs = facts.pairs
+    if isinstance(pairs, PairsView) and pairs.pairs and facts.finding.of is None:
+        if facts.searched_pairs:
+            best = best_first(pairs)[0]
+            told.append(f"For example, pair {best.place}: {as_sentence(best.words)}.")
+        else:
+            told.append(f"Without looking for them, it came across {pairs.note}.")
+    return told
+
+
+def best_first(view: PairsView) -> list[PairView]:
+    """Return pairs in the order of the evidence for them: confirmed ones first, then those that were not tried."""
+    ranks = {Confirmation.CONFIRMED: 0, Confirmation.NOT_CONFIRMED: 2}
+    return sorted(view.pairs, key=lambda pair: (ranks.get(pair.confirmation.state, 1), pair.place))
+
+
+def limiting(view: ToleranceView) -> list[CellView]:
+    """Return the cells with a limit, the tightest first."""
+    found = [cell for cell in view.cells if cell.tolerated.finding is Finding.LIMIT]
+    return sorted(found, key=lambda cell: cell.tolerated.value.severity or 0.0)
+
+
+def boundary_words(facts: Facts) -> str:
+    """Return how many distinct boundary solutions there are."""
+    found = facts.boundary
+    if not found.dbs:
+        return (
+            f"No boundary solution was found: no neighbourhood is near enough to the boundary (fitness at most "
+            f"{DEFAULT_T_B:g})."
+        )
+    has = "has" if found.strict_dbs == 1 else "have"
+    return (
+        f"{count(found.dbs, 'distinct boundary solution')} (fitness at most {DEFAULT_T_B:g}, at least "
+        f"{DEFAULT_D_TH:g} apart) {'was' if found.dbs == 1 else 'were'} found; {found.strict_dbs:,} of "
+        f"them {has} both safe and unsafe neighbours, and an interval that contains the boundary."
+    )
+
+
+def uncertainties(facts: Facts) -> list[str]:
+    """Return what is uncertain about the result."""
+    told = []
+    if not facts.ended:
+        told.append("The campaign has not ended, so all of this may change.")
+    if not facts.evaluated:
+        return told
+    if not facts.computed and facts.tolerance is None:
+        told.append(_chance(facts))
+    if facts.tolerance is not None:
+        view = facts.tolerance
+        told.append(
+            f"Each limit has an interval that covers the truth with a probability of {view.confidence:.0%}; each "
+            "sentence is about one error at a time."
+        )
+        if view.open:
+            told.append(
+                f"Of {count(view.open, 'violation')} it is not known yet whether the error caused them; they count "
+                "as caused."
+            )
+    if facts.progress.failed:
+        told.append(
+            f"{count(facts.progress.failed, 'simulation')} failed; they count as neither safe nor unsafe."
+        )
+    if not facts.computed:
+        told.append(
+            "A search simulates where it expects to learn most, so shares of simulated drives say nothing about how "
+            "often something happens in traffic."
+        )
+    told.append(
+        "Nothing was evaluated outside the search space that is listed under “What was not looked at”."
+    )
+    return told
+
+
+def _chance(facts: Facts) -> str:
+    """Return what is known of the part of chance in the result."""
+    pairs = facts.pairs
+    if isinstance(pairs, PairsView) and pairs.searched and pairs.distinct:
+        if pairs.tried:
+            return (
+                f"{pairs.confirmed:,} of {count(pairs.tried, 'pair')} that were simulated again with other seeds are "
+                f"confirmed; for {pairs.not_confirmed:,}, chance may decide."
+            )
+        checked = ""
+        if pairs.checked:
+            checked = f"; the search itself simulated both sides of {pairs.checked:,} of them twice"
+        return f"No pair was simulated again after the search, so chance may explain some of them{checked}."
+    if facts.repeats:
+        return "How often single solutions are unsafe with other seeds is stated below."
+    return "Each drive was simulated once, unless stated otherwise, so chance may explain a single verdict."
+
+
+def trust(facts: Facts) -> list[Term]:
+    """Return how far the result can be trusted, term by term."""
+    many = f"{noun(facts)}s"
+    terms = []
+    if facts.computed:
+        terms.append(Term("Chance", "Verdicts are computed, and other seeds do not change them."))
+    else:
+        terms += _repeated(facts)
+    known = facts.progress.known
+    if known is not None and known.results:
+        terms.append(
+            Term(
+                "Start",
+                f"The search began with {count(known.results, 'result')} that it did not simulate, "
+                f"{known.unsafe:,} of them unsafe; they count nowhere on this page.",
+            )
+        )
+    if facts.control:
+        told = " ".join(f"{one}." for one in facts.control)
+        terms.append(Term("Control", f"{told} A control shows what scenarios and chance alone explain."))
+    terms.append(Term("Random search", _random(facts)))
+    terms.append(Term("Failures", _failures(facts)))
+    if facts.jobs is not None:
+        terms.append(Term("Cache", _cache(facts)))
+    terms.append(
+        Term(
+            "Intervals",
+            "Intervals of shares are Wilson intervals of 95%. "
+            f"They say how sure a share of these {many} is, not how often something happens in traffic.",
+        )
+    )
+    return terms
+
+
+def _repeated(facts: Facts) -> list[Term]:
+    terms = []
+    pairs = facts.pairs
+    if isinstance(pairs, PairsView) and pairs.distinct and facts.tolerance is None:
+        if pairs.tried or pairs.pending:
+            pending = f", {pairs.pending:,} are being simulated" if pairs.pending else ""
+            words = (
+                f"Simulated again with other seeds: {pairs.tried:,} of {count(pairs.distinct, 'pair')}. "
+                f"{pairs.confirmed:,} confirmed (the safe side unsafe in at most {pairs.rule.safe_at_most:.0%}, the "
+                f"unsafe side in at least {pairs.rule.unsafe_at_least:.0%} of at least {pairs.rule.least_drives} "
+                f"drives each), {pairs.not_confirmed:,} not{pending}."
+            )
+        else:
+            words = "No pair has been simulated again with other seeds after the search."
+        terms.append(Term("Confirmation", words))
+        if isinstance(facts.fetched.plan.problem, ReplacesComponent):
+            terms.append(Term("Component", _component(pairs)))
+        if pairs.chancy:
+            terms.append(Term("Chance", f"{as_sentence(chance_words(pairs))}; they are in no pair."))
+    terms += [Term("Repeats", f"{as_sentence(one.words)}") for one in facts.repeats if one.boundary]
+    if not terms:
+        terms.append(
+            Term(
+                "Repeats",
+                "Nothing has been simulated again with other seeds, so chance may explain a verdict.",
+            )
+        )
+    if facts.tolerance is not None and facts.tolerance.audited:
+        view = facts.tolerance
+        terms.append(
+            Term(
+                "Screening",
+                "Drives that hold with the grossest error are taken to hold with milder ones. Of "
+                f"{view.audited:,} that were simulated with milder ones all the same, {view.leaks:,} violated a "
+                "requirement.",
+            )
+        )
+    return terms
+
+
+def _component(pairs: PairsView) -> str:
+    if not pairs.component + pairs.scenario:
+        return "It was not asked whether the component or the scenario is to blame for the unsafe sides."
+    asked = pairs.component + pairs.scenario
+    rest = f"; for {pairs.scenario:,}, the scenario alone is enough" if pairs.scenario else ""
+    return (
+        f"With ground truth in place of the component, the unsafe side of {pairs.component:,} of "
+        f"{count(asked, 'pair')} is safe: there the component is to blame{rest}."
+    )
+
+
+def _random(facts: Facts) -> str:
+    if facts.view.body.algorithm.id == RANDOM:
+        return "This campaign is random search itself: it needs no other baseline."
+    if not facts.random:
+        return (
+            "No finished campaign of random search on the same problem is in this database, so it is not known how "
+            "much of this random draws would have found."
+        )
+    best = facts.random[0]
+    part = share(best.campaign.unsafe, best.evaluated)
+    unsafe = f"{best.campaign.unsafe:,} of {best.evaluated:,} evaluated were unsafe ({part})"
+    found = f"; it found {best.found} with the same settings" if best.found else ""
+    return (
+        f"Campaign {best.campaign.id} drew at random on the same problem: {unsafe}{found}. This campaign evaluated "
+        f"{facts.evaluated:,}."
+    )
+
+
+def _failures(facts: Facts) -> str:
+    progress = facts.progress
+    if not progress.failed and not progress.quarantined:
+        return f"None of {count(progress.simulations, 'simulation')} failed."
+    waiting = f"; {progress.quarantined:,} wait in quarantine" if progress.quarantined else ""
+    return (
+        f"{progress.failed:,} of {count(progress.simulations, 'simulation')} failed and have no verdict{waiting}. "
+        "What fails may be unsafe, too."
+    )
+
+
+def _cache(facts: Facts) -> str:
+    jobs = facts.jobs
+    if jobs is None or not jobs.simulated + jobs.cached:
+        return "No result has been reported."
+    again = f" {count(jobs.repeated, 'job')} took more than one attempt." if jobs.repeated else ""
+    if not jobs.cached:
+        return f"All {jobs.simulated:,} results were simulated for this campaign.{again}"
+    return (
+        f"{jobs.cached:,} of {jobs.simulated + jobs.cached:,} results were taken over from identical simulations, "
+        f"with the same seed, of this database.{again}"
+    )
+
+
+def requirement_words(requirement: str) -> str:
+    """Return what a requirement demands, in the words of its plug-in; empty if it does not say."""
+    try:
+        plugin = load_plugin(REQUIREMENTS, requirement)
+    except (KeyError, SimulatorError):
+        return ""
+    first = (plugin.__doc__ or "").strip().partition("\n\n")[0]
+    words = re.sub(r"^`[^`]+`:\s*", "", " ".join(first.split()))
+    return as_sentence(words.replace("`", ""))
+
+
+def ranges(space: SearchSpace) -> list[Range]:
+    """Return what was varied; parameters that differ in nothing but digits in their names share a row."""
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for component in space.components:
+        for parameter in component.parameters:
+            pattern = re.sub(r"\d+", "*", parameter.name)
+            found.setdefault((component.name, pattern, _values(parameter)), []).append(parameter.name)
+    return [
+        Range(component, names[0] if len(names) == 1 else f"{pattern} ({len(names)} parameters)", values)
+        for (component, pattern, values), names in found.items()
+    ]
+
+
+def _values(parameter: Parameter) -> str:
+    if not isinstance(parameter, Categorical):
+        kind = "" if parameter.unit else " (no unit)"
+        return f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".strip() + kind
+    choices = [str(choice) for choice in parameter.choices]
+    if len(choices) <= MOST_CHOICES:
+        return ", ".join(choices)
+    return f"{', '.join(choices[:MOST_CHOICES])} and {len(choices) - MOST_CHOICES} more"
+
+
+def fixed(facts: Facts) -> list[tuple[str, str, str]]:
+    """Return the parameters that were not varied: names, values with units, and meanings."""
+    problem, params = facts.fetched.plan.problem, facts.view.body.problem.params
+    about: dict[str, Mapping[str, Any]] = {
+        field.name: field.metadata for field in dataclasses.fields(problem.params_type)
+    }
+    rows = [
+        (name, _value(value, one.get("unit", "")), str(one.get("help", "")))
+        for name, value in params.items()
+        for one in [about.get(name, {})]
+    ]
+    config: Mapping[str, Any] = facts.view.body.algorithm.params
+    if config.get("fixed"):
+        rows.append(
+            ("fixed (algorithm)", _value(config["fixed"]), "Parameters that the search left unchanged.")
+        )
+    if config.get("vary", "all") != "all":
+        rows.append(
+            ("vary (algorithm)", _value(config["vary"]), "The only component that the search varied.")
+        )
+    return rows
+
+
+def _value(value: object, unit: str = "") -> str:
+    if isinstance(value, Mapping):
+        shown = ", ".join(f"{name}: {item}" for name, item in value.items()) or "none"
+    elif isinstance(value, Sequence) and not isinstance(value, str):
+        shown = ", ".join(map(str, value)) or "none"
+    else:
+        shown = str(value)
+    if len(shown) > LONGEST_VALUE:
+        return f"{shown[:LONGEST_VALUE]}… (see the campaign file)"
+    return f"{shown} {unit}".strip()
+
+
+def standing(facts: Facts) -> str:
+    """Return why the report is not final; empty if the campaign has finished."""
+    progress = facts.progress
+    done = f"{progress.simulations:,} of {count(progress.budget, 'simulation')}"
+    reason = f" Reason: {progress.status_reason}." if progress.status_reason else ""
+    match progress.status:
+        case CampaignStatus.FINISHED:
+            return ""
+        case CampaignStatus.RUNNING | CampaignStatus.PAUSED:
+            what = "is still running" if progress.status is CampaignStatus.RUNNING else "is paused"
+            return f"Unfinished: the campaign {what}, after {done}. This report shows what is known so far.{reason}"
+        case CampaignStatus.CANCELLED:
+            return f"The campaign was cancelled after {done}; this report shows what had been found by then.{reason}"
+        case _:
+            return f"The campaign has failed after {done}; this report shows what had been found by then.{reason}"

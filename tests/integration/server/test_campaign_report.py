@@ -1,0 +1,379 @@
+"""The report of a campaign: one page that is complete in itself and says what was found, whatever was looked for."""
+
+import base64
+import io
+import json
+import re
+from collections.abc import Mapping
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any, Final
+
+import httpx
+import pytest
+import yaml
+from PIL import Image
+from support.api import FakeWorker, ball, coordinator, expect, finish, progress, submit
+from support.databases import on_sqlite
+from support.problems import REQUIREMENT
+from support.tolerance import body as tolerance_body
+from support.tolerance import finished as tolerance_finished
+from support.traffic import traffic_worker
+from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
+from typer.testing import CliRunner
+
+from brink.cli.commands import app
+from brink.cli.options import with_api
+from brink.report.campaign import campaign_report
+from brink.search import curves
+from brink.server.campaigns.body import parse_body
+from brink.server.problems.urban_injected import SIMULATOR
+from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+
+API = "/api/v1/campaigns"
+VOID: Final = {"meta", "img", "br", "link", "input"}
+NO_PICTURES: Mapping[str, Path] = {}
+MTQ: dict[str, Any] = {
+    "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": {"id": "edge@1", "params": {"eps": 0.02}},
+    "budget": {"simulations": 150}, "seed": 1,
+}  # fmt: skip
+
+pytestmark = pytest.mark.usefixtures("few_trees")
+
+
+class Page(HTMLParser):
+    """A page that was parsed: every element is closed in order, and nothing refers to anything outside.
+
+    Attributes:
+        text: What a reader sees.
+        headings: Texts of the headings of the second level.
+        pictures: Sources and descriptions of the pictures.
+    """
+
+    def __init__(self, page: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self._open: list[str] = []
+        self._words: list[str] = []
+        self.headings: list[str] = []
+        self.pictures: list[tuple[str, str]] = []
+        self.tags: set[str] = set()
+        self.feed(page)
+        self.close()
+        assert self._open == []
+        self.text = " ".join(" ".join(self._words).split())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        given = dict(attrs)
+        assert not [name for name in given if name.startswith("on")]
+        for name in ("src", "href", "srcset", "action", "data"):
+            assert (given.get(name) or "data:").startswith("data:")
+        if tag == "img":
+            self.pictures.append((given["src"] or "", given["alt"] or ""))
+        if tag == "h2":
+            self.headings.append("")
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" in self._open:
+            assert not re.search(r"url\(|@import", data)
+            return
+        self._words.append(data)
+        if self._open and self._open[-1] == "h2":
+            self.headings[-1] += data
+
+
+def written(database: str, campaign: str, **options: Any) -> str:
+    """Return the report of a campaign; without pictures, unless other options are given."""
+    given = options or {"pictures": NO_PICTURES}
+    return with_api(None, database, lambda api: campaign_report(api, campaign, **given))
+
+
+def read(database: str, campaign: str, **options: Any) -> Page:
+    page = written(database, campaign, **options)
+    assert page.startswith("<!DOCTYPE html>")
+    found = Page(page)
+    assert "script" not in found.tags
+    return found
+
+
+def computed(database: str, document: Mapping[str, Any]) -> str:
+    """Run a campaign whose verdicts are computed, and return its id."""
+    with coordinator(database) as client:
+        campaign = submit(client, document)
+        assert FakeWorker(client).work(campaign)["status"] == "finished"
+    return campaign
+
+
+@on_sqlite
+def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(database_url: str) -> None:
+    campaign = computed(database_url, {**MTQ, "tags": ["disc", "demo"], "notes": "First line.\nSecond line."})
+    told: list[tuple[str, int, int]] = []
+    page = written(database_url, campaign, most_pairs=2, show=lambda *step: told.append(step))
+    found = Page(page)
+    assert found.headings == [
+        "What was found", "The best pairs", "The boundary", "Requirements held and violated", "How far to trust it",
+        "How it was computed", "Tags and notes",
+    ]  # fmt: skip
+    assert "Brink searched for pairs of solutions that are almost the same" in found.text
+    count = re.search(r"The result: (\d+) distinct pairs across the boundary", found.text)
+    assert count
+    assert [words.partition(":")[0] for _, words in found.pictures] == [
+        "Pair 1",
+        "Pair 2",
+        "Map of the campaign",
+    ]
+    for source, _ in found.pictures:
+        with Image.open(io.BytesIO(base64.b64decode(source.partition(",")[2]))) as picture:
+            assert picture.width > 1000
+    assert page.count("<article>") == 2
+    listed = re.search(r"<caption>Other pairs</caption>.*?</table>", page, re.DOTALL)
+    assert listed
+    assert listed[0].count("<tr>") - 1 == int(count[1]) - 2
+    assert "chance has no part in them" in found.text
+    assert "No finished campaign of random search on the same problem" in found.text
+    assert "disc" in found.text
+    assert "First line. Second line." in found.text
+    assert told[0] == ("reading the campaign", 0, 0)
+    assert ("drawing pairs", 2, 2) in told
+    assert written(database_url, campaign) == written(database_url, campaign), (
+        "the same campaign, the same page"
+    )
+
+
+@on_sqlite
+def test_the_printed_file_and_digest_describe_the_campaign(database_url: str) -> None:
+    campaign = computed(database_url, {**MTQ, "tags": ["not", "part"], "notes": "of it"})
+    page = written(database_url, campaign)
+    printed = re.search(r"<pre[^>]*>(.*?)</pre>", page, re.DOTALL)
+    assert printed
+    file = yaml.safe_load(printed[1])
+    with coordinator(database_url) as client:
+        again = computed_with(client, file)
+        assert progress(client, again)["digest"] == progress(client, campaign)["digest"]
+        assert str(progress(client, campaign)["digest"]) in page
+    assert parse_body(file).tags == []
+
+
+def computed_with(client: httpx.Client, document: Mapping[str, Any]) -> str:
+    campaign = submit(client, document)
+    assert FakeWorker(client).work(campaign)["status"] == "finished"
+    return campaign
+
+
+@on_sqlite
+def test_names_tags_and_notes_are_text_and_never_markup(database_url: str) -> None:
+    hostile = "</title><script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
+    campaign = computed(
+        database_url, {**MTQ, "name": hostile, "notes": hostile, "budget": {"simulations": 60}}
+    )
+    page = written(database_url, campaign)
+    assert "<script" not in page
+    assert "<img" not in page
+    found = Page(page)
+    assert found.text.count(hostile) >= 3, "title, heading and notes"
+
+
+@on_sqlite
+def test_random_search_on_the_same_problem_is_found_and_compared(database_url: str) -> None:
+    campaign = computed(database_url, MTQ)
+    baseline = computed(
+        database_url, {**MTQ, "algorithm": {"id": "random@1"}, "budget": {"simulations": 200}}
+    )
+    found = read(database_url, campaign)
+    told = re.search(
+        rf"Campaign {baseline} drew at random on the same problem: \d+ of 200 evaluated", found.text
+    )
+    assert told
+    assert re.search(r"it found (no|\d+) distinct pairs? with the same settings", found.text)
+    assert "This campaign is random search itself" in read(database_url, baseline).text
+
+
+@on_sqlite
+@pytest.mark.usefixtures("small_problems")
+def test_an_unfinished_campaign_says_so(database_url: str) -> None:
+    with coordinator(database_url) as client:
+        empty = submit(client, ball(problem={"id": "ball@1", "params": {"needs": "nobody-has-it@1"}}))
+        half = submit(client, ball(seed=2))
+        FakeWorker(client).work(half, until=lambda stands: stands["generation"] >= 1)
+        expect(client.post(f"{API}/{half}/pause"))
+        cancelled = submit(client, ball(seed=3))
+        expect(client.post(f"{API}/{cancelled}/cancel"))
+    found = read(database_url, empty)
+    assert "Unfinished: the campaign is still running, after 0 of 60 simulations." in found.text
+    assert "No drive has a verdict yet, so there is nothing to report." in found.text
+    assert found.headings == [
+        "What was found",
+        "How far to trust it",
+        "How it was computed",
+        "Tags and notes",
+    ]
+    found = read(database_url, half)
+    assert "Unfinished: the campaign is paused" in found.text
+    assert "The campaign has not ended, so all of this may change." in found.text
+    assert "Archive" not in found.text
+    found = read(database_url, cancelled)
+    assert "The campaign was cancelled after 0 of 60 simulations" in found.text
+    assert "No drive has a verdict, so" in found.text
+
+
+def failing_in_the_east(job: LeasedJob) -> Completed | JobFailed:
+    x, y = job.spec["scenario"]["x"], job.spec["behaviour"]["y"]
+    if x > 1.5:
+        return JobFailed(reason="invalid", message="no such place")
+    verdict = WireVerdict(robustness=abs(x) + abs(y) - 1.0, unit="m", violated_at_s=None)
+    return Completed(verdicts={REQUIREMENT: verdict})
+
+
+@on_sqlite
+@pytest.mark.usefixtures("small_problems")
+def test_failures_repeats_and_results_of_the_cache_are_told(database_url: str) -> None:
+    tolerant: dict[str, Any] = {"execution": {"max_attempts": 1, "max_failed_share": 1.0}}
+    with coordinator(database_url) as client:
+        campaign = finish(client, ball(**tolerant), failing_in_the_east)
+        failed = progress(client, campaign)["failed"]
+        assert failed
+        doubtful: dict[str, Any] = {"t_b": 1.0, "repeats": 3}
+        again = expect(client.post(f"{API}/{campaign}/repeats", json=doubtful), 201)["campaign"]
+        FakeWorker(client, judge=failing_in_the_east).work(again)
+        other = finish(client, ball(name="other", **tolerant), failing_in_the_east)
+    found = read(database_url, campaign)
+    assert f"{failed} simulations failed; they count as neither safe nor unsafe." in found.text
+    assert f"{failed} of 70 simulations failed and have no verdict" in found.text
+    assert "simulations were unsafe" in found.text, "the repeats of the boundary"
+    assert "results were simulated for this campaign" in found.text
+    assert "distinct boundary solution" in found.text
+    assert re.search(r"\d+ of \d+ results were taken over from identical", read(database_url, other).text)
+    follow_up = read(database_url, again)
+    assert f"Brink simulated drives of campaign {campaign} (ball) again" in follow_up.text
+
+
+@on_sqlite
+def test_confirmation_and_blame_of_pairs_are_told(database_url: str) -> None:
+    given: dict[str, Any] = {
+        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 4},
+        "algorithm": {
+            "id": "repeat@1",
+            "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE], "seed_numbers": [0, 0, 2, 2]},
+        },
+    }  # fmt: skip
+    with coordinator(database_url) as client:
+        worker = FakeWorker(client, capabilities=(SIMULATOR,), judge=judged)
+        campaign = submit(client, given)
+        worker.work(campaign)
+        before = read(database_url, campaign)
+        for kind in ("confirm", "component"):
+            asked = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json={"kind": kind}), 201)
+            assert worker.work(asked["campaign"])["status"] == "finished"
+    assert "No pair has been simulated again with other seeds after the search." in before.text
+    assert "It was not asked whether the component or the scenario is to blame" in before.text
+    found = read(database_url, campaign)
+    assert "What safe means here" in found.text
+    assert "The ego keeps at least 1.5 m to the nearest vehicle ahead" in found.text
+    assert "Simulated again with other seeds: 1 of 1 pair. 1 confirmed" in found.text
+    assert "Confirmed with 10 other seeds a side." in found.text
+    assert re.search(r"the (component|scenario) is to blame", found.text)
+
+
+@on_sqlite
+def test_a_campaign_on_traffic_shows_types_of_violations(database_url: str) -> None:
+    traffic: dict[str, Any] = {
+        "name": "traffic", "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 8.0}},
+        "algorithm": {"id": "nsga2@1", "params": {"population_size": 20}}, "budget": {"simulations": 40},
+        "execution": {"keep_traces": 0},
+    }  # fmt: skip
+    with coordinator(database_url) as client:
+        campaign = submit(client, traffic)
+        assert traffic_worker(client).work(campaign)["status"] == "finished"
+        types = expect(client.get(f"{API}/{campaign}/violations"))["types"]
+    found = read(database_url, campaign)
+    assert types
+    assert "Types of violations" in found.headings
+    assert types[0]["type"] in found.text
+    assert f"{len(types)} types of violations in" in found.text
+    assert "p*.kind (3 parameters)" in found.text
+    assert "The best pairs" not in found.headings
+
+
+@on_sqlite
+def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
+    database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(curves, "LIBRARY", 60_000)
+    with coordinator(database_url) as client:
+        campaign = tolerance_finished(
+            client, tolerance_body(simulations=400, conditions=[{"name": "always"}])
+        )
+        cells = expect(client.get(f"{API}/{campaign}/tolerance"))["cells"]
+    found = read(database_url, campaign, most_pairs=6)
+    assert "The requirement on the component" in found.headings
+    assert not {"The best pairs", "Pairs that it came across", "The boundary"} & set(found.headings)
+    [(_, words)] = found.pictures
+    assert words.startswith("Share of drives that violate because of an error")
+    limited = [cell["sentence"] for cell in cells if cell["tolerated"]["finding"] == "limit"]
+    assert limited
+    assert all(sentence in found.text for sentence in limited)
+    assert "No pair has been simulated again" not in found.text
+
+
+def strong_is_unsafe(job: LeasedJob) -> Completed | JobFailed:
+    robustness = 0.5 - float(job.spec["behaviour"]["strong"])
+    verdict = WireVerdict(robustness=robustness, unit="m", violated_at_s=None)
+    return Completed(verdicts={REQUIREMENT: verdict}, objectives={"distance": robustness})
+
+
+@on_sqlite
+@pytest.mark.usefixtures("small_problems")
+def test_chains_of_changes_to_the_image_are_shown(database_url: str) -> None:
+    slots: dict[str, Any] = {
+        "name": "slots", "problem": {"id": "slotted@1"}, "budget": {"simulations": 40},
+        "algorithm": {"id": "random@1", "params": {"generation_size": 40}},
+    }  # fmt: skip
+    with coordinator(database_url) as client:
+        campaign = submit(client, slots)
+        assert FakeWorker(client, judge=strong_is_unsafe).work(campaign)["status"] == "finished"
+    found = read(database_url, campaign)
+    assert "Changes to the camera image" in found.headings
+    assert "chains are hazardous" in found.text
+
+
+@on_sqlite
+def test_the_command_writes_the_file_whole_or_says_what_is_wrong(database_url: str, tmp_path: Path) -> None:
+    campaign = computed(database_url, {**MTQ, "budget": {"simulations": 100}})
+
+    def run(*arguments: str) -> Any:
+        return CliRunner().invoke(app, ["report", *arguments, "--database", database_url])
+
+    file = tmp_path / "found.html"
+    done = run(campaign[:4], "--out", str(file), "--pairs", "1")
+    assert done.exit_code == 0, done.output
+    assert f"{file}: 0." in done.stdout
+    assert Page(file.read_text()).headings[0] == "What was found"
+    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".part")]
+    for arguments, message in (
+        ((campaign, "--out", "report.pdf"), "ends in .html"),
+        ((campaign, "--out", str(tmp_path / "none" / "report.html")), "no such folder"),
+        (("none", "--out", str(file)), "no such campaign"),
+    ):
+        failed = run(*arguments)
+        assert failed.exit_code != 0
+        assert message in str(failed.exception)
+
+
+def test_a_run_writes_the_report_with_the_pictures_that_it_drew(sqlite_file: Path, tmp_path: Path) -> None:
+    database = f"sqlite:///{tmp_path / 'runs.db'}"
+    (tmp_path / "runs.db").write_bytes(sqlite_file.read_bytes())
+    (tmp_path / "disc.json").write_text(json.dumps(MTQ))
+    command = ["run", str(tmp_path / "disc.json"), "--database", database, "--out", str(tmp_path)]
+    ran = CliRunner().invoke(app, command)
+    assert ran.exit_code == 0, ran.output
+    [file] = tmp_path.glob("disc-*/report.html")
+    assert "  report.html" in ran.stdout.splitlines()
+    found = Page(file.read_text())
+    drawn = {path.name: base64.b64encode(path.read_bytes()).decode() for path in file.parent.glob("*.png")}
+    shown = [source.partition(",")[2] for source, _ in found.pictures]
+    assert shown == [drawn["pair-1.png"], drawn["map.png"]]

@@ -1,0 +1,55 @@
+"""Numbers, ranges and requirements as the report of a campaign tells them."""
+
+import pytest
+
+from brink.report.campaign_words import count, ranges, requirement_words, share
+from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
+from brink.sim.catalogue import requirement_ids
+
+
+@pytest.mark.parametrize(
+    ("part", "whole", "words"),
+    [(0, 10, "0%"), (10, 10, "100%"), (1, 3, "33%"), (1, 1000, "0.10%"), (999, 1000, "99.90%"), (0, 0, "–")],
+)
+def test_a_share_is_never_rounded_to_none_or_all(part: int, whole: int, words: str) -> None:
+    assert share(part, whole) == words
+
+
+def test_a_count_has_the_right_noun() -> None:
+    assert [count(number, "pair") for number in (0, 1, 1300)] == ["0 pairs", "1 pair", "1,300 pairs"]
+
+
+def test_parameters_that_differ_in_digits_alone_share_a_row() -> None:
+    space = SearchSpace(
+        (
+            Component(
+                "scenario", (Categorical("weather", tuple(f"w{n}" for n in range(14))), Real("x", 0, 1))
+            ),
+            Component(
+                "users",
+                (
+                    Real("p1.speed", 0, 15, "m/s"),
+                    Real("p2.speed", 0, 15, "m/s"),
+                    Integer("p3.speed", 0, 9, "m/s"),
+                ),
+            ),
+        )
+    )
+    weather, x, *users = ranges(space)
+    assert weather.values == f"{', '.join(f'w{n}' for n in range(12))} and 2 more"
+    assert x.values == "0 to 1 (no unit)"
+    assert [(one.names, one.values) for one in users] == [
+        ("p*.speed (2 parameters)", "0 to 15 m/s"), ("p3.speed", "0 to 9 m/s"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("requirement", requirement_ids())
+def test_every_requirement_says_what_it_demands(requirement: str) -> None:
+    words = requirement_words(requirement)
+    assert words[0].isupper()
+    assert words.endswith(".")
+    assert "`" not in words
+
+
+def test_an_unknown_requirement_says_nothing() -> None:
+    assert requirement_words("none@1") == ""
