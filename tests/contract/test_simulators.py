@@ -20,6 +20,7 @@ from brink.sim.testing import ContractBroken, check_simulator
 PROBLEMS: dict[str, dict[str, object]] = {
     "urban-injected@1": {"duration_s": 6.0},
     "urban-errors@1": {"duration_s": 6.0},
+    "highway-perception@1": {"duration_s": 5.0, "roads": ["highway", "roundabout"]},
 }
 
 
