@@ -33,13 +33,12 @@ from brink.sim.adapters.gymnasium_env.specification import (
 )
 from brink.sim.catalogue import load_function
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
-from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.errors import ExtraMissing, InvalidEpisode, SimulationCrashed
 from brink.sim.provenance import provenance, versions_with
 from brink.sim.world.streams import Stream, generator
 
 if find_spec("gymnasium") is None:
-    # Raised when a worker loads its simulators, which then does not offer this one.
-    raise ImportError(f"{SIMULATOR_ID} needs Gymnasium: install the extra {EXTRA}")
+    raise ExtraMissing(f"{SIMULATOR_ID} needs Gymnasium: install the extra {EXTRA}")
 
 MAX_DURATION_S: Final = 1e6
 _SEEDS: Final = 2**31

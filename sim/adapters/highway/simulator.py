@@ -28,7 +28,7 @@ from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Body, Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeResult, EpisodeSpec
-from brink.sim.errors import InvalidEpisode
+from brink.sim.errors import ExtraMissing, InvalidEpisode
 from brink.sim.provenance import provenance, trace_header, versions_with
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.trace import WORDS
@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from brink.sim.adapters.highway.world import HighwayWorld
 
 if find_spec("highway_env") is None:
-    # Raised when a worker loads its simulators, which then does not offer this one.
-    raise ImportError(f"{SIMULATOR_ID} needs highway-env: install the extra highway")
+    raise ExtraMissing(f"{SIMULATOR_ID} needs highway-env: install the extra highway")
 
 _CAR_HEIGHT_M: Final = 1.5
 

@@ -1,9 +1,12 @@
 """The problem of Gymnasium environments: spaces from environments, episodes, activity and words."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,7 +28,9 @@ from brink.server.problems.base import (
 from brink.server.problems.catalogue import check_extra, make_problem
 from brink.server.problems.gymnasium_env import NO_PERTURBATION, GymnasiumParams, GymnasiumProblem
 from brink.sim.adapters.gymnasium_env.specification import GymnasiumEpisode, Perturbation, PerturbationType
+from brink.sim.catalogue import PLUGINS_VARIABLE, make_simulator
 
+ROOT = Path(__file__).resolve().parents[3]
 CART_POLE = GymnasiumProblem(
     GymnasiumParams(perturbations=2, reset={"low": [-0.1, 0.0], "high": [0.0, 0.1]}, reset_seeds=50)
 )
@@ -235,3 +240,26 @@ def test_only_perturbations_that_had_an_effect_are_active() -> None:
     assert idle is not None
     assert describe_candidate(CART_POLE, candidate(BIAS), idle).endswith(f"; not perturbed; {NO_PART}")
     assert CART_POLE.activity(candidate(BIAS), {}) is None
+
+
+def test_the_example_finds_its_problem() -> None:
+    campaign = yaml.safe_load((ROOT / "examples" / "gymnasium.yaml").read_text())
+    assert isinstance(
+        make_problem(campaign["problem"]["id"], campaign["problem"]["params"]), GymnasiumProblem
+    )
+
+
+def test_the_policy_in_the_documentation_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "how-to" / "use-other-simulators.md").read_text()
+    (module,) = re.findall(r"```python\n(# my_policies.py.*?)```", text, re.DOTALL)
+    (campaign,) = re.findall(r"```yaml\n(# mountain_car.yaml.*?)```", text, re.DOTALL)
+    (tmp_path / "my_policies.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv(PLUGINS_VARIABLE, "my_policies")
+    problem = make_problem("gymnasium@1", yaml.safe_load(campaign)["problem"]["params"])
+    assert isinstance(problem, GymnasiumProblem)
+    truth = problem.with_truth()
+    assert truth is not None
+    spec = truth.episode(problem.space.sample(np.random.default_rng(1)), 1)
+    verdict = make_simulator("gymnasium@1").run(spec).verdicts["margin@1"]
+    assert verdict.robustness >= 0

@@ -361,3 +361,23 @@ def test_the_clearance_is_the_distance_between_outlines(numbers: list[float]) ->
     poses = (Pose(x_m=x, y_m=y, yaw_rad=yaw, speed_mps=0.0) for x, y, yaw in (one, other))
     first, second = next(poses), next(poses)
     assert clearance_m(corners(first, 5.0, 2.0), corners(second, 4.0, 1.8)) == pytest.approx(wanted, abs=1e-9)
+
+
+WITHOUT_EXTRAS = """
+import importlib.util, sys
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *more: None if name in ("highway_env", "gymnasium") else found(name, *more)
+from brink.server.problems.catalogue import describe_problems
+from brink.worker.child import import_simulators
+print({"highway-perception@1", "gymnasium@1"} <= {problem["id"] for problem in describe_problems()})
+hello = import_simulators()
+print({"highway-env@1", "gymnasium@1"} & {*hello.simulators, *hello.left_out}, "brink-drive@2" in hello.simulators)
+print({"highway_env", "gymnasium", "pygame"} & sys.modules.keys())
+"""
+
+
+def test_without_the_extras_problems_are_listed_and_workers_do_not_offer_the_simulators() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout.split("\n")[:3] == ["True", "set() True", "set()"]
