@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from brink.sim.episode import EpisodeResult, EpisodeSpec
 from brink.sim.errors import InvalidEpisode, PluginMissing
@@ -58,14 +58,19 @@ def _entry_points(group: str) -> Mapping[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=group)}
 
 
+def _plugin_modules() -> list[str]:
+    names = (name.strip() for name in os.environ.get(PLUGINS_VARIABLE, "").split(","))
+    return [name for name in names if name]
+
+
 @cache
 def _import_plugin_modules() -> None:
-    for name in filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")):
+    for name in _plugin_modules():
         try:
-            importlib.import_module(name.strip())
+            importlib.import_module(name)
         except Exception as error:  # (third-party code may raise anything)
             raise PluginMissing(
-                f"plug-in {name.strip()!r} (--plugin, or {PLUGINS_VARIABLE}) cannot be imported from here: "
+                f"plug-in {name!r} (--plugin, or {PLUGINS_VARIABLE}) cannot be imported from here: "
                 f"{type(error).__name__}: {error}"
             ) from error
 
@@ -86,6 +91,33 @@ def load_plugin(group: str, plugin_id: str) -> object:
     if plugin_id in _registered.get(group, {}):
         return _registered[group][plugin_id]
     return _entry_points(group)[plugin_id].load()
+
+
+def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Callable[..., Any]:
+    """Return a function or class of a plug-in module that a specification names, such as ``my_policies:drive``.
+
+    A specification may come from anybody who may submit campaigns, so it reaches no other modules.
+
+    Args:
+        where: Where the name stands, for messages.
+        name: Module and function, separated by a colon.
+        own_modules: Modules of Brink that may be named as well.
+
+    Raises:
+        InvalidEpisode: The module is no plug-in, or has no such function.
+    """
+    _import_plugin_modules()
+    module, _, function = name.partition(":")
+    known = [*own_modules, *_plugin_modules()]
+    if module not in known:
+        raise InvalidEpisode(
+            f"{where}: expected MODULE:FUNCTION with a module that --plugin or {PLUGINS_VARIABLE} names, or one of "
+            f"{', '.join(known) or 'none'}; got {name!r}"
+        )
+    found = getattr(importlib.import_module(module), function, None)
+    if not callable(found) or function.startswith("_"):
+        raise InvalidEpisode(f"{where}: {module} has no function {function!r}")
+    return cast(Callable[..., Any], found)
 
 
 def simulator_ids() -> tuple[str, ...]:

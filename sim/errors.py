@@ -3,6 +3,7 @@
 SimulatorError
 ├── InvalidEpisode      final: the specification can never run; fix it
 ├── PluginMissing       final: a module listed in BRINK_PLUGINS cannot be imported
+├── ExtraMissing        final: a simulator needs an optional extra that is not installed here
 └── SimulationCrashed   retryable: this run failed; running the same specification again may work
 """
 
@@ -17,6 +18,10 @@ class InvalidEpisode(SimulatorError):
 
 class PluginMissing(SimulatorError):
     """A module listed in ``BRINK_PLUGINS`` cannot be imported."""
+
+
+class ExtraMissing(SimulatorError, ImportError):
+    """A simulator needs an optional extra that is not installed here. A worker then does not offer it."""
 
 
 class SimulationCrashed(SimulatorError):

@@ -3,10 +3,15 @@
 import json
 import math
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
+from brink.sim.catalogue import Simulator
 from brink.sim.driving.interface import LightState
+from brink.sim.episode import EpisodeResult, EpisodeSpec
+from brink.sim.errors import InvalidEpisode
 from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
+from brink.sim.trace import Trace
 
 _UNITS = ("m", "s", "m/s", "m/s^2", "rad", "1")
 _STEPS = 200
@@ -45,6 +50,108 @@ def check_requirement(make: Callable[[], Requirement], *, seeds: tuple[int, ...]
             again,
         )
         _check_untouched(bystander)
+
+
+def check_simulator(
+    make: Callable[[], Simulator], specs: Sequence[EpisodeSpec], *, invalid: Sequence[EpisodeSpec] = ()
+) -> None:
+    """Check that a simulator fulfils its contract on some episodes.
+
+    Clauses: a result has a verdict for each requirement, in order; robustness and objectives are finite; a verdict is
+    violated if and only if it says when; verdicts, objectives and features are JSON without NaN; equal specifications
+    give equal results, from the same simulator and from another one, right away and after all other episodes; so do
+    their traces, byte by byte, and recording one changes nothing else; a trace can be read, and records each
+    requirement; a specification for another simulator, or one that can never run, raises `InvalidEpisode`, after
+    which the simulator still works.
+
+    Provenance is not compared. To check other processes as well, call this in a fresh one, or compare results.
+
+    Args:
+        make: Returns a new simulator, as registered.
+        specs: Episodes that differ from each other, at least two.
+        invalid: Specifications that can never run.
+
+    Raises:
+        ContractBroken: A clause is broken.
+        ValueError: There are fewer than two episodes, or two are equal.
+    """
+    if len({spec.digest() for spec in specs}) < max(2, len(specs)):
+        raise ValueError(f"specs: expected at least two different episodes, got {len(specs)}")
+    simulator = make()
+    first = [simulator.run(spec) for spec in specs]
+    for spec, result in zip(specs, first, strict=True):
+        _check_result(spec, result)
+    for spec in (replace(specs[0], simulator="no-such-simulator@1"), *invalid):
+        _check_refused(simulator, spec)
+    other = make()
+    for index in reversed(range(len(specs))):
+        spec, wanted = specs[index], _compared(first[index])
+        recorded = simulator.run(spec, record=True)
+        for result in (recorded, simulator.run(spec), other.run(spec)):
+            _require(
+                _compared(result) == wanted,
+                f"equal results of equal specifications: {wanted}",
+                _compared(result),
+            )
+        _check_trace(spec, recorded.trace)
+        again = other.run(spec, record=True).trace
+        _require(again == recorded.trace, "equal traces of equal specifications", spec.canonical_json())
+
+
+def _compared(result: EpisodeResult) -> tuple[object, ...]:
+    """Return what must be equal if specifications are equal."""
+    return dict(result.verdicts), dict(result.objectives), dict(result.features)
+
+
+def _check_result(spec: EpisodeSpec, result: EpisodeResult) -> None:
+    _require(
+        tuple(result.verdicts) == spec.requirements,
+        f"a verdict for each of {', '.join(spec.requirements)}, in order",
+        tuple(result.verdicts),
+    )
+    for name, verdict in result.verdicts.items():
+        _require(math.isfinite(verdict.robustness), f"{name}: a finite robustness", verdict)
+        _require(
+            verdict.violated == (verdict.violated_at_s is not None),
+            f"{name}: violated if and only if it says when",
+            verdict,
+        )
+    for name, value in result.objectives.items():
+        _require(math.isfinite(value), f"{name}: a finite objective", value)
+    for what, facts in (("features", result.features), ("provenance", result.provenance)):
+        try:
+            text = json.dumps(dict(facts), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ContractBroken(f"expected: {what} are JSON without NaN; got {facts!r}: {error}") from error
+        _require(json.loads(text) == facts, f"{what} survive JSON", facts)
+    _require(result.trace is None, "no trace unless it is recorded", spec.canonical_json())
+
+
+def _check_trace(spec: EpisodeSpec, document: bytes | None) -> None:
+    """Check a recorded trace; a simulator may have none."""
+    if document is None:
+        return
+    try:
+        trace = Trace.from_bytes(document)
+    except InvalidEpisode as error:
+        raise ContractBroken(f"expected: a trace that can be read; got {error}") from error
+    _require(
+        set(trace.robustness) == set(spec.requirements),
+        f"a trace that records {', '.join(spec.requirements)}",
+        tuple(trace.robustness),
+    )
+
+
+def _check_refused(simulator: Simulator, spec: EpisodeSpec) -> None:
+    try:
+        result = simulator.run(spec)
+    except InvalidEpisode:
+        return
+    except Exception as error:
+        raise ContractBroken(
+            f"expected: InvalidEpisode for {spec.canonical_json()}; got {type(error).__name__}: {error}"
+        ) from error
+    raise ContractBroken(f"expected: InvalidEpisode for {spec.canonical_json()}; got {result!r:.200}")
 
 
 def _require(holds: bool, clause: str, shown: object) -> None:

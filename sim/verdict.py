@@ -22,6 +22,8 @@ _HELD: Final = {
     "speed-limit": ("speed limit kept", "kept the speed limit"),
     "progress": ("no long standstill", "had no long standstill"),
     "no-dangerous-stop": ("no dangerous stop", "made no dangerous stop"),
+    "survival": ("survived", "survived"),
+    "margin": ("margin held", "held the margin"),
     "function": ("requirement held", "held the requirement"),
 }
 """What a requirement that held is called, alone and after the word drives, by id without version."""
@@ -32,6 +34,8 @@ _VIOLATED: Final = {
     "speed-limit": "exceeded the speed limit",
     "progress": "stood still too long",
     "no-dangerous-stop": "made a dangerous stop",
+    "survival": "ended too early",
+    "margin": "violated the margin",
     "function": "violated the requirement",
 }
 _COLLIDED: Final = {

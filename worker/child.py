@@ -23,7 +23,7 @@ from pathlib import Path
 
 from brink.sim.catalogue import SIMULATORS, Simulator, load_plugin, make_simulator, simulator_ids
 from brink.sim.episode import EpisodeSpec, JsonObject
-from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.errors import ExtraMissing, InvalidEpisode, SimulationCrashed
 from brink.worker.child_protocol import (
     EpisodeReply,
     Hello,
@@ -126,12 +126,17 @@ def _private_bytes() -> int | None:
 
 
 def import_simulators() -> Hello:
-    """Import every registered simulator and return which of them can be used."""
+    """Import every registered simulator and return which of them can be used.
+
+    Those whose extra is not installed are not mentioned: most workers have few extras.
+    """
     simulators: list[str] = []
     left_out: dict[str, str] = {}
     for simulator_id in simulator_ids():
         try:
             load_plugin(SIMULATORS, simulator_id)
+        except ExtraMissing as error:
+            log.info("%s", error)
         except Exception as error:  # noqa: BLE001  (a plug-in may raise anything; the reason goes to the parent)
             left_out[simulator_id] = _one_line(error)
         else:

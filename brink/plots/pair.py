@@ -1,6 +1,7 @@
 """The figure of a pair whose solutions cannot be replayed: in the plane of two numbers, or by differing parameter."""
 
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import Final
 
 import numpy as np
@@ -30,6 +31,7 @@ from brink.search.space import BoolArray, FloatArray
 
 PLANE_HEIGHT_PX: Final = 860
 _ROW_PX: Final = 74
+_LINE_LETTERS: Final = 150
 _TOP_PX, _BOTTOM_PX = 190, 60
 _CLOSE_UP: Final = 4.0
 """Half the width of the close-up of a pair, in distances between its sides."""
@@ -81,13 +83,17 @@ def _vector(inputs: CampaignFigures, number: int) -> FloatArray:
 
 
 def _heading(inputs: CampaignFigures, pair: PairFigure, height_px: int) -> Figure:
-    facts = "\n".join([pair.change, *pair.facts])
-    return new_figure(height_px, f"{inputs.title}: a pair across the boundary", facts)
+    return new_figure(height_px, f"{inputs.title}: a pair across the boundary", "\n".join(_lines(pair)))
+
+
+def _lines(pair: PairFigure) -> list[str]:
+    """Return the change and the facts as lines that fit into the figure."""
+    return [line for text in (pair.change, *pair.facts) for line in wrap(text, _LINE_LETTERS)]
 
 
 def _plane(inputs: CampaignFigures, pair: PairFigure, rows: tuple[FloatArray, ...]) -> Figure:
     figure = _heading(inputs, pair, PLANE_HEIGHT_PX)
-    top_px = 160 + 22 * len(pair.facts)
+    top_px = 138 + 22 * len(_lines(pair))
     side = (PLANE_HEIGHT_PX - top_px - 70) / PLANE_HEIGHT_PX
     wide = side * PLANE_HEIGHT_PX / WIDTH_PX
     low, high = _limits(inputs)
@@ -176,7 +182,7 @@ def _by_parameter(
     different = rows[0] != rows[1]
     shown = different & _active(inputs, pair)
     differing = np.flatnonzero(shown).tolist()
-    top_px = _TOP_PX + 22 * len(pair.facts)
+    top_px = _TOP_PX + 22 * (len(_lines(pair)) - 1)
     height_px = top_px + _BOTTOM_PX + _ROW_PX * max(1, len(differing))
     figure = _heading(inputs, pair, height_px)
     axes = figure.add_axes(

@@ -1,0 +1,168 @@
+"""Simulators pass the contract suite, and the suite rejects broken simulators."""
+
+import itertools
+import math
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.catalogue import make_problem
+from brink.sim.catalogue import SIMULATORS, Simulator, load_plugin
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.testing import ContractBroken, check_simulator
+
+PROBLEMS: dict[str, dict[str, object]] = {
+    "urban-injected@1": {"duration_s": 6.0},
+    "urban-errors@1": {"duration_s": 6.0},
+    "highway-perception@1": {"duration_s": 5.0, "roads": ["highway", "roundabout"]},
+    "gymnasium@1": {"perturbations": 2, "reset": {"high": [0.0, 0.1]}},
+}
+
+
+def episodes(problem: SimulatedProblem, count: int) -> list[EpisodeSpec]:
+    """Return episodes of random candidates."""
+    rng = np.random.default_rng(5)
+    return [problem.episode(problem.space.sample(rng), seed) for seed in range(count)]
+
+
+@pytest.mark.parametrize("problem_id", PROBLEMS)
+def test_passes_the_contract_suite(problem_id: str) -> None:
+    problem = make_problem(problem_id, PROBLEMS[problem_id])
+    assert isinstance(problem, SimulatedProblem)
+    specs = episodes(problem, 3)
+    check_simulator(
+        cast(Callable[[], Simulator], load_plugin(SIMULATORS, problem.needs)),
+        specs,
+        invalid=[
+            replace(specs[0], scenario={**specs[0].scenario, "no_such_field": 1}),
+            replace(specs[0], behaviour={"no_such_field": 1}),
+            replace(specs[0], requirements=("no-such-requirement@1",)),
+            replace(specs[0], duration_s=1e9),
+        ],
+    )
+
+
+class Sound:
+    """A simulator that keeps the contract."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+
+    def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
+        if spec.simulator != "sound@1":
+            raise InvalidEpisode(f"simulator: expected sound@1, got {spec.simulator!r}")
+        self.runs += 1
+        robustness = self.robustness(spec)
+        return EpisodeResult(
+            verdicts={name: self.verdict(robustness) for name in spec.requirements},
+            objectives={"robustness": robustness},
+            features={},
+            provenance={},
+            trace=self.trace() if record else None,
+        )
+
+    def robustness(self, spec: EpisodeSpec) -> float:
+        return float(np.random.default_rng(spec.seed).normal())
+
+    def verdict(self, robustness: float) -> Verdict:
+        return Verdict(robustness=robustness, unit="m", violated_at_s=1.0 if robustness < 0 else None)
+
+    def trace(self) -> bytes | None:
+        return None
+
+
+class StateLeaks(Sound):
+    def robustness(self, spec: EpisodeSpec) -> float:
+        return super().robustness(spec) + (1e-9 if self.runs > 4 else 0.0)
+
+
+class GlobalRandomness(Sound):
+    def robustness(self, spec: EpisodeSpec) -> float:
+        return random.random()
+
+
+class NotFinite(Sound):
+    def robustness(self, spec: EpisodeSpec) -> float:
+        return math.inf
+
+
+class NoMoment(Sound):
+    def verdict(self, robustness: float) -> Verdict:
+        return Verdict(robustness=-1.0, unit="m", violated_at_s=None)
+
+
+class BadTrace(Sound):
+    def trace(self) -> bytes:
+        return b"no trace"
+
+
+class ChangingTrace(Sound):
+    numbers: Iterator[int] = itertools.count()
+
+    def trace(self) -> bytes:
+        return str(next(self.numbers)).encode()
+
+
+class RunsAnything(Sound):
+    def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
+        return super().run(replace(spec, simulator="sound@1"), record=record)
+
+
+class CrashesOnInvalid(Sound):
+    def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
+        if spec.simulator != "sound@1":
+            raise SimulationCrashed("what is that?")
+        return super().run(spec, record=record)
+
+
+class ForgetsARequirement(Sound):
+    def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
+        return replace(super().run(spec, record=record), verdicts={})
+
+
+SPECS = [
+    EpisodeSpec(
+        simulator="sound@1", scenario={}, behaviour={}, requirements=("gap@1",), seed=seed, duration_s=1.0
+    )
+    for seed in range(3)
+]
+
+
+def test_a_sound_simulator_passes() -> None:
+    check_simulator(Sound, SPECS)
+
+
+@pytest.mark.parametrize(
+    ("broken", "clause"),
+    [
+        (StateLeaks, "equal results of equal specifications"),
+        (GlobalRandomness, "equal results of equal specifications"),
+        (NotFinite, "a finite robustness"),
+        (NoMoment, "violated if and only if it says when"),
+        (BadTrace, "a trace that can be read"),
+        (ChangingTrace, "trace"),
+        (RunsAnything, "InvalidEpisode for"),
+        (CrashesOnInvalid, "InvalidEpisode for"),
+        (ForgetsARequirement, "a verdict for each of gap@1"),
+    ],
+)
+def test_a_broken_simulator_is_rejected(broken: Callable[[], Simulator], clause: str) -> None:
+    with pytest.raises(ContractBroken, match=clause):
+        check_simulator(broken, SPECS)
+
+
+def test_a_specification_that_runs_is_not_invalid() -> None:
+    with pytest.raises(ContractBroken, match="InvalidEpisode for"):
+        check_simulator(Sound, SPECS, invalid=SPECS[:1])
+
+
+@pytest.mark.parametrize("specs", [SPECS[:1], [SPECS[0], SPECS[0]]])
+def test_the_suite_needs_episodes_that_differ(specs: list[EpisodeSpec]) -> None:
+    with pytest.raises(ValueError, match="at least two different episodes"):
+        check_simulator(Sound, specs)

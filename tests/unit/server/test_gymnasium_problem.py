@@ -1,0 +1,265 @@
+"""The problem of Gymnasium environments: spaces from environments, episodes, activity and words."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from brink.search.space import Categorical
+from brink.server.errors import InvalidInput
+from brink.server.problems import gymnasium_env
+from brink.server.problems.base import (
+    NO_PART,
+    DescribesCandidates,
+    DescribesChanges,
+    NamesRequirements,
+    NeedsExtra,
+    RecordsActivity,
+    ReplacesComponent,
+    SimulatedProblem,
+    SimulatedSolution,
+    describe_candidate,
+)
+from brink.server.problems.catalogue import check_extra, make_problem
+from brink.server.problems.gymnasium_env import NO_PERTURBATION, GymnasiumParams, GymnasiumProblem
+from brink.sim.adapters.gymnasium_env.specification import GymnasiumEpisode, Perturbation, PerturbationType
+from brink.sim.catalogue import PLUGINS_VARIABLE, make_simulator
+
+ROOT = Path(__file__).resolve().parents[3]
+CART_POLE = GymnasiumProblem(
+    GymnasiumParams(perturbations=2, reset={"low": [-0.1, 0.0], "high": [0.0, 0.1]}, reset_seeds=50)
+)
+BIAS: dict[str, Any] = {
+    "type": "bias", "dimension": "pole angle", "magnitude": 0.25, "from_step": 20, "steps": 100,
+}  # fmt: skip
+NONE: dict[str, Any] = {**BIAS, "type": NO_PERTURBATION, "magnitude": 0.0, "from_step": 0, "steps": 0}
+SCENARIO: dict[str, Any] = {"reset.low": -0.05, "reset.high": 0.05, "reset_seed": 3}
+
+
+def candidate(*perturbations: dict[str, Any], **scenario: Any) -> tuple[Any, ...]:
+    values = {
+        f"perturbation_{number}.{name}": value
+        for number, one in enumerate([*perturbations, NONE, NONE][:2], start=1)
+        for name, value in one.items()
+    }
+    return CART_POLE.space.encode({"scenario": {**SCENARIO, **scenario}, "behaviour": values})
+
+
+def change(safe: Any, unsafe: Any) -> str:
+    names = CART_POLE.space.column_names()
+    rows = [CART_POLE.space.join(one) for one in (safe, unsafe)]
+    changed = [name for name, one, other in zip(names, *rows, strict=True) if one != other]
+    return CART_POLE.words_of_change(
+        SimulatedSolution(vectors=safe), SimulatedSolution(vectors=unsafe), changed
+    )
+
+
+def perturbation_of(problem: GymnasiumProblem, vectors: Any) -> Perturbation:
+    """Return the only perturbation of a candidate."""
+    (one,) = GymnasiumEpisode.from_spec(problem.episode(vectors, 1)).perturbations
+    return one
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_every_candidate_becomes_an_episode_that_the_simulator_accepts(seed: int) -> None:
+    vectors = CART_POLE.space.sample(np.random.default_rng(seed))
+    spec = CART_POLE.episode(vectors, seed)
+    episode = GymnasiumEpisode.from_spec(spec)
+    assert (episode.steps, episode.survive_steps, episode.reset_seed is None) == (500, 200, False)
+    values = CART_POLE.space.decode(vectors)["behaviour"]
+    kinds = [values[f"perturbation_{number}.type"] for number in (1, 2)]
+    assert [one.type.value for one in episode.perturbations] == [
+        kind for kind in kinds if kind != NO_PERTURBATION
+    ]
+    for one in episode.perturbations:
+        assert f"{CART_POLE.params.observed[one.dimension][0]} " in CART_POLE.words(vectors)
+
+
+def test_magnitudes_are_in_the_unit_of_the_observation() -> None:
+    assert perturbation_of(CART_POLE, candidate(BIAS)) == Perturbation(
+        type=PerturbationType.BIAS, dimension=2, magnitude=0.05, from_step=20, steps=100
+    )
+    assert perturbation_of(CART_POLE, candidate({**BIAS, "type": "gain"})).magnitude == 0.25
+    assert perturbation_of(CART_POLE, candidate({**BIAS, "type": "freeze"})).magnitude == 0.0
+
+
+def test_the_problem_implements_its_protocols() -> None:
+    for protocol in (
+        DescribesCandidates, DescribesChanges, NamesRequirements, NeedsExtra, RecordsActivity, ReplacesComponent,
+        SimulatedProblem,
+    ):  # fmt: skip
+        assert isinstance(CART_POLE, protocol)
+
+
+def test_the_space_comes_from_the_environment() -> None:
+    problem = GymnasiumProblem(
+        GymnasiumParams(environment="Pendulum-v1", policy="my_policies:drive", make={"g": [8.0, 12.0]})
+    )
+    scenario, behaviour = problem.space.components
+    assert [parameter.name for parameter in scenario.parameters] == ["make.g"]
+    dimension = behaviour.parameters[1]
+    assert isinstance(dimension, Categorical)
+    assert dimension.choices == ("observation 0", "observation 1", "observation 2")
+    assert [scale for _, scale in problem.params.observed] == [1.0, 1.0, 8.0]
+    spec = problem.episode(problem.space.sample(np.random.default_rng(1)), 1)
+    assert 8.0 <= spec.scenario["make"]["g"] <= 12.0  # type: ignore[index, call-overload, operator]
+    assert spec.scenario["reset_seed"] is None
+
+
+def test_names_scales_and_dimensions_can_be_chosen() -> None:
+    problem = GymnasiumProblem(
+        GymnasiumParams(
+            environment="Pendulum-v1",
+            names=["x", "y", "speed"],
+            scales=[0.5, 0.5, 2.0],
+            dimensions=[2],
+            types=["bias"],
+        )
+    )
+    (behaviour,) = problem.space.components
+    kind, dimension, *_ = behaviour.parameters
+    assert isinstance(kind, Categorical)
+    assert isinstance(dimension, Categorical)
+    assert (kind.choices, dimension.choices) == ((NO_PERTURBATION, "bias"), ("speed",))
+    vectors = problem.space.encode(
+        {
+            "behaviour": {
+                f"perturbation_1.{name}": value
+                for name, value in {**BIAS, "dimension": "speed", "magnitude": -0.5}.items()
+            }
+        }
+    )
+    one = perturbation_of(problem, vectors)
+    assert (one.dimension, one.magnitude) == (2, -1.0)
+
+
+def test_the_default_problem_can_be_listed_without_gymnasium(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gymnasium_env, "find_spec", lambda module: None)
+    assert isinstance(make_problem("gymnasium@1", {}), GymnasiumProblem)
+    with pytest.raises(InvalidInput) as refused:
+        make_problem("gymnasium@1", {"environment": "Pendulum-v1"})
+    (error,) = refused.value.errors
+    assert error.pointer == "/problem/params/environment"
+    assert "Pendulum-v1 needs the gymnasium extra, which is not installed: pip install" in error.message
+    monkeypatch.setattr("brink.server.problems.catalogue.find_spec", lambda module: None)
+    with pytest.raises(InvalidInput, match="gymnasium"):
+        check_extra(CART_POLE)
+
+
+@pytest.mark.parametrize(
+    ("params", "field", "expected"),
+    [
+        ({"environment": "CartPole-v9"}, "environment", "VersionNotFound"),
+        ({"environment": "FrozenLake-v1"}, "environment", "expected observations in a Box"),
+        ({"survive_steps": 600}, "survive_steps", "expected at most steps (500), got 600"),
+        ({"types": ["bias", "drift"]}, "types", "expected some of bias, gain, noise, freeze, dropout"),
+        ({"types": []}, "types", "expected some of"),
+        ({"names": ["a"]}, "names", "expected 4, one for each number of the observation, got 1"),
+        ({"scales": [1.0, 1.0, 0.0, 1.0]}, "scales", "expected numbers above 0"),
+        ({"dimensions": [4]}, "dimensions", "expected different indices from 0 to 3"),
+        ({"dimensions": [1, 1]}, "dimensions", "expected different indices from 0 to 3"),
+        ({"make": {"g": [2.0, 1.0]}}, "make", "expected a least and a greater value of 'g'"),
+        ({"names": ["a", "a", "b", "c"]}, "names", "expected different names"),
+    ],
+)
+def test_wrong_parameters_are_refused(params: dict[str, Any], field: str, expected: str) -> None:
+    with pytest.raises(InvalidInput) as refused:
+        make_problem("gymnasium@1", params)
+    (error,) = refused.value.errors
+    assert error.pointer == f"/problem/params/{field}"
+    assert expected in error.message
+
+
+def test_with_truth_nothing_is_perturbed() -> None:
+    truth = CART_POLE.with_truth()
+    assert truth is not None
+    assert truth.episode(candidate(BIAS), 1).behaviour == {"perturbations": []}
+    assert truth.words(candidate(BIAS)).endswith("; not perturbed")
+    assert truth.with_truth() is None
+    assert truth.activity(candidate(BIAS), {"perturbed_steps": []}) is None
+
+
+def test_a_candidate_has_words() -> None:
+    assert CART_POLE.words(candidate(BIAS)) == (
+        "CartPole-v1, low -0.05, high 0.05, reset seed 3; pole angle biased by +0.05 from step 20 on for 100 steps"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ({}, {"magnitude": 0.5}, "pole angle biased by +0.1 instead of +0.05"),
+        ({}, {"from_step": 30}, "pole angle biased by +0.05, from step 30 instead of 20"),
+        (
+            {},
+            {"steps": 10, "magnitude": -0.5},
+            "pole angle biased by -0.1 instead of +0.05, for 10 steps instead of 100",
+        ),
+        (
+            {"type": "gain"},
+            {"type": "gain", "magnitude": -0.5},
+            "pole angle changed by -50% instead of +25% of its value",
+        ),
+        (
+            {},
+            {"type": "freeze"},
+            "pole angle frozen from step 20 on for 100 steps "
+            "(in the safe episode, pole angle biased by +0.05 from step 20 on for 100 steps)",
+        ),
+    ],
+)  # fmt: skip
+def test_a_change_has_words(old: dict[str, Any], new: dict[str, Any], expected: str) -> None:
+    assert change(candidate({**BIAS, **old}), candidate({**BIAS, **new})) == expected
+
+
+def test_a_perturbation_that_comes_or_goes_and_a_scenario_have_words() -> None:
+    words = "pole angle biased by +0.05 from step 20 on for 100 steps"
+    assert change(candidate(), candidate(BIAS)) == words
+    assert change(candidate(BIAS), candidate()) == f"without {words}"
+    assert change(candidate(), candidate(**{"reset.low": -0.1, "reset_seed": 4})) == (
+        "low -0.1 instead of -0.05; reset seed 4 instead of 3"
+    )
+
+
+def test_only_perturbations_that_had_an_effect_are_active() -> None:
+    freeze = {**BIAS, "type": "freeze"}
+    found = CART_POLE.activity(candidate(freeze, BIAS), {"perturbed_steps": [[20, 30], None]})
+    assert found is not None
+    names = CART_POLE.space.column_names()
+    active = {name.partition(".")[2] for name, on in zip(names, found.active, strict=True) if on}
+    assert active == {
+        *SCENARIO,
+        *(f"perturbation_1.{name}" for name in ("type", "dimension", "from_step", "steps")),
+    }
+    idle = CART_POLE.activity(candidate(BIAS), {"perturbed_steps": [None]})
+    assert idle is not None
+    assert describe_candidate(CART_POLE, candidate(BIAS), idle).endswith(f"; not perturbed; {NO_PART}")
+    assert CART_POLE.activity(candidate(BIAS), {}) is None
+
+
+def test_the_example_finds_its_problem() -> None:
+    campaign = yaml.safe_load((ROOT / "examples" / "gymnasium.yaml").read_text())
+    assert isinstance(
+        make_problem(campaign["problem"]["id"], campaign["problem"]["params"]), GymnasiumProblem
+    )
+
+
+def test_the_policy_in_the_documentation_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "how-to" / "use-other-simulators.md").read_text()
+    (module,) = re.findall(r"```python\n(# my_policies.py.*?)```", text, re.DOTALL)
+    (campaign,) = re.findall(r"```yaml\n(# mountain_car.yaml.*?)```", text, re.DOTALL)
+    (tmp_path / "my_policies.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv(PLUGINS_VARIABLE, "my_policies")
+    problem = make_problem("gymnasium@1", yaml.safe_load(campaign)["problem"]["params"])
+    assert isinstance(problem, GymnasiumProblem)
+    truth = problem.with_truth()
+    assert truth is not None
+    spec = truth.episode(problem.space.sample(np.random.default_rng(1)), 1)
+    verdict = make_simulator("gymnasium@1").run(spec).verdicts["margin@1"]
+    assert verdict.robustness >= 0
