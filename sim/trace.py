@@ -26,6 +26,11 @@ TRACE_VERSION = 1
 
 VIOLATED_AT_S: Final = "violated_at_s"
 """Entry of a trace's description: the exact time of each violated requirement's first violation."""
+WORDS: Final = "words"
+"""Entry of a trace's description: the scenario in words and, after a semicolon, the behaviour.
+
+Of traces without it, replays describe the specification, which they understand if the simulator is Brink's own.
+"""
 MAX_BYTES: Final = 256 * 1024**2
 """Limit on the unpacked size of all arrays: a compressed trace of six megabytes may unpack to gigabytes."""
 MAX_SAMPLES: Final = 36_000

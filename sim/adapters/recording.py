@@ -1,7 +1,7 @@
 """Records an episode of another simulator as a `Trace`, so that its replays are drawn as those of Brink's own are.
 
 An adapter knows positions, not camera images: the trace has road users, what the driving system perceives, and the
-road from above, and no boxes in an image.
+road from above. Boxes in an image are optional: those of a camera that the car might have.
 """
 
 import math
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import Json
 from brink.sim.trace import (
     BOX_COLUMNS,
@@ -94,7 +95,9 @@ class TopDownRecorder:
         self._actors: dict[str, Actor] = {}
         self._poses: list[Mapping[str, Pose]] = []
         self._perceived: list[Sequence[Perceived]] = []
+        self._boxes: list[tuple[Sequence[Box], Sequence[Box]]] = []
         self._plans: list[str] = []
+        self._lights: list[str] = []
         self._targets: list[tuple[float, float]] = []
         self._robustness: dict[str, list[float]] = {name: [] for name in requirements}
         self._events: list[Event] = []
@@ -111,6 +114,9 @@ class TopDownRecorder:
         target_speed_mps: float = math.nan,
         target_offset_m: float = 0.0,
         robustness: Mapping[str, float],
+        seen: Sequence[Box] = (),
+        given: Sequence[Box] = (),
+        light: str = "",
     ) -> None:
         """Record a sample.
 
@@ -124,13 +130,18 @@ class TopDownRecorder:
             target_speed_mps: Speed that it aims at.
             target_offset_m: Offset from the route that it aims at.
             robustness: Robustness of each requirement, the smallest since the last sample.
+            seen: The other road users in the image of the trace's camera.
+            given: What is perceived, in the same image.
+            light: State of the ego's traffic light: ``red``, ``amber`` or ``green``; empty without one.
         """
         self._times.append(time_s)
         self._ego.append((ego.x_m, ego.y_m, ego.yaw_rad, ego.speed_mps, accel_mps2))
         self._actors.update({name: actor for name, (actor, _) in actors.items()})
         self._poses.append({name: pose for name, (_, pose) in actors.items()})
         self._perceived.append(tuple(perceived))
+        self._boxes.append((tuple(seen), tuple(given)))
         self._plans.append(plan)
+        self._lights.append(light)
         self._targets.append((target_speed_mps, target_offset_m))
         for name, series in self._robustness.items():
             series.append(robustness[name])
@@ -145,10 +156,6 @@ class TopDownRecorder:
         Args:
             about: Its header, from `brink.sim.provenance.trace_header`.
         """
-        count = len(self._times)
-        none = Ragged(
-            columns=BOX_COLUMNS, first=np.zeros(count + 1, np.int32), rows=np.zeros((0, 5), np.float32)
-        )
         targets = np.array(self._targets, np.float32).reshape(-1, 2)
         return Trace(
             time_s=np.array(self._times, np.float32),
@@ -156,13 +163,13 @@ class TopDownRecorder:
             ego_size_m=self._ego_size_m,
             route=self._route,
             actors=tuple(self._track(name, actor) for name, actor in self._actors.items()),
-            seen_boxes=none,
-            given_boxes=none,
+            seen_boxes=_box_rows([seen for seen, _ in self._boxes]),
+            given_boxes=_box_rows([given for _, given in self._boxes]),
             perceived=self._perceived_rows(),
             plan_mode=tuple(self._plans),
             target_speed_mps=targets[:, 0],
             target_offset_m=targets[:, 1],
-            lights=("",) * count,
+            lights=tuple(self._lights),
             robustness={name: np.array(series, np.float32) for name, series in self._robustness.items()},
             events=tuple(sorted(self._events, key=lambda event: event.time_s)),
             scene=self._scene,
@@ -195,3 +202,13 @@ class TopDownRecorder:
             first=first.astype(np.int32),
             rows=np.array(rows, np.float32).reshape(-1, len(PERCEIVED_COLUMNS)),
         )
+
+
+def _box_rows(samples: Sequence[Sequence[Box]]) -> Ragged:
+    rows = [(float(box.label is ObstacleLabel.PERSON), *box[1:]) for boxes in samples for box in boxes]
+    first = np.cumsum([0, *(len(boxes) for boxes in samples)])
+    return Ragged(
+        columns=BOX_COLUMNS,
+        first=first.astype(np.int32),
+        rows=np.array(rows, np.float32).reshape(-1, len(BOX_COLUMNS)),
+    )

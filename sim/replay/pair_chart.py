@@ -139,7 +139,8 @@ def draw_pair_chart(
 def _rows(story: PairStory, window: Interval) -> list[_Row]:
     traces = [side.trace for _, side, _ in story.parts]
     word = report_word(story.pair.unsafe.trace)
-    word = "reported" if word == "injected" else word
+    # The boxes of these rows are all that was reported, whether true or not.
+    word = "reported" if word in ("injected", "wrong") else word
     rows = []
     scripts = [scripts_of(trace) for trace in traces]
     if not any(scripts):

@@ -19,7 +19,7 @@ from brink.sim.replay.scene import (
     spec_part,
 )
 from brink.sim.requirements import CollisionKind
-from brink.sim.trace import ACTION, VIOLATED_AT_S, Event, Trace
+from brink.sim.trace import ACTION, VIOLATED_AT_S, WORDS, Event, Trace
 from brink.sim.urban.detection_errors import errors_from_json
 from brink.sim.verdict import held_words, violated_words
 from brink.sim.world.scenario import words_of_scenario
@@ -309,6 +309,9 @@ def runs(values: Sequence[T]) -> list[tuple[T, int, int]]:
 
 def scenario_words(trace: Trace) -> str:
     """Return a one-line description of the scenario; empty if the trace does not describe it."""
+    own = trace.about.get(WORDS)
+    if isinstance(own, str):
+        return own
     scenario = spec_part(trace, "scenario")
     words = ""
     if scenario:
