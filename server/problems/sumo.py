@@ -295,8 +295,7 @@ class SumoDrivers:
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
         """Return which parameters had a part in an episode: those of an error that acted, and of what happened."""
-        ended_at_s = features.get("ended_at_s")
-        if not isinstance(ended_at_s, int | float) or isinstance(ended_at_s, bool):
+        if not _is_number(features.get("ended_at_s")):
             return None
         values = self.space.decode(tuple(vectors))
         traffic, error = self._traffic(values["scenario"]), self._error(values[BEHAVIOUR])
@@ -325,9 +324,6 @@ class SumoDrivers:
             effective[place[f"{BEHAVIOUR}.type"]] = 0.0
         elif not MAGNITUDES[error.type].has_duration:
             leave_out(f"{BEHAVIOUR}.duration_s")
-        else:
-            column = place[f"{BEHAVIOUR}.duration_s"]
-            effective[column] = min(effective[column], max(0.0, ended_at_s - error.onset_s))
         return Activity(active=active, effective=effective, idle=() if acted else (BEHAVIOUR,))
 
     def evaluation(self, outcome: Completed) -> Evaluation:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from brink.sim.adapters.sumo.demand import STANDSTILL_GAP_M
 from brink.sim.adapters.sumo.library import STEP_S, Library
 from brink.sim.adapters.sumo.specification import RANGE_M, Affected, ErrorType, PerceptionError
 
@@ -25,7 +24,7 @@ _INATTENTIVE: Final = 0.5
 _CORRELATION_S: Final = 5.0
 """Time over which noise is correlated: what is seen too far away stays so for a while."""
 _FOREVER_S: Final = 1e12
-_ALL_CHECKS: Final = 31
+ALL_CHECKS: Final = 31
 """SUMO's speed mode, a sum of checks."""
 _STOPS_AT_RED: Final = 16
 _STOPPING: Final = "ryu"
@@ -146,12 +145,12 @@ class Perception:
         name, _, distance_m, state = lights[0] if lights else ("", 0, math.inf, "")
         if passing is not None:
             if name != passing:
-                own.setSpeedMode(vehicle, _ALL_CHECKS)
+                own.setSpeedMode(vehicle, ALL_CHECKS)
                 self._runs_red[vehicle] = None
         elif state == "r":
             stops_within_m = own.getSpeed(vehicle) ** 2 / (2.0 * own.getEmergencyDecel(vehicle))
             if stops_within_m > distance_m:
-                own.setSpeedMode(vehicle, _ALL_CHECKS - _STOPS_AT_RED)
+                own.setSpeedMode(vehicle, ALL_CHECKS - _STOPS_AT_RED)
                 self._runs_red[vehicle] = name
 
     def _nearest_ahead_m(self, vehicle: str) -> float:
@@ -159,7 +158,7 @@ class Perception:
         own = self._sumo.vehicle
         lead = own.getLeader(vehicle, RANGE_M)
         lights = own.getNextTLS(vehicle)
-        nearest_m = lead[1] + STANDSTILL_GAP_M if lead else math.inf
+        nearest_m = lead[1] + own.getMinGap(vehicle) if lead else math.inf
         if lights and lights[0][3] in _STOPPING:
             nearest_m = min(nearest_m, lights[0][2])
         return 0.0 if math.isinf(nearest_m) else float(nearest_m)
@@ -179,4 +178,5 @@ _RIGHT_DISTANCE: Final = (ErrorType.TOO_FAST, ErrorType.LATE)
 
 
 def _in_steps_s(time_s: float) -> float:
+    """Return the whole number of steps that is closest to a time, at least one."""
     return round(max(1, round(time_s / STEP_S)) * STEP_S, 6)

@@ -10,9 +10,9 @@ from typing import Final
 
 from brink.sim.adapters.sumo.demand import EGO, Stream, comfortable_braking_mps2, demand_xml, generator
 from brink.sim.adapters.sumo.drawing import Drawing
-from brink.sim.adapters.sumo.library import STEP_S, CannotStart, Library, load, simulation
-from brink.sim.adapters.sumo.own_files import OwnFiles, thinned_demand
-from brink.sim.adapters.sumo.perception import Perception, driver_state_options
+from brink.sim.adapters.sumo.library import STEP_S, CannotStart, Library, simulation
+from brink.sim.adapters.sumo.own_files import thinned_demand
+from brink.sim.adapters.sumo.perception import ALL_CHECKS, Perception, driver_state_options
 from brink.sim.adapters.sumo.specification import HARDEST_BRAKING_MPS2, SIMULATOR_ID, Drive, Incident
 from brink.sim.adapters.sumo.witness import Witness, collision_of
 from brink.sim.catalogue import make_requirements
@@ -29,8 +29,8 @@ STANDS_S: Final = 2.0
 LONGEST_WAIT_S: Final = 3600.0
 """How late the ego of a demand of one's own may depart."""
 _ROADS: Final = Path(__file__).parent / "roads"
-_FREELY: Final = 0b11011
-"""SUMO's speed mode without the limit on braking: the lead may brake as hard as the incident says."""
+_LIMITS_BRAKING: Final = 4
+"""The check of SUMO's speed mode that keeps vehicles from braking as hard as the incident says."""
 _EPISODE_ENDED: Final = "the ego left the network before the episode began"
 
 
@@ -42,7 +42,7 @@ class _Outcome:
         ended: ``time``, ``collision`` or ``goal``.
         ended_at_s: When.
         vehicles: Every vehicle that was in the network.
-        crashes: Collisions of other vehicles, each pair once.
+        crashes: Pairs of vehicles that collided.
     """
 
     ended: str = "time"
@@ -70,7 +70,6 @@ class Sumo:
         cpu_s = time.process_time()
         drive = Drive.of(spec)
         requirements = make_requirements(spec.requirements)
-        load()
         with TemporaryDirectory(prefix="brink-sumo-") as folder:
             options = [*_files(drive, spec, Path(folder)), *_conditions(drive, spec)]
             try:
@@ -106,12 +105,9 @@ def _files(drive: Drive, spec: EpisodeSpec, folder: Path) -> list[str]:
     else:
         files.check_unchanged()
         network = Path(files.network).resolve()
-        demand.write_bytes(_own_demand(files, drive, spec.seed))
+        rng = generator(spec.seed, Stream.OWN_DEMAND)
+        demand.write_bytes(thinned_demand(files, drive.traffic.demand, rng))
     return ["--net-file", str(network), "--route-files", str(demand)]
-
-
-def _own_demand(files: OwnFiles, drive: Drive, seed: int) -> bytes:
-    return thinned_demand(files, drive.traffic.demand, generator(seed, Stream.OWN_DEMAND))
 
 
 def _conditions(drive: Drive, spec: EpisodeSpec) -> list[str]:
@@ -154,6 +150,7 @@ class _Episode:
         self._witness: Witness | None = None
         self.drawing: Drawing | None = None
         self.simulated_s = 0.0
+        self._time_loss_s = 0.0
 
     def run(self) -> None:
         """Run the episode to its end."""
@@ -180,7 +177,7 @@ class _Episode:
                 self._outcome.ended = "collision"
                 break
         self.simulated_s = float(self._sumo.simulation.getTime()) - begins_s
-        self._lost_s, self._delayed = self._losses()
+        self._time_loss_s = self._mean_time_loss_s()
 
     def _settle(self) -> None:
         """Let the traffic drive until the episode begins."""
@@ -228,10 +225,11 @@ class _Episode:
         if self.drawing is not None:
             self.drawing.sample(sample, robustness, self._perception.gap_state())
 
-    def _losses(self) -> tuple[float, int]:
-        """Return the time that the vehicles in the network have lost against free roads, and how many they are."""
-        present = self._sumo.vehicle.getIDList()
-        return sum(float(self._sumo.vehicle.getTimeLoss(vehicle)) for vehicle in present), len(present)
+    def _mean_time_loss_s(self) -> float:
+        """Return how much later than on empty roads the vehicles in the network are, on average."""
+        own = self._sumo.vehicle
+        losses_s = [float(own.getTimeLoss(vehicle)) for vehicle in own.getIDList()]
+        return sum(losses_s) / max(1, len(losses_s))
 
     def features(self) -> dict[str, Json]:
         """Return facts about the episode that no requirement measures."""
@@ -245,7 +243,7 @@ class _Episode:
             "hardest_braking_mps2": witness.hardest_braking_mps2,
             "vehicles": len(outcome.vehicles),
             "crashes": len(outcome.crashes),
-            "mean_time_loss_s": self._lost_s / max(1, self._delayed),
+            "mean_time_loss_s": self._time_loss_s,
             "error_acted_at_s": self._perception.acted_at_s,
             "incident_at_s": self._incident.began_at_s,
         }
@@ -282,13 +280,14 @@ class _LeadBrakes:
             self.began_at_s, self._lead = time_s, lead
             speed_mps = float(own.getSpeed(lead))
             brakes_s = max(STEP_S, speed_mps / self._braking_mps2)
-            own.setSpeedMode(lead, _FREELY)
+            own.setSpeedMode(lead, ALL_CHECKS - _LIMITS_BRAKING)
             own.slowDown(lead, 0.0, brakes_s)
             self._brakes_until_s = time_s + brakes_s
             self._stands_until_s = self._brakes_until_s + STANDS_S
         elif self._lead is not None and self.began_at_s is not None:
             if time_s >= self._stands_until_s:
                 own.setSpeed(self._lead, -1.0)
+                own.setSpeedMode(self._lead, ALL_CHECKS)
                 self._lead = None
             elif time_s >= self._brakes_until_s:
                 own.setSpeed(self._lead, 0.0)

@@ -6,7 +6,7 @@ or the one behind, unless SUMO reports a collision.
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from brink.sim.adapters.sumo.library import Library
 from brink.sim.driving.interface import LightState
@@ -136,8 +136,9 @@ class Witness:
 
     def _remember(self, gap_m: float, closing_mps: float) -> None:
         self.smallest_gap_m = gap_m if self.smallest_gap_m is None else min(self.smallest_gap_m, gap_m)
-        if closing_mps > 0.0 and gap_m / closing_mps < min(self.smallest_ttc_s or math.inf, RELEVANT_TTC_S):
-            self.smallest_ttc_s = gap_m / closing_mps
+        ttc_s = gap_m / closing_mps if closing_mps > 0.0 else math.inf
+        if ttc_s < (RELEVANT_TTC_S if self.smallest_ttc_s is None else self.smallest_ttc_s):
+            self.smallest_ttc_s = ttc_s
 
     def _lane(self, lane: str) -> tuple[float, float]:
         """Return width and speed limit of a lane."""
@@ -174,13 +175,12 @@ def collision_of(sumo: Library, ego: str) -> Collision | None:
             continue
         other = one.victim if one.collider == ego else one.collider
         return Collision(
-            kind=CollisionKind.VEHICLE, counterpart=str(other),
-            impact_speed_mps=_impact_mps(sumo, one),
-        )  # fmt: skip
+            kind=CollisionKind.VEHICLE, counterpart=str(other), impact_speed_mps=_impact_mps(sumo, one)
+        )
     return None
 
 
-def _impact_mps(sumo: Library, collision: "Library") -> float:
+def _impact_mps(sumo: Library, collision: Any) -> float:
     """Return the difference of the velocities of two vehicles that collide."""
     velocity = [0.0, 0.0]
     for vehicle, speed_mps, sign in (

@@ -213,11 +213,6 @@ def test_what_was_not_to_happen_might_have_been_chosen() -> None:
     assert names == (BEHAVIOUR | INCIDENT) - {"behaviour.type", "scenario.incident"}
 
 
-def test_the_end_of_the_drive_cuts_an_error_off() -> None:
-    _, found = inactive(FAR, ended_at_s=8.0)
-    assert ANYWHERE.space.decode(ANYWHERE.space.split(found.effective))["behaviour"]["duration_s"] == 5.0
-
-
 @pytest.mark.parametrize("features", [{}, {"ended_at_s": None}, {"ended_at_s": True}, {"ended_at_s": "60"}])
 def test_without_a_record_nothing_is_known(features: dict[str, Any]) -> None:
     assert activity_of(ANYWHERE, candidate(FAR), {"features": features}) is None
