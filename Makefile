@@ -29,7 +29,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	touch $@ $(VENV)/.base
 
 $(VENV)/.all: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray]'
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray,sumo]'
 	touch $@ $(VENV)/.dev $(VENV)/.base
 
 install: $(VENV)/.base  ## create .venv with everything that the quickstart needs

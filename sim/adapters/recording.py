@@ -97,6 +97,7 @@ class TopDownRecorder:
         self._perceived: list[Sequence[Perceived]] = []
         self._boxes: list[tuple[Sequence[Box], Sequence[Box]]] = []
         self._plans: list[str] = []
+        self._lights: list[str] = []
         self._targets: list[tuple[float, float]] = []
         self._robustness: dict[str, list[float]] = {name: [] for name in requirements}
         self._events: list[Event] = []
@@ -115,6 +116,7 @@ class TopDownRecorder:
         robustness: Mapping[str, float],
         seen: Sequence[Box] = (),
         given: Sequence[Box] = (),
+        light: str = "",
     ) -> None:
         """Record a sample.
 
@@ -130,6 +132,7 @@ class TopDownRecorder:
             robustness: Robustness of each requirement, the smallest since the last sample.
             seen: The other road users in the image of the trace's camera.
             given: What is perceived, in the same image.
+            light: State of the ego's traffic light: ``red``, ``amber`` or ``green``; empty without one.
         """
         self._times.append(time_s)
         self._ego.append((ego.x_m, ego.y_m, ego.yaw_rad, ego.speed_mps, accel_mps2))
@@ -138,6 +141,7 @@ class TopDownRecorder:
         self._perceived.append(tuple(perceived))
         self._boxes.append((tuple(seen), tuple(given)))
         self._plans.append(plan)
+        self._lights.append(light)
         self._targets.append((target_speed_mps, target_offset_m))
         for name, series in self._robustness.items():
             series.append(robustness[name])
@@ -152,7 +156,6 @@ class TopDownRecorder:
         Args:
             about: Its header, from `brink.sim.provenance.trace_header`.
         """
-        count = len(self._times)
         targets = np.array(self._targets, np.float32).reshape(-1, 2)
         return Trace(
             time_s=np.array(self._times, np.float32),
@@ -166,7 +169,7 @@ class TopDownRecorder:
             plan_mode=tuple(self._plans),
             target_speed_mps=targets[:, 0],
             target_offset_m=targets[:, 1],
-            lights=("",) * count,
+            lights=tuple(self._lights),
             robustness={name: np.array(series, np.float32) for name, series in self._robustness.items()},
             events=tuple(sorted(self._events, key=lambda event: event.time_s)),
             scene=self._scene,
