@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from tempfile import TemporaryFile
 from typing import Any, Final, TypeAlias
 
-from brink.sim.errors import SimulationCrashed
+from brink.sim.errors import ExtraMissing, SimulationCrashed
 
 Library: TypeAlias = Any
 """The module `libsumo`, which has no types."""
@@ -28,7 +28,7 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 if find_spec("libsumo") is None:
-    raise ModuleNotFoundError("No module named 'libsumo': it comes with the sumo extra", name="libsumo")
+    raise ExtraMissing("sumo@1 needs libsumo: install the extra sumo")
 
 
 @cache
