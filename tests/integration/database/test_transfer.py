@@ -270,11 +270,8 @@ def test_which_campaign_is_meant_must_be_clear(database_url: str, tmp_path: Path
     queue.engines.dispose()
     file = str(tmp_path / "x.brink")
     assert run("export", "00000001", "--out", file, "--database", database_url).exit_code == 0
-    for name, reason in (
-        ("0000000", "more than one campaign"),
-        ("ffff", "no such campaign"),
-        ("%", "no such"),
-    ):
+    assert run("export", "%", "--out", file, "--database", database_url).exit_code == 2
+    for name, reason in (("0000000", "more than one campaign"), ("ffff", "no such campaign")):
         with pytest.raises(NotFound, match=reason):
             run("export", name, "--out", file, "--database", database_url)
 

@@ -296,7 +296,7 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     [
         (["--out", "requirement.txt"], "ends in .csv, .json or .md"),
         (["--json", "--format", "csv"], "--json without --format"),
-        (["--against", "x", "--episodes", "y"], "expected it without --against"),
+        (["--against", "3f2a", "--episodes", "9c01"], "expected it without --against"),
         (["--picture", "curves.gif"], "ends in .png, .svg or .pdf"),
     ],
 )

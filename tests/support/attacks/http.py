@@ -35,7 +35,7 @@ def _override(target: Target) -> Iterable[Answer]:
 
 @row("an unknown method", 400, 405, problem=False)
 def _methods(target: Target) -> Iterable[Answer]:
-    for method in ("BREW", "TRACE", "PATCH", "delete", "PROPFIND", "X" * 500):
+    for method in ("BREW", "TRACE", "PUT", "delete", "PROPFIND", "X" * 500):
         head = (
             f"{method} {CAMPAIGNS}/{target.finished} HTTP/1.1\r\nHost: x\r\nConnection: close\r\nAUTH\r\n\r\n"
         )
