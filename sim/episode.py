@@ -8,9 +8,10 @@ import difflib
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Self, TypeAlias
+from enum import StrEnum
+from typing import Self, TypeAlias, TypeVar
 
 from brink.sim.errors import InvalidEpisode
 
@@ -162,10 +163,63 @@ class EpisodeResult:
     trace: bytes | None = None
 
 
+_Choice = TypeVar("_Choice", bound=StrEnum)
+
+
 def nearest(word: object, known: tuple[str, ...]) -> str:
     """Return the hint `` (did you mean '...'?)`` if a word is close to a known one, else an empty string."""
     close = difflib.get_close_matches(str(word), known, n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def parse_choice(where: str, value: Json, choices: Iterable[_Choice]) -> _Choice:
+    """Parse one of several words.
+
+    Args:
+        where: Name of the field in error messages, such as ``scenario.weather``.
+        value: What was given.
+        choices: The words, such as an enumeration.
+
+    Raises:
+        InvalidEpisode: It is none of them.
+    """
+    known = {choice.value: choice for choice in choices}
+    if isinstance(value, str) and value in known:
+        return known[value]
+    words = tuple(known)
+    raise InvalidEpisode(
+        f"{where}: expected one of {', '.join(words)}; got {value!r:.80}{nearest(value, words)}"
+    )
+
+
+def parse_number(where: str, value: Json, low: float, high: float, unit: str = "") -> float:
+    """Parse a number in a range.
+
+    Args:
+        where: Name of the field in error messages, such as ``options.hold_s``.
+        value: What was given.
+        low: Smallest number allowed.
+        high: Largest number allowed.
+        unit: Their unit.
+
+    Raises:
+        InvalidEpisode: It is no number, or out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        expected = f"[{low:g}, {high:g}] {unit}".rstrip()
+        raise InvalidEpisode(f"{where}: expected a number in {expected}, got {value!r:.80}")
+    return float(value)
+
+
+def parse_integer(where: str, value: Json, low: int, high: int) -> int:
+    """Parse an integer in a range; the arguments are those of `parse_number`.
+
+    Raises:
+        InvalidEpisode: It is no integer, or out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise InvalidEpisode(f"{where}: expected an integer in [{low}, {high}], got {value!r:.80}")
+    return value
 
 
 def check_fields(where: str, document: Mapping[str, Json], expected: tuple[str, ...]) -> None:

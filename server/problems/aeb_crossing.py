@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from brink.search.algorithm import Evaluation, Measured, Scored
+from brink.search.algorithm import Measured
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.slots import Slots
@@ -17,6 +17,7 @@ from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.errors import nearest
 from brink.server.problems.base import SimulatedSolution, Vectors, wrong_detector
 from brink.server.problems.changes import different
+from brink.server.problems.requirements import JudgedByRequirements
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
     CROSSING_M,
@@ -136,7 +137,7 @@ def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)
     )
 
 
-class AebCrossing:
+class AebCrossing(JudgedByRequirements):
     """Emergency braking with perturbed images when a pedestrian steps out between parked cars."""
 
     id: ClassVar[str] = "aeb-crossing@1"
@@ -252,11 +253,6 @@ class AebCrossing:
             if was != now:
                 clauses.append(f"perturbation {place} is {now} instead of {was}")
         return "; ".join(clauses)
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict: clearance in m, speed above standstill in m/s, or the smaller value for any hazard."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
         """Return the specification that measures the perturbations; the scenario is ignored."""

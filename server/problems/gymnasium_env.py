@@ -11,13 +11,14 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from brink.search.algorithm import Evaluation, Scored
 from brink.search.errors import ConfigError, install_command
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import check_settings, setting
 from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
 from brink.server.problems.base import BEHAVIOUR, Activity, SimulatedSolution, Vectors
 from brink.server.problems.changes import different
+from brink.server.problems.perception_errors import HasTrueVariant
+from brink.server.problems.requirements import JudgedByRequirements
 from brink.sim.adapters.gymnasium_env.specification import (
     EXTRA,
     MARGIN,
@@ -33,7 +34,6 @@ from brink.sim.adapters.gymnasium_env.specification import (
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.urban.behaviour import steps_from_json
-from brink.worker.wire import Completed
 
 NO_PERTURBATION: Final = "none"
 TYPES: Final = tuple(kind.value for kind in PerturbationType)
@@ -225,7 +225,7 @@ def _prefixes(count: int) -> list[str]:
     return [f"perturbation_{index}." for index in range(1, count + 1)]
 
 
-class GymnasiumProblem:
+class GymnasiumProblem(HasTrueVariant, JudgedByRequirements):
     """A policy in a Gymnasium environment, on perturbed observations."""
 
     id: ClassVar[str] = "gymnasium@1"
@@ -245,7 +245,6 @@ class GymnasiumProblem:
         self._observed = params.observed
         self._index = {name: index for index, (name, _) in enumerate(self._observed)}
         self._prefixes = _prefixes(params.perturbations)
-        self._is_true = False
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and the perturbations in it."""
@@ -272,7 +271,7 @@ class GymnasiumProblem:
         )  # fmt: skip
 
     def _perturbations(self, values: Mapping[str, Value]) -> tuple[Perturbation, ...]:
-        if self._is_true:
+        if self.is_true:
             return ()
         found = (self._perturbation(values, prefix) for prefix in self._prefixes)
         return tuple(one for one in found if one is not None)
@@ -290,14 +289,6 @@ class GymnasiumProblem:
             type=kind, dimension=dimension, magnitude=0.0 if kind in WITHOUT_MAGNITUDE else magnitude,
             from_step=int(values[prefix + "from_step"]), steps=int(values[prefix + "steps"]),
         )  # fmt: skip
-
-    def with_truth(self) -> "GymnasiumProblem | None":
-        """Return the problem with observations as they are; None if this is it."""
-        if self._is_true:
-            return None
-        found = type(self)(self.params)
-        found._is_true = True
-        return found
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
@@ -357,7 +348,7 @@ class GymnasiumProblem:
         behaviour = self.space.components[-1]
         values = behaviour.decode(vectors[-1])
         present = [prefix for prefix in self._prefixes if values[prefix + "type"] != NO_PERTURBATION]
-        if self._is_true or steps is None or len(steps) != len(present):
+        if self.is_true or steps is None or len(steps) != len(present):
             return None
         acted = {prefix for prefix, at in zip(present, steps, strict=True) if at is not None}
         place = {parameter.name: column for column, parameter in enumerate(behaviour.parameters)}
@@ -378,11 +369,6 @@ class GymnasiumProblem:
             effective=np.concatenate([*vectors[:-1], effective]),
             idle=() if acted else (BEHAVIOUR,),
         )
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict."""
-        robustness = outcome.verdicts[self.requirements[0]].robustness
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
 
 def _part(values: Mapping[str, Value], prefix: str) -> dict[str, Json]:

@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from brink.search.algorithm import Evaluation, Scored
 from brink.search.errors import ConfigError
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import check_settings, setting
@@ -18,6 +17,13 @@ from brink.search.space import Categorical, Component, Dormant, Integer, Real, S
 from brink.server.errors import nearest
 from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
 from brink.server.problems.changes import different
+from brink.server.problems.perception_errors import NO_ERROR, HasTrueVariant, severity_scale
+from brink.server.problems.requirements import (
+    JudgedByRequirements,
+    check_requirements,
+    chosen_requirements,
+    requirement_setting,
+)
 from brink.sim.adapters.highway.specification import (
     FEWEST_LANES,
     GHOST_DISTANCE_M,
@@ -40,14 +46,12 @@ from brink.sim.adapters.highway.specification import (
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.perception_errors import MODE
 from brink.sim.urban.behaviour import steps_from_json
-from brink.sim.urban.detection_errors import ERROR_STEPS, MODE
-from brink.worker.wire import Completed
+from brink.sim.urban.detection_errors import ERROR_STEPS
 
 REQUIREMENTS: Final = ("no-collision@1", "front-gap@1")
 """Requirements that every episode records."""
-NO_ERROR: Final = "none"
-"""The type of an error that is none."""
 ROADS: Final = tuple(road.value for road in RoadKind)
 _ONSET_SHARE: Final = 0.75
 """Latest onset, as a share of the episode's length."""
@@ -65,13 +69,7 @@ class HighwayPerceptionParams:
         default_factory=lambda: list(ROADS),
         metadata={"help": "Roads of the scenarios: highway, merge, roundabout, intersection."},
     )
-    requirement: str | list[str] = field(
-        default_factory=lambda: list(REQUIREMENTS),
-        metadata={
-            "help": "Id of the requirement that gives the verdict, or a list of several. no-collision@1 and "
-            "front-gap@1 are recorded in any case."
-        },
-    )
+    requirement: str | list[str] = requirement_setting(REQUIREMENTS, REQUIREMENTS)  # noqa: RUF009
     errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Most errors in an episode.")
     duration_s: float = setting(20.0, ge=5.0, le=MAX_DURATION_S, unit="s", help="Length of an episode.")
     timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
@@ -79,12 +77,12 @@ class HighwayPerceptionParams:
     def __post_init__(self) -> None:
         check_settings(self)
         _check_choices("roads", self.roads, ROADS)
-        _check_choices("requirement", self.requirements, plugin_ids(REQUIREMENT_PLUGINS))
+        check_requirements(self.requirement, plugin_ids(REQUIREMENT_PLUGINS))
 
     @property
     def requirements(self) -> tuple[str, ...]:
         """Ids of the requirements that give the verdict."""
-        return (self.requirement,) if isinstance(self.requirement, str) else tuple(self.requirement)
+        return chosen_requirements(self.requirement, REQUIREMENTS)
 
 
 def _check_choices(name: str, chosen: Collection[str], known: tuple[str, ...]) -> None:
@@ -146,7 +144,7 @@ def _prefixes(count: int) -> list[str]:
     return [f"error_{index}." for index in range(1, count + 1)]
 
 
-class HighwayPerception:
+class HighwayPerception(HasTrueVariant, JudgedByRequirements):
     """Driving in highway-env on a perception that reports the truth with errors."""
 
     id: ClassVar[str] = "highway-perception@1"
@@ -173,7 +171,6 @@ class HighwayPerception:
         self.needs = SIMULATOR_ID
         self.timeout_s = params.timeout_s
         self._prefixes = _prefixes(params.errors)
-        self._is_true = False
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and the errors in it."""
@@ -189,18 +186,10 @@ class HighwayPerception:
         )
 
     def _errors(self, values: Mapping[str, Value]) -> tuple[PerceptionError, ...]:
-        if self._is_true:
+        if self.is_true:
             return ()
         found = (_error(values, prefix) for prefix in self._prefixes)
         return tuple(error for error in found if error is not None)
-
-    def with_truth(self) -> "HighwayPerception | None":
-        """Return the problem with a perfect perception; None if this is it."""
-        if self._is_true:
-            return None
-        found = type(self)(self.params)
-        found._is_true = True
-        return found
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
@@ -227,10 +216,7 @@ class HighwayPerception:
         if kind is None or kind == NO_ERROR:
             return None
         scale = MAGNITUDES[ErrorType(kind)]
-        return SeverityScale(
-            unit=scale.shown_unit, none=scale.number(scale.none), most=scale.number(scale.most),
-            meaning=scale.meaning, decimals=0 if scale.shown_unit == "%" else 1,
-        )  # fmt: skip
+        return severity_scale(scale)
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
         """Describe an error, such as ``the vehicle ahead is not perceived for 1.3 s``."""
@@ -247,7 +233,7 @@ class HighwayPerception:
         scenario, behaviour = self.space.components
         values = behaviour.decode(vectors[1])
         present = [prefix for prefix in self._prefixes if _error(values, prefix) is not None]
-        if self._is_true or steps is None or len(steps) != len(present):
+        if self.is_true or steps is None or len(steps) != len(present):
             return None
         on_road = np.ones(len(vectors[0]), dtype=np.bool_)
         if scenario.decode(vectors[0])["road"] not in STRAIGHT_ROADS:
@@ -271,11 +257,6 @@ class HighwayPerception:
             effective=np.concatenate([vectors[0], effective]),
             idle=() if acted else (BEHAVIOUR,),
         )
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
 
 def _used(kind: ErrorType) -> tuple[str, ...]:

@@ -5,20 +5,26 @@ ours; see docs/how-to/use-sumo.md.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from brink.search.algorithm import Evaluation, Scored
 from brink.search.errors import ConfigError
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import check_settings, setting
 from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
-from brink.server.errors import nearest
 from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
 from brink.server.problems.changes import different
+from brink.server.problems.perception_errors import NO_ERROR, HasTrueVariant, severity_scale
+from brink.server.problems.requirements import (
+    ANY,
+    JudgedByRequirements,
+    check_requirements,
+    chosen_requirements,
+    requirement_setting,
+)
 from brink.sim.adapters.sumo.own_files import OwnFiles, OwnFilesError, check_network, vehicle_ids
 from brink.sim.adapters.sumo.specification import (
     INCIDENT_BRAKING_MPS2,
@@ -41,16 +47,12 @@ from brink.sim.adapters.sumo.specification import (
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import EpisodeSpec
-from brink.sim.urban.detection_errors import MODE
-from brink.worker.wire import Completed
+from brink.sim.perception_errors import MODE
 
-ANY: Final = "any"
 RECORDED: Final = ("front-gap@1", "no-collision@1", "red-light@1")
 """Requirements that every episode evaluates."""
 NOT_MEASURED: Final = ("lane-keeping@1", "progress@1", "no-dangerous-stop@1")
 """Requirements that say nothing here: SUMO keeps vehicles in lanes, and knows neither goals nor reasons to stop."""
-NO_ERROR: Final = "none"
-"""The type of an error that is none."""
 LATEST_ONSET_S: Final = 40.0
 LATEST_INCIDENT_S: Final = 40.0
 COVERED: Final = (ErrorType.MISS, ErrorType.TOO_FAR)
@@ -64,13 +66,7 @@ _FIELDS: Final = ("type", "affected", "onset_s", "duration_s", "severity")
 class SumoDriversParams:
     """Parameters of the problem."""
 
-    requirement: str | list[str] = field(
-        default_factory=lambda: ["front-gap@1", "no-collision@1"],
-        metadata={
-            "help": "Id of the requirement that gives the verdict on the ego, a list of several, or any for "
-            f"{', '.join(RECORDED)}. These are recorded in any case."
-        },
-    )
+    requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], RECORDED)  # noqa: RUF009
     network: str = setting(
         ANY, help="Road network; with any, it is part of the scenario.", choices=(ANY, *_NETWORKS)
     )
@@ -94,23 +90,13 @@ class SumoDriversParams:
                 )
         if self.network_file and self.network != ANY:
             raise ConfigError("network", f"expected {ANY} or no value, because network_file is given")
-        chosen = self.requirements
-        if not chosen or len(set(chosen)) < len(chosen):
-            raise ConfigError("requirement", f"expected each requirement once, got {self.requirement!r}")
-        known = tuple(name for name in plugin_ids(REQUIREMENT_PLUGINS) if name not in NOT_MEASURED)
-        for name in chosen:
-            if name not in known:
-                raise ConfigError(
-                    "requirement", f"expected {ANY}, or some of {', '.join(known)}; got {name!r}",
-                    nearest=nearest(name, (ANY, *known)),
-                )  # fmt: skip
+        known = [name for name in plugin_ids(REQUIREMENT_PLUGINS) if name not in NOT_MEASURED]
+        check_requirements(self.requirement, known)
 
     @property
     def requirements(self) -> tuple[str, ...]:
         """The requirements that give the verdict."""
-        if self.requirement == ANY:
-            return RECORDED
-        return (self.requirement,) if isinstance(self.requirement, str) else tuple(self.requirement)
+        return chosen_requirements(self.requirement, RECORDED)
 
 
 def traffic_component(params: SumoDriversParams) -> Component:
@@ -156,7 +142,7 @@ def error_component(duration_s: float) -> Component:
     )
 
 
-class SumoDrivers:
+class SumoDrivers(HasTrueVariant, JudgedByRequirements):
     """Traffic of hundreds of vehicles, in which automated ones perceive what is ahead with an error."""
 
     id: ClassVar[str] = "sumo-drivers@1"
@@ -178,7 +164,6 @@ class SumoDrivers:
         self.requirements = params.requirements
         self.needs = SIMULATOR_ID
         self.timeout_s = params.timeout_s
-        self._is_true = False
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return the errors of one's own network and demand."""
@@ -208,7 +193,7 @@ class SumoDrivers:
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a traffic and an error of perception."""
         decoded = self.space.decode(tuple(vectors))
-        error = None if self._is_true else self._error(decoded[BEHAVIOUR])
+        error = None if self.is_true else self._error(decoded[BEHAVIOUR])
         return EpisodeSpec(
             simulator=SIMULATOR_ID,
             scenario=self._traffic(decoded["scenario"], self._files).to_json(),
@@ -251,19 +236,11 @@ class SumoDrivers:
             duration_s=float(values["duration_s"]) if scale.has_duration else magnitude,
         )
 
-    def with_truth(self) -> "SumoDrivers | None":
-        """Return the problem in which everybody perceives the truth; None if this is it."""
-        if self._is_true:
-            return None
-        found = type(self)(self.params)
-        found._is_true = True
-        return found
-
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
         traffic = self._traffic(decoded["scenario"])
-        error = None if self._is_true else self._error(decoded[BEHAVIOUR])
+        error = None if self.is_true else self._error(decoded[BEHAVIOUR])
         parts = (traffic.words, traffic.incident_words, "no error" if error is None else error.words)
         return "; ".join(filter(None, parts))
 
@@ -284,10 +261,7 @@ class SumoDrivers:
         if kind is None or kind == NO_ERROR:
             return None
         scale = MAGNITUDES[ErrorType(kind)]
-        return SeverityScale(
-            unit=scale.shown_unit, none=scale.number(scale.none), most=scale.number(scale.most),
-            meaning=scale.meaning, decimals=0 if scale.shown_unit == "%" else 1,
-        )  # fmt: skip
+        return severity_scale(scale)
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
         """Return an error as an activity, such as ``perceiving things ahead 30% too far away``."""
@@ -316,7 +290,7 @@ class SumoDrivers:
             happens = traffic.incident is not Incident.NONE
             leave_out(*(f"scenario.{name}" for name in _INCIDENT if happens or name != "incident"))
             effective[place["scenario.incident"]] = 0.0
-        acted = not self._is_true and error is not None and _is_number(features.get("error_acted_at_s"))
+        acted = not self.is_true and error is not None and _is_number(features.get("error_acted_at_s"))
         if not acted or error is None:
             # The type stays active where there is no error: another type would have been one.
             fields = _FIELDS if error is not None else _FIELDS[1:]
@@ -325,11 +299,6 @@ class SumoDrivers:
         elif not MAGNITUDES[error.type].has_duration:
             leave_out(f"{BEHAVIOUR}.duration_s")
         return Activity(active=active, effective=effective, idle=() if acted else (BEHAVIOUR,))
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
 
 _NUMBERS: Final = ("_s", "_mps2", "severity")

@@ -5,13 +5,14 @@ against a requirement (docs/how-to/set-a-requirement.md).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from brink.search.algorithm import Evaluation, Scored
 from brink.search.settings import setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import Vectors, wrong_detector
+from brink.server.problems.perception_errors import HasTrueVariant
+from brink.server.problems.requirements import JudgedByRequirements, requirement_setting
 from brink.server.problems.urban_injected import (
     REQUIREMENTS,
     UrbanInjectedParams,
@@ -21,7 +22,6 @@ from brink.server.problems.urban_injected import (
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception.user_files import weights_digest
 from brink.sim.world.scenario import words_of_scenario
-from brink.worker.wire import Completed
 
 SIMULATOR = "brink-drive-camera@1"
 WITH_TRUTH = "brink-drive-errors@1"
@@ -31,13 +31,7 @@ WITH_TRUTH = "brink-drive-errors@1"
 class UrbanCameraParams(UrbanInjectedParams):
     """Parameters of the problem."""
 
-    requirement: str | list[str] = field(
-        default_factory=lambda: ["front-gap@1", "no-collision@1"],
-        metadata={
-            "help": "Id of the requirement that gives the verdict, a list of several, or any for all built-in ones. "
-            "All built-in requirements are recorded in any case."
-        },
-    )
+    requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     detector: str = setting(
         "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
@@ -45,7 +39,7 @@ class UrbanCameraParams(UrbanInjectedParams):
     timeout_s: float = setting(120.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
 
-class UrbanCamera:
+class UrbanCamera(HasTrueVariant, JudgedByRequirements):
     """Urban driving with an obstacle detector on rendered camera images."""
 
     id: ClassVar[str] = "urban-camera@1"
@@ -59,9 +53,7 @@ class UrbanCamera:
         self.space = SearchSpace((scenario_component(),))
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = params.requirements
-        self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
-        self._is_true = False
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in the name or file of the detector."""
@@ -71,7 +63,7 @@ class UrbanCamera:
         """Return the episode of a scenario."""
         params = self.params
         behaviour: dict[str, Json] = {"mode": "errors", "errors": []}
-        if not self._is_true:
+        if not self.is_true:
             behaviour = {"mode": "detector", "detector": params.detector, "threshold": params.threshold}
             if digest := weights_digest(params.detector):
                 behaviour["weights"] = digest
@@ -85,20 +77,11 @@ class UrbanCamera:
             options={"fidelity": params.fidelity},
         )
 
-    def with_truth(self) -> "UrbanCamera | None":
-        """Return the problem with the ground truth in place of the detector; None if this is it."""
-        if self._is_true:
-            return None
-        found = type(self)(self.params)
-        found._is_true = True
-        found.needs = WITH_TRUTH
-        return found
+    @property
+    def needs(self) -> str:
+        """Id of the simulator."""
+        return WITH_TRUTH if self.is_true else SIMULATOR
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
         return words_of_scenario(scenario_of(self.space.decode(tuple(vectors))["scenario"]))
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)

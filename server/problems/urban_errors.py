@@ -5,17 +5,18 @@ without any, the detector reports the truth. Source: ours; see docs/explanation/
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from brink.search.algorithm import Evaluation, Scored
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import setting
 from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
 from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
 from brink.server.problems.changes import different
+from brink.server.problems.perception_errors import NO_ERROR, HasTrueVariant, severity_scale
+from brink.server.problems.requirements import JudgedByRequirements, requirement_setting
 from brink.server.problems.urban_changes import scenario_changes
 from brink.server.problems.urban_injected import (
     REQUIREMENTS,
@@ -24,12 +25,12 @@ from brink.server.problems.urban_injected import (
     scenario_of,
 )
 from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.perception_errors import MODE
 from brink.sim.urban.behaviour import steps_from_json
 from brink.sim.urban.detection_errors import (
     ERROR_STEPS,
     MAGNITUDES,
     MAX_ERRORS,
-    MODE,
     DetectionError,
     ErrorType,
     Onset,
@@ -38,11 +39,8 @@ from brink.sim.urban.detection_errors import (
 )
 from brink.sim.urban.error_meter import MEASURED
 from brink.sim.world.scenario import words_of_scenario
-from brink.worker.wire import Completed
 
 SIMULATOR = "brink-drive-errors@1"
-NO_ERROR: Final = "none"
-"""The type of an error that is none."""
 LATEST_ONSET_S: Final = 12.0
 COVERED: Final = (
     ErrorType.MISS, ErrorType.LATE, ErrorType.FLICKER, ErrorType.TOO_FAR, ErrorType.LEFT, ErrorType.RIGHT,
@@ -57,13 +55,7 @@ _FIELDS: Final = ("type", "target", "onset", "onset_s", "duration_s", "severity"
 class UrbanErrorsParams(UrbanInjectedParams):
     """Parameters of the problem."""
 
-    requirement: str | list[str] = field(
-        default_factory=lambda: ["front-gap@1", "no-collision@1"],
-        metadata={
-            "help": "Id of the requirement that gives the verdict, a list of several, or any for all built-in ones. "
-            "All built-in requirements are recorded in any case."
-        },
-    )
+    requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Most errors in an episode.")
 
 
@@ -98,7 +90,7 @@ def errors_component(count: int, duration_s: float) -> Component:
     )
 
 
-class UrbanErrors:
+class UrbanErrors(HasTrueVariant, JudgedByRequirements):
     """Urban driving with an obstacle detector that reports the truth with errors."""
 
     id: ClassVar[str] = "urban-errors@1"
@@ -122,13 +114,12 @@ class UrbanErrors:
         self.requirements = params.requirements
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
-        self._is_true = False
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and the errors in it."""
         decoded = self.space.decode(tuple(vectors))
         errors: list[Json] = (
-            [] if self._is_true else [error.to_json() for error in self._errors(decoded[BEHAVIOUR])]
+            [] if self.is_true else [error.to_json() for error in self._errors(decoded[BEHAVIOUR])]
         )
         return EpisodeSpec(
             simulator=SIMULATOR,
@@ -165,18 +156,10 @@ class UrbanErrors:
             duration_s=float(values[prefix + "duration_s"]) if scale.has_duration else magnitude,
         )
 
-    def with_truth(self) -> "UrbanErrors | None":
-        """Return the problem with a detector that reports the ground truth; None if this is it."""
-        if self._is_true:
-            return None
-        found = type(self)(self.params)
-        found._is_true = True
-        return found
-
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
-        errors = [] if self._is_true else self._errors(decoded[BEHAVIOUR])
+        errors = [] if self.is_true else self._errors(decoded[BEHAVIOUR])
         words = " and ".join(error.words for error in errors) or "no error"
         return f"{words_of_scenario(scenario_of(decoded['scenario']))}; {words}"
 
@@ -200,10 +183,7 @@ class UrbanErrors:
         if kind is None or kind == NO_ERROR:
             return None
         scale = MAGNITUDES[ErrorType(kind)]
-        return SeverityScale(
-            unit=scale.shown_unit, none=scale.number(scale.none), most=scale.number(scale.most),
-            meaning=scale.meaning, decimals=0 if scale.shown_unit == "%" else 1,
-        )  # fmt: skip
+        return severity_scale(scale)
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
         """Describe an error as an activity, such as ``not reporting the lead for 1.3 s``."""
@@ -229,7 +209,7 @@ class UrbanErrors:
         behaviour = self.space.components[1]
         values = behaviour.decode(vectors[1])
         present = [i for i in range(1, self.params.errors + 1) if self._error(values, i) is not None]
-        if self._is_true or steps is None or len(steps) != len(present):
+        if self.is_true or steps is None or len(steps) != len(present):
             return None
         place = {parameter.name: column for column, parameter in enumerate(behaviour.parameters)}
         acted = {index for index, at in zip(present, steps, strict=True) if at is not None}
@@ -254,11 +234,6 @@ class UrbanErrors:
             effective=np.concatenate([vectors[0], effective]),
             idle=() if acted else (BEHAVIOUR,),
         )
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
 
 def _change(old: DetectionError | None, new: DetectionError | None, changed: Collection[str]) -> str:

@@ -10,8 +10,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from brink.search.algorithm import Evaluation, Scored
-from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import (
     Categorical,
@@ -26,8 +24,13 @@ from brink.search.space import (
     Real,
     SearchSpace,
 )
-from brink.server.errors import nearest
 from brink.server.problems.base import Activity, SimulatedSolution, Vectors
+from brink.server.problems.requirements import (
+    JudgedByRequirements,
+    check_requirements,
+    chosen_requirements,
+    requirement_setting,
+)
 from brink.server.problems.urban_changes import words_of_changes
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
@@ -40,7 +43,6 @@ from brink.sim.world.scenario import (
     SCENARIO_CHOICES,
     words_of_scenario,
 )
-from brink.worker.wire import Completed
 
 SIMULATOR = "brink-drive@2"
 REQUIREMENTS = (
@@ -53,8 +55,6 @@ REQUIREMENTS = (
 )
 BOX_SIGMA_PX = 40.0
 """Standard deviation of the mutation of a box coordinate: a tenth of 400 px."""
-ANY = "any"
-"""Value of the parameter `requirement` that stands for all built-in requirements."""
 
 _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "road_length": ROAD_LENGTHS}
 
@@ -63,11 +63,7 @@ _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "roa
 class UrbanInjectedParams:
     """Parameters of the problem."""
 
-    requirement: str | list[str] = setting(  # noqa: RUF009  (returns a field)
-        "front-gap@1",
-        help="Id of the requirement that gives the verdict, a list of several, or any for all built-in ones. All "
-        "built-in requirements are recorded in any case.",
-    )
+    requirement: str | list[str] = requirement_setting("front-gap@1", REQUIREMENTS)  # noqa: RUF009  (returns a field)
     duration_s: float = setting(
         b.DEFAULT_DURATION_S, ge=5.0, le=120.0, unit="s", help="Length of an episode."
     )
@@ -76,24 +72,12 @@ class UrbanInjectedParams:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if isinstance(self.requirement, list) and not self.requirement:
-            raise ConfigError("requirement", "expected at least one requirement, got an empty list")
-        if len(set(self.requirements)) < len(self.requirements):
-            raise ConfigError("requirement", f"expected each requirement once, got {self.requirement!r}")
-        known = plugin_ids(REQUIREMENT_PLUGINS)
-        for name in self.requirements:
-            if name not in known:
-                raise ConfigError(
-                    "requirement", f"expected {ANY}, or some of {', '.join(known)}; got {name!r}",
-                    nearest=nearest(name, (ANY, *known)),
-                )  # fmt: skip
+        check_requirements(self.requirement, plugin_ids(REQUIREMENT_PLUGINS))
 
     @property
     def requirements(self) -> tuple[str, ...]:
         """Ids of the requirements that give the verdict."""
-        if self.requirement == ANY:
-            return REQUIREMENTS
-        return (self.requirement,) if isinstance(self.requirement, str) else tuple(self.requirement)
+        return chosen_requirements(self.requirement, REQUIREMENTS)
 
 
 def scenario_component() -> Component:
@@ -156,7 +140,7 @@ def behaviour_component(duration_s: float) -> Component:
     )
 
 
-class UrbanInjected:
+class UrbanInjected(JudgedByRequirements):
     """Urban driving with an obstacle detector whose detections are injected."""
 
     id: ClassVar[str] = "urban-injected@1"
@@ -264,11 +248,6 @@ class UrbanInjected:
             effective=np.concatenate([vectors[0], effective]),
             idle=() if any(delivered) else ("behaviour",),
         )
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
 
 def scenario_of(values: Mapping[str, Any]) -> dict[str, Json]:

@@ -10,10 +10,10 @@ Source: Ferreira et al. 2022, the experiment's scenario.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
-from typing import Final, Self, TypeVar
+from typing import Final, Self
 
 from brink.sim.aeb.braking import HOLD_S
-from brink.sim.episode import Json, JsonObject, nearest
+from brink.sim.episode import Json, JsonObject, nearest, parse_choice, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.user_files import weights_digest
 from brink.sim.perturbations import CATALOGUE, Mode, Perturbation, PerturbationError, parse_perturbations
@@ -40,8 +40,6 @@ class Obstacle(StrEnum):
     ANOMALY = "anomaly"
     """An overturned vehicle: a known class in an unknown pose."""
 
-
-_Word = TypeVar("_Word", bound=StrEnum)
 
 CROSSING_M = (45.0, 65.0)
 ARRIVAL_S = (-0.2, 0.2)
@@ -89,13 +87,13 @@ class AebScenario:
             if name not in document and name != "obstacle":
                 raise InvalidEpisode(f"scenario.{name}: missing")
         return cls(
-            time_of_day=_word("scenario.time_of_day", document["time_of_day"], TIMES),
-            weather=_word("scenario.weather", document["weather"], WEATHERS),
-            occluder=_word("scenario.occluder", document["occluder"], tuple(Occluder)),
-            crossing_m=_number("scenario.crossing_m", document["crossing_m"], *CROSSING_M),
-            arrival_s=_number("scenario.arrival_s", document["arrival_s"], *ARRIVAL_S),
-            oncoming_m=_number("scenario.oncoming_m", document["oncoming_m"], *ONCOMING_M),
-            obstacle=_word("scenario.obstacle", document.get("obstacle", "none"), tuple(Obstacle)),
+            time_of_day=parse_choice("scenario.time_of_day", document["time_of_day"], TIMES),
+            weather=parse_choice("scenario.weather", document["weather"], WEATHERS),
+            occluder=parse_choice("scenario.occluder", document["occluder"], tuple(Occluder)),
+            crossing_m=parse_number("scenario.crossing_m", document["crossing_m"], *CROSSING_M),
+            arrival_s=parse_number("scenario.arrival_s", document["arrival_s"], *ARRIVAL_S),
+            oncoming_m=parse_number("scenario.oncoming_m", document["oncoming_m"], *ONCOMING_M),
+            obstacle=parse_choice("scenario.obstacle", document.get("obstacle", "none"), tuple(Obstacle)),
         )
 
 
@@ -150,7 +148,7 @@ class Behaviour:
         Raises:
             InvalidEpisode: A field is unknown or invalid.
         """
-        mode = _word("behaviour.mode", document.get("mode"), tuple(SightMode))
+        mode = parse_choice("behaviour.mode", document.get("mode"), tuple(SightMode))
         if mode is SightMode.INJECTED:
             return cls(mode=mode, trajectories=DetectorBehaviour.from_json(document, duration_s).trajectories)
         known = ("mode", "detector", "threshold", "perturbations", "fields", "weights")
@@ -176,10 +174,12 @@ class Behaviour:
         return cls(
             mode=mode,
             detector=detector,
-            threshold=_number("behaviour.threshold", document.get("threshold", THRESHOLD), 0.0, 1.0),
+            threshold=parse_number("behaviour.threshold", document.get("threshold", THRESHOLD), 0.0, 1.0),
             perturbations=parsed,
             weights=weights,
-            fields=_word("behaviour.fields", document.get("fields", Mode.PER_FRAME.value), tuple(Mode)),
+            fields=parse_choice(
+                "behaviour.fields", document.get("fields", Mode.PER_FRAME.value), tuple(Mode)
+            ),
         )
 
 
@@ -220,28 +220,13 @@ class Options:
         for name in document:
             if name not in known:
                 raise InvalidEpisode(f"options: unknown field {name!r}{nearest(name, known)}")
-        width_px = _number("options.width_px", document.get("width_px", SIZE_PX[0]), 64, 4096)
-        height_px = _number("options.height_px", document.get("height_px", SIZE_PX[1]), 64, 4096)
+        width_px = parse_number("options.width_px", document.get("width_px", SIZE_PX[0]), 64, 4096)
+        height_px = parse_number("options.height_px", document.get("height_px", SIZE_PX[1]), 64, 4096)
         braking = document.get("braking", True)
         if not isinstance(braking, bool):
             raise InvalidEpisode(f"options.braking: expected true or false, got {braking!r}")
-        hold_s = _number("options.hold_s", document.get("hold_s", HOLD_S), 0.0, 10.0)
+        hold_s = parse_number("options.hold_s", document.get("hold_s", HOLD_S), 0.0, 10.0)
         return cls(size_px=(round(width_px), round(height_px)), hold_s=hold_s, braking=braking)
-
-
-def _number(where: str, value: Json, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise InvalidEpisode(f"{where}: expected a number in [{low:g}, {high:g}], got {value!r}")
-    return float(value)
-
-
-def _word(where: str, value: Json, known: tuple[_Word, ...]) -> _Word:
-    for word in known:
-        if word.value == value:
-            return word
-    raise InvalidEpisode(
-        f"{where}: expected one of {', '.join(known)}{nearest(value, tuple(known))}; got {value!r}"
-    )
 
 
 _OBSTACLES: Final = {"novelty": "a fallen tree", "anomaly": "an overturned vehicle"}

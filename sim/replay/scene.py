@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from brink.sim.episode import Json
 from brink.sim.errors import SimulatorError
+from brink.sim.perception_errors import MODE
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import ActorTrack, Film, Trace
-from brink.sim.urban.detection_errors import MODE
 
 Points: TypeAlias = NDArray[np.float64]
 """Corners, shape ``(k, 2)``."""

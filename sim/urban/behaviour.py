@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Self
 
 from brink.sim.driving.interface import Box, ObstacleLabel
-from brink.sim.episode import Json, JsonObject, check_fields, nearest
+from brink.sim.episode import Json, JsonObject, check_fields, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
 
 IMAGE_WIDTH_PX = 800
@@ -195,7 +195,7 @@ def _trajectory(where: str, document: Json, duration_s: float) -> InjectedTrajec
             f"got {label!r}{nearest(label, TRAJECTORY_LABELS)}"
         )
     values = {
-        name: _number(f"{where}.{name}", document[name], low, high)
+        name: parse_number(f"{where}.{name}", document[name], low, high)
         for name, (low, high, _) in trajectory_ranges(duration_s).items()
     }
     if label == NULL_LABEL:
@@ -219,9 +219,3 @@ def _trajectory(where: str, document: Json, duration_s: float) -> InjectedTrajec
         first_px=(corners[0], corners[1], corners[2], corners[3]),
         last_px=(corners[4], corners[5], corners[6], corners[7]),
     )
-
-
-def _number(where: str, value: Json, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise InvalidEpisode(f"{where}: expected a number in [{low:g}, {high:g}], got {value!r}")
-    return float(value)

@@ -15,11 +15,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Self, TypeVar
+from typing import Final, Self
 
 from brink.sim.driving.settings import FollowSettings
-from brink.sim.episode import Json, JsonObject, check_fields, nearest
+from brink.sim.episode import Json, JsonObject, check_fields, parse_choice, parse_number
 from brink.sim.errors import InvalidEpisode
+from brink.sim.perception_errors import MODE, Magnitude
 
 MAX_ERRORS: Final = 8
 """Most errors in an episode."""
@@ -66,48 +67,6 @@ class Onset(StrEnum):
     TIME = "time"
     LEAD_BRAKES = "lead_brakes"
     PEDESTRIAN_STEPS_OUT = "pedestrian_steps_out"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Magnitude:
-    """The magnitude of a type of error.
-
-    Attributes:
-        unit: Its unit; a share is a fraction of 1.
-        none: The magnitude without effect, at severity 0.
-        most: The magnitude at severity 1.
-        meaning: What it measures.
-        has_window: Whether the error begins at an onset; otherwise it holds for the whole episode.
-        has_duration: Whether the window's length is a parameter of its own, and not the magnitude.
-    """
-
-    unit: str
-    none: float
-    most: float
-    meaning: str
-    has_window: bool = True
-    has_duration: bool = False
-
-    def at(self, severity: float) -> float:
-        """Return the magnitude of a severity in [0, 1]."""
-        return self.none + severity * (self.most - self.none)
-
-    def severity(self, magnitude: float) -> float:
-        """Return the severity of a magnitude, which is above 1 beyond the grossest that is studied."""
-        return max((magnitude - self.none) / (self.most - self.none), 0.0)
-
-    @property
-    def shown_unit(self) -> str:
-        """The unit in which people are shown the magnitude."""
-        return "%" if self.unit == "share" else self.unit
-
-    def number(self, magnitude: float) -> float:
-        """Return a magnitude in the unit in which people are shown it."""
-        return 100.0 * magnitude if self.unit == "share" else magnitude
-
-    def words(self, magnitude: float) -> str:
-        """Return a magnitude with its unit, such as ``1.3 s`` or ``18%``."""
-        return f"{100.0 * magnitude:.0f}%" if self.unit == "share" else f"{magnitude:.1f} {self.unit}"
 
 
 LONGEST_S: Final = 8.0
@@ -170,7 +129,6 @@ PEDESTRIAN_WITHIN_M: Final = 3.0
 """A single pedestrian is a target within this distance of the middle of the ego's lane."""
 GHOSTS: Final = frozenset({ErrorType.GHOST_ON_ROAD, ErrorType.GHOST_IN_IMAGE})
 WINDOW_FIELDS: Final = ("onset", "onset_s")
-_E = TypeVar("_E", bound=StrEnum)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,7 +179,7 @@ class DetectionError:
         """
         if not isinstance(document, Mapping):
             raise InvalidEpisode(f"{where}: expected an object, got {document!r:.80}")
-        kind = _word(f"{where}.type", document.get("type"), ErrorType)
+        kind = parse_choice(f"{where}.type", document.get("type"), ErrorType)
         scale = MAGNITUDES[kind]
         fields: tuple[str, ...] = ("type", "target", "magnitude")
         fields += WINDOW_FIELDS if scale.has_window else ()
@@ -230,9 +188,9 @@ class DetectionError:
         lowest, highest = sorted((scale.none, scale.most))
         if scale.unit == "s":
             highest = max(highest, duration_s)
-        magnitude = _number(f"{where}.magnitude", document["magnitude"], lowest, highest, scale.unit)
+        magnitude = parse_number(f"{where}.magnitude", document["magnitude"], lowest, highest, scale.unit)
         error = cls(
-            type=kind, target=_word(f"{where}.target", document["target"], Target), magnitude=magnitude
+            type=kind, target=parse_choice(f"{where}.target", document["target"], Target), magnitude=magnitude
         )
         if not scale.has_window:
             return error
@@ -240,9 +198,9 @@ class DetectionError:
             type=kind,
             target=error.target,
             magnitude=magnitude,
-            onset=_word(f"{where}.onset", document["onset"], Onset),
-            onset_s=_number(f"{where}.onset_s", document["onset_s"], 0.0, duration_s, "s"),
-            duration_s=_number(f"{where}.duration_s", document["duration_s"], 0.0, duration_s, "s")
+            onset=parse_choice(f"{where}.onset", document["onset"], Onset),
+            onset_s=parse_number(f"{where}.onset_s", document["onset_s"], 0.0, duration_s, "s"),
+            duration_s=parse_number(f"{where}.duration_s", document["duration_s"], 0.0, duration_s, "s")
             if scale.has_duration
             else magnitude,
         )
@@ -362,22 +320,5 @@ def errors_from_json(document: Mapping[str, Json], duration_s: float) -> tuple[D
     )
 
 
-MODE: Final = "errors"
-"""The mode of a behaviour that consists of errors."""
 ERROR_STEPS: Final = "error_steps"
 """Name of the feature that says when each error changed the output; see `behaviour.steps_to_json`."""
-
-
-def _word(where: str, value: Json, words: type[_E]) -> _E:
-    known = tuple(item.value for item in words)
-    if not isinstance(value, str) or value not in known:
-        raise InvalidEpisode(
-            f"{where}: expected one of {', '.join(known)}; got {value!r}{nearest(value, known)}"
-        )
-    return words(value)
-
-
-def _number(where: str, value: Json, low: float, high: float, unit: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise InvalidEpisode(f"{where}: expected a number in [{low:g}, {high:g}] {unit}, got {value!r}")
-    return float(value)

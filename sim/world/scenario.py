@@ -6,9 +6,9 @@ This module has no heavy imports, so that code that builds a search space can re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Self, TypeVar
+from typing import Final, Self
 
-from brink.sim.episode import Json, JsonObject, check_fields, nearest
+from brink.sim.episode import Json, JsonObject, check_fields, parse_choice
 from brink.sim.errors import InvalidEpisode
 
 
@@ -77,8 +77,6 @@ _TASK_WORDS: Final = {
     "second_exit": "take the second exit",
 }
 
-_Word = TypeVar("_Word", bound=StrEnum)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UrbanScenario:
@@ -116,23 +114,14 @@ class UrbanScenario:
         """
         check_fields("scenario", document, tuple(SCENARIO_CHOICES))
         return cls(
-            time_of_day=_word("time_of_day", document["time_of_day"], TimeOfDay),
-            weather=_word("weather", document["weather"], Weather),
+            time_of_day=parse_choice("scenario.time_of_day", document["time_of_day"], TimeOfDay),
+            weather=parse_choice("scenario.weather", document["weather"], Weather),
             pedestrians=_integer("pedestrians", document["pedestrians"], PEDESTRIAN_COUNTS),
-            road_curve=_word("road_curve", document["road_curve"], RoadCurve),
+            road_curve=parse_choice("scenario.road_curve", document["road_curve"], RoadCurve),
             road_id=_integer("road_id", document["road_id"], ROAD_IDS),
             road_length=_integer("road_length", document["road_length"], ROAD_LENGTHS),
-            driving_task=_word("driving_task", document["driving_task"], DrivingTask),
+            driving_task=parse_choice("scenario.driving_task", document["driving_task"], DrivingTask),
         )
-
-
-def _word(name: str, value: Json, words: type[_Word]) -> _Word:
-    known = tuple(item.value for item in words)
-    if not isinstance(value, str) or value not in known:
-        raise InvalidEpisode(
-            f"scenario.{name}: expected one of {', '.join(known)}; got {value!r}{nearest(value, known)}"
-        )
-    return words(value)
 
 
 def _integer(name: str, value: Json, choices: tuple[int, ...]) -> int:

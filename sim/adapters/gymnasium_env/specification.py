@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Self
 
-from brink.sim.episode import EpisodeSpec, Json, JsonObject, check_fields, nearest
+from brink.sim.episode import EpisodeSpec, Json, JsonObject, check_fields, parse_choice, parse_integer
 from brink.sim.errors import InvalidEpisode
 
 SIMULATOR_ID: Final = "gymnasium@1"
@@ -81,20 +81,15 @@ class Perturbation:
         if not isinstance(document, Mapping):
             raise InvalidEpisode(f"{where}: expected an object, got {document!r:.80}")
         check_fields(where, document, ("type", "dimension", "magnitude", "from_step", "steps"))
-        known = tuple(kind.value for kind in PerturbationType)
-        kind, magnitude = document["type"], document["magnitude"]
-        if not isinstance(kind, str) or kind not in known:
-            raise InvalidEpisode(
-                f"{where}.type: expected one of {', '.join(known)}; got {kind!r}{nearest(kind, known)}"
-            )
+        magnitude = document["magnitude"]
         if not _is_number(magnitude):
             raise InvalidEpisode(f"{where}.magnitude: expected a finite number, got {magnitude!r}")
         return cls(
-            type=PerturbationType(kind),
-            dimension=_integer(f"{where}.dimension", document["dimension"], 0, MAX_DIMENSIONS - 1),
+            type=parse_choice(f"{where}.type", document["type"], PerturbationType),
+            dimension=parse_integer(f"{where}.dimension", document["dimension"], 0, MAX_DIMENSIONS - 1),
             magnitude=float(magnitude),  # type: ignore[arg-type]
-            from_step=_integer(f"{where}.from_step", document["from_step"], 0, MAX_STEPS),
-            steps=_integer(f"{where}.steps", document["steps"], 0, MAX_STEPS),
+            from_step=parse_integer(f"{where}.from_step", document["from_step"], 0, MAX_STEPS),
+            steps=parse_integer(f"{where}.steps", document["steps"], 0, MAX_STEPS),
         )
 
     def words(self, name: str) -> str:
@@ -193,12 +188,12 @@ class GymnasiumEpisode:
             environment=_text("scenario.environment", scenario["environment"]),
             make=_object("scenario.make", scenario["make"]),
             reset=_object("scenario.reset", scenario["reset"]),
-            reset_seed=None if seed is None else _integer("scenario.reset_seed", seed, 0, 2**31 - 1),
+            reset_seed=None if seed is None else parse_integer("scenario.reset_seed", seed, 0, 2**31 - 1),
             perturbations=_perturbations(spec.behaviour["perturbations"]),
             policy=_text("options.policy", options["policy"]),
             margin=margin,
             unit=_text("options.unit", unit),
-            survive_steps=_integer("options.survive_steps", options["survive_steps"], 1, steps),
+            survive_steps=parse_integer("options.survive_steps", options["survive_steps"], 1, steps),
             steps=steps,
             step_s=float(step_s),  # type: ignore[arg-type]
         )
@@ -216,12 +211,6 @@ def _perturbations(document: Json) -> tuple[Perturbation, ...]:
 
 def _is_number(value: Json) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _integer(where: str, value: Json, low: int, high: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise InvalidEpisode(f"{where}: expected an integer from {low} to {high}, got {value!r}")
-    return value
 
 
 def _text(where: str, value: Json) -> str:

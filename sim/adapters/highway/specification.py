@@ -8,11 +8,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Self, TypeVar
+from typing import Final, Self
 
-from brink.sim.episode import Json, JsonObject, check_fields, nearest
+from brink.sim.episode import Json, JsonObject, check_fields, parse_choice, parse_integer, parse_number
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.detection_errors import MODE, Magnitude
+from brink.sim.perception_errors import MODE, Magnitude
 
 SIMULATOR_ID: Final = "highway-env@1"
 MAX_DURATION_S: Final = 120.0
@@ -23,8 +23,6 @@ RANGE_M: Final = 100.0
 MAX_ERRORS: Final = 8
 """Most errors in an episode."""
 LONGEST_S: Final = 8.0
-
-_E = TypeVar("_E", bound=StrEnum)
 
 
 class RoadKind(StrEnum):
@@ -96,19 +94,14 @@ class HighwayScenario:
             InvalidEpisode: A field is missing, unknown or out of range.
         """
         check_fields("scenario", document, _FIELDS)
-        lanes = document["lanes"]
-        if not isinstance(lanes, int) or isinstance(lanes, bool) or not FEWEST_LANES <= lanes <= MOST_LANES:
-            raise InvalidEpisode(
-                f"scenario.lanes: expected an integer from {FEWEST_LANES} to {MOST_LANES}, got {lanes!r}"
-            )
         shares = {
-            name: number(f"scenario.{name}", document[name], low, high)
+            name: parse_number(f"scenario.{name}", document[name], low, high)
             for name, (low, high) in SHARES.items()
         }
         return cls(
-            road=word("scenario.road", document["road"], RoadKind),
-            goal=word("scenario.goal", document["goal"], Goal),
-            lanes=lanes,
+            road=parse_choice("scenario.road", document["road"], RoadKind),
+            goal=parse_choice("scenario.goal", document["goal"], Goal),
+            lanes=parse_integer("scenario.lanes", document["lanes"], FEWEST_LANES, MOST_LANES),
             **shares,
         )
 
@@ -255,26 +248,26 @@ class PerceptionError:
         """
         if not isinstance(document, Mapping):
             raise InvalidEpisode(f"{where}: expected an object, got {document!r:.80}")
-        kind = word(f"{where}.type", document.get("type"), ErrorType)
+        kind = parse_choice(f"{where}.type", document.get("type"), ErrorType)
         scale = MAGNITUDES[kind]
         check_fields(where, document, fields_of(kind))
         lowest, highest = sorted((scale.none, scale.most))
         if scale.unit == "s":
             highest = max(highest, duration_s)
-        magnitude = number(f"{where}.magnitude", document["magnitude"], lowest, highest)
+        magnitude = parse_number(f"{where}.magnitude", document["magnitude"], lowest, highest)
         bounds = {
             "onset_s": (0.0, duration_s),
             "duration_s": (0.0, duration_s),
             "distance_m": GHOST_DISTANCE_M,
         }
         values = {
-            name: number(f"{where}.{name}", document[name], *bounds[name])
+            name: parse_number(f"{where}.{name}", document[name], *bounds[name])
             for name in fields_of(kind)
             if name in bounds
         }
         if scale.has_window and not scale.has_duration:
             values["duration_s"] = magnitude
-        target = word(f"{where}.target", document["target"], Target)
+        target = parse_choice(f"{where}.target", document["target"], Target)
         return cls(type=kind, target=target, magnitude=magnitude, **values)
 
     @property
@@ -368,28 +361,3 @@ def errors_from_json(behaviour: Mapping[str, Json], duration_s: float) -> tuple[
 def words_of_errors(errors: tuple[PerceptionError, ...]) -> str:
     """Return errors in words."""
     return " and ".join(error.words for error in errors) or "no error"
-
-
-def word(where: str, value: Json, kind: type[_E]) -> _E:
-    """Parse a choice.
-
-    Raises:
-        InvalidEpisode: It is none.
-    """
-    known = tuple(one.value for one in kind)
-    if not isinstance(value, str) or value not in known:
-        raise InvalidEpisode(
-            f"{where}: expected one of {', '.join(known)}; got {value!r}{nearest(value, known)}"
-        )
-    return kind(value)
-
-
-def number(where: str, value: Json, low: float, high: float) -> float:
-    """Parse a number in a range.
-
-    Raises:
-        InvalidEpisode: It is none, or out of range.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise InvalidEpisode(f"{where}: expected a number from {low:g} to {high:g}, got {value!r}")
-    return float(value)

@@ -3,16 +3,15 @@
 Everything here can be read without SUMO installed.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Self, TypeVar
+from typing import Final, Self
 
 from brink.sim.adapters.sumo.own_files import OwnFiles
-from brink.sim.episode import EpisodeSpec, Json, JsonObject, check_fields, nearest
+from brink.sim.episode import EpisodeSpec, Json, JsonObject, check_fields, parse_choice, parse_number
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.detection_errors import MODE, Magnitude
+from brink.sim.perception_errors import MODE, Magnitude
 
 SIMULATOR_ID: Final = "sumo@1"
 OWN_FILES: Final = "own files"
@@ -22,8 +21,6 @@ LATEST_SIGNALS_S: Final = 90.0
 """Length of the cycle of the traffic lights in all networks that have any."""
 RANGE_M: Final = 150.0
 """Distance up to which an automated vehicle perceives what is ahead when it perceives without error."""
-
-_E = TypeVar("_E", bound=StrEnum)
 
 
 class Network(StrEnum):
@@ -160,20 +157,20 @@ class PerceptionError:
         """
         if not isinstance(document, Mapping):
             raise InvalidEpisode(f"{where}: expected an object, got {document!r:.80}")
-        kind = _word(f"{where}.type", document.get("type"), ErrorType)
+        kind = parse_choice(f"{where}.type", document.get("type"), ErrorType)
         scale = MAGNITUDES[kind]
         fields = ("type", "affected", "magnitude", "onset_s")
         check_fields(where, document, fields + (("duration_s",) if scale.has_duration else ()))
         lowest, highest = sorted((scale.none, scale.most))
-        magnitude = _number(f"{where}.magnitude", document["magnitude"], lowest, highest)
+        magnitude = parse_number(f"{where}.magnitude", document["magnitude"], lowest, highest)
         lasts_s = magnitude
         if scale.has_duration:
-            lasts_s = _number(f"{where}.duration_s", document["duration_s"], 0.0, longest_s)
+            lasts_s = parse_number(f"{where}.duration_s", document["duration_s"], 0.0, longest_s)
         return cls(
             type=kind,
-            affected=_word(f"{where}.affected", document["affected"], Affected),
+            affected=parse_choice(f"{where}.affected", document["affected"], Affected),
             magnitude=magnitude,
-            onset_s=_number(f"{where}.onset_s", document["onset_s"], 0.0, longest_s),
+            onset_s=parse_number(f"{where}.onset_s", document["onset_s"], 0.0, longest_s),
             duration_s=lasts_s,
         )
 
@@ -273,23 +270,25 @@ class Traffic:
             InvalidEpisode: A field is missing, unknown, or outside its range.
         """
         own = "files" in document
-        incident = _word("scenario.incident", document.get("incident"), Incident)
+        incident = parse_choice("scenario.incident", document.get("incident"), Incident)
         fields: tuple[str, ...] = ("files",) if own else ("network", "trucks", "imperfection", "signals_s")
         fields += ("demand", "automated", "surface", "incident")
         happens = incident is not Incident.NONE
         check_fields("scenario", document, fields + (("incident_s", "incident_mps2") if happens else ()))
 
         def number(name: str, low: float, high: float) -> float:
-            return _number(f"scenario.{name}", document[name], low, high)
+            return parse_number(f"scenario.{name}", document[name], low, high)
 
         return cls(
-            network=OWN_FILES if own else _word("scenario.network", document["network"], Network).value,
+            network=OWN_FILES
+            if own
+            else parse_choice("scenario.network", document["network"], Network).value,
             files=OwnFiles.from_json("scenario.files", document["files"]) if own else None,
             demand=number("demand", 0.0, 1.0),
             trucks=0.0 if own else number("trucks", 0.0, 1.0),
             automated=number("automated", 0.0, 1.0),
             imperfection=0.0 if own else number("imperfection", 0.0, 1.0),
-            surface=_word("scenario.surface", document["surface"], RoadSurface),
+            surface=parse_choice("scenario.surface", document["surface"], RoadSurface),
             signals_s=0.0 if own else number("signals_s", 0.0, LATEST_SIGNALS_S),
             incident=incident,
             incident_s=number("incident_s", 0.0, longest_s) if happens else 0.0,
@@ -353,7 +352,7 @@ class Drive:
             error=None
             if error is None
             else PerceptionError.from_json("behaviour.error", error, spec.duration_s),
-            headway_s=_number("options.headway_s", spec.options["headway_s"], 0.5, 3.0),
+            headway_s=parse_number("options.headway_s", spec.options["headway_s"], 0.5, 3.0),
         )
 
     @property
@@ -362,19 +361,3 @@ class Drive:
         incident = self.traffic.incident_words
         error = "no error" if self.error is None else self.error.words
         return f"{self.traffic.words}; " + "; ".join(filter(None, (incident, error)))
-
-
-def _word(where: str, value: Json, choices: type[_E]) -> _E:
-    known = tuple(choice.value for choice in choices)
-    if not isinstance(value, str) or value not in known:
-        raise InvalidEpisode(
-            f"{where}: expected one of {', '.join(known)}; got {value!r:.80}{nearest(value, known)}"
-        )
-    return choices(value)
-
-
-def _number(where: str, value: Json, low: float, high: float) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not (math.isfinite(value) and low <= value <= high):  # type: ignore[arg-type, operator]
-        raise InvalidEpisode(f"{where}: expected a number from {low:g} to {high:g}, got {value!r:.80}")
-    return float(value)  # type: ignore[arg-type]

@@ -30,7 +30,8 @@ from brink.server.problems.base import (
 )
 from brink.server.problems.catalogue import check_extra, make_problem
 from brink.server.problems.changes import change_words, changes_between
-from brink.server.problems.highway import NO_ERROR, HighwayPerception, HighwayPerceptionParams
+from brink.server.problems.highway import HighwayPerception, HighwayPerceptionParams
+from brink.server.problems.perception_errors import NO_ERROR
 from brink.sim.adapters.highway.specification import (
     GHOST_DISTANCE_M,
     MAGNITUDES,

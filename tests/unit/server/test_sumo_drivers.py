@@ -29,7 +29,8 @@ from brink.server.problems.base import (
 )
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.changes import change_words, changes_between
-from brink.server.problems.sumo import NO_ERROR, RECORDED, SumoDrivers, SumoDriversParams
+from brink.server.problems.perception_errors import NO_ERROR
+from brink.server.problems.sumo import RECORDED, SumoDrivers, SumoDriversParams
 from brink.sim.adapters.sumo.specification import MAGNITUDES, Drive, ErrorType, Network
 from brink.sim.catalogue import make_simulator
 

@@ -27,7 +27,8 @@ from brink.server.problems.base import (
 )
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.changes import NOTHING_ACTIVE, change_words, changes_between
-from brink.server.problems.urban_errors import NO_ERROR, UrbanErrors, UrbanErrorsParams
+from brink.server.problems.perception_errors import NO_ERROR
+from brink.server.problems.urban_errors import UrbanErrors, UrbanErrorsParams
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeResult
 from brink.sim.urban.behaviour import steps_from_json
