@@ -14,7 +14,7 @@ from brink.api.client import Api
 from brink.api.results import TRACE_TIMEOUT_S, fetch_requirements, fetch_trace, run_episode
 from brink.cli.database import export as export_campaign
 from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, with_api
-from brink.exchange.exportable import MODULES, EgoControl, check_exportable
+from brink.exchange.exportable import EXPORTED, MODULES, EgoControl, check_exportable
 from brink.search.errors import MissingExtra, install_command
 from brink.server.api.schemas import CampaignView, SolutionView
 from brink.server.errors import InvalidInput
@@ -76,6 +76,8 @@ def scenario(
         )
     if out.exists() and not out.is_dir():
         raise InvalidInput.at("--out", f"{out}: expected a folder, or a name that is still free")
+    if out.is_dir() and any(out.iterdir()) and not (out / EXPORTED).is_file():
+        raise InvalidInput.at("--out", f"{out}: expected a new or empty folder, or one of an earlier export")
     files = with_api(server, database, lambda api: _export_scenario(api, campaign, number, out, ego, server))
     if as_json:
         print_json([str(path) for path in files])

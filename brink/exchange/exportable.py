@@ -12,6 +12,8 @@ ENCOUNTER_SIMULATORS: Final = ("brink-encounter@1", "brink-encounter-camera@1")
 STREET_SIMULATORS: Final = ("brink-aeb@1",)
 EXPORTABLE: Final = (*URBAN_SIMULATORS, *ENCOUNTER_SIMULATORS, *STREET_SIMULATORS)
 """Simulators whose worlds have roads that can be exported."""
+EXPORTED: Final = "scenario.xosc"
+"""The file by which a folder is known as an earlier export."""
 PROBLEMS: Final = ("urban-injected@1", "urban-errors@1", "urban-camera@1", "npc-actions@1", "aeb-crossing@1")
 """Problems that use them."""
 

@@ -13,14 +13,14 @@ from typing import Final
 
 from brink import __version__
 from brink.exchange import opendrive, openscenario, replay_in_carla
-from brink.exchange.exportable import EgoControl
+from brink.exchange.exportable import EXPORTED, EgoControl
 from brink.exchange.worlds import spec_of, world_of
 from brink.report.component import write_boxes
 from brink.sim.catalogue import make_requirements
 from brink.sim.episode import Json, JsonObject
 from brink.sim.trace import VIOLATED_AT_S, Trace
 
-SCENARIO_FILE: Final = "scenario.xosc"
+SCENARIO_FILE: Final = EXPORTED
 ROAD_FILE: Final = "road.xodr"
 BOXES_FILE: Final = "boxes.csv"
 VERDICTS_FILE: Final = "verdicts.json"

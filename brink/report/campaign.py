@@ -51,7 +51,7 @@ from brink.report.campaign_words import (
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, PairsView
 from brink.server.api.tolerance import Finding, ToleranceView
 from brink.server.problems.base import ReplacesComponent, SimulatedProblem
-from brink.server.states import OutcomeKind
+from brink.server.states import CampaignStatus, OutcomeKind
 
 MOST_PAIRS: Final = 6
 MOST_PARAMETERS: Final = 40
@@ -155,7 +155,8 @@ def _key_figures(facts: Facts) -> list[Term]:
         told.append(Term(share(facts.unsafe, facts.evaluated), f"of these {unsafe}"))
     pairs = facts.pairs
     if facts.searched_pairs and isinstance(pairs, PairsView):
-        told.append(Term(f"{pairs.distinct:,}", "distinct pairs: almost the same, one safe, one unsafe"))
+        distinct = "distinct pair" if pairs.distinct == 1 else "distinct pairs"
+        told.append(Term(f"{pairs.distinct:,}", f"{distinct}: almost the same, one safe, one unsafe"))
         if pairs.tried:
             told.append(Term(f"{pairs.confirmed:,} of {pairs.tried:,}", "pairs confirmed with other seeds"))
         if asked := pairs.component + pairs.scenario:
@@ -186,8 +187,10 @@ def _tolerance_figures(view: ToleranceView) -> list[Term]:
     ]
 
 
-def _space(facts: Facts) -> Table:
-    found: list[Range] = ranges(facts.fetched.plan.problem.space)
+def _space(facts: Facts) -> Table | None:
+    if not facts.evaluated:
+        return None
+    found: list[Range] = ranges(facts.columns)
     rows = [(one.component, one.names.replace("_", " "), one.values) for one in found[:MOST_PARAMETERS]]
     more = len(found) - len(rows)
     return Table(
@@ -253,17 +256,25 @@ def _campaign_file(facts: Facts) -> str:
     return text if len(text) <= LONGEST_FILE else ""
 
 
+def _again(facts: Facts) -> str:
+    """Return what running the campaign file again gives."""
+    body, digest = facts.view.body, facts.progress.digest
+    if body.llm is not None:
+        return "run it again; a language model may answer differently, and then the search differs, too"
+    start = body.start_from
+    from_campaign = start is not None and start.campaign
+    where = f", in a database that has campaign {from_campaign}," if from_campaign else ""
+    same = "the same file gives the same archive"
+    if facts.progress.status is CampaignStatus.FINISHED and digest:
+        same += f", so its digest must be {digest[:12]}…"
+    return f"simulate it again{where}: {same}"
+
+
 def _commands(facts: Facts) -> list[Term]:
     """Return commands with what they are for."""
     campaign, pairs, told = facts.view.id, facts.pairs, []
     if _campaign_file(facts):
-        same = f", so its digest must be {facts.progress.digest[:12]}…" if facts.progress.digest else ""
-        told.append(
-            Term(
-                "brink run campaign.yaml --workers 2",
-                f"simulate it again: the same file gives the same archive{same}",
-            )
-        )
+        told.append(Term("brink run campaign.yaml --workers 2", _again(facts)))
     if isinstance(pairs, PairsView) and pairs.distinct and not facts.computed and not pairs.tried:
         options = f"--confirm {DEFAULT_CONFIRMATIONS}"
         if isinstance(facts.fetched.plan.problem, ReplacesComponent):

@@ -9,6 +9,7 @@ from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
 from brink.report.comparison import compared_archives
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.analysis.comparison import control_summaries
+from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.analysis.rules import Rules, region_rules
 from brink.search.errors import MissingExtra, TooManyPairs, UnsupportedSpace
 from brink.search.slots import slots_of
@@ -125,6 +126,19 @@ class Facts:
     def unsafe(self) -> int:
         """Those that are unsafe."""
         return int(self.fetched.archive.unsafe.sum())
+
+    @property
+    def columns(self) -> list[ParameterColumn]:
+        """All parameters with their values in the evaluated solutions."""
+        fetched = self.fetched
+        return parameter_columns(fetched.plan.problem.space, fetched.archive.vectors, fetched.active)
+
+    @property
+    def left_out(self) -> int:
+        """Simulations whose generation is not complete: their results count nowhere else."""
+        return max(
+            self.progress.simulations - self.evaluated - self.progress.failed - self.progress.measured, 0
+        )
 
     @property
     def computed(self) -> bool:

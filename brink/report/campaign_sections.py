@@ -26,6 +26,7 @@ from brink.report.pair_pictures import findings as pair_findings
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.report.tolerance import tolerated_words
 from brink.report.violations import by_frequency
+from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView, PairView
@@ -233,7 +234,10 @@ def tolerance_section(facts: Facts, album: Album) -> Section | None:
         title="The requirement on the component",
         paragraphs=[
             "A cell is a type of error that concerns one target, under one condition. A violation counts if it goes "
-            f"away without the error, in the same drive with the same seed. The limit is {view.limit:.0%} of drives."
+            f"away without the error, in the same drive with the same seed. The limit is {view.limit:.0%} of drives.",
+            "Screened drives were simulated with the grossest error; it made the vulnerable ones violate. Only these "
+            "were simulated with milder errors: “drives” says how many, “caused” how many of them violated because "
+            "of the error. Where there are few, the interval is wide.",
         ],
         pictures=album(
             "tolerance.png",
@@ -256,14 +260,18 @@ def _cells_table(view: ToleranceView) -> Table:
         rows.append(
             (
                 *(choice.replace("_", " ") for choice in cell.choices.values()), cell.condition,
-                str(cell.tolerated.finding), value, interval, f"{cell.drives:,}", f"{cell.caused:,}",
+                str(cell.tolerated.finding), value, interval, f"{cell.screened:,}", f"{cell.vulnerable:,}",
+                f"{cell.drives:,}", f"{cell.caused:,}",
             )
         )  # fmt: skip
     first = len(names) + 2
     return Table(
         label="Tolerated magnitude of each error",
-        columns=(*names, "condition", "finding", "tolerated", f"{view.confidence:.0%} interval", "drives", "caused"),
-        rows=rows, right=(first, first + 1, first + 2, first + 3),
+        columns=(
+            *names, "condition", "finding", "tolerated", f"{view.confidence:.0%} interval", "screened", "vulnerable",
+            "drives", "caused",
+        ),
+        rows=rows, right=tuple(range(first, first + 6)),
     )  # fmt: skip
 
 
@@ -330,7 +338,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
     rows = [
         (
             one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",
-            ", ".join(map(tally_words, one.orders)), claim_words(one),
+            ", ".join(map(tally_words, one.orders)), "yes" if one.hazardous else "no", claim_words(one),
         )
         for one in chains[:MOST_ROWS]
     ]  # fmt: skip
@@ -339,7 +347,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
         title="Changes to the camera image",
         paragraphs=[
             "A chain is a list of changes that are applied to the image in order. It counts as hazardous if at least "
-            "four of five drives with it are unsafe."
+            f"{HAZARDOUS:.0%} of the drives with it were unsafe."
         ],
         pictures=[
             picture
@@ -351,7 +359,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
         tables=[
             Table(
                 label="Chains of changes", rows=rows,
-                columns=("chain", "unsafe", "parts alone", "other order", "hazardous"),
+                columns=("chain", "unsafe", "parts alone", "other order", "hazardous", "how"),
                 more=f"{more:,} more: brink combinations {facts.view.id} --shown {len(chains)}" if more else "",
             )
         ],
@@ -422,9 +430,9 @@ def _rules(facts: Facts) -> list[str]:
     ]
     if told:
         told.append(
-            f"Overall, {overall:.0%} were unsafe. The rules are from a small decision tree; on solutions that it was "
-            f"not fitted to, it tells safe from unsafe with a balanced accuracy of {rules.balanced:.0%} (guessing: "
-            "50%)."
+            f"Overall, {overall:.0%} were unsafe. The rules are from a small decision tree, and their shares are "
+            "those of the solutions that it was fitted to, so they may be too high. On others, it tells safe "
+            f"from unsafe with a balanced accuracy of {rules.balanced:.0%} (guessing: 50%)."
         )
     return told
 

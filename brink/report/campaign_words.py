@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from brink.report.campaign_facts import RANDOM, Facts
+import numpy as np
+
+from brink.report.campaign_facts import LISTED, RANDOM, Facts
 from brink.report.pair_words import chance_words
 from brink.report.violations import by_frequency
 from brink.search.analysis.confirmation import Confirmation
+from brink.search.analysis.dependence import ParameterColumn
 from brink.search.parameters import Categorical
-from brink.search.space import Parameter, SearchSpace
+from brink.search.space import FloatArray
 from brink.server.api.pair_views import PairsView, PairView
 from brink.server.api.tolerance import CellView, Finding, ToleranceView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
@@ -127,7 +130,8 @@ def verdicts(facts: Facts) -> list[str]:
         ]
     safe = facts.evaluated - facts.unsafe
     unsafe = (
-        f"{facts.unsafe:,} of {count(facts.evaluated, noun(facts))} ({share(facts.unsafe, facts.evaluated)})"
+        f"{facts.unsafe:,} of {count(facts.evaluated, noun(facts))} ({share(facts.unsafe, facts.evaluated)}) "
+        f"{'was' if facts.unsafe == 1 else 'were'} unsafe"
     )
     if facts.tolerance is not None:
         return [
@@ -136,13 +140,14 @@ def verdicts(facts: Facts) -> list[str]:
         ]
     if not view.requirements:
         how = "computed: chance has no part in them" if facts.computed else "given by the problem itself"
-        return [f"{unsafe} were unsafe, {safe:,} safe; the verdicts are {how}."]
+        return [f"{unsafe}, {safe:,} safe; the verdicts are {how}."]
     these = "this requirement" if len(view.requirements) == 1 else "these requirements"
-    told = [f"{unsafe} were unsafe: they {view.kinds[OutcomeKind.VIOLATED]}."]
+    told = [f"{unsafe}: {'it' if facts.unsafe == 1 else 'they'} {view.kinds[OutcomeKind.VIOLATED]}."]
     if safe:
         rest = view.words.partition("; ")[2].rstrip(".") if others_recorded(facts) else ""
         more = f"; {rest}" if rest else ""
-        told.append(f"The other {safe:,} {many} were safe with regard to {these}{more}.")
+        others = f"The other {noun(facts)} was" if safe == 1 else f"The other {safe:,} {many} were"
+        told.append(f"{others} safe with regard to {these}{more}.")
     return told
 
 
@@ -221,9 +226,13 @@ def uncertainties(facts: Facts) -> list[str]:
             f"{count(facts.progress.failed, 'simulation')} failed; they count as neither safe nor unsafe."
         )
     if not facts.computed:
+        chosen = (
+            "Parameters are drawn evenly, which traffic does not do"
+            if facts.view.body.algorithm.id == RANDOM
+            else "A search simulates where it expects to learn most"
+        )
         told.append(
-            "A search simulates where it expects to learn most, so shares of simulated drives say nothing about how "
-            "often something happens in traffic."
+            f"{chosen}, so shares of simulated drives say nothing about how often something happens in traffic."
         )
     told.append(
         "Nothing was evaluated outside the search space that is listed under “What was not looked at”."
@@ -242,8 +251,10 @@ def _chance(facts: Facts) -> str:
             )
         checked = ""
         if pairs.checked:
-            checked = f"; the search itself simulated both sides of {pairs.checked:,} of them twice"
-        return f"No pair was simulated again after the search, so chance may explain some of them{checked}."
+            which = "its sides" if pairs.distinct == 1 else f"both sides of {pairs.checked:,} of them"
+            checked = f"; the search itself simulated {which} twice"
+        some = "it" if pairs.distinct == 1 else "some of them"
+        return f"No pair was simulated again after the search, so chance may explain {some}{checked}."
     if facts.repeats:
         return "How often single solutions are unsafe with other seeds is stated below."
     return "Each drive was simulated once, unless stated otherwise, so chance may explain a single verdict."
@@ -301,7 +312,9 @@ def _repeated(facts: Facts) -> list[Term]:
         if isinstance(facts.fetched.plan.problem, ReplacesComponent):
             terms.append(Term("Component", _component(pairs)))
         if pairs.chancy:
-            terms.append(Term("Chance", f"{as_sentence(chance_words(pairs))}; they are in no pair."))
+            terms.append(
+                Term("Chance", f"{as_sentence(chance_words(pairs))}; such solutions are in no pair.")
+            )
     terms += [Term("Repeats", f"{as_sentence(one.words)}") for one in facts.repeats if one.boundary]
     if not terms:
         terms.append(
@@ -339,8 +352,8 @@ def _random(facts: Facts) -> str:
         return "This campaign is random search itself: it needs no other baseline."
     if not facts.random:
         return (
-            "No finished campaign of random search on the same problem is in this database, so it is not known how "
-            "much of this random draws would have found."
+            f"None of the latest {LISTED} finished campaigns of this database is a random search on the same "
+            "problem, so it is not known how much of this random draws would have found."
         )
     best = facts.random[0]
     part = share(best.campaign.unsafe, best.evaluated)
@@ -369,10 +382,11 @@ def _cache(facts: Facts) -> str:
         return "No result has been reported."
     again = f" {count(jobs.repeated, 'job')} took more than one attempt." if jobs.repeated else ""
     if not jobs.cached:
-        return f"All {jobs.simulated:,} results were simulated for this campaign.{again}"
+        return f"No result was taken over from another campaign: all were simulated for this one.{again}"
     return (
-        f"{jobs.cached:,} of {jobs.simulated + jobs.cached:,} results were taken over from identical simulations, "
-        f"with the same seed, of this database.{again}"
+        f"{jobs.cached:,} of {count(jobs.simulated + jobs.cached, 'result')} "
+        f"{'was' if jobs.cached == 1 else 'were'} taken over from identical simulations, with the same seed, of this "
+        f"database.{again}"
     )
 
 
@@ -387,31 +401,56 @@ def requirement_words(requirement: str) -> str:
     return as_sentence(words.replace("`", ""))
 
 
-def ranges(space: SearchSpace) -> list[Range]:
-    """Return what was varied; parameters that differ in nothing but digits in their names share a row."""
+def ranges(columns: Sequence[ParameterColumn]) -> list[Range]:
+    """Return what was varied; parameters that differ in nothing but digits in their names share a row.
+
+    Of the choices of a parameter, these are the ones that occurred: a search may have left out others.
+
+    Args:
+        columns: All parameters with their values in the evaluated solutions.
+    """
+    return _together([one for one in columns if len(_used(one)) > 1])
+
+
+def constants(columns: Sequence[ParameterColumn]) -> list[Range]:
+    """Return the parameters that had one value in all evaluated solutions, or no part in any."""
+    return _together([one for one in columns if len(_used(one)) < 2])
+
+
+def _used(column: ParameterColumn) -> FloatArray:
+    """Return the different values of a parameter where it had a part."""
+    return np.unique(column.values[column.active])
+
+
+def _together(columns: Sequence[ParameterColumn]) -> list[Range]:
     found: dict[tuple[str, str, str], list[str]] = {}
-    for component in space.components:
-        for parameter in component.parameters:
-            pattern = re.sub(r"\d+", "*", parameter.name)
-            found.setdefault((component.name, pattern, _values(parameter)), []).append(parameter.name)
+    for column in columns:
+        name = column.parameter.name
+        pattern = re.sub(r"\d+", "*", name)
+        found.setdefault((column.component, pattern, _values(column)), []).append(name)
     return [
         Range(component, names[0] if len(names) == 1 else f"{pattern} ({len(names)} parameters)", values)
         for (component, pattern, values), names in found.items()
     ]
 
 
-def _values(parameter: Parameter) -> str:
+def _values(column: ParameterColumn) -> str:
+    parameter, used = column.parameter, _used(column)
+    if not len(used):
+        return "had no part"
     if not isinstance(parameter, Categorical):
-        kind = "" if parameter.unit else " (no unit)"
-        return f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".strip() + kind
-    choices = [str(choice) for choice in parameter.choices]
+        kind = parameter.unit or "(no unit)"
+        if len(used) == 1:
+            return f"{used[0]:g} {kind}"
+        return f"{parameter.low:g} to {parameter.high:g} {kind}"
+    choices = [str(parameter.choices[int(index)]) for index in used]
     if len(choices) <= MOST_CHOICES:
         return ", ".join(choices)
     return f"{', '.join(choices[:MOST_CHOICES])} and {len(choices) - MOST_CHOICES} more"
 
 
 def fixed(facts: Facts) -> list[tuple[str, str, str]]:
-    """Return the parameters that were not varied: names, values with units, and meanings."""
+    """Return what was not varied: settings of the problem, and parameters with one value; with units and meanings."""
     problem, params = facts.fetched.plan.problem, facts.view.body.problem.params
     about: dict[str, Mapping[str, Any]] = {
         field.name: field.metadata for field in dataclasses.fields(problem.params_type)
@@ -421,15 +460,9 @@ def fixed(facts: Facts) -> list[tuple[str, str, str]]:
         for name, value in params.items()
         for one in [about.get(name, {})]
     ]
-    config: Mapping[str, Any] = facts.view.body.algorithm.params
-    if config.get("fixed"):
-        rows.append(
-            ("fixed (algorithm)", _value(config["fixed"]), "Parameters that the search left unchanged.")
-        )
-    if config.get("vary", "all") != "all":
-        rows.append(
-            ("vary (algorithm)", _value(config["vary"]), "The only component that the search varied.")
-        )
+    for one in constants(facts.columns) if facts.evaluated else ():
+        same = f"{one.component}: in no {noun(facts)}" if one.values == "had no part" else one.values
+        rows.append((one.names.replace("_", " "), same, f"{one.component}: the same in all {noun(facts)}s"))
     return rows
 
 
@@ -450,6 +483,11 @@ def standing(facts: Facts) -> str:
     progress = facts.progress
     done = f"{progress.simulations:,} of {count(progress.budget, 'simulation')}"
     reason = f" Reason: {progress.status_reason}." if progress.status_reason else ""
+    if facts.left_out:
+        reason += (
+            f" {count(facts.left_out, 'simulation')} of a generation that is not complete "
+            f"{'is' if facts.left_out == 1 else 'are'} left out below."
+        )
     match progress.status:
         case CampaignStatus.FINISHED:
             return ""

@@ -4,6 +4,8 @@ Revision ID: 0012
 Revises: 0011
 """
 
+from unicodedata import normalize
+
 import sqlalchemy as sa
 from alembic import op
 
@@ -37,7 +39,8 @@ def upgrade() -> None:
     op.add_column("campaigns", sa.Column("search_text", sa.Text(), nullable=False, server_default=""))
     connection = op.get_bind()
     for row in connection.execute(sa.select(_CAMPAIGNS.c.id, _CAMPAIGNS.c.name)).all():
-        searched = f"{row.name}\n\n".casefold()  # name, no tags, no notes
+        # Name, no tags, no notes; like `brink.server.campaigns.body.search_text`.
+        searched = normalize("NFC", normalize("NFD", f"{row.name}\n\n").casefold())
         connection.execute(_CAMPAIGNS.update().where(_CAMPAIGNS.c.id == row.id).values(search_text=searched))
 
 

@@ -144,14 +144,16 @@ def region_rules(
     features = _features(columns.values())
     table = np.column_stack([feature.values(columns[feature.name]) for feature in features])
 
+    state = seed % 2**32  # scikit-learn takes no larger one
+
     def tree() -> Any:
         return DecisionTreeClassifier(
-            max_depth=DEPTH, min_samples_leaf=min(LEAST_LEAF, max(1, len(table) // 10)), random_state=seed
+            max_depth=DEPTH, min_samples_leaf=min(LEAST_LEAF, max(1, len(table) // 10)), random_state=state
         )
 
     fitted = tree().fit(table, inside)
     groups = np.unique(archive.vectors[:, space.slices[0]], axis=0, return_inverse=True)[1].ravel()
-    accuracies, balanced = _cross_validated(tree, table, inside, groups, seed)
+    accuracies, balanced = _cross_validated(tree, table, inside, groups, state)
     return Rules(
         region=region,
         solutions=len(inside),
@@ -181,7 +183,7 @@ def _features(columns: Iterable[ParameterColumn]) -> list[_Feature]:
 
 
 def _cross_validated(
-    tree: Any, table: FloatArray, inside: BoolArray, groups: Any, seed: int
+    tree: Any, table: FloatArray, inside: BoolArray, groups: Any, state: int
 ) -> tuple[list[float], list[float]]:
     """Return accuracy and balanced accuracy of each fold; no folds if there are too few groups or solutions."""
     from sklearn.model_selection import StratifiedGroupKFold
@@ -190,7 +192,7 @@ def _cross_validated(
     if folds < 2:
         return [], []
     accuracies, balanced = [], []
-    split = StratifiedGroupKFold(folds, shuffle=True, random_state=seed)
+    split = StratifiedGroupKFold(folds, shuffle=True, random_state=state)
     for train, test in split.split(table, inside, groups):
         truth = inside[test]
         if inside[train].all() or not inside[train].any():

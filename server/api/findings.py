@@ -234,8 +234,9 @@ def _combinations_words(chains: Sequence[CombinationView]) -> str:
     ordered = sum(one.order_matters for one in chains)
     places = sum(len(one.together) for one in chains)
     return (
-        f"{hazardous} of {len(chains)} chains are hazardous: {together} only together (each part alone is "
-        f"safe), {ordered} only in one order; {places} simulations were unsafe where every part alone was safe"
+        f"{hazardous} of {len(chains)} chains {'is' if hazardous == 1 else 'are'} hazardous: {together} only "
+        f"together (each part alone is safe), {ordered} only in one order; {places} simulations were "
+        "unsafe where every part alone was safe"
     )
 
 

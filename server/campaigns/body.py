@@ -32,13 +32,14 @@ _IN_TAGS: Final = "-_.:/+#@"
 
 
 def check_tag(text: str) -> str:
-    """Return a tag in lower case, the form in which it is stored and compared.
+    """Return a tag with its case folded, the form in which it is stored and compared.
 
     Raises:
         ValueError: It is not a short word.
     """
-    tag = unicodedata.normalize("NFC", text.strip().lower())
-    if not 1 <= len(tag) <= LONGEST_TAG or not all(one.isalnum() or one in _IN_TAGS for one in tag):
+    tag = folded(text.strip())
+    known = all(unicodedata.category(one)[0] in "LMN" or one in _IN_TAGS for one in tag)
+    if not 1 <= len(tag) <= LONGEST_TAG or not known:
         raise ValueError(
             f"expected a word of 1 to {LONGEST_TAG} letters, digits or characters of {_IN_TAGS}, without spaces"
         )
@@ -245,14 +246,19 @@ class CampaignChange(Body):
         return after
 
 
+def folded(text: str) -> str:
+    """Return a text in the form in which texts are equal that differ only in case or in how accents are encoded."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFD", text).casefold())
+
+
 def search_words(text: str) -> list[str]:
     """Return the words to search for, in the form in which `search_text` has them."""
-    return text.casefold().split()
+    return folded(text).split()
 
 
 def search_text(name: str, notes: str, tags: Iterable[str]) -> str:
     """Return the text of a campaign that is searched, without differences of case."""
-    return "\n".join([name, " ".join(tags), notes]).casefold()
+    return folded("\n".join([name, " ".join(tags), notes]))
 
 
 def parse_body(document: object) -> CampaignBody:

@@ -132,6 +132,15 @@ def test_campaigns_are_found_by_tags_and_by_words(client: httpx.Client) -> None:
     expect(client.get(API, params={"search": "\0"}), 422)
 
 
+def test_neither_case_nor_the_encoding_of_accents_matters(client: httpx.Client) -> None:
+    e_acute, i_dotted = "e\u0301", "\u0130"
+    submit(client, ball(name=f"{e_acute}clair", tags=[f"{i_dotted}stanbul", "ΟΔΟΣ", "हिन्दी"]))
+    for words in ("éclair", f"{e_acute}CLAIR"):
+        assert listed(client, search=words) == [f"{e_acute}clair"]
+    for tag in (f"{i_dotted}STANBUL", "οδοσ", "οδος", "हिन्दी"):
+        assert listed(client, tag=tag) == [f"{e_acute}clair"], tag
+
+
 def test_a_changed_campaign_is_found_by_what_it_says_now(client: httpx.Client) -> None:
     campaign = submit(client, ball(name="ball", tags=["old"], notes="before"))
     change(client, campaign, tags=["new"], notes="after")

@@ -135,7 +135,7 @@ def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(da
     assert listed
     assert listed[0].count("<tr>") - 1 == int(count[1]) - 2
     assert "chance has no part in them" in found.text
-    assert "No finished campaign of random search on the same problem" in found.text
+    assert "is a random search on the same problem" in found.text
     assert "disc" in found.text
     assert "First line. Second line." in found.text
     assert told[0] == ("reading the campaign", 0, 0)
@@ -216,6 +216,9 @@ def test_an_unfinished_campaign_says_so(database_url: str) -> None:
     assert "Unfinished: the campaign is paused" in found.text
     assert "The campaign has not ended, so all of this may change." in found.text
     assert "Archive" not in found.text
+    found = read(database_url, half)
+    assert "the same file gives the same archive" in found.text
+    assert "its digest must be" not in found.text
     found = read(database_url, cancelled)
     assert "The campaign was cancelled after 0 of 60 simulations" in found.text
     assert "No drive has a verdict, so" in found.text
@@ -245,7 +248,7 @@ def test_failures_repeats_and_results_of_the_cache_are_told(database_url: str) -
     assert f"{failed} simulations failed; they count as neither safe nor unsafe." in found.text
     assert f"{failed} of 70 simulations failed and have no verdict" in found.text
     assert "simulations were unsafe" in found.text, "the repeats of the boundary"
-    assert "results were simulated for this campaign" in found.text
+    assert "No result was taken over from another campaign" in found.text
     assert "distinct boundary solution" in found.text
     assert re.search(r"\d+ of \d+ results were taken over from identical", read(database_url, other).text)
     follow_up = read(database_url, again)

@@ -171,6 +171,13 @@ def test_a_file_in_the_way_of_the_folder_is_refused(driven: Driven, tmp_path: Pa
         )
 
 
+def test_files_of_others_are_not_replaced(driven: Driven, tmp_path: Path) -> None:
+    (tmp_path / "README.txt").write_text("my notes")
+    with pytest.raises(InvalidInput, match="expected a new or empty folder"):
+        export("scenario", driven.campaign, "1", "--database", driven.database, "--out", str(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["README.txt"]
+
+
 @pytest.mark.parametrize("module", ["scenariogeneration", "cv2"])
 def test_a_missing_extra_is_named(driven: Driven, tmp_path: Path, module: str) -> None:
     # In another process: here, the modules are loaded already.

@@ -1,9 +1,11 @@
 """Numbers, ranges and requirements as the report of a campaign tells them."""
 
+import numpy as np
 import pytest
 
-from brink.report.campaign_words import count, ranges, requirement_words, share
-from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
+from brink.report.campaign_words import constants, count, ranges, requirement_words, share
+from brink.search.analysis.dependence import parameter_columns
+from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
 from brink.sim.catalogue import requirement_ids
 
 
@@ -35,11 +37,29 @@ def test_parameters_that_differ_in_digits_alone_share_a_row() -> None:
             ),
         )
     )
-    weather, x, *users = ranges(space)
+    rows = np.array([[n, 0.1 * n, 1.0, 2.0, 3.0] for n in range(14)])
+    rows[:3, 2:] = 0.5
+    weather, x, *users = ranges(parameter_columns(space, rows))
     assert weather.values == f"{', '.join(f'w{n}' for n in range(12))} and 2 more"
     assert x.values == "0 to 1 (no unit)"
     assert [(one.names, one.values) for one in users] == [
         ("p*.speed (2 parameters)", "0 to 15 m/s"), ("p3.speed", "0 to 9 m/s"),
+    ]  # fmt: skip
+
+
+def test_only_what_occurred_was_varied() -> None:
+    kind = Categorical("type", ("none", "miss", "late", "ghost"))
+    dormant = Dormant(label="type", null_choice="none", members=("severity", "onset_s"))
+    parameters = (kind, Real("severity", 0, 1), Real("onset_s", 0, 12, "s"), Real("distance_m", 0, 9, "m"))
+    space = SearchSpace((Component("behaviour", parameters, constraints=(dormant,)),))
+    rows = np.array([[0, 0, 0, 3], [1, 0.2, 4, 3], [1, 0.7, 4, 3], [2, 0.7, 4, 3]], dtype=float)
+    recorded = np.array([[True, True, True, False]] * 4)
+    columns = parameter_columns(space, rows, recorded)
+    assert [(one.names, one.values) for one in ranges(columns)] == [
+        ("type", "none, miss, late"), ("severity", "0 to 1 (no unit)"),
+    ]  # fmt: skip
+    assert [(one.names, one.values) for one in constants(columns)] == [
+        ("onset_s", "4 s"), ("distance_m", "had no part"),
     ]  # fmt: skip
 
 

@@ -54,6 +54,15 @@ def test_region_of_two_conditions_is_found_and_described() -> None:
     assert f"{inside.sum()} of 600 evaluated solutions" in text
 
 
+def test_every_seed_of_a_campaign_gives_rules() -> None:
+    rows = drawn(200)
+    inside = rows[:, 2] > 6.0
+    small, large = (
+        region_rules(archive(rows), SPACE, inside, "the region", seed=seed) for seed in (5, 5 + 2**32)
+    )
+    assert small == large
+
+
 def test_an_inactive_parameter_counts_as_inactive_whatever_its_value() -> None:
     rows = drawn(600)
     recorded = np.ones(rows.shape, np.bool_)
