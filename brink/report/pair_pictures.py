@@ -143,11 +143,7 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
     """Return what else is known of a pair, in sentences."""
     found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
     if not view.computed and pair.confirmation.state not in _REPEATED:
-        found.append(
-            "Both verdicts held with another seed in the search."
-            if pair.checked
-            else "Each side was simulated once by the search."
-        )
+        found.append(_search_words(pair))
     less = pair.minimality
     if less.state is Minimality.DIFFERENT_SEEDS:
         found.append("The two had different episode seeds, so chance may be the reason for the verdicts.")
@@ -158,6 +154,13 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
         enough, differing = len(less.unsafe.changes), len(pair.changes)
         found.append(f"{enough} of the {differing} differences {'is' if enough == 1 else 'are'} enough.")
     return found
+
+
+def _search_words(pair: PairView) -> str:
+    """Return how often the search itself simulated both sides, in a sentence."""
+    if pair.checked:
+        return "Checked: the search simulated each side again with another seed, and both verdicts held."
+    return "The search did not simulate both sides again with another seed, so chance may decide."
 
 
 def share_words(share: ShareView) -> str:

@@ -61,7 +61,7 @@ class Side:
         number: Number of the solution.
         trace: The drive.
         outcome: What happened, in words; by default what the trace tells.
-        again: What simulating it again with other seeds showed, in words; empty if that was not tried.
+        again: What simulating it again with other seeds showed, in words; empty leaves that to the facts.
     """
 
     number: int

@@ -360,10 +360,10 @@ def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, widt
     """Return what happened in a drive, what simulating it again showed, and how it was at the moment."""
     name, side, tale = story.parts[index]
     state = f"at {story.moment_s:.1f} s: {state_words(side, tale, story.sample_s)}"
-    again = side.again or "not simulated again with other seeds"
+    again = side.again[:1].upper() + side.again[1:]
     return [
         *_lines(draw, chip_words(name, side, tale)[1], 18, INK, width_px, bold=True),
-        *_lines(draw, again[0].upper() + again[1:], 15, INK if side.again else MUTED, width_px),
+        *_lines(draw, again, 15, INK, width_px),
         *_lines(draw, f"Solution {side.number} {state}", 15, MUTED, width_px),
     ]
 

@@ -205,4 +205,16 @@ def test_the_findings_say_whether_other_seeds_confirm_the_pair(
         update={"confirmation": ConfirmationView(state=state, safe=shares[0], unsafe=shares[1])}
     )
     assert findings(pair) == [words]
-    assert not any("in the search" in fact for fact in facts(view, pair))
+    assert not any("search" in fact for fact in facts(view, pair)), "the search saw fewer drives"
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_the_facts_say_how_often_the_search_simulated_both_sides(
+    disc: tuple[str, list[str]], checked: bool
+) -> None:
+    view = view_of(disc)
+    pair = view.pairs[0].model_copy(update={"checked": checked})
+    assert not any("search" in fact for fact in facts(view, pair)), "chance has no part in computed verdicts"
+    [told] = [fact for fact in facts(view.model_copy(update={"computed": False}), pair) if "search" in fact]
+    assert ("both verdicts held" in told) is checked
+    assert ("chance may decide" in told) is not checked

@@ -3,10 +3,12 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 import pytest
+from PIL import ImageDraw
 from support.traces import filmed, make_trace, ragged
 
 from brink.sim.replay import DrivePair, ReplayError, Side, render_pair
@@ -49,6 +51,27 @@ def a_pair(**changes: object) -> DrivePair:
 def still() -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     """Return the still image of `a_pair`."""
     return np.asarray(pair_still(a_pair()))
+
+
+@pytest.mark.parametrize("again", ["", "unsafe in 1 of 10 simulations with other seeds"])
+def test_a_still_says_of_other_seeds_only_what_it_is_told(
+    again: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    draw_text = ImageDraw.ImageDraw.text
+
+    def record(self: ImageDraw.ImageDraw, xy: Any, text: Any, *args: Any, **options: Any) -> None:
+        written.append(str(text))
+        draw_text(self, xy, text, *args, **options)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", record)
+    fact = "Checked: the search simulated each side again, and both verdicts held."
+    pair = a_pair(facts=(fact,))
+    pair_still(replace(pair, safe=replace(pair.safe, again=again)))
+    words = " ".join(written)
+    assert "both verdicts held" in words
+    assert words.count("simulat") == 1 + bool(again)
+    assert ("Unsafe in 1 of 10 simulations" in words) is bool(again)
 
 
 def test_the_moment_is_the_unsafe_drives_violation_and_reports_differ_where_the_boxes_do() -> None:
