@@ -12,7 +12,7 @@ from brink.search.archive import ARRAYS, Archive
 from brink.search.errors import TooManyPairs
 from brink.search.space import BoolArray
 from brink.server.api.outcomes import OutcomesView
-from brink.server.api.pair_views import MOST_PAIRS, PairsView
+from brink.server.api.pair_views import MOST_PAIRS, PairsView, PairView
 from brink.server.api.schemas import CampaignView, SolutionView
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.outcomes import deciding_requirements
@@ -95,6 +95,11 @@ async def read_all_pairs(api: Api, campaign: str) -> PairsView | TooManyPairs:
             if [one.pointer for one in error.errors] == [f"/query/{setting}"]:  # neither was given
                 return TooManyPairs(error.errors[0].message, setting=setting)
         raise
+
+
+def find_pair(view: PairsView, number: int) -> PairView | None:
+    """Return the pair with a number; None if it is not among those that were fetched."""
+    return next((pair for pair in view.pairs if pair.place == number), None)
 
 
 async def fetch_trace(api: Api, campaign: str, number: int, timeout_s: float) -> Trace:

@@ -91,7 +91,7 @@ class PairFindings:
         if view.chancy:
             screen.print(chance_words(view), soft_wrap=True)
         if self._no_picture:
-            screen.print(f"no picture of pair 1: {self._no_picture}", soft_wrap=True, style="yellow")
+            screen.print(self._no_picture, soft_wrap=True, style="yellow")
 
     def write(self, folder: Path) -> list[Path]:
         """Write the pairs to files, unless there is none; return the files."""
@@ -102,15 +102,16 @@ class PairFindings:
         return files
 
     async def draw(self, drawing: Drawing) -> list[Path]:
-        """Draw the first pair if the search looked for pairs; return the file."""
+        """Draw the pair with the best evidence if the search looked for pairs; return the file."""
         if not self.searched or not self._view.pairs or drawing.stop.is_set():
             return []
-        path = drawing.folder / "pair-1.png"
+        best = self._view.pairs[0]
+        path = drawing.folder / f"pair-{best.place}.png"
         try:
             # Not by workers: after --resume of a finished campaign there is none.
-            drives = await write_pair(drawing.api, self._view, self._view.pairs[0], path, workers=False)
+            drives = await write_pair(drawing.api, self._view, best, path, workers=False)
         except _UNDRAWABLE as error:
-            self._no_picture = str(error)
+            self._no_picture = f"no picture of pair {best.place}: {error}"
             self._replayable = False
             return []
         self._replayable = drives
@@ -139,9 +140,15 @@ class PairFindings:
                 what = "do they hold with other seeds, and is the component to blame?"
             hints.append((f"pairs {campaign} {' '.join(options)}{database}", what))
         if not view.computed and len(view.pairs) > 1 and not self._no_picture:
-            hints.append((f"pairs {campaign} --picture 2 pair-2.png{database}", "see another pair"))
+            other = view.pairs[1].place
+            hints.append(
+                (f"pairs {campaign} --picture {other} pair-{other}.png{database}", "see another pair")
+            )
         if self._replayable:
-            hints.append((f"pairs {campaign} --film 1 pair-1.mp4{database}", "watch both drives of a pair"))
+            best = view.pairs[0].place
+            hints.append(
+                (f"pairs {campaign} --film {best} pair-{best}.mp4{database}", "watch both drives of a pair")
+            )
         return hints
 
 

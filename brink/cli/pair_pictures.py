@@ -5,6 +5,7 @@ from typing import Final
 
 from brink.api.client import Api
 from brink.api.live import Steps
+from brink.api.results import find_pair
 from brink.cli.options import console
 from brink.report.pair_pictures import write_pair
 from brink.server.api.pair_views import PairsView, PairView
@@ -25,19 +26,24 @@ def check_file(option: str, path: Path, endings: tuple[str, ...]) -> None:
         raise InvalidInput.at(option, f"{path.parent}: no such folder")
 
 
-def chosen_pair(view: PairsView, place: int, option: str) -> PairView:
-    """Return a pair by its place in the list.
+def chosen_pair(view: PairsView, number: int, option: str) -> PairView:
+    """Return a pair by its number.
 
     Raises:
         InvalidInput: There is no such pair; the message says what there is.
     """
     if not view.pairs:
         raise InvalidInput.at(option, f"expected the number of a pair, but there is none: {view.note}")
-    if not 1 <= place <= len(view.pairs):
+    if not 1 <= number <= view.distinct:
         raise InvalidInput.at(
-            option, f"expected the number of a pair from 1 to {len(view.pairs)}, got {place}"
+            option, f"expected the number of a pair from 1 to {view.distinct}, got {number}"
         )
-    return view.pairs[place - 1]
+    found = find_pair(view, number)
+    if found is None:
+        raise InvalidInput.at(
+            option, f"expected one of the {len(view.pairs):,} pairs with the best evidence, got {number}"
+        )
+    return found
 
 
 async def draw_pair(api: Api, view: PairsView, pair: PairView, path: Path, *, workers: bool) -> None:

@@ -192,8 +192,11 @@ def pairs(
                 typer.echo(path)
             return
         if wanted is Format.TABLE:
-            params["limit"] = limit or (MOST_PAIRS if as_json else PAIRS_SHOWN)
-            view = await fetch_pairs(api, campaign, **params)
+            if asked and limit is not None:
+                view = await fetch_asked(api, campaign, limit, **params)
+            else:
+                params["limit"] = limit or (MOST_PAIRS if as_json else PAIRS_SHOWN)
+                view = await fetch_pairs(api, campaign, **params)
             if as_json:
                 print_json(view.model_dump(mode="json"))
             else:
@@ -245,7 +248,7 @@ def _follow_up(
 async def _ask(api: Api, campaign: str, request: dict[str, Any], screen: Console) -> FollowUpView | None:
     """Ask for a follow-up, or for an equal one that exists; return None if there is nothing to do, and say why."""
     given = {name: request[name] for name in ("eps", "d_th") if name in request}
-    view = await fetch_pairs(api, campaign, limit=request.get("limit", MOST_PAIRS_FOLLOWED), **given)
+    view = await fetch_asked(api, campaign, request.get("limit"), **given)
     if view.complete and not view.pairs:
         return None  # the note says why
     if view.pairs and request["kind"] == FollowUpKind.MINIMISE and not _can_be_minimised(view, screen):
@@ -340,6 +343,20 @@ async def fetch_pairs(api: Api, campaign: str, **params: Any) -> PairsView:
     return await api.read(PairsView, f"/campaigns/{campaign}/pairs", params)
 
 
+async def fetch_asked(api: Api, campaign: str, limit: int | None, **params: Any) -> PairsView:
+    """Return the pairs that a follow-up asks about: those with the smallest numbers.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        limit: Most pairs to ask about; None for as many as a follow-up takes.
+        params: Other parameters of the request.
+    """
+    most = min(limit or MOST_PAIRS_FOLLOWED, MOST_PAIRS_FOLLOWED)
+    view = await fetch_pairs(api, campaign, **params, limit=MOST_PAIRS)
+    return view.model_copy(update={"pairs": [pair for pair in view.pairs if pair.place <= most]})
+
+
 def print_pairs(screen: Console, view: PairsView) -> None:
     """Print what was found, and the first pairs."""
     screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
@@ -366,7 +383,7 @@ def print_pairs(screen: Console, view: PairsView) -> None:
 def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     """Return a table of the first pairs: the change in words, what both drives showed, and the evidence."""
     table = plain_table(
-        "", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("",)
+        "pair", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("pair",)
     )
     for pair in view.pairs[:shown]:
         lines = [

@@ -21,6 +21,7 @@ from brink.api.results import (
     fetch_archive,
     fetch_requirements,
     fetch_trace,
+    find_pair,
     read_all_pairs,
     run_episode,
 )
@@ -216,12 +217,11 @@ class AsyncResult(CampaignResult):
             view = await read_all_pairs(api, self.id)
             if isinstance(view, TooManyPairs):
                 raise view
-            if not 1 <= place <= len(view.pairs):
-                count = len(view.pairs)
+            chosen = find_pair(view, place)
+            if chosen is None:
                 raise InvalidInput.at(
-                    "place", f"expected the place of one of {count} pairs, from 1; got {place}"
+                    "place", f"expected the place of one of {len(view.pairs)} pairs, from 1; got {place}"
                 )
-            chosen = view.pairs[place - 1]
             with _scratch(film) as path:
                 await write_pair(api, view, chosen, path, workers=self._connection.has_workers)
                 return Picture(content=path.read_bytes(), suffix=path.suffix, words=headline(chosen))

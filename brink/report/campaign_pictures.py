@@ -8,7 +8,6 @@ from typing import Final
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import TRACE_TIMEOUT_S, NoTrace
 from brink.report.campaign_facts import Facts, Show
-from brink.report.campaign_words import best_first
 from brink.report.combinations import draw_chains
 from brink.report.figures import Drawing, campaign_figure, write_replays
 from brink.report.pair_pictures import write_pair
@@ -42,10 +41,10 @@ def shown_pairs(facts: Facts, most: int) -> list[PairView]:
     if isinstance(facts.pairs, TooManyPairs) or facts.tolerance is not None:
         return []
     if facts.searched_pairs:
-        return best_first(facts.pairs)[:most]
+        return facts.pairs.pairs[:most]
     if facts.searched_violations or facts.combinations is not None:
         return []
-    return best_first(facts.pairs)[: min(most, OTHERS_PAIRS)]
+    return facts.pairs.pairs[: min(most, OTHERS_PAIRS)]
 
 
 async def draw_pictures(

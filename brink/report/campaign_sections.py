@@ -11,15 +11,7 @@ from PIL import Image
 
 from brink.report.campaign_facts import Facts
 from brink.report.campaign_pictures import shown_replays
-from brink.report.campaign_words import (
-    best_first,
-    boundary_words,
-    count,
-    limiting,
-    noun,
-    others_recorded,
-    share,
-)
+from brink.report.campaign_words import boundary_words, count, limiting, noun, others_recorded, share
 from brink.report.combinations import claim_words, tally_words
 from brink.report.pair_pictures import facts as pair_facts
 from brink.report.pair_pictures import findings as pair_findings
@@ -192,7 +184,7 @@ def _rest(facts: Facts, pairs: PairsView, full: Sequence[PairView]) -> Table | N
     if not (facts.searched_pairs or full):
         return None
     shown = {pair.place for pair in full}
-    rest = [pair for pair in best_first(pairs) if pair.place not in shown]
+    rest = [pair for pair in pairs.pairs if pair.place not in shown]
     if not rest:
         return None
     rows = [

@@ -11,11 +11,10 @@ import numpy as np
 from brink.report.campaign_facts import LISTED, RANDOM, Facts
 from brink.report.pair_words import chance_words
 from brink.report.violations import by_frequency
-from brink.search.analysis.confirmation import Confirmation
 from brink.search.analysis.dependence import ParameterColumn
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray
-from brink.server.api.pair_views import PairsView, PairView
+from brink.server.api.pair_views import PairsView
 from brink.server.api.tolerance import CellView, Finding, ToleranceView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import FollowUpKind
@@ -166,17 +165,11 @@ def findings(facts: Facts) -> list[str]:
     pairs = facts.pairs
     if isinstance(pairs, PairsView) and pairs.pairs and facts.finding.of is None:
         if facts.searched_pairs:
-            best = best_first(pairs)[0]
+            best = pairs.pairs[0]
             told.append(f"For example, pair {best.place}: {as_sentence(best.words)}.")
         else:
             told.append(f"Without looking for them, it came across {pairs.note}.")
     return told
-
-
-def best_first(view: PairsView) -> list[PairView]:
-    """Return pairs in the order of the evidence for them: confirmed ones first, then those that were not tried."""
-    ranks = {Confirmation.CONFIRMED: 0, Confirmation.NOT_CONFIRMED: 2}
-    return sorted(view.pairs, key=lambda pair: (ranks.get(pair.confirmation.state, 1), pair.place))
 
 
 def limiting(view: ToleranceView) -> list[CellView]:

@@ -107,7 +107,8 @@ def _inputs(
 def _numbers_of(pairs: PairsView | TooManyPairs) -> tuple[tuple[int, int], ...]:
     if isinstance(pairs, TooManyPairs):
         return ()
-    return tuple((pair.safe.number, pair.unsafe.number) for pair in pairs.pairs)
+    by_number = sorted(pairs.pairs, key=lambda pair: pair.place)  # the rings have the numbers of the pairs
+    return tuple((pair.safe.number, pair.unsafe.number) for pair in by_number)
 
 
 def _verdict_words(fetched: FetchedArchive) -> "VerdictWords":

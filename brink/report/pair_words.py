@@ -26,19 +26,27 @@ def chance_words(view: PairsView) -> str:
 
 
 def legend(view: PairsView) -> list[str]:
-    """Return what the words of the table mean that need it."""
+    """Return what the words of the table mean that need it, one term at a time."""
     found = [view.terms] if view.terms else []
+    states = {pair.confirmation.state for pair in view.pairs}
     if view.pairs and not view.computed:
-        found.append(
-            "safe and unsafe: by the requirement of the campaign alone; checked: both drives kept their verdicts in "
-            "another simulation, with another seed"
-        )
+        found.append("safe and unsafe: by the requirement of the campaign alone")
+        if any(pair.checked for pair in view.pairs):
+            found.append("checked: during the search, each side kept its verdict with another seed, too")
+        if not all(pair.checked for pair in view.pairs):
+            found.append("found once: the search did not simulate both sides with another seed")
     if any(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs):
         found.append("minimal: none of the differences can go without losing the opposite verdicts")
     if view.tried or view.pending:
         found.append(
-            "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations and the unsafe "
-            f"side in 9 of 10; confirmed means at most 20% and at least 80%, with at least {LEAST_DRIVES} each"
+            "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations after the search "
+            f"and the unsafe side in 9 of 10; at most 20% and at least 80% confirm a pair, from {LEAST_DRIVES} each"
+        )
+    if Confirmation.NOT_CONFIRMED in states:
+        found.append("not confirmed: these shares are beyond those limits, so chance may decide")
+    if Confirmation.TOO_FEW in states:
+        found.append(
+            f"too few drives: less than {LEAST_DRIVES} of a side have a verdict, and that may matter"
         )
     if any(pair.minimality.state is Minimality.DIFFERENT_SEEDS for pair in view.pairs):
         found.append(
@@ -50,6 +58,8 @@ def legend(view: PairsView) -> list[str]:
             "hazard: the component's if the unsafe side keeps the requirement with ground truth in place of the "
             "component, otherwise the scenario's; in the same episode, with one seed"
         )
+    if Confirmation.CONFIRMED in states or Confirmation.NOT_CONFIRMED in states:
+        found.append("confirmed pairs come first, those not confirmed last; a pair keeps its number")
     return found
 
 

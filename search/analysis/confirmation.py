@@ -34,6 +34,11 @@ class Confirmation(StrEnum):
     """Too few drives so far, but more are being simulated."""
     NOT_TRIED = "not tried"
 
+    @property
+    def rank(self) -> int:
+        """Place in the order of evidence: 0 speaks for the pair, 1 says nothing, 2 speaks against it."""
+        return {Confirmation.CONFIRMED: 0, Confirmation.NOT_CONFIRMED: 2}.get(self, 1)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Share:

@@ -160,7 +160,13 @@ class SideView(View):
 class PairView(View):
     """A safe and an unsafe solution that are almost the same."""
 
-    place: Annotated[int, Field(description="Place in the list, from 1.")]
+    place: Annotated[
+        int,
+        Field(
+            description="Number of the pair, from 1: checked ones first, then by distance. Once the campaign has "
+            "ended it stays the same, whatever follow-ups show, for the same eps and d_th."
+        ),
+    ]
     words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
     change: Annotated[str, Field(description="The change, in words.")]
     distance: float
@@ -232,7 +238,12 @@ class FollowUpBody(Body):
     eps: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
     d_th: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
     limit: Annotated[
-        int, Field(ge=1, le=MOST_PAIRS_FOLLOWED, description="Most pairs to ask about, first ones first.")
+        int,
+        Field(
+            ge=1,
+            le=MOST_PAIRS_FOLLOWED,
+            description="Most pairs to ask about, those with the smallest numbers.",
+        ),
     ] = MOST_PAIRS_FOLLOWED
 
     @model_validator(mode="after")
@@ -304,4 +315,9 @@ class PairsView(View):
     follow_ups: Annotated[list[FollowUpView], Field(description="Oldest first.")]
     offers: Annotated[list[FollowUpOffer], Field(description="What can be asked about the distinct pairs.")]
     rule: ConfirmationRule = ConfirmationRule()
-    pairs: Annotated[list[PairView], Field(description="Checked ones first, then by distance.")]
+    pairs: Annotated[
+        list[PairView],
+        Field(
+            description="Confirmed ones first, not confirmed ones last; otherwise in the order of their numbers."
+        ),
+    ]

@@ -181,17 +181,19 @@ def pairs_view(
         found: Its archive.
         pairs: Its pairs.
         stored: Its repeats.
-        limit: Maximum number of pairs to return.
+        limit: Maximum number of pairs to return, in the order of the evidence for them.
     """
     problem = found.plan.problem
-    shown = pairs.found.pairs[:limit]
+    again = _Again.of(stored)
+    states = [again.state(pair) for pair in pairs.found.pairs]
+    places = sorted(range(len(states)), key=lambda place: states[place].rank)[:limit]
+    shown = [pairs.found.pairs[place] for place in places]
     numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
     some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers | some)}
     if not rows.keys() >= numbers:
         raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
-    evidence = _Evidence.read(connection, found, pairs, shown, stored)
-    states = [evidence.confirmation_state(pair) for pair in pairs.found.pairs]
+    evidence = _Evidence.read(connection, found, pairs, shown, stored, again)
     parts = [evidence.component(pair).state for pair in pairs.found.pairs]
     deciding = _deciding(problem, next(iter(rows.values()), None))
     counts = {
@@ -220,7 +222,7 @@ def pairs_view(
             for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
         ],
         pairs=[
-            _pair(place, pair, problem, rows, evidence) for place, pair in enumerate(shown, start=1)
+            _pair(place + 1, pair, problem, rows, evidence) for place, pair in zip(places, shown, strict=True)
         ],
     )  # fmt: skip
 
@@ -299,7 +301,7 @@ def _pair(
     return PairView(
         place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change, distance=pair.distance,
         checked=pair.checked, same_seed=pair.same_seed,
-        confirmation=evidence.confirmation(pair), component=evidence.component(pair),
+        confirmation=evidence.again.view(pair), component=evidence.component(pair),
         minimality=evidence.minimality(pair, safe), changes=changes, safe=sides[0], unsafe=sides[1],
     )  # fmt: skip
 
@@ -333,22 +335,66 @@ class _Reduction:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Again:
+    """What simulations with other seeds have shown.
+
+    Attributes:
+        shares: How often each repeated solution was unsafe, by number.
+        repeated: Numbers of the solutions that are being simulated again.
+    """
+
+    shares: Mapping[int, Share]
+    repeated: Collection[int]
+
+    @classmethod
+    def of(cls, stored: Sequence[StoredRepeats]) -> Self:
+        """Return what the follow-ups of a campaign have shown so far."""
+        confirming = [one for one in stored if one.kind is FollowUpKind.CONFIRM]
+        return cls(
+            shares=shares_of(confirming),
+            repeated={
+                number
+                for one in confirming
+                if one.campaign.status not in ENDED
+                for number in one.numbers
+            },
+        )  # fmt: skip
+
+    def view(self, pair: Pair) -> ConfirmationView:
+        """Return whether both sides of a pair keep their verdicts with other seeds."""
+        safe, unsafe = self._shares_of(pair)
+        return ConfirmationView(state=self.state(pair), safe=_share(safe), unsafe=_share(unsafe))
+
+    def state(self, pair: Pair) -> Confirmation:
+        """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
+        shares = self._shares_of(pair)
+        numbers = (pair.safe.number, pair.unsafe.number)
+        pending = all(
+            number in self.repeated or share.evaluated >= LEAST_DRIVES
+            for number, share in zip(numbers, shares, strict=True)
+        )
+        return confirmation_of(*shares, pending=pending)
+
+    def _shares_of(self, pair: Pair) -> tuple[Share, Share]:
+        none = Share.of(0, 0)
+        return self.shares.get(pair.safe.number, none), self.shares.get(pair.unsafe.number, none)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Evidence:
     """What the follow-ups of a campaign have shown.
 
     Attributes:
         plan: The campaign's plan.
         reducible: The pairs of which a difference can be reverted, among those shown, by their two numbers.
-        shares: How often each repeated solution was unsafe with other seeds, by number.
-        repeated: Numbers of the solutions that are being simulated again.
+        again: What simulations with other seeds have shown.
         truths: The drive of each solution with ground truth, by number.
         reductions: The follow-up that reverts the differences of a pair, and its place there, by its two numbers.
     """
 
     plan: Plan
     reducible: Collection[tuple[int, int]]
-    shares: Mapping[int, Share]
-    repeated: Collection[int]
+    again: _Again
     truths: Mapping[int, ComponentView]
     reductions: Mapping[tuple[int, int], tuple[_Reduction, int]]
 
@@ -360,6 +406,7 @@ class _Evidence:
         pairs: CampaignPairs,
         shown: Sequence[Pair],
         stored: Sequence[StoredRepeats],
+        again: _Again,
     ) -> Self:
         """Read what follow-ups have shown.
 
@@ -369,6 +416,7 @@ class _Evidence:
             pairs: The campaign's pairs.
             shown: Those to be shown.
             stored: Its follow-ups, oldest first.
+            again: What those with other seeds have shown.
         """
         of_kind = {kind: [one for one in stored if one.kind is kind] for kind in FollowUpKind}
         truths: dict[int, ComponentView] = {}
@@ -391,36 +439,8 @@ class _Evidence:
             reducible=find_reducible(found.plan, found.archive, shown)
             if pairs.reducible is None
             else pairs.reducible,
-            shares=shares_of(of_kind[FollowUpKind.CONFIRM]),
-            repeated={
-                number
-                for one in of_kind[FollowUpKind.CONFIRM]
-                if one.campaign.status not in ENDED
-                for number in one.numbers
-            },
-            truths=truths, reductions=reductions,
+            again=again, truths=truths, reductions=reductions,
         )  # fmt: skip
-
-    def confirmation(self, pair: Pair) -> ConfirmationView:
-        """Return whether both sides of a pair keep their verdicts with other seeds."""
-        safe, unsafe = self._shares_of(pair)
-        return ConfirmationView(
-            state=self.confirmation_state(pair), safe=_share(safe), unsafe=_share(unsafe)
-        )  # fmt: skip
-
-    def confirmation_state(self, pair: Pair) -> Confirmation:
-        """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
-        shares = self._shares_of(pair)
-        numbers = (pair.safe.number, pair.unsafe.number)
-        pending = all(
-            number in self.repeated or share.evaluated >= LEAST_DRIVES
-            for number, share in zip(numbers, shares, strict=True)
-        )
-        return confirmation_of(*shares, pending=pending)
-
-    def _shares_of(self, pair: Pair) -> tuple[Share, Share]:
-        none = Share.of(0, 0)
-        return self.shares.get(pair.safe.number, none), self.shares.get(pair.unsafe.number, none)
 
     def component(self, pair: Pair) -> ComponentView:
         """Return whether the scenario alone is to blame for the unsafe side of a pair."""

@@ -1,5 +1,7 @@
 """Follow-ups of pairs: do they hold, is the component to blame, and which differences matter?"""
 
+import csv
+import io
 import json
 from typing import Any
 
@@ -11,7 +13,7 @@ from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.report.pair_words import evidence_words
+from brink.report.pair_words import evidence_words, legend
 from brink.search.fitness import wilson_interval
 from brink.server.api.pair_views import PairsView
 from brink.server.campaigns.body import parse_body
@@ -103,6 +105,30 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     clear = next(pair for pair in last["pairs"] if pair["confirmation"]["state"] == "confirmed")
     assert clear["confirmation"]["safe"]["evaluated"] == 25, "follow-ups of the same sides add up"
     assert [one["kind"] for one in last["follow_ups"]] == ["confirm", "confirm"]
+
+
+def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Client) -> None:
+    campaign = finished(client)
+    before = pairs_of(client, campaign)["pairs"]
+    assert [pair["place"] for pair in before] == [1, 2]
+    assert before[0]["safe"]["parameters"]["scenario"]["weather"] == "hard_rain", "the nearer one"
+    asked = ask(client, campaign, kind="confirm", d_th=0.01, limit=1)
+    worked(client, asked["campaign"], by_chance)
+    after = pairs_of(client, campaign)["pairs"]
+    assert [(pair["place"], pair["confirmation"]["state"]) for pair in after] == [
+        (2, "not tried"), (1, "not confirmed"),
+    ]  # fmt: skip
+    best = expect(client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01, "limit": 1}))["pairs"]
+    assert [pair["place"] for pair in best] == [2]
+    again = ask(client, campaign, 200, kind="confirm", d_th=0.01, limit=1)
+    assert again["campaign"] == asked["campaign"], "a limit is a number of a pair, whatever was found of it"
+    table = client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01, "format": "csv"}).text
+    assert [row["pair"] for row in csv.DictReader(io.StringIO(table))] == ["2", "1"]
+    words = legend(PairsView.model_validate(pairs_of(client, campaign)))
+    assert [term.partition(":")[0] for term in words if term.startswith(("conf", "not conf"))] == [
+        "confirmed 0/10 9/10", "not confirmed", "confirmed pairs come first, those not confirmed last; a pair keeps "
+        "its number",
+    ]  # fmt: skip
 
 
 def test_a_pair_is_pending_until_ten_drives_of_each_side_are_in(client: httpx.Client) -> None:

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import brink.report.pair_pictures
 from brink.cli.commands import app
+from brink.cli.pair_pictures import chosen_pair
 from brink.plots.style import WIDTH_PX
 from brink.report.pair_pictures import facts, findings, headline, share_words
 from brink.search.analysis.confirmation import Confirmation
@@ -24,6 +25,7 @@ from brink.server.api.pair_views import (
     PairsView,
     ShareView,
 )
+from brink.server.errors import InvalidInput
 from brink.sim.replay.pair_view import STILL_WIDTH_PX
 from brink.sim.trace import Trace
 
@@ -128,6 +130,17 @@ def test_what_cannot_be_drawn_is_refused_with_what_can(
     assert said.exit_code != 0
     assert message in str(said.exception)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pair_is_chosen_by_its_number_wherever_it_is_listed(disc: tuple[str, list[str]]) -> None:
+    view = view_of(disc)
+    turned = view.model_copy(update={"pairs": view.pairs[::-1]})
+    assert chosen_pair(turned, 2, "--picture").place == 2
+    few = view.model_copy(update={"pairs": view.pairs[1:]})
+    with pytest.raises(
+        InvalidInput, match=r"--picture: expected one of the \d+ pairs with the best evidence, got 1"
+    ):
+        chosen_pair(few, 1, "--picture")
 
 
 def test_the_headline_leaves_out_the_outcome_of_a_long_change(disc: tuple[str, list[str]]) -> None:
