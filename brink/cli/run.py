@@ -198,8 +198,9 @@ async def _write_all(
     """Write results, comparison and figures of a campaign; Ctrl-C skips the figures that are not drawn yet."""
     api, campaign = session.api, progress.id
     boundary, results = await write_results(
-        api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, even_empty=progress.looks_for_boundary
-    )
+        api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+        even_empty=progress.looks_for_boundary and not progress.looks_for_pairs,
+    )  # fmt: skip
     files: list[Path] = []
     with Steps(session.screen, "looking for pairs") as steps:
         fetched = await fetch_archive(api, campaign)
@@ -230,7 +231,8 @@ async def _write_all(
         if not progress.looks_for_tolerances:
             files += await asyncio.to_thread(
                 draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
-                pairs=pairs.view if pairs.searched else None, on_progress=steps.of("drawing figures"),
+                pairs=pairs.view if pairs.searched else None, only=("map",) if pairs.searched else None,
+                on_progress=steps.of("drawing figures"),
             )  # fmt: skip
         for findings in found:
             steps.show(f"drawing {findings.name}")

@@ -1,6 +1,6 @@
 """Figures of a campaign: boundary solutions, fitness, parameters, Pareto fronts; and writing them to files."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -432,6 +432,7 @@ def write_campaign_figures(
     folder: Path,
     formats: Sequence[str] = ("png",),
     *,
+    only: Collection[str] = FIGURES.keys(),
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Write the figures of a campaign to a folder, creating it if needed and replacing existing files.
@@ -442,6 +443,7 @@ def write_campaign_figures(
         inputs: The campaign.
         folder: The folder.
         formats: ``png``, ``svg`` or both.
+        only: Which figures to write, of those in `FIGURES`.
         on_progress: Called with the number of figures written so far, and of all.
 
     Returns:
@@ -456,7 +458,8 @@ def write_campaign_figures(
             raise ValueError(f"formats: expected some of {', '.join(FORMATS)}; got {name!r}")
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
-    stems = [stem for stem in FIGURES if inputs.pairs is None or stem not in _OF_THE_BOUNDARY]
+    left_out = frozenset() if inputs.pairs is None else _OF_THE_BOUNDARY
+    stems = [stem for stem in FIGURES if stem in only and stem not in left_out]
     for done, stem in enumerate(stems):
         if on_progress is not None:
             on_progress(done, len(stems))

@@ -1,7 +1,7 @@
 """The figures of a campaign and replays of its solutions, as files."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,6 +33,7 @@ def draw_figures(
     d_th: float,
     pairs: PairsView | TooManyPairs | None = None,
     formats: tuple[str, ...] = ("png",),
+    only: Collection[str] | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Draw the figures of a campaign.
@@ -45,17 +46,19 @@ def draw_figures(
         pairs: The pairs to mark in place of boundary solutions, if the campaign searched for them; none are marked
             if there are too many.
         formats: File formats.
+        only: Stems of the files to draw; None for all that suit the campaign.
         on_progress: Called with the number of figures drawn so far, and of all.
 
     Returns:
         The files.
     """
     # matplotlib takes half a second to load: only what draws waits for it.
-    from brink.plots import write_campaign_figures
+    from brink.plots import FIGURES, write_campaign_figures
 
     return write_campaign_figures(
-        _inputs(fetched, t_b, d_th, pairs), folder, formats=formats, on_progress=on_progress
-    )
+        _inputs(fetched, t_b, d_th, pairs), folder, formats=formats, only=FIGURES if only is None else only,
+        on_progress=on_progress,
+    )  # fmt: skip
 
 
 def campaign_figure(
