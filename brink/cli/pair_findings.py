@@ -9,10 +9,10 @@ from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
-from brink.cli.pairs import pairs_table
+from brink.cli.pair_tables import pairs_table, print_legend
 from brink.report.figures import Drawing
 from brink.report.pair_pictures import write_pair
-from brink.report.pair_words import chance_words, legend
+from brink.report.pair_words import chance_words
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView
@@ -20,6 +20,9 @@ from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
 from brink.server.campaigns.pairs import PairSettings, searches_for_pairs
 from brink.server.campaigns.plan import with_truth
 from brink.server.errors import InvalidInput
+from brink.server.problems.base import NamesRequirements
+from brink.server.problems.catalogue import make_problem
+from brink.server.problems.urban_injected import ANY
 from brink.sim.errors import SimulatorError
 
 _PAIRS_SHOWN: Final = 5
@@ -86,8 +89,7 @@ class PairFindings:
             screen.print(pairs_table(view, _PAIRS_SHOWN))
             if view.distinct > _PAIRS_SHOWN:
                 screen.print(f"… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv", style="dim")
-            for words in legend(view):
-                screen.print(words, soft_wrap=True, style="dim")
+            print_legend(screen, view)
         if view.chancy:
             screen.print(chance_words(view), soft_wrap=True)
         if self._no_picture:
@@ -150,6 +152,20 @@ class PairFindings:
                 (f"pairs {campaign} --film {best} pair-{best}.mp4{database}", "watch both drives of a pair")
             )
         return hints
+
+    def decides_by_some_requirements(self) -> bool:
+        """Return whether the problem could decide by further requirements, with ``requirement: any``."""
+        problem = self._fetched.plan.problem
+        if not isinstance(problem, NamesRequirements):
+            return False
+        params = {**self._fetched.plan.body.problem.params, "requirement": ANY}
+        try:
+            every = make_problem(problem.id, params)
+        except InvalidInput:
+            return False
+        return isinstance(every, NamesRequirements) and not set(every.requirements) <= set(
+            problem.requirements
+        )
 
 
 def _rounded_up(distance: float) -> str:

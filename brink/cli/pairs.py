@@ -7,8 +7,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from brink.api.client import Api
 from brink.api.follow_ups import (
@@ -28,14 +26,13 @@ from brink.cli.options import (
     Server,
     Workers,
     console,
-    plain_table,
     print_json,
     settings_with,
     with_api,
 )
 from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
+from brink.cli.pair_tables import print_pairs
 from brink.report.pair_pictures import FILMS
-from brink.report.pair_words import chance_words, common_words, evidence_words, extent_words, legend
 from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, Minimality, PairsView
 from brink.server.api.schemas import CampaignView
@@ -44,7 +41,6 @@ from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.errors import InvalidInput
 from brink.server.problems.catalogue import check_extra
-from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus
 
 PAIRS_SHOWN = 20
@@ -355,47 +351,3 @@ async def fetch_asked(api: Api, campaign: str, limit: int | None, **params: Any)
     most = min(limit or MOST_PAIRS_FOLLOWED, MOST_PAIRS_FOLLOWED)
     view = await fetch_pairs(api, campaign, **params, limit=MOST_PAIRS)
     return view.model_copy(update={"pairs": [pair for pair in view.pairs if pair.place <= most]})
-
-
-def print_pairs(screen: Console, view: PairsView) -> None:
-    """Print what was found, and the first pairs."""
-    screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
-    if not view.pairs:
-        return
-    screen.print(
-        f"a safe and an unsafe drive at most {view.eps:g} apart, or one step; pairs at least {view.d_th:g} "
-        f"apart",
-        soft_wrap=True,
-        style="dim",
-    )
-    if view.chancy:
-        screen.print(chance_words(view), soft_wrap=True)
-    screen.print(pairs_table(view))
-    for words in legend(view):
-        screen.print(words, soft_wrap=True, style="dim")
-    if view.distinct > len(view.pairs):
-        screen.print(
-            f"and {view.distinct - len(view.pairs)} more: --limit {min(view.distinct, MOST_PAIRS)}",
-            style="dim",
-        )
-
-
-def pairs_table(view: PairsView, shown: int | None = None) -> Table:
-    """Return a table of the first pairs: the change in words, what both drives showed, and the evidence."""
-    table = plain_table(
-        "pair", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("pair",)
-    )
-    for pair in view.pairs[:shown]:
-        lines = [
-            as_sentence(pair.change),
-            *common_words(pair),
-            f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
-            f"safe, solution {pair.safe.number}: {pair.safe.outcome}",
-        ]
-        less = pair.minimality.unsafe
-        if less is not None and less.change != pair.change:
-            name = "minimal" if less.minimal else "smaller"
-            lines.append(f"{name} change: {less.change}: {less.outcome}")
-        evidence = [*evidence_words(view, pair).split(", "), extent_words(pair)]
-        table.add_row(str(pair.place), "\n".join([*lines, ""]), "\n".join(evidence))
-    return table

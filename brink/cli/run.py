@@ -150,7 +150,7 @@ async def _finish(
     else:
         if repeated is not None:
             session.screen.print(repeated.words, soft_wrap=True)
-        _print_summary(session.screen, body, progress, report, summary, session.database)
+        _print_summary(session.screen, options.file, body, progress, report, summary, session.database)
     if session.stop.is_set():
         session.screen.print("interrupted: some figures are missing", style="yellow")
         session.hint("draw them with", f"run {options.file} --resume")
@@ -279,6 +279,7 @@ def _summary(
 
 def _print_summary(
     screen: Console,
+    file: Path,
     body: CampaignBody,
     progress: Progress,
     report: Report,
@@ -336,6 +337,8 @@ def _print_summary(
     for path in summary["files"]:
         screen.print(f"  {path.removeprefix(folder + '/')}", soft_wrap=True)
     _print_next(screen, body, progress, report, repeated=summary["repeats"] is not None, database=database)
+    if isinstance(report.pairs, PairFindings) and report.pairs.searched:
+        _print_other_requirements(screen, file, report.pairs)
 
 
 def _boundary_words(boundary: Boundary) -> str:
@@ -388,6 +391,15 @@ def _print_next(
     if boundary.strict_dbs == 0 and not report.findings and not searched:
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
+        )
+
+
+def _print_other_requirements(screen: Console, file: Path, pairs: PairFindings) -> None:
+    if pairs.decides_by_some_requirements():
+        screen.print(
+            f"  for violations of any requirement, set problem.params.requirement to any in {file} "
+            "and run it again",
+            soft_wrap=True,
         )
 
 

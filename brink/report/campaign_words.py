@@ -214,6 +214,8 @@ def uncertainties(facts: Facts) -> list[str]:
                 f"Of {count(view.open, 'violation')} it is not known yet whether the error caused them; they count "
                 "as caused."
             )
+    if isinstance(facts.pairs, PairsView) and facts.pairs.caveat:
+        told.append(facts.pairs.caveat)
     if facts.progress.failed:
         told.append(
             f"{count(facts.progress.failed, 'simulation')} failed; they count as neither safe nor unsafe."

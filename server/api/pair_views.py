@@ -281,6 +281,12 @@ class PairsView(View):
     terms: Annotated[
         str, Field(description="What a term in the descriptions of changes means; empty if none needs it.")
     ] = ""
+    caveat: Annotated[
+        str,
+        Field(
+            description="What pairs say of the component and what they do not, in sentences; may be empty."
+        ),
+    ] = ""
     safe: Annotated[int, Field(description="Safe solutions, each counted once.")]
     unsafe: Annotated[int, Field(description="Unsafe solutions, each counted once.")]
     chancy: Annotated[int, Field(description="Solutions whose simulations had different verdicts.")]

@@ -64,6 +64,7 @@ from brink.server.problems.base import (
     ExplainsChanges,
     NamesRequirements,
     Problem,
+    QualifiesComponent,
     SimulatedSolution,
     describe_candidate,
     ignores_seeds,
@@ -211,6 +212,7 @@ def pairs_view(
         searched=searches_for_pairs(campaign.body.algorithm.id), computed=ignores_seeds(problem),
         note=_note(campaign, found, pairs, deciding, counts),
         terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
+        caveat=_caveat(campaign, problem),
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
         tight=pairs.found.tight, distinct=len(pairs.found.pairs), checked=pairs.found.checked, **counts,
         nearest=None if pairs.nearest is None else NearestView(
@@ -225,6 +227,13 @@ def pairs_view(
             _pair(place + 1, pair, problem, rows, evidence) for place, pair in zip(places, shown, strict=True)
         ],
     )  # fmt: skip
+
+
+def _caveat(campaign: Campaign, problem: Problem) -> str:
+    """Return what pairs do not say of a component of the user's own; empty without a component."""
+    if campaign.body.ground_truth or not isinstance(problem, QualifiesComponent):
+        return ""
+    return problem.about_component
 
 
 def follow_up_view(stored: StoredRepeats) -> FollowUpView:

@@ -232,6 +232,17 @@ class ExplainsChanges(Protocol):
     terms_of_changes: ClassVar[str]
 
 
+@runtime_checkable
+class QualifiesComponent(Protocol):
+    """A problem whose findings do not speak of a component of the user's own as they stand.
+
+    Attributes:
+        about_component: What a finding says of the component and what not, and how to check that, in sentences.
+    """
+
+    about_component: ClassVar[str]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeverityScale:
     """What severities from 0 to 1 mean in a physical unit; the two are proportional.

@@ -153,6 +153,10 @@ class HighwayPerception(HasTrueVariant, JudgedByRequirements):
     )
     params_type: ClassVar[type[Any]] = HighwayPerceptionParams
     terms_of_changes: ClassVar[str] = "perceived: what the driver knows of other vehicles, true or not"
+    about_component: ClassVar[str] = (
+        "The perception's errors are injected: results show what would happen if a perception erred like this, not "
+        "that yours does."
+    )
     extra: ClassVar[str] = "highway"
     modules: ClassVar[tuple[str, ...]] = ("highway_env", "gymnasium")
 

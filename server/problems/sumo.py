@@ -148,6 +148,10 @@ class SumoDrivers(HasTrueVariant, JudgedByRequirements):
     id: ClassVar[str] = "sumo-drivers@1"
     summary: ClassVar[str] = "Traffic in SUMO with errors in how automated vehicles perceive what is ahead."
     params_type: ClassVar[type[Any]] = SumoDriversParams
+    about_component: ClassVar[str] = (
+        "The perception's errors are injected: results show what would happen if a perception erred like this, not "
+        "that yours does."
+    )
     extra: ClassVar[str] = "sumo"
     modules: ClassVar[tuple[str, ...]] = ("libsumo",)
 

@@ -45,6 +45,10 @@ class UrbanCamera(HasTrueVariant, JudgedByRequirements):
     id: ClassVar[str] = "urban-camera@1"
     summary: ClassVar[str] = "Urban driving with a camera and an obstacle detector in the loop: 7 parameters."
     params_type: ClassVar[type[Any]] = UrbanCameraParams
+    about_component: ClassVar[str] = (
+        "The detector is the one that the campaign names, on rendered images. On recorded ones it may err otherwise "
+        "(docs/how-to/set-a-requirement.md)."
+    )
     extra: ClassVar[str] = "vision"
     modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
 

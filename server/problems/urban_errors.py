@@ -97,6 +97,11 @@ class UrbanErrors(HasTrueVariant, JudgedByRequirements):
     summary: ClassVar[str] = "Urban driving with errors of the obstacle detector relative to the truth."
     params_type: ClassVar[type[Any]] = UrbanErrorsParams
 
+    about_component: ClassVar[str] = (
+        "The detector's errors are injected: results show what would happen if a detector erred like this, not that "
+        "yours does. Whether it does is checked with that detector: urban-camera@1, docs/how-to/set-a-requirement.md."
+    )
+
     def __init__(self, params: UrbanErrorsParams) -> None:
         self.params = params
         self.space = SearchSpace((scenario_component(), errors_component(params.errors, params.duration_s)))

@@ -150,6 +150,11 @@ class UrbanInjected(JudgedByRequirements):
         "reported: what the detector tells the driving system, true or not; of other road users it knows nothing else"
     )
 
+    about_component: ClassVar[str] = (
+        "The detector's errors are injected: results show what would happen if a detector erred like this, not that "
+        "yours does. Whether it does is checked with that detector: urban-camera@1, docs/how-to/set-a-requirement.md."
+    )
+
     def __init__(self, params: UrbanInjectedParams) -> None:
         self.params = params
         self.space = SearchSpace((scenario_component(), behaviour_component(params.duration_s)))

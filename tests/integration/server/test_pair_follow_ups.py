@@ -7,12 +7,14 @@ from typing import Any
 
 import httpx
 import pytest
+from rich.console import Console
 from support.api import FakeWorker, ball, expect, finish, row_counts, submit
 from support.databases import on_sqlite
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
+from brink.cli.pair_tables import print_pairs
 from brink.report.pair_words import evidence_words, legend
 from brink.search.fitness import wilson_interval
 from brink.server.api.pair_views import PairsView
@@ -437,3 +439,16 @@ def test_a_repeated_campaign_with_ground_truth_keeps_it(client: httpx.Client) ->
     assert [spec["behaviour"]["mode"] for spec in specs] == ["oracle", "oracle"]
     refused = expect(client.post(API, json={**ball(), "ground_truth": True}), 422)
     assert refused["errors"][0]["pointer"] == "/ground_truth"
+
+
+def test_pairs_say_what_they_do_not_say_of_a_detector_of_ones_own(client: httpx.Client) -> None:
+    campaign = finished(client)
+    view = pairs_of(client, campaign)
+    assert "not that yours does" in view["caveat"]
+    assert "urban-camera@1" in view["caveat"]
+    screen = Console(record=True, width=80)
+    print_pairs(screen, PairsView.model_validate(view))
+    assert view["caveat"] in screen.export_text()
+    asked = ask(client, campaign, kind="component", d_th=0.01)
+    worked(client, asked["campaign"])
+    assert pairs_of(client, asked["campaign"])["caveat"] == "", "there is no component in these drives"

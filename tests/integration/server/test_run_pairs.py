@@ -18,7 +18,8 @@ from brink.api.results import NoTrace, fetch_archive
 from brink.cli.commands import app
 from brink.cli.options import with_api
 from brink.cli.pair_findings import PairFindings, fetch_pair_findings
-from brink.cli.pairs import fetch_pairs, pairs_table
+from brink.cli.pair_tables import pairs_table
+from brink.cli.pairs import fetch_pairs
 from brink.report.figures import Drawing
 from brink.report.pair_words import legend
 from brink.search import surrogate

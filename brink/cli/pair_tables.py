@@ -1,0 +1,61 @@
+"""Pairs as text: a table of the first ones, and what its terms mean."""
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from brink.cli.options import plain_table
+from brink.report.pair_words import chance_words, common_words, evidence_words, extent_words, legend
+from brink.server.api.pair_views import MOST_PAIRS, PairsView
+from brink.server.problems.changes import as_sentence
+
+
+def print_pairs(screen: Console, view: PairsView) -> None:
+    """Print what was found, and the first pairs."""
+    screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
+    if not view.pairs:
+        return
+    screen.print(
+        f"a safe and an unsafe drive at most {view.eps:g} apart, or one step; pairs at least {view.d_th:g} "
+        f"apart",
+        soft_wrap=True,
+        style="dim",
+    )
+    if view.chancy:
+        screen.print(chance_words(view), soft_wrap=True)
+    screen.print(pairs_table(view))
+    print_legend(screen, view)
+    if view.distinct > len(view.pairs):
+        screen.print(
+            f"and {view.distinct - len(view.pairs)} more: --limit {min(view.distinct, MOST_PAIRS)}",
+            style="dim",
+        )
+
+
+def print_legend(screen: Console, view: PairsView) -> None:
+    """Print what the terms of the table mean, and what pairs do not say."""
+    for words in legend(view):
+        screen.print(words, soft_wrap=True, style="dim")
+    if view.caveat:
+        screen.print(view.caveat, soft_wrap=True)
+
+
+def pairs_table(view: PairsView, shown: int | None = None) -> Table:
+    """Return a table of the first pairs: the change in words, what both drives showed, and the evidence."""
+    table = plain_table(
+        "pair", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("pair",)
+    )
+    for pair in view.pairs[:shown]:
+        lines = [
+            as_sentence(pair.change),
+            *common_words(pair),
+            f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
+            f"safe, solution {pair.safe.number}: {pair.safe.outcome}",
+        ]
+        less = pair.minimality.unsafe
+        if less is not None and less.change != pair.change:
+            name = "minimal" if less.minimal else "smaller"
+            lines.append(f"{name} change: {less.change}: {less.outcome}")
+        evidence = [*evidence_words(view, pair).split(", "), extent_words(pair)]
+        table.add_row(str(pair.place), "\n".join([*lines, ""]), "\n".join(evidence))
+    return table
