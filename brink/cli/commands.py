@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Annotated, Any, Final
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from brink import __version__
 from brink.worker.log import LogLevel, configure_logging, environment_format
@@ -68,6 +68,22 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 """By section and name: the ``module:attribute`` that defines the command, and its line in ``brink --help``."""
 
 
+class PlainCommand(TyperCommand):
+    """A command that refuses an option of several values if it is given twice: all but the last would be lost."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments of the command."""
+        if any(one.nargs > 1 for one in self.params):
+            _, _, given = self.make_parser(ctx).parse_args(list(args))
+            for one in {one.name: one for one in given if one.nargs > 1}.values():
+                if given.count(one) > 1:
+                    name = f"'{one.opts[0]}'"
+                    raise typer.BadParameter(
+                        "expected it once; use one call for each", ctx=ctx, param_hint=name
+                    )
+        return super().parse_args(ctx, args)
+
+
 class LazyGroup(TyperGroup):
     """A command group that imports the module of a command when the command is called."""
 
@@ -100,7 +116,7 @@ def load(name: str, target: str) -> Any:
     found = getattr(import_module(module), attribute)
     if not isinstance(found, typer.Typer):
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-        single.command(name)(found)
+        single.command(name, cls=PlainCommand)(found)
         found = single
     found.rich_markup_mode = None  # square brackets in help and errors are no markup
     command = typer.main.get_command(found)
