@@ -16,6 +16,8 @@ from brink.server.api.schemas import ExperimentProgress, GenerationView, Progres
 from brink.server.states import CampaignStatus
 
 PLAIN_EVERY_S = 10.0
+FIRST_LINE_S = 2.0
+"""After how long a command that is not on a terminal says for the first time what it is doing."""
 BARS = "▁▂▃▄▅▆▇█"
 SERIES_WIDTH = 40
 
@@ -32,7 +34,8 @@ def updates_in_place(console: Console) -> bool:
 class Steps:
     """What a command is doing, how far it is, and for how long.
 
-    On a terminal a line in place, such as ``drawing replays, 2 of 3, 41 s``; elsewhere such a line every ten seconds.
+    On a terminal a line in place, such as ``drawing replays, 2 of 3, 41 s``; elsewhere such a line after two seconds,
+    then every ten seconds.
 
     Args:
         console: Shows the progress.
@@ -89,8 +92,10 @@ class Steps:
         return Text(", ".join(parts), no_wrap=True, overflow="ellipsis")
 
     def _print_now_and_then(self) -> None:
-        while not self._ended.wait(self._plain_every_s):
+        wait_s = min(FIRST_LINE_S, self._plain_every_s)
+        while not self._ended.wait(wait_s):
             self._console.print(self._line(), soft_wrap=True)
+            wait_s = self._plain_every_s
 
 
 class LiveDisplay:
@@ -101,6 +106,7 @@ class LiveDisplay:
         self._live: Live | None = None
         if updates_in_place(console):
             self._live = Live(console=console, refresh_per_second=4, transient=True)
+        self._began = time.monotonic()
         self._printed_at = float("-inf")
 
     def __enter__(self) -> Self:
@@ -116,11 +122,22 @@ class LiveDisplay:
         if self._live is not None:
             self._live.stop()
 
-    def _update(self, panel: Callable[[], RenderableType], line: Callable[[], str]) -> None:
-        """Show the panel on a terminal; elsewhere print the line, unless one was printed recently."""
+    def _update(
+        self,
+        progress: Progress | ExperimentProgress,
+        panel: Callable[[], RenderableType],
+        line: Callable[[], str],
+    ) -> None:
+        """Show the panel on a terminal; elsewhere print the line, unless one was printed recently.
+
+        Before the first worker connects, the line says nothing, so it is only printed if that takes long.
+        """
         if self._live is not None:
             self._live.update(panel())
-        elif time.monotonic() - self._printed_at >= PLAIN_EVERY_S:
+            return
+        waiting = progress.status is CampaignStatus.RUNNING and not (progress.workers or progress.simulations)
+        now = time.monotonic()
+        if now - (max(self._began, self._printed_at) if waiting else self._printed_at) >= PLAIN_EVERY_S:
             self._printed_at = time.monotonic()
             self._console.print(Text(line()), soft_wrap=True)
 
@@ -140,7 +157,7 @@ class CampaignDisplay(LiveDisplay):
     def show(self, progress: Progress) -> None:
         """Show the progress of a campaign, including the generations that are new."""
         self._series += [one for one in progress.generations if one.number >= len(self._series)]
-        self._update(lambda: self._panel(progress), lambda: self._line(progress))
+        self._update(progress, lambda: self._panel(progress), lambda: self._line(progress))
 
     def _panel(self, progress: Progress) -> Group:
         kind = "evaluations" if progress.measured else "simulations"
@@ -199,7 +216,7 @@ class CampaignDisplay(LiveDisplay):
             f"{progress.simulations}/{progress.budget} simulations",
             *(f"{name} {facts[name]}" for name in shown if facts.get(name, "–") != "–"),
             *rate_parts(progress),
-            f"workers {progress.workers}",
+            f"workers {progress.workers or 'none yet'}",
         ]
         return ", ".join([*parts, progress.asking] if progress.asking else parts)
 

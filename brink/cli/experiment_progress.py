@@ -21,7 +21,7 @@ class ExperimentDisplay(LiveDisplay):
 
     def show(self, progress: ExperimentProgress, members: Sequence[MemberView]) -> None:
         """Show the progress of an experiment."""
-        self._update(lambda: _panel(progress, members), lambda: _line(progress))
+        self._update(progress, lambda: _panel(progress, members), lambda: _line(progress))
 
 
 def _panel(progress: ExperimentProgress, members: Sequence[MemberView]) -> Group:
@@ -63,6 +63,6 @@ def _line(progress: ExperimentProgress) -> str:
         f"{progress.simulations}/{progress.budget} simulations",
         f"{progress.finished} of {progress.campaigns} campaigns finished",
         *rate_parts(progress),
-        f"workers {progress.workers}",
+        f"workers {progress.workers or 'none yet'}",
     ]
     return ", ".join(parts)

@@ -61,5 +61,4 @@ async def draw_pair(api: Api, view: PairsView, pair: PairView, path: Path, *, wo
     """
     # On stderr: the output of this command is the names of the files.
     with Steps(console(stderr=True), f"drawing {path}") as steps:
-        drawn = steps.of(f"drawing {path}")
-        await write_pair(api, view, pair, path, workers=workers, on_progress=drawn)
+        await write_pair(api, view, pair, path, workers=workers, show=steps.show)

@@ -43,9 +43,9 @@ async def write_pair(
     path: Path,
     *,
     workers: bool,
-    on_progress: Callable[[int, int], None] | None = None,
+    show: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
 ) -> bool:
-    """Draw a pair to a file and show no progress; otherwise as `draw_pair`.
+    """Draw a pair to a file.
 
     Args:
         api: Coordinator of the campaign.
@@ -53,7 +53,8 @@ async def write_pair(
         pair: The pair.
         path: A picture (.png) or a film (.mp4, .gif).
         workers: Whether the coordinator's workers run the drives again; otherwise this machine does.
-        on_progress: Called with the number of pictures drawn so far, and of all.
+        show: Called with what is being done, in words, how much of it is done, and how much there is; 0 if that is
+            unknown.
 
     Returns:
         Whether it shows the drives: False if there is nothing to replay, so that it is a figure.
@@ -62,24 +63,31 @@ async def write_pair(
         NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
     """
     try:
-        drives = await _drives(api, view, pair, workers=workers)
+        drives = await _drives(api, view, pair, workers=workers, show=show)
     except NothingToReplay:
         if path.suffix in FILMS:
             raise
         fetched = await fetch_archive(api, view.campaign)
         await asyncio.to_thread(_draw_figure, fetched, view, pair, path)
         return False
-    await asyncio.to_thread(render_pair, drives, path, on_progress=on_progress)
+    what = f"drawing {path}"
+    show(what, 0, 0)
+    await asyncio.to_thread(
+        render_pair, drives, path, on_progress=lambda done, total: show(what, done, total)
+    )
     return True
 
 
-async def _drives(api: Api, view: PairsView, pair: PairView, *, workers: bool) -> DrivePair:
+async def _drives(
+    api: Api, view: PairsView, pair: PairView, *, workers: bool, show: Callable[[str, int, int], None]
+) -> DrivePair:
     """Return both drives of a pair with the words of the pair."""
     if view.computed:
         raise NothingToReplay("verdicts are computed, so there is no drive to film: ask for --picture")
-    sides = []
+    sides: list[Side] = []
     again = pair.confirmation
     for side, share in ((pair.safe, again.safe), (pair.unsafe, again.unsafe)):
+        show(f"simulating both drives of pair {pair.place} again", len(sides), 2)
         trace = (
             await fetch_trace(api, view.campaign, side.number, TRACE_TIMEOUT_S)
             if workers

@@ -11,6 +11,7 @@ from support.traces import make_trace
 from typer.testing import CliRunner
 
 import brink.report.pair_pictures
+from brink.api.live import Steps
 from brink.cli.commands import app
 from brink.cli.pair_pictures import chosen_pair
 from brink.plots.style import WIDTH_PX
@@ -101,10 +102,20 @@ def test_drives_are_drawn_with_the_words_of_the_pair(
     monkeypatch.setattr(brink.report.pair_pictures, "fetch_requirements", front_gap)
     monkeypatch.setattr("brink.cli.pairs.fetch_pairs", simulated)
     picture = tmp_path / "pair.png"
+    steps: list[tuple[str, int, int]] = []
+    show = Steps.show
+
+    def record(self: Steps, what: str, done: int = 0, total: int = 0) -> None:
+        steps.append((what, done, total))
+        show(self, what, done, total)
+
+    monkeypatch.setattr(Steps, "show", record)
     said = pairs(disc, "--picture", "1", str(picture))
     assert said.exit_code == 0, said.output
     with Image.open(picture) as image:
         assert image.width == STILL_WIDTH_PX
+    simulating = "simulating both drives of pair 1 again"
+    assert steps[:3] == [(simulating, 0, 2), (simulating, 1, 2), (f"drawing {picture}", 0, 0)]
 
 
 @pytest.mark.parametrize(
@@ -141,6 +152,17 @@ def test_a_pair_is_chosen_by_its_number_wherever_it_is_listed(disc: tuple[str, l
         InvalidInput, match=r"--picture: expected one of the \d+ pairs with the best evidence, got 1"
     ):
         chosen_pair(few, 1, "--picture")
+
+
+@pytest.mark.parametrize("option", ["--picture", "--film"])
+def test_an_option_that_is_given_twice_is_refused_before_anything_is_drawn(
+    option: str, tmp_path: Path
+) -> None:
+    once = [option, "1", str(tmp_path / "a.gif")]
+    said = CliRunner().invoke(app, ["pairs", "3f2a", *once, *once])
+    assert said.exit_code == 2
+    assert f"'{option}': expected it once; use one call for each" in said.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_headline_leaves_out_the_outcome_of_a_long_change(disc: tuple[str, list[str]]) -> None:

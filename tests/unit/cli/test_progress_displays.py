@@ -48,7 +48,16 @@ def test_progress_in_a_file_is_one_plain_line_however_narrow(monkeypatch: pytest
 
 
 def test_progress_leaves_out_what_is_unknown() -> None:
-    assert line_of(rate_per_s=None, remaining_s=None, workers=0) == "254/1300 simulations, workers 0\n"
+    assert line_of(rate_per_s=None, remaining_s=None, workers=0) == "254/1300 simulations, workers none yet\n"
+
+
+def test_progress_waits_for_the_first_worker_unless_that_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing: dict[str, Any] = {"simulations": 0, "rate_per_s": None, "remaining_s": None, "workers": 0}
+    assert line_of(**nothing) == ""
+    assert line_of(**{**nothing, "workers": 1}) == "0/1300 simulations, workers 1\n"
+    assert line_of(**nothing, status="paused") != ""
+    monkeypatch.setattr("brink.api.live.PLAIN_EVERY_S", 0.0)
+    assert line_of(**nothing) == "0/1300 simulations, workers none yet\n"
 
 
 def test_results_from_the_cache_are_no_rate() -> None:
@@ -91,6 +100,14 @@ def test_steps_in_a_file_are_a_line_now_and_then() -> None:
         "whole, and brackets are no markup"
     )
     assert "\x1b" not in output.getvalue()
+
+
+def test_steps_in_a_file_are_told_soon_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("brink.api.live.FIRST_LINE_S", 0.001)
+    output = Lines(wanted="drawing, ")
+    with Steps(Console(file=output), "drawing"):
+        assert output.complete.wait(20.0)
+    assert output.getvalue().count("\n") == 1, "the next one is due in ten seconds"
 
 
 def test_steps_of_a_short_while_print_nothing_in_a_file() -> None:
