@@ -8,14 +8,14 @@ from rich.console import Console
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
+from brink.api.results import FetchedArchive, NoTrace, find_pair, read_all_pairs
 from brink.cli.pair_tables import pairs_table, print_legend
 from brink.report.figures import Drawing
 from brink.report.pair_pictures import write_pair
 from brink.report.pair_words import chance_words
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
-from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView
+from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView, PairView
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
 from brink.server.campaigns.pairs import PairSettings, searches_for_pairs
 from brink.server.campaigns.plan import with_truth
@@ -103,21 +103,34 @@ class PairFindings:
             files[-1].write_bytes(table)
         return files
 
+    def differs_from(self, file: Path) -> bool:
+        """Return whether a file that `write` wrote says something else by now."""
+        return file.read_bytes() != self._tables.get(file.suffix.removeprefix("."), b"")
+
     async def draw(self, drawing: Drawing) -> list[Path]:
-        """Draw the pair with the best evidence if the search looked for pairs; return the file."""
+        """Draw the pair with the best evidence if the search looked for pairs; return the files.
+
+        If an earlier run drew another one, that is drawn again, because more may be known of it by now.
+        """
         if not self.searched or not self._view.pairs or drawing.stop.is_set():
             return []
-        best = self._view.pairs[0]
-        path = drawing.folder / f"pair-{best.place}.png"
-        try:
-            # Not by workers: after --resume of a finished campaign there is none.
-            drives = await write_pair(drawing.api, self._view, best, path, workers=False)
-        except _UNDRAWABLE as error:
-            self._no_picture = f"no picture of pair {best.place}: {error}"
-            self._replayable = False
-            return []
-        self._replayable = drives
-        return [path]
+        chosen = [self._view.pairs[0]]
+        first = find_pair(self._view, 1)
+        if first is not None and first != chosen[0] and _file_of(drawing, first).is_file():
+            chosen.append(first)
+        files = []
+        for pair in chosen:
+            try:
+                # Not by workers: after --resume of a finished campaign there is none.
+                self._replayable = await write_pair(
+                    drawing.api, self._view, pair, _file_of(drawing, pair), workers=False, show=drawing.show
+                )
+            except _UNDRAWABLE as error:
+                self._no_picture = f"no picture of pair {pair.place}: {error}"
+                self._replayable = False
+                break
+            files.append(_file_of(drawing, pair))
+        return files
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
@@ -166,6 +179,10 @@ class PairFindings:
         return isinstance(every, NamesRequirements) and not set(every.requirements) <= set(
             problem.requirements
         )
+
+
+def _file_of(drawing: Drawing, pair: PairView) -> Path:
+    return drawing.folder / f"pair-{pair.place}.png"
 
 
 def _rounded_up(distance: float) -> str:

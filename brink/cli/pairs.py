@@ -32,6 +32,7 @@ from brink.cli.options import (
 )
 from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
 from brink.cli.pair_tables import print_pairs
+from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
 from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, Minimality, PairsView
@@ -128,6 +129,12 @@ def pairs(
         bool,
         typer.Option("--minimise", help="Revert differences one by one first, to find those that matter."),
     ] = False,
+    results: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for results that brink run had as --out: its files are brought up to date."
+        ),
+    ] = RESULTS,
     workers: Workers = 2,
     database: Database = None,
     server: Server = None,
@@ -137,7 +144,8 @@ def pairs(
 
     Each pair says in words what the change between its two drives is, and what the unsafe one did. What --confirm,
     --component and --minimise find out is stored and shown from then on. Without --server, the command runs a
-    coordinator and workers until it is known; calling it again continues.
+    coordinator and workers until it is known; calling it again continues. It also brings the files that `brink run`
+    wrote up to date.
 
     Example: brink pairs 3f2a
 
@@ -173,8 +181,8 @@ def pairs(
                 drawn[0][0], f"expected it without {' and '.join(ignored)}: draw the pair alone"
             )
     complete = True
+    screen = console(stderr=as_json or (wanted is not Format.TABLE and out is None))
     if asked:
-        screen = console(stderr=as_json or (wanted is not Format.TABLE and out is None))
         if limit is not None and limit > MOST_PAIRS_FOLLOWED:
             screen.print(f"only the first {MOST_PAIRS_FOLLOWED} pairs are simulated again")
         complete = _follow_up(campaign, asked, workers, server, database, screen)
@@ -208,7 +216,12 @@ def pairs(
             pairs = "pair" if view.distinct == 1 else "pairs"
             typer.echo(f"{out}: {len(view.pairs)} of {view.distinct} distinct {pairs}")
 
-    with_api(server, database, work)
+    async def show(api: Api) -> None:
+        await work(api)
+        if asked and server is None and complete:
+            await update_pairs(api, campaign, results, screen)
+
+    with_api(server, database, show)
     raise typer.Exit(int(not complete))
 
 

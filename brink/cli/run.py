@@ -28,13 +28,12 @@ from brink.cli.options import (
     Resume,
     Workers,
     console,
-    file_name,
     print_json,
     program,
 )
 from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
-from brink.report.campaign import campaign_report, write_page
+from brink.cli.results_folder import results_folder, write_report
 from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries
@@ -49,8 +48,6 @@ from brink.server.states import CampaignStatus
 
 PAPER_BUDGET = 1300
 TRACE_TIMEOUT_S = 30.0
-PAIRS_DRAWN = 1
-"""Pairs that the report of a run shows in full; `brink report` draws more."""
 
 log = logging.getLogger(__name__)
 
@@ -137,13 +134,16 @@ async def _finish(
     replays: int,
 ) -> bool:
     """Write and print the results of a finished campaign; return whether they are complete."""
-    folder = options.out / f"{file_name(body.name)}-{progress.id}"
+    folder = results_folder(options.out, body.name, progress.id)
     report = await _write_all(session, progress, body, folder, pictures=pictures, replays=replays)
     repeated = await repeat_finished(session, progress.id, body.repeats)
     if repeated is not None:
         report.files.extend(write_repeats(repeated, folder, picture=pictures))
     if not session.stop.is_set():
-        report.files.append(await _write_page(session, progress.id, folder, report.files))
+        with Steps(session.screen, "writing the report") as steps:
+            report.files.append(
+                await write_report(session.api, progress.id, folder, report.files, show=steps.show)
+            )
     summary = _summary(progress, report, repeated, folder)
     if options.json:
         print_json(summary)
@@ -156,19 +156,6 @@ async def _finish(
         session.hint("draw them with", f"run {options.file} --resume")
         return False
     return repeated is None or repeated.status is CampaignStatus.FINISHED
-
-
-async def _write_page(session: Session, campaign: str, folder: Path, files: Sequence[Path]) -> Path:
-    """Write the report to hand on, with the pictures among the files that are written already; return its file."""
-    pictures = {path.name: path for path in files if path.suffix == ".png"}
-    began = time.monotonic()
-    with Steps(session.screen, "writing the report") as steps:
-        page = await campaign_report(
-            session.api, campaign, pictures=pictures, most_pairs=PAIRS_DRAWN, show=steps.show
-        )
-    write_page(folder / "report.html", page)
-    log.info("writing the report took %.1f s", time.monotonic() - began)
-    return folder / "report.html"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

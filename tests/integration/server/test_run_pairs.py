@@ -227,3 +227,30 @@ def test_progress_of_a_search_for_pairs_does_not_speak_of_the_boundary(searched:
     assert "unsafe" in line
     assert "fitness" not in line
     assert "strict" not in line
+
+
+def test_a_follow_up_brings_the_files_of_the_run_up_to_date(
+    searched: Searched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    database = f"sqlite:///{shutil.copyfile(searched.database.removeprefix('sqlite:///'), tmp_path / 'd.db')}"
+    folder = shutil.copytree(searched.folder, tmp_path / "results" / searched.folder.name)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    command = ["pairs", searched.campaign, "--minimise", "--database", database, "--results"]
+
+    nowhere = CliRunner().invoke(app, [*command, "elsewhere"])
+    assert nowhere.exit_code == 0, nowhere.output
+    place = Path("elsewhere") / searched.folder.name
+    assert f"no files of a run to bring up to date in {place}; --results names" in nowhere.stdout
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+    told = CliRunner().invoke(app, [*command, "results"]).stdout
+    place = Path("results") / searched.folder.name
+    assert f"brought up to date in {place}: pairs.jsonl, pairs.csv, pair-1.png, report.html" in told
+    assert {path.name for path in folder.iterdir()} == before.keys()
+    tables = (folder / "pairs.jsonl").read_text(encoding="utf-8").splitlines()
+    assert any(json.loads(line)["minimality"]["tried"] for line in tables)
+    assert (folder / "map.png").read_bytes() == before["map.png"], "pairs keep their numbers"
+    for name in ("pairs.csv", "report.html"):
+        assert (folder / name).read_bytes() != before[name]
+    assert "up to date" not in CliRunner().invoke(app, [*command, "results"]).stdout, "nothing new is known"
