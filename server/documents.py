@@ -5,7 +5,9 @@ Every error has a JSON pointer to the field, what was expected, what was given, 
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -70,29 +72,102 @@ def read_yaml(path: Path) -> object:
     """
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise InvalidInput(
-                [FieldError(pointer="", message=f"{path}: larger than {MAX_FILE_BYTES} bytes")]
-            )
+            raise _unreadable(path, f"larger than {MAX_FILE_BYTES} bytes")
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InvalidInput.at("", f"{path}: {reason}") from None
-    return parse_yaml(text, f"{path}: ")
+        reason = (error.strerror or str(error)) if isinstance(error, OSError) else "not UTF-8 text"
+        raise _unreadable(path, reason) from None
+    try:
+        return parse_yaml(text)
+    except InvalidInput as error:
+        raise _unreadable(path, "; ".join(one.message for one in error.errors)) from None
 
 
-def parse_yaml(text: str, prefix: str = "") -> object:
+def _unreadable(path: Path, reason: str) -> InvalidInput:
+    return InvalidInput([FieldError(pointer="", message=reason, place=str(path))])
+
+
+@contextmanager
+def errors_in_file(path: Path) -> Iterator[None]:
+    """Say where in a YAML file the fields are that an error points to.
+
+    Args:
+        path: The file that was read.
+
+    Raises:
+        InvalidInput: The errors, with their places in the file.
+    """
+    try:
+        yield
+    except InvalidInput as error:
+        raise InvalidInput(placed_in_file(error.errors, path)) from None
+
+
+def placed_in_file(errors: Iterable[FieldError], path: Path) -> list[FieldError]:
+    """Return errors with the places in a YAML file of the fields that they point to.
+
+    Args:
+        errors: The errors; those that have a place, or are about no field of a document, stay as they are.
+        path: The file that was read.
+    """
+    root = _nodes(path)
+    return [
+        error
+        if error.place or not (error.pointer.startswith("/") or error.pointer == "")
+        else replace(error, place=_place(error, path, root))
+        for error in errors
+    ]
+
+
+def _nodes(path: Path) -> yaml.Node | None:
+    try:
+        root: yaml.Node | None = yaml.compose(path.read_text(encoding="utf-8"), yaml.SafeLoader)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        return None  # the errors name the file all the same
+    return root
+
+
+def _place(error: FieldError, path: Path, root: yaml.Node | None) -> str:
+    """Return the file, the line and the name of a field; the line of what should contain it if it is missing."""
+    parts = [part.replace("~1", "/").replace("~0", "~") for part in error.pointer.split("/")[1:] if part]
+    line, name, node = None, "", root
+    for part in parts:
+        name += f"[{part}]" if part.isdecimal() and isinstance(node, yaml.SequenceNode) else f".{part}"
+        mark, node = _child(node, part)
+        line = line if mark is None else mark.line + 1
+    told = [
+        str(path),
+        *([] if line is None else [f"line {line}"]),
+        *([name.removeprefix(".")] if name else []),
+    ]
+    return ": ".join(told)
+
+
+def _child(node: yaml.Node | None, part: str) -> tuple[yaml.Mark | None, yaml.Node | None]:
+    """Return where a part of a document begins, and the part; None if it is not there."""
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value == part:
+                return key.start_mark, value
+    if isinstance(node, yaml.SequenceNode) and part.isdecimal() and int(part) < len(node.value):
+        child = node.value[int(part)]
+        return child.start_mark, child
+    return None, None
+
+
+def parse_yaml(text: str) -> object:
     """Parse YAML or JSON.
 
     Raises:
-        InvalidInput: The text is not YAML; the message starts with the prefix.
+        InvalidInput: The text is not YAML.
     """
     try:
         document: object = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise InvalidInput.at("", f"{prefix}{_yaml_problem(error)}") from None
+        raise InvalidInput.at("", _yaml_problem(error)) from None
     except (ValueError, RecursionError) as error:  # an invalid date; unlimited nesting
         reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
-        raise InvalidInput.at("", f"{prefix}not YAML: {reason}") from None
+        raise InvalidInput.at("", f"not YAML: {reason}") from None
     return document
 
 

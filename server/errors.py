@@ -35,16 +35,19 @@ class FieldError:
         pointer: JSON pointer to the field, such as ``/algorithm/params/radius``.
         message: What was expected, and what was given.
         nearest: The most similar valid name, if any.
+        place: Where the field is for somebody who wrote it in a file, such as ``x.yaml: line 7: algorithm.id``; empty
+            if it came otherwise.
     """
 
     pointer: str
     message: str
     nearest: str | None = None
+    place: str = ""
 
     def __str__(self) -> str:
         hint = f" (did you mean {self.nearest!r}?)" if self.nearest else ""
-        place = f"{self.pointer}: " if self.pointer else ""
-        return f"{place}{self.message}{hint}"
+        place = self.place or self.pointer
+        return f"{place}: {self.message}{hint}" if place else f"{self.message}{hint}"
 
 
 class InvalidInput(ServerError):

@@ -22,6 +22,7 @@ from brink.cli.options import (
     DistanceThreshold,
     FitnessThreshold,
     Server,
+    about_file,
     check_ids,
     console,
     delete_confirmed,
@@ -75,7 +76,10 @@ def submit(
 
     async def work(api: Api) -> bool:
         headers = {"Idempotency-Key": key} if key else {}
-        response = await api.request("POST", "/campaigns", json=body.model_dump(mode="json"), headers=headers)
+        with about_file(file):
+            response = await api.request(
+                "POST", "/campaigns", json=body.model_dump(mode="json"), headers=headers
+            )
         campaign = CampaignView.model_validate_json(response.content)
         if as_json and not watch:
             print_json(response.json())

@@ -17,6 +17,7 @@ from brink.cli.options import (
     Resume,
     Server,
     Workers,
+    about_file,
     check_ids,
     console,
     delete_confirmed,
@@ -75,7 +76,9 @@ def run(
     options = RunOptions(
         file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
     )  # fmt: skip
-    raise typer.Exit(int(run_experiment(read_experiment_file(file), options) is None))
+    with about_file(file):
+        found = run_experiment(read_experiment_file(file), options)
+    raise typer.Exit(int(found is None))
 
 
 @experiment.command()
@@ -87,7 +90,8 @@ def submit(
     Example: brink experiment submit examples/paper-rq1.yaml --server http://coordinator:8700
     """
     body = read_experiment_file(file).document()
-    document = with_api(server, database, lambda api: api.post("/experiments", body))
+    with about_file(file):
+        document = with_api(server, database, lambda api: api.post("/experiments", body))
     if as_json:
         print_json(document)
         return

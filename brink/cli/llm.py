@@ -14,6 +14,7 @@ from brink.cli.options import (
     CampaignId,
     Database,
     Server,
+    about_file,
     console,
     fields,
     plain_table,
@@ -42,7 +43,8 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
 
     Example: brink llm check examples/traffic-llm.yaml
     """
-    settings = _settings(read_campaign_file(file))
+    with about_file(file):
+        settings = _settings(read_campaign_file(file))
     with Steps(console(stderr=True), f"querying {settings.model}"):
         report = asyncio.run(check_endpoint(settings))
     if as_json:
@@ -100,8 +102,9 @@ def dry_run(
     Example: brink llm dry-run examples/traffic-llm.yaml
     """
     body = read_campaign_file(file)
-    settings = _settings(body)
-    plan = make_checked_plan(body)
+    with about_file(file):
+        settings = _settings(body)
+        plan = make_checked_plan(body)
     problem = plan.problem
     assert isinstance(problem, SupportsSeeds)  # checked with the plan
     config: Any = plan.config

@@ -5,7 +5,8 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -13,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from brink.api.client import Api, connect, in_process
+from brink.api.client import Api, CoordinatorError, connect, in_process
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
 
@@ -220,6 +221,24 @@ def delete_confirmed(
         typer.confirm(f"delete {what}? This cannot be undone", abort=True)
     with_api(server, database, lambda api: api.request("DELETE", path))
     print_line(f"{what} is deleted")
+
+
+@contextmanager
+def about_file(file: Path) -> Iterator[None]:
+    """Say where in a campaign or experiment file the fields are that were rejected, here or by a coordinator.
+
+    Raises:
+        InvalidInput: The file is invalid, or the coordinator rejected it.
+    """
+    from brink.server.documents import errors_in_file, placed_in_file
+
+    try:
+        with errors_in_file(file):
+            yield
+    except CoordinatorError as error:
+        if not error.errors:
+            raise
+        raise InvalidInput(placed_in_file(error.errors, file)) from None
 
 
 def print_json(document: Any) -> None:

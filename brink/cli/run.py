@@ -27,6 +27,7 @@ from brink.cli.options import (
     Port,
     Resume,
     Workers,
+    about_file,
     console,
     print_json,
     program,
@@ -76,8 +77,9 @@ def run(
     options = RunOptions(
         file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
     )  # fmt: skip
-    checked, _ = check_submission(body)
-    check_extra(checked.plan.problem)
+    with about_file(file):
+        checked, _ = check_submission(body)
+        check_extra(checked.plan.problem)
     screen = console(stderr=as_json)
     workload = CampaignRun(body)
     complete = run_to_end(

@@ -10,7 +10,14 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from brink.server.documents import Body, check_printable, hash_document, parse_document, read_yaml
+from brink.server.documents import (
+    Body,
+    check_printable,
+    errors_in_file,
+    hash_document,
+    parse_document,
+    read_yaml,
+)
 from brink.server.errors import InvalidInput
 from brink.server.llm.settings import LlmSettings
 from brink.worker.wire import JsonValues
@@ -276,4 +283,5 @@ def read_campaign_file(path: Path) -> CampaignBody:
     Raises:
         InvalidInput: The file cannot be read, is not YAML, or is not a campaign.
     """
-    return parse_body(read_yaml(path))
+    with errors_in_file(path):
+        return parse_body(read_yaml(path))

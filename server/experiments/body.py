@@ -16,7 +16,14 @@ from brink.server.campaigns.body import (
     Execution,
     PluginChoice,
 )
-from brink.server.documents import Body, check_printable, hash_document, parse_document, read_yaml
+from brink.server.documents import (
+    Body,
+    check_printable,
+    errors_in_file,
+    hash_document,
+    parse_document,
+    read_yaml,
+)
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
 
@@ -231,4 +238,5 @@ def read_experiment_file(path: Path) -> ExperimentBody:
     Raises:
         InvalidInput: The file cannot be read, is not YAML, or is not an experiment.
     """
-    return parse_experiment(read_yaml(path))
+    with errors_in_file(path):
+        return parse_experiment(read_yaml(path))
