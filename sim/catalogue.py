@@ -8,9 +8,11 @@ import importlib
 import inspect
 import os
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, Protocol, cast
 
 from brink.sim.episode import EpisodeResult, EpisodeSpec
@@ -58,26 +60,50 @@ def _entry_points(group: str) -> Mapping[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=group)}
 
 
-def _plugin_modules() -> list[str]:
+def plugin_modules() -> list[str]:
+    """Return the names of the modules to import for the plug-ins that they register."""
     names = (name.strip() for name in os.environ.get(PLUGINS_VARIABLE, "").split(","))
     return [name for name in names if name]
 
 
 @cache
-def _import_plugin_modules() -> None:
-    for name in _plugin_modules():
+def import_plugin_modules() -> None:
+    """Import the modules with plug-ins, once in a process.
+
+    Raises:
+        PluginMissing: A module cannot be imported; the message says what to do.
+    """
+    for name in plugin_modules():
         try:
             importlib.import_module(name)
         except Exception as error:  # (third-party code may raise anything)
+            why = _why_not_imported(name, error)
             raise PluginMissing(
-                f"plug-in {name!r} (--plugin, or {PLUGINS_VARIABLE}) cannot be imported from here: "
-                f"{type(error).__name__}: {error}"
+                f"plug-in module {name!r}, which --plugin or {PLUGINS_VARIABLE} names, {why}"
             ) from error
+
+
+def _why_not_imported(name: str, error: Exception) -> str:
+    """Return why a plug-in's module cannot be imported, and what to do."""
+    missing = error.name if isinstance(error, ModuleNotFoundError) else None
+    if missing is None or not f"{name}.".startswith(f"{missing}."):
+        needs = f"; install {missing!r} here" if missing else "; correct the module"
+        return f"fails when it is imported: {type(error).__name__}: {error}{needs}, or leave the plug-in out"
+    here = Path.cwd()
+    top = name.partition(".")[0]
+    if (here / f"{top}.py").is_file() or (here / top).is_dir():
+        return (
+            f"is not on Python's path, but in {here}: name it with --plugin, which searches that folder too"
+        )
+    return (
+        f"is neither installed for {sys.executable} nor on Python's path (and not in {here}): install its package, "
+        "call brink in the folder of the module with --plugin, or correct the name"
+    )
 
 
 def plugin_ids(group: str) -> tuple[str, ...]:
     """Return the ids of all plug-ins in a group, sorted."""
-    _import_plugin_modules()
+    import_plugin_modules()
     return tuple(sorted({*_entry_points(group), *_registered.get(group, {})}))
 
 
@@ -87,7 +113,7 @@ def load_plugin(group: str, plugin_id: str) -> object:
     Raises:
         KeyError: No plug-in has this id.
     """
-    _import_plugin_modules()
+    import_plugin_modules()
     if plugin_id in _registered.get(group, {}):
         return _registered[group][plugin_id]
     return _entry_points(group)[plugin_id].load()
@@ -106,9 +132,9 @@ def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Cal
     Raises:
         InvalidEpisode: The module is no plug-in, or has no such function.
     """
-    _import_plugin_modules()
+    import_plugin_modules()
     module, _, function = name.partition(":")
-    known = [*own_modules, *_plugin_modules()]
+    known = [*own_modules, *plugin_modules()]
     if module not in known:
         raise InvalidEpisode(
             f"{where}: expected MODULE:FUNCTION with a module that --plugin or {PLUGINS_VARIABLE} names, or one of "

@@ -15,7 +15,7 @@ from brink.search.errors import install_command
 from brink.server.runtime.coordinator import CoordinatorServer, allow_many_open_files, listen, url_of
 from brink.server.runtime.database import prepare_database, shown_url
 from brink.server.settings import Settings
-from brink.sim.catalogue import PLUGINS_VARIABLE
+from brink.sim.catalogue import PLUGINS_VARIABLE, import_plugin_modules
 from brink.worker.log import LogFormat, configure_logging
 from brink.worker.run import run_worker
 from brink.worker.settings import WorkerSettings
@@ -48,6 +48,7 @@ def serve(
         log_level=log_level,
         access_log=access_log,
     )
+    import_plugin_modules()  # here, because every request for a campaign would fail
     allow_many_open_files()
     with closing(listen(settings)) as listener:
         before, after = prepare_database(settings)

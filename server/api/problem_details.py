@@ -14,6 +14,7 @@ from starlette.exceptions import HTTPException
 from brink.server.db.writer import is_transient
 from brink.server.documents import field_errors
 from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
+from brink.sim.errors import PluginMissing
 
 MEDIA_TYPE = "application/problem+json"
 log = logging.getLogger(__name__)
@@ -71,6 +72,11 @@ def install(app: FastAPI) -> None:
     async def unavailable(_: Request, error: Unavailable) -> JSONResponse:
         title = NO_WORKER if isinstance(error, NoWorker) else "Unavailable"
         return problem(503, title, str(error), headers={"Retry-After": str(error.retry_after_s)})
+
+    @app.exception_handler(PluginMissing)
+    async def not_importable(_: Request, error: PluginMissing) -> JSONResponse:
+        log.info("%s", error)  # the answer says it, too
+        return problem(500, "Plug-in missing", str(error))
 
     @app.exception_handler(DBAPIError)
     async def database_away(request: Request, error: DBAPIError) -> JSONResponse:

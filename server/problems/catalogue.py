@@ -25,7 +25,7 @@ from brink.server.problems.base import (
     ReportsViolations,
     SimulatedProblem,
 )
-from brink.sim.catalogue import load_plugin, plugin_ids, requirement_ids, requirement_words
+from brink.sim.catalogue import load_plugin, plugin_ids, plugin_modules, requirement_ids, requirement_words
 
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
@@ -106,9 +106,11 @@ def config_field_error(error: ConfigError, prefix: str) -> FieldError:
 def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:
     known = plugin_ids(group)
     if plugin_id not in known:
+        loaded = ", ".join(plugin_modules())
+        more = f"none of the plug-ins {loaded} registers it" if loaded else "no plug-in is loaded"
         message = (
             f"unknown {what} {plugin_id!r}; expected one of {', '.join(known)}, or one that a plug-in registers: "
-            "brink --plugin MODULE …"
+            f"brink --plugin MODULE … ({more})"
         )
         raise InvalidInput([FieldError(pointer=pointer, message=message, nearest=nearest(plugin_id, known))])
     return load_plugin(group, plugin_id)

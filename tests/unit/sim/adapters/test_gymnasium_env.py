@@ -87,10 +87,10 @@ def no_margin(episode: Episode) -> float:
 @pytest.fixture(autouse=True)
 def _as_plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv(PLUGINS_VARIABLE, HERE)
-    catalogue._import_plugin_modules.cache_clear()
+    catalogue.import_plugin_modules.cache_clear()
     SEEN.clear()
     yield
-    catalogue._import_plugin_modules.cache_clear()
+    catalogue.import_plugin_modules.cache_clear()
 
 
 @pytest.fixture
