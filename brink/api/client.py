@@ -34,6 +34,10 @@ class CoordinatorError(ServerError):
         super().__init__(message)
 
 
+class Missing(CoordinatorError):
+    """The coordinator has nothing by this name."""
+
+
 class Api:
     """The REST API of one coordinator.
 
@@ -151,7 +155,8 @@ def _error_of(response: httpx.Response) -> CoordinatorError:
         for error in document.get("errors") or []
     ]
     if not errors:
-        return CoordinatorError(str(document.get("detail", document)))
+        kind = Missing if response.status_code == httpx.codes.NOT_FOUND else CoordinatorError
+        return kind(str(document.get("detail", document)))
     return CoordinatorError("\n".join(map(str, errors)), errors)
 
 

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from brink.api.client import TIMEOUT, Api, CoordinatorError
 from brink.api.live import CampaignDisplay
-from brink.cli.options import database_option, database_place, program, settings_with
+from brink.cli.options import database_option, database_place, naming_ids, program, settings_with
 from brink.server.api.schemas import ExperimentProgress, Progress
 from brink.server.errors import Conflict, Unavailable
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
@@ -188,7 +188,7 @@ def run_locally(
                 database=database_option(settings), processes=processes, stop=asyncio.Event(), screen=screen,
                 place=database_place(settings), serve=_serve_later(settings),
             )  # fmt: skip
-            return await work(session)
+            return await naming_ids(session.api, session.place, session.database, lambda: work(session))
 
     coordinator = local_coordinator(settings, worker_log, any_port=any_port)
     with _default_signals_afterwards(), coordinator as (url, token, processes):

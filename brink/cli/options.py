@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from brink.api.client import Api, CoordinatorError, connect, in_process
+from brink.api.client import Api, CoordinatorError, Missing, connect, in_process
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
 
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 PLAIN_WIDTH = 140
+IDS_SHOWN = 3
+"""Ids to name where one was not found."""
+_LISTS = {"campaign": "status", "experiment": "experiment list"}
+"""The command that lists what an id may stand for."""
 RESULTS = Path("brink-results")
 """Default folder for results."""
 
@@ -61,6 +65,8 @@ def check_ids(given: str | list[str] | None) -> str | list[str] | None:
             )
             if one.endswith((".yaml", ".yml", ".json")):
                 words += f"; the last run of a file is continued with: {program()} run {one} --resume"
+            else:
+                words += f"; {program()} status lists campaigns, {program()} experiment list experiments"
             raise typer.BadParameter(words)
     return given
 
@@ -174,6 +180,40 @@ def database_place(settings: "Settings") -> str:
     return shown_url(settings) if file is None else str(file.absolute())
 
 
+async def naming_ids(api: Api, place: str, option: str, work: Callable[[], Awaitable[T]]) -> T:
+    """Do work; if it names a campaign or an experiment that does not exist, say where that is, and what is there.
+
+    Args:
+        api: The API of a coordinator.
+        place: Where the coordinator or its database is, in words.
+        option: The option that names it in hints; empty for the default database.
+        work: The work.
+
+    Raises:
+        CoordinatorError: A request failed.
+    """
+    try:
+        return await work()
+    except Missing as error:
+        for noun, command in _LISTS.items():
+            if str(error).endswith(f"no such {noun}"):
+                there = await _some_ids(api, f"{noun}s")
+                raise Missing(
+                    f"{error} in {place}, {there}; list them with: {program()} {command}{option}"
+                ) from None
+        raise
+
+
+async def _some_ids(api: Api, noun: str) -> str:
+    """Return the newest campaigns or experiments of a coordinator, in words."""
+    page = await api.get(f"/{noun}", {"limit": IDS_SHOWN + 1})
+    found = [f"{one['id']} ({one['name']})" for one in page[noun]]
+    if not found:
+        return "which has none"
+    more = ", …" if len(found) > IDS_SHOWN else ""
+    return f"which has {', '.join(found[:IDS_SHOWN])}{more}"
+
+
 def with_api(server: str | None, database: str | None, work: Callable[[Api], Awaitable[T]]) -> T:
     """Call `work` with the API of a coordinator, and return its result.
 
@@ -192,11 +232,13 @@ def with_api(server: str | None, database: str | None, work: Callable[[Api], Awa
 
     async def run() -> None:
         if server is None:
-            opened = in_process(settings_with(database=database))
+            settings = settings_with(database=database)
+            opened, place = in_process(settings), database_place(settings)
         else:
-            opened = connect(server, os.environ.get("BRINK_TOKEN") or None)
+            opened, place = connect(server, os.environ.get("BRINK_TOKEN") or None), server
         async with opened as api:
-            results.append(await work(api))
+            with_option = place_option(server, database)
+            results.append(await naming_ids(api, place, with_option, lambda: work(api)))
 
     asyncio.run(run())
     return results[0]

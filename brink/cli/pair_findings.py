@@ -22,7 +22,7 @@ from brink.server.campaigns.plan import with_truth
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import NamesRequirements
 from brink.server.problems.catalogue import make_problem
-from brink.server.problems.urban_injected import ANY
+from brink.server.problems.requirements import ANY
 from brink.sim.errors import SimulatorError
 
 _PAIRS_SHOWN: Final = 5

@@ -34,8 +34,8 @@ def check_exists(settings: Settings) -> None:
     path = settings.sqlite_file
     if path is not None and not path.exists():
         raise DatabaseError(
-            f"no database at {path}: run a campaign first (brink run FILE), choose another database with --database, "
-            "or a coordinator with --server"
+            f"no database at {path.absolute()}: run a campaign first (brink run FILE), choose another database with "
+            "--database, or a coordinator with --server"
         )
 
 

@@ -34,6 +34,7 @@ from brink.server.db.upgrade import upgrade
 from brink.server.operations.doctor import State, examine
 from brink.server.runtime.coordinator import PortInUse, local_coordinator
 from brink.server.settings import Settings
+from brink.sim.catalogue import PLUGINS_VARIABLE, import_plugin_modules
 from brink.worker.wire import JobFailed
 
 MTQ = {
@@ -333,7 +334,11 @@ def test_commands_read_the_same_from_a_database_and_from_a_server(
             people = brink("status", campaign, *place).out
             assert "finished" in people
             assert done["digest"] in people
-            assert "no such campaign" in brink("status", "zzzz", *place).line
+            wrong = brink("status", "zzzz", *place).line
+            where = place[1] if place[0] == "--server" else ""
+            assert f"campaign 'zzzz': no such campaign in {where}" in wrong
+            assert f"which has {campaign} (" in wrong
+            assert wrong.endswith(f"list them with: brink status {' '.join(place)}")
         again = brink("results", campaign, "--out", "boundary.txt", *places[0])
         assert ".csv, .jsonl, .parquet or .json" in again.line
 
@@ -367,7 +372,7 @@ def test_commands_that_only_read_create_no_database(brink: Command, tmp_path: Pa
         ["token", "revoke", "x"],
         ["db", "prune", "--ended-days", "1"],
     ):
-        assert "no database at brink.db" in brink(*command).line
+        assert f"no database at {Path.cwd() / 'brink.db'}: run" in brink(*command).line
     assert list(tmp_path.glob("*.db*")) == []
 
 
@@ -666,3 +671,16 @@ def test_tags_and_notes_are_written_shown_and_searched(brink: Command, database_
     assert "without spaces" in brink("tag", night, "two words", *at).line
     assert brink("note", night, "", *at).out == f"campaign {night} has no notes now\n"
     assert "notes" not in brink("status", night, *at).out
+
+
+@pytest.mark.parametrize("command", [["serve", "--port", "0"], ["run", "FILE"]])
+def test_a_missing_plug_in_is_one_line(
+    brink: Command, command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(PLUGINS_VARIABLE, "nowhere_plugin")
+    import_plugin_modules.cache_clear()
+    file = campaign_file(tmp_path)
+    said = brink(*(file if one == "FILE" else one for one in command))
+    import_plugin_modules.cache_clear()
+    assert "brink: plug-in module 'nowhere_plugin'" in said.line
+    assert not (tmp_path / "brink.db").exists()
