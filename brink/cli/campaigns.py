@@ -250,7 +250,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"generation {progress.generation}"
     )
     if progress.looks_for_pairs:
-        screen.print(_where_pairs_are(progress, place), soft_wrap=True)
+        screen.print(where_pairs_are(progress, place), soft_wrap=True)
     elif series:
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
@@ -305,28 +305,43 @@ def results(
         if as_json:
             print_json(document)
         elif out is None:
-            boundary = Boundary.model_validate(document)
-            screen = console()
-            screen.print(
-                f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict{within_budget(boundary)}"
+            await _show_boundary(
+                api, Boundary.model_validate(document), campaign, place_option(server, database)
             )
-            screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
-            screen.print(grid_table(boundary.grid))
-            screen.print(boundary.note, style="dim")
-            found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
-            if found.looks_for_pairs:
-                screen.print(_where_pairs_are(found, place_option(server, database)), soft_wrap=True)
 
     with_api(server, database, work)
 
 
-def _where_pairs_are(progress: Progress, place: str) -> str:
-    """Return how to see what a search for pairs found."""
+async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str) -> None:
+    """Print the boundary; after a search for pairs, which does not look for it, first where these are."""
+    screen = console()
+    found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
+    if found.looks_for_pairs:
+        screen.print(where_pairs_are(found, place), soft_wrap=True)
+    screen.print(
+        f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict{within_budget(boundary)}"
+    )
+    if found.looks_for_pairs and not any(cell.dbs for cell in boundary.grid):
+        return
+    screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
+    screen.print(grid_table(boundary.grid))
+    screen.print(boundary.note, style="dim")
+
+
+def where_pairs_are(progress: Progress, place: str, *, options: str = "", do: str = "show them") -> str:
+    """Return how to go on with what a search for pairs found.
+
+    Args:
+        progress: The campaign.
+        place: The option that names its coordinator or database in hints.
+        options: Further options of `brink pairs`.
+        do: What that command does with the pairs, in words.
+    """
     ended = progress.status not in (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
     verb = "searched" if ended else "is searching"
     return (
-        f"this campaign {verb} for pairs across the boundary; show them with: "
-        f"{program()} pairs {progress.id}{place}"
+        f"this campaign {verb} for pairs across the boundary; {do} with: "
+        f"{program()} pairs {progress.id}{options}{place}"
     )
 
 

@@ -8,11 +8,23 @@ from rich.console import Console
 
 from brink.api.client import Api
 from brink.api.results import fetch_archive
-from brink.cli.options import AsJson, Database, Server, check_ids, console, plain_table, print_json, with_api
+from brink.cli.campaigns import ALL_GENERATIONS, where_pairs_are
+from brink.cli.options import (
+    AsJson,
+    Database,
+    Server,
+    check_ids,
+    console,
+    place_option,
+    plain_table,
+    print_json,
+    with_api,
+)
 from brink.report.comparison import compared_archives
 from brink.search.analysis.comparison import Row, control_summaries
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
+from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 
 
@@ -32,11 +44,22 @@ def compare(
     Example: brink compare 3f2a 91bc 77d0
     """
     unique = list(dict.fromkeys(campaigns))
-    rows = with_api(server, database, lambda api: compared(api, unique, control=control))
+
+    async def work(api: Api) -> tuple[list[Row], list[Progress]]:
+        rows = await compared(api, unique, control=control)
+        since = {"since": ALL_GENERATIONS}
+        return rows, [await api.read(Progress, f"/campaigns/{one}/progress", since) for one in unique]
+
+    rows, progress = with_api(server, database, work)
     if as_json:
         print_json(rows_json(rows))
-    else:
-        print_rows(console(), rows)
+        return
+    screen = console()
+    print_rows(screen, rows)
+    for one in progress:
+        if one.looks_for_pairs:
+            words = where_pairs_are(one, place_option(server, database))
+            screen.print(f"{one.name}: {words}", soft_wrap=True)
 
 
 async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:

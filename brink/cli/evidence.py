@@ -20,6 +20,7 @@ from brink.api.results import (
     fetch_trace,
     run_episode,
 )
+from brink.cli.evidence_pairs import PairEvidence, draw_pair_evidence, write_pair_tables
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -34,10 +35,11 @@ from brink.cli.options import (
 )
 from brink.report.component import DetectionCounts, count_detections, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
-from brink.search.errors import MissingExtra, install_command
+from brink.search.errors import MissingExtra, TooManyPairs, install_command
 from brink.server.api.boundary_table import FORMATS, MEANINGS, Row, boundary_rows, has_parquet, table_bytes
 from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.errors import InvalidInput
 from brink.sim.errors import SimulatorError
 from brink.sim.replay import render
@@ -57,6 +59,7 @@ class _Options:
     t_b: float
     d_th: float
     replays: int
+    pairs: int
     film: str | None
     server: str | None
 
@@ -69,6 +72,9 @@ def evidence(
     replays: Annotated[
         int, typer.Option(min=0, help="Number of boundary solutions to replay, best first.")
     ] = 1000,
+    pairs: Annotated[
+        int, typer.Option(min=0, help="Number of pairs to draw after a search for pairs, best first.")
+    ] = 5,
     film: Annotated[
         str | None, typer.Option(help="gif or mp4: also write replays as videos, which takes longer.")
     ] = None,
@@ -78,6 +84,8 @@ def evidence(
 ) -> None:
     """Export the boundary of a campaign: tables, rules, replays, and the boxes of true and detected objects.
 
+    After a search for pairs, export these: tables, what is known of them, and pictures of the best ones.
+
     Without --server, this machine runs the episodes again; with it, the coordinator's workers do.
 
     Example: brink evidence 3f2a --out evidence --film mp4
@@ -85,7 +93,9 @@ def evidence(
     if film not in (None, "gif", "mp4"):
         raise InvalidInput.at("--film", f"expected gif or mp4, got {film!r}")
     screen = console(stderr=as_json)
-    options = _Options(folder=out, t_b=t_b, d_th=d_th, replays=replays, film=film, server=server)
+    options = _Options(
+        folder=out, t_b=t_b, d_th=d_th, replays=replays, pairs=pairs, film=film, server=server
+    )  # fmt: skip
     summary = with_api(server, database, lambda api: _write(api, campaign, options, screen))
     if as_json:
         print_json(summary)
@@ -93,6 +103,8 @@ def evidence(
     for line in summary["notes"]:
         screen.print(line, soft_wrap=True)
     counts = f"{summary['solutions']} boundary solutions, {summary['replays']} with replays"
+    if summary["pairs"] is not None:
+        counts = f"{summary['pairs']} pairs, {summary['pictures']} with pictures; {counts}"
     screen.print(f"{out}: {counts}; start with {out / 'README.md'}", soft_wrap=True)
 
 
@@ -102,9 +114,11 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
     boundary = await api.read(Boundary, f"/campaigns/{fetched.id}/boundary", params)
     options.folder.mkdir(parents=True, exist_ok=True)
     rows, notes = boundary_rows(boundary, fetched.id, fetched.body), list[str]()
+    searched = searches_for_pairs(fetched.body.algorithm.id)
     if not has_parquet():
-        notes.append(f"no boundary.parquet: {install_command('analysis')}")
-    _tables(rows, options.folder)
+        notes.append(f"no Parquet: {install_command('analysis')}")
+    if rows or not searched:
+        _tables(rows, options.folder)
     found: list[Rules] = []
     with Steps(screen, "finding rules"):
         try:
@@ -113,16 +127,29 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
             notes.append(f"no rules: {error}")
     document = [asdict(one) for one in found]
     write_json(options.folder / "rules.json", document)
+    pairs = await write_pair_tables(api, fetched, options.folder) if searched else None
+    if isinstance(pairs, TooManyPairs):
+        notes.append(f"no list of pairs: {pairs}")
+        pairs = None
     # The slow part comes last, so that Ctrl-C leaves everything else complete.
     readme = options.folder / "README.md"
-    readme.write_text(_readme(fetched, boundary, options, found, notes, 0), encoding="utf-8")
+    readme.write_text(_readme(fetched, boundary, options, found, notes, 0, pairs), encoding="utf-8")
+    if pairs is not None:
+        with Steps(screen, "drawing pairs") as steps:
+            pairs = await draw_pair_evidence(
+                api, pairs, options.folder, pictures=options.pairs, film=options.film,
+                workers=options.server is not None, show=steps.show,
+            )  # fmt: skip
+        notes += pairs.notes
     drawn, missing = await _replays(api, fetched, rows, boundary, options, screen)
     notes += missing
-    _tables(rows, options.folder)
-    readme.write_text(_readme(fetched, boundary, options, found, notes, drawn), encoding="utf-8")
+    if rows or not searched:
+        _tables(rows, options.folder)
+    readme.write_text(_readme(fetched, boundary, options, found, notes, drawn, pairs), encoding="utf-8")
     return {
         "campaign": fetched.id, "folder": str(options.folder), "solutions": len(rows), "replays": drawn,
-        "rules": document, "notes": notes,
+        "pairs": None if pairs is None else len(pairs.view.pairs),
+        "pictures": None if pairs is None else len(pairs.drawn), "rules": document, "notes": notes,
     }  # fmt: skip
 
 
@@ -207,23 +234,27 @@ def _readme(
     found: Sequence[Rules],
     notes: Sequence[str],
     drawn: int,
+    pairs: PairEvidence | None,
 ) -> str:
-    body, near = fetched.body, fetched.plan.neighbourhood
+    body = fetched.body
+    with_boundary = bool(boundary.solutions) or pairs is None
     parts = [
-        f"# Boundary of {body.name}",
+        f"# {'Boundary' if pairs is None else 'Pairs'} of {body.name}",
         f"Campaign {fetched.id}: {body.algorithm.id} on {body.problem.id}, seed {body.seed}, "
         f"{len(fetched.archive):,} evaluated solutions, {int(fetched.archive.unsafe.sum()):,} of them unsafe. "
         f"{fetched.outcomes.words} Brink {__version__}.".lstrip(),
-        f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} of them strict: fitness at most "
-        f"{options.t_b:g}, at least {options.d_th:g} apart, around the region that is unsafe with probability "
-        f"{near.p_th:g}; neighbours within {near.radius:g}, intervals with z = {near.z:g}. {boundary.note}",
-        "Each solution was simulated once. `brink repeats` estimates how likely the solution itself is to be unsafe.",
+        *(_pairs_words(fetched) if pairs is not None else []),
+        *(_boundary_words(fetched, boundary, options) if with_boundary else []),
         *(f"> {note}" for note in notes),
         "# Files",
-        _files(options.film, drawn),
-        "# Columns\n\n| column | meaning |\n|---|---|\n"
-        + "\n".join(f"| `{name}` | {meaning} |" for name, meaning in MEANINGS.items()),
+        _files(options.film, drawn, pairs, with_boundary=with_boundary),
+        *([] if pairs is None else [pairs.section()]),
     ]  # fmt: skip
+    if with_boundary:
+        parts.append(
+            "# Columns\n\n| column | meaning |\n|---|---|\n"
+            + "\n".join(f"| `{name}` | {meaning} |" for name, meaning in MEANINGS.items())
+        )
     if found:
         parts += [
             "# Rules\n\nFrom shallow decision trees over all evaluated solutions. "
@@ -233,9 +264,28 @@ def _readme(
     return "\n\n".join(parts).rstrip() + "\n"
 
 
-def _files(film: str | None, drawn: int) -> str:
-    tables = ", ".join(f"`boundary.{form}`" for form in FORMATS if form != "parquet" or has_parquet())
-    lines = [f"- {tables}: one row per solution, best first."]
+def _pairs_words(fetched: FetchedArchive) -> list[str]:
+    return [
+        "This campaign searched for pairs across the boundary: two solutions that are almost the same, one safe and "
+        f"one unsafe. `brink pairs {fetched.id}` shows them, and simulates them again if it is asked to."
+    ]
+
+
+def _boundary_words(fetched: FetchedArchive, boundary: Boundary, options: _Options) -> list[str]:
+    near = fetched.plan.neighbourhood
+    return [
+        f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} of them strict: fitness at most "
+        f"{options.t_b:g}, at least {options.d_th:g} apart, around the region that is unsafe with probability "
+        f"{near.p_th:g}; neighbours within {near.radius:g}, intervals with z = {near.z:g}. {boundary.note}",
+        "Each solution was simulated once. `brink repeats` estimates how likely the solution itself is to be unsafe.",
+    ]
+
+
+def _files(film: str | None, drawn: int, pairs: PairEvidence | None, *, with_boundary: bool) -> str:
+    lines = [] if pairs is None else pairs.files()
+    if with_boundary:
+        tables = ", ".join(f"`boundary.{form}`" for form in FORMATS if form != "parquet" or has_parquet())
+        lines.append(f"- {tables}: one row per boundary solution, best first.")
     if drawn:
         films = f" and `episodes/NUMBER.{film}`" if film else ""
         lines += [

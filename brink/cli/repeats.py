@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from brink.api.client import Api, CoordinatorError
+from brink.cli.campaigns import ALL_GENERATIONS, where_pairs_are
 from brink.cli.local import Session, run_locally, stopping
 from brink.cli.options import (
     RESULTS,
@@ -20,14 +21,16 @@ from brink.cli.options import (
     Workers,
     check_picture,
     console,
+    place_option,
     plain_table,
     print_json,
     settings_with,
     with_api,
     write_json,
 )
+from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS
 from brink.server.api.repeats import DEFAULT_REPEATS, RepeatedSolution, RepeatsView
-from brink.server.api.schemas import CampaignView
+from brink.server.api.schemas import CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_plan
 from brink.server.problems.catalogue import check_extra
@@ -61,6 +64,11 @@ def repeats(
     check_picture(picture)
     request = {"repeats": times, "t_b": t_b, "d_th": d_th}
     screen = console(stderr=as_json)
+    with_api(
+        server,
+        database,
+        lambda api: _say_where_pairs_are(api, campaign, place_option(server, database), screen),
+    )
     if server:
         view = with_api(server, database, lambda api: _find_or_submit(api, campaign, request))
         if view.status in (CampaignStatus.RUNNING, CampaignStatus.PAUSED):
@@ -81,6 +89,15 @@ def repeats(
         _draw_repeats(view, picture)
         screen.print(f"picture: {picture}", soft_wrap=True)
     raise typer.Exit(int(not server and view.status is not CampaignStatus.FINISHED))
+
+
+async def _say_where_pairs_are(api: Api, campaign: str, place: str, screen: Console) -> None:
+    """Say how pairs are simulated again if the campaign searched for these rather than for the boundary."""
+    found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
+    if found.looks_for_pairs:
+        options = f" --confirm {DEFAULT_CONFIRMATIONS}"
+        do = "simulate these again with other seeds"
+        screen.print(where_pairs_are(found, place, options=options, do=do), soft_wrap=True)
 
 
 async def _run(session: Session, campaign: str, request: dict[str, Any], workers: int) -> RepeatsView:

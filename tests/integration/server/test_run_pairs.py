@@ -254,3 +254,29 @@ def test_a_follow_up_brings_the_files_of_the_run_up_to_date(
     for name in ("pairs.csv", "report.html"):
         assert (folder / name).read_bytes() != before[name]
     assert "up to date" not in CliRunner().invoke(app, [*command, "results"]).stdout, "nothing new is known"
+
+
+def test_the_evidence_of_a_search_for_pairs_is_its_pairs(searched: Searched, tmp_path: Path) -> None:
+    out = tmp_path / "evidence"
+    command = ["evidence", searched.campaign, "--out", str(out), "--pairs", "2", "--replays", "0"]
+    told = CliRunner().invoke(app, [*command, "--database", searched.database])
+    assert told.exit_code == 0, told.output
+    tables = (searched.folder / "pairs.csv").read_bytes()
+    pairs = len(tables.splitlines()) - 1
+    assert f"{out}: {pairs} pairs, 2 with pictures; " in told.stdout
+    assert (out / "pairs.csv").read_bytes() == tables
+    assert {path.name for path in (out / "pairs").iterdir()} == {"pair-1.png", "pair-2.png"}
+    readme = (out / "README.md").read_text()
+    assert readme.startswith("# Pairs of disc\n")
+    assert f"`brink pairs {searched.campaign}`" in readme
+    assert [f"| {number} | " in readme for number in range(1, pairs + 2)] == [True] * pairs + [False]
+    assert "![Pair 2](pairs/pair-2.png)" in readme
+    assert "![Pair 3]" not in readme
+    assert "## The unsafe region" in readme
+
+
+@pytest.mark.parametrize("command", ["results", "compare", "repeats"])
+def test_commands_about_the_boundary_say_where_the_pairs_are(searched: Searched, command: str) -> None:
+    shown = CliRunner().invoke(app, [command, searched.campaign, "--database", searched.database])
+    assert "this campaign searched for pairs across the boundary; " in shown.stdout
+    assert f"brink pairs {searched.campaign}" in shown.stdout

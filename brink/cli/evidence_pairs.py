@@ -1,0 +1,147 @@
+"""The pairs of a campaign in the folder of `brink evidence`: tables, pictures, and a section of its README.md."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from brink.api.client import Api, CoordinatorError
+from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
+from brink.report.pair_pictures import findings, write_pair
+from brink.report.pair_words import common_words, evidence_words, legend
+from brink.search.errors import TooManyPairs
+from brink.server.api.boundary_table import FORMATS, has_parquet
+from brink.server.api.pair_views import MOST_PAIRS, PairsView, PairView
+from brink.server.problems.changes import as_sentence
+from brink.sim.errors import SimulatorError
+from brink.worker.errors import WorkerError
+
+_UNDRAWABLE: Final = (
+    NoTrace, CoordinatorError, SimulatorError, WorkerError, LookupError, ValueError, TypeError, ArithmeticError,
+)  # fmt: skip
+_FOLDER: Final = "pairs"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairEvidence:
+    """The pairs of a campaign that searched for them.
+
+    Attributes:
+        view: The pairs.
+        drawn: Pictures and films by the number of the pair, relative to the folder of the evidence.
+        notes: Why pictures are missing.
+    """
+
+    view: PairsView
+    drawn: Mapping[int, tuple[str, ...]]
+    notes: tuple[str, ...]
+
+    def files(self) -> list[str]:
+        """Return the lines of README.md that say what is in which file."""
+        if not self.view.pairs:
+            return []
+        tables = ", ".join(f"`pairs.{form}`" for form in FORMATS if form != "parquet" or has_parquet())
+        lines = [
+            f"- {tables}: one row per pair, with every parameter of both sides. Confirmed pairs come first."
+        ]
+        if self.drawn:
+            lines.append(f"- `{_FOLDER}/pair-NUMBER.*`: both drives of a pair side by side.")
+        return lines
+
+    def section(self) -> str:
+        """Return the section of README.md about the pairs, in Markdown."""
+        view = self.view
+        parts = [
+            "# Pairs",
+            f"{as_sentence(view.note)}. The two sides of a pair are at most {view.eps:g} apart, or one step; "
+            f"distinct pairs are at least {view.d_th:g} apart.",
+            *([view.caveat] if view.caveat else []),
+        ]
+        if not view.pairs:
+            return "\n\n".join(parts)
+        rows = [
+            f"| {pair.place} | {_cell(as_sentence(pair.change))} | {_cell(pair.unsafe.outcome)} | "
+            f"{_cell(pair.safe.outcome)} | {_cell(evidence_words(view, pair))} |"
+            for pair in view.pairs
+        ]
+        head = "| pair | change | unsafe side | safe side | evidence |\n|---:|---|---|---|---|"
+        parts += [
+            "\n".join([head, *rows]),
+            "\n".join(f"- {as_sentence(words)}." for words in legend(view)),
+            *(self._shown(pair) for pair in view.pairs if pair.place in self.drawn),
+        ]
+        return "\n\n".join(parts)
+
+    def _shown(self, pair: PairView) -> str:
+        """Return a pair with its picture."""
+        told = [f"{as_sentence(words)}." for words in (pair.words, *common_words(pair))]
+        picture, *films = self.drawn[pair.place]
+        told += [*findings(pair), *(f"[Film]({path})." for path in films)]
+        return f"## Pair {pair.place}\n\n{' '.join(told)}\n\n![Pair {pair.place}]({picture})"
+
+
+def _cell(words: str) -> str:
+    return words.replace("|", "\\|")
+
+
+async def write_pair_tables(api: Api, fetched: FetchedArchive, folder: Path) -> PairEvidence | TooManyPairs:
+    """Write the pairs of a campaign as tables, unless there is none.
+
+    Args:
+        api: Coordinator of the campaign.
+        fetched: The campaign.
+        folder: Folder to write to.
+
+    Returns:
+        The pairs without pictures, or that there are too many to tell apart.
+    """
+    view = await read_all_pairs(api, fetched.id)
+    if isinstance(view, TooManyPairs):
+        return view
+    path = f"/campaigns/{fetched.id}/pairs"
+    for form in FORMATS if view.pairs else ():
+        if form != "parquet" or has_parquet():
+            table = await api.request("GET", path, params={"limit": MOST_PAIRS, "format": form})
+            (folder / f"pairs.{form}").write_bytes(table.content)
+    return PairEvidence(view=view, drawn={}, notes=())
+
+
+async def draw_pair_evidence(
+    api: Api,
+    evidence: PairEvidence,
+    folder: Path,
+    *,
+    pictures: int,
+    film: str | None,
+    workers: bool,
+    show: Callable[[str, int, int], None],
+) -> PairEvidence:
+    """Draw the pairs with the best evidence.
+
+    Args:
+        api: Coordinator of the campaign.
+        evidence: The pairs.
+        folder: Folder to write to.
+        pictures: Most pairs to draw.
+        film: ``gif`` or ``mp4`` to film them, too.
+        workers: Whether the coordinator's workers run the drives again; otherwise this machine does.
+        show: Called with what is being done, how much of it is done, and how much there is; 0 if that is unknown.
+
+    Returns:
+        The pairs with their pictures, and a note for each that could not be drawn.
+    """
+    view = evidence.view
+    endings = ["png", *([film] if film and not view.computed else [])]
+    drawn: dict[int, tuple[str, ...]] = {}
+    notes = []
+    for pair in view.pairs[:pictures]:
+        (folder / _FOLDER).mkdir(exist_ok=True)
+        names = tuple(f"{_FOLDER}/pair-{pair.place}.{ending}" for ending in endings)
+        try:
+            for name in names:
+                await write_pair(api, view, pair, folder / name, workers=workers, show=show)
+        except _UNDRAWABLE as error:
+            notes.append(f"pair {pair.place} has no picture: {type(error).__name__}: {error}")
+            continue
+        drawn[pair.place] = names
+    return replace(evidence, drawn=drawn, notes=tuple(notes))
