@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError, Missing, connect, in_process
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
@@ -312,6 +313,11 @@ def console(*, stderr: bool = False) -> Console:
 def print_line(text: str) -> None:
     """Print a line without wrapping."""
     console().print(text, soft_wrap=True)
+
+
+def print_sentence(screen: Console, text: str | Text, style: str | None = None) -> None:
+    """Print a sentence with nothing to paste: broken between words on a terminal, on one line elsewhere."""
+    screen.print(text, soft_wrap=not screen.is_terminal, style=style)
 
 
 def plain_table(*columns: str, right: Collection[str] = (), title: str | None = None) -> Table:

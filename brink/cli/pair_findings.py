@@ -9,6 +9,7 @@ from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, find_pair, read_all_pairs
+from brink.cli.options import print_sentence
 from brink.cli.pair_tables import pairs_table, print_legend
 from brink.report.figures import Drawing
 from brink.report.pair_pictures import write_pair
@@ -78,7 +79,7 @@ class PairFindings:
             screen.print(f"pairs across the boundary: {view.note}", soft_wrap=True)
             return
         words, _, rest = view.note.partition("; ")
-        screen.print(Text.assemble((words, "bold"), f"; {rest}" if rest else ""), soft_wrap=True)
+        print_sentence(screen, Text.assemble((words, "bold"), f"; {rest}" if rest else ""))
         if view.pairs:
             what = "solutions" if view.computed else "drives"
             screen.print(
@@ -91,7 +92,7 @@ class PairFindings:
                 screen.print(f"… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv", style="dim")
             print_legend(screen, view)
         if view.chancy:
-            screen.print(chance_words(view), soft_wrap=True)
+            print_sentence(screen, chance_words(view))
         if self._no_picture:
             screen.print(self._no_picture, soft_wrap=True, style="yellow")
 

@@ -4,7 +4,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from brink.cli.options import plain_table
+from brink.cli.options import plain_table, print_sentence
 from brink.report.pair_words import chance_words, common_words, evidence_words, extent_words, legend
 from brink.server.api.pair_views import MOST_PAIRS, PairsView
 from brink.server.problems.changes import as_sentence
@@ -12,17 +12,17 @@ from brink.server.problems.changes import as_sentence
 
 def print_pairs(screen: Console, view: PairsView) -> None:
     """Print what was found, and the first pairs."""
-    screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
+    print_sentence(screen, Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"))
     if not view.pairs:
         return
-    screen.print(
+    print_sentence(
+        screen,
         f"a safe and an unsafe drive at most {view.eps:g} apart, or one step; pairs at least {view.d_th:g} "
         f"apart",
-        soft_wrap=True,
         style="dim",
     )
     if view.chancy:
-        screen.print(chance_words(view), soft_wrap=True)
+        print_sentence(screen, chance_words(view))
     screen.print(pairs_table(view))
     print_legend(screen, view)
     if view.distinct > len(view.pairs):
@@ -35,9 +35,9 @@ def print_pairs(screen: Console, view: PairsView) -> None:
 def print_legend(screen: Console, view: PairsView) -> None:
     """Print what the terms of the table mean, and what pairs do not say."""
     for words in legend(view):
-        screen.print(words, soft_wrap=True, style="dim")
+        print_sentence(screen, words, style="dim")
     if view.caveat:
-        screen.print(view.caveat, soft_wrap=True)
+        print_sentence(screen, view.caveat)
 
 
 def pairs_table(view: PairsView, shown: int | None = None) -> Table:

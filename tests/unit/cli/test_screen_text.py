@@ -1,15 +1,17 @@
 """What the commands print is shown as it is: square brackets are part of names and messages, not markup."""
 
+import io
 import re
 import tomllib
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from rich.text import Text
 
 from brink.cli import operate
 from brink.cli.main import main
-from brink.cli.options import console, plain_table, print_line
+from brink.cli.options import console, plain_table, print_line, print_sentence
 from brink.search.errors import install_command
 
 ROOT = Path(__file__).parents[3]
@@ -57,3 +59,16 @@ def test_commands_print_without_markup(file: Path) -> None:
     assert not MARKUP.findall(text), "give print a style=, or a Text: console() takes no markup"
     if file.name != "options.py":
         assert not re.findall(r"\bConsole\(", text), "use console() of brink.cli.options"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_sentence_is_broken_between_words_on_a_terminal_alone(terminal: bool) -> None:
+    file = io.StringIO()
+    screen = Console(file=file, width=30, force_terminal=terminal, color_system=None)
+    print_sentence(screen, "one two three four five six seven eight nine ten")
+    lines = [line.rstrip() for line in file.getvalue().splitlines()]
+    assert lines == (
+        ["one two three four five six", "seven eight nine ten"]
+        if terminal
+        else ["one two three four five six seven eight nine ten"]
+    )
