@@ -53,7 +53,7 @@ from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
-from brink.server.dashboard.overview import Outline, list_outlines
+from brink.server.dashboard.overview import FollowUpListing, Outline, list_outlines, with_follow_ups
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
 from brink.server.documents import MAX_FILE_BYTES, parse_yaml
@@ -74,6 +74,25 @@ SearchQuery = Annotated[
     str,
     Query(max_length=200, description="Only campaigns with all of these words in name, notes or tags."),
     AfterValidator(check_notes),
+]
+SearchOrIdQuery = Annotated[
+    str,
+    Query(
+        max_length=200,
+        description="Only campaigns with all of these words in name, notes or tags, or whose id begins with it.",
+    ),
+    AfterValidator(check_notes),
+]
+FollowUpsQuery = Annotated[
+    FollowUpListing,
+    Query(description="Whether follow-ups are listed like other campaigns, hidden, or nested below theirs."),
+]
+UnfoldQuery = Annotated[
+    list[str] | None,
+    Query(
+        max_length=50,
+        description="With hidden follow-ups: campaigns below which they are listed all the same.",
+    ),
 ]
 
 
@@ -354,7 +373,9 @@ class Overview(View):
     created_at: list[datetime]
     finished_at: list[datetime | None]
     experiment: Annotated[list[str | None], Field(description="Experiment that the campaign belongs to.")]
-    repeats_of: Annotated[list[str | None], Field(description="Campaign whose solutions this one repeats.")]
+    repeats_of: Annotated[list[str | None], Field(description="Campaign that this one follows up.")]
+    follow_ups: Annotated[list[int], Field(description="Number of follow-ups, listed or not.")]
+    open_follow_ups: Annotated[list[int], Field(description="Number of follow-ups that have not ended.")]
     tags: list[list[str]]
     workers: Annotated[int, Field(description="Live workers.")]
     trouble: Annotated[
@@ -374,7 +395,9 @@ async def get_overview(
     name: Annotated[str, Query(max_length=200, description="Part of a name, or prefix of an id.")] = "",
     experiment: Annotated[str | None, Query(max_length=16)] = None,
     tag: TagQuery = None,
-    search: SearchQuery = "",
+    search: SearchOrIdQuery = "",
+    follow_ups: FollowUpsQuery = FollowUpListing.LISTED,
+    unfold: UnfoldQuery = None,
 ) -> Overview:
     """Return a summary of campaigns, newest first. Supports conditional requests with ETag."""
     before = read_cursor(cursor)
@@ -390,13 +413,18 @@ async def get_overview(
             experiment=experiment,
             tags=tag or (),
             search=search,
+            follow_ups=follow_ups is FollowUpListing.LISTED,
         )
+        following = next_cursor(outlines, limit)
+        if follow_ups is not FollowUpListing.LISTED:
+            shown = unfold or () if follow_ups is FollowUpListing.HIDDEN else None
+            outlines = with_follow_ups(connection, outlines, shown)
         states = [_outline_state(connection, one) for one in outlines]
         workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
-        etag = etag_of(states, workers, limit, trouble.reason if trouble else None)
+        etag = etag_of(states, workers, following, trouble.reason if trouble else None)
         if matches(request, etag):
             return etag, None
-        return etag, _overview(services, connection, outlines, limit, len(workers))
+        return etag, _overview(services, connection, outlines, following, len(workers))
 
     etag, overview = await read(services.engines, look)
     if overview is None:
@@ -406,13 +434,14 @@ async def get_overview(
 
 
 def _outline_state(connection: Connection, one: Outline) -> tuple[object, ...]:
+    followed = (one.follow_ups.all, one.follow_ups.open)
     if one.finished_at is not None:
-        return (one.id, one.sequence)
-    return (one.id, one.sequence, *sorted(count_unfinished(connection, one.id).items()))
+        return (one.id, one.sequence, *followed)
+    return (one.id, one.sequence, *followed, *sorted(count_unfinished(connection, one.id).items()))
 
 
 def _overview(
-    services: Services, connection: Connection, outlines: list[Outline], limit: int, workers: int
+    services: Services, connection: Connection, outlines: list[Outline], following: str | None, workers: int
 ) -> Overview:
     standings = [
         read_campaign_progress(connection, one, workers=workers) if one.finished_at is None else None
@@ -437,9 +466,11 @@ def _overview(
         remaining_s=[standing.remaining_s if standing else None for _, standing in both],
         dbs=[list(sparks[one.id]) for one in outlines],
         looks_for_boundary=[looks_for_boundary(one.algorithm) for one in outlines],
+        follow_ups=[one.follow_ups.all for one in outlines],
+        open_follow_ups=[one.follow_ups.open for one in outlines],
         workers=workers,
         trouble=trouble.reason if trouble else None,
-        next=next_cursor(outlines, limit),
+        next=following,
     )
 
 
