@@ -9,6 +9,7 @@ import { steering } from "./campaigns.js";
 import { aboutCard, boundaryCard, dependenceCard, findings, settingsCard } from "./campaign/cards.js";
 import { convergenceCards, Generations } from "./campaign/convergence.js";
 import { finding } from "./campaign/finding.js";
+import { labels } from "./campaign/labels.js";
 import { mapCard } from "./campaign/map_card.js";
 import { pairsCard } from "./pairs.js";
 import { toleranceCard } from "./tolerance.js";
@@ -26,6 +27,7 @@ export async function show(main, context, { parts, query }) {
   const state = badge(campaign.status);
   const actions = h("div.actions.push");
   const notes = h("div");
+  const labelled = labels(context, id, () => polling.now());
   const map = mapCard(context, id, query);
   const opening = finding(context, id, (read) => read.rings.length && map.ring(read.rings), () => polling.now());
   const convergence = convergenceCards(context, id, query, campaign.thresholds);
@@ -43,6 +45,7 @@ export async function show(main, context, { parts, query }) {
   replace(main,
     h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns")),
     h("div.head", null, h("h1", null, name), state, actions),
+    labelled,
     notes,
     h("div.stack", null,
       opening, tolerance, map, pairs, boundary, found, dependence, convergence.card,
@@ -61,6 +64,7 @@ export async function show(main, context, { parts, query }) {
     generations.take(read.generations);
     const ended = !isOpen(read.status);
     state.update(read.status);
+    labelled.update(read);
     warn(read);
     if (steered !== read.status) {
       steered = read.status;
