@@ -1,5 +1,6 @@
 """Routes of campaigns: submission, control, progress, the overview of all, and language-model calls."""
 
+from collections.abc import Mapping
 from datetime import datetime
 from functools import partial
 from typing import Annotated
@@ -53,6 +54,7 @@ from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
+from brink.server.dashboard.found import Found, found_so_far
 from brink.server.dashboard.overview import FollowUpListing, Outline, list_outlines, with_follow_ups
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
@@ -370,6 +372,14 @@ class Overview(View):
             description="Whether it searches for the hazard boundary rather than for different violations."
         ),
     ]
+    about_boundary: Annotated[list[bool], Field(description="Whether what it found is boundary solutions.")]
+    found: Annotated[
+        list[str | None],
+        Field(
+            description="What it found, in a few words; empty while it runs, unless it searches for the boundary; "
+            "null while the words are being worked out."
+        ),
+    ]
     created_at: list[datetime]
     finished_at: list[datetime | None]
     experiment: Annotated[list[str | None], Field(description="Experiment that the campaign belongs to.")]
@@ -419,12 +429,13 @@ async def get_overview(
         if follow_ups is not FollowUpListing.LISTED:
             shown = unfold or () if follow_ups is FollowUpListing.HIDDEN else None
             outlines = with_follow_ups(connection, outlines, shown)
-        states = [_outline_state(connection, one) for one in outlines]
+        found = services.figures.found.of(outlines)
+        states = [(*_outline_state(connection, one), found.get(one.id)) for one in outlines]
         workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
         etag = etag_of(states, workers, following, trouble.reason if trouble else None)
         if matches(request, etag):
             return etag, None
-        return etag, _overview(services, connection, outlines, following, len(workers))
+        return etag, _overview(services, connection, outlines, found, following, len(workers))
 
     etag, overview = await read(services.engines, look)
     if overview is None:
@@ -441,7 +452,12 @@ def _outline_state(connection: Connection, one: Outline) -> tuple[object, ...]:
 
 
 def _overview(
-    services: Services, connection: Connection, outlines: list[Outline], following: str | None, workers: int
+    services: Services,
+    connection: Connection,
+    outlines: list[Outline],
+    known: Mapping[str, Found | None],
+    following: str | None,
+    workers: int,
 ) -> Overview:
     standings = [
         read_campaign_progress(connection, one, workers=workers) if one.finished_at is None else None
@@ -449,6 +465,9 @@ def _overview(
     ]
     both = list(zip(outlines, standings, strict=True))
     sparks = services.figures.sparks.of(connection, outlines)
+    found = [
+        known[one.id] if one.id in known else found_so_far(one.algorithm, sparks[one.id]) for one in outlines
+    ]
     trouble = services.queue.writer.trouble
     columns = {
         name: [getattr(one, name) for one in outlines]
@@ -466,6 +485,8 @@ def _overview(
         remaining_s=[standing.remaining_s if standing else None for _, standing in both],
         dbs=[list(sparks[one.id]) for one in outlines],
         looks_for_boundary=[looks_for_boundary(one.algorithm) for one in outlines],
+        about_boundary=[one is not None and one.about_boundary for one in found],
+        found=[None if one is None else one.words for one in found],
         follow_ups=[one.follow_ups.all for one in outlines],
         open_follow_ups=[one.follow_ups.open for one in outlines],
         workers=workers,

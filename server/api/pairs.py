@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection, Row
 
 from brink.search.algorithms.minimise import Reduced, Reductions
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
+from brink.search.analysis.confirmation import Confirmation, Share
 from brink.search.analysis.pairs import Pair, Side
 from brink.search.features import Unit
 from brink.server.api.boundary_table import Cell, table_bytes
@@ -51,9 +51,9 @@ from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
 from brink.server.campaigns.pairs import (
     CampaignPairs,
     PairSettings,
+    Repeated,
     find_reducible,
     searches_for_pairs,
-    shares_of,
 )
 from brink.server.campaigns.plan import Plan, check_repeatable, make_plan, with_truth
 from brink.server.campaigns.repeats import EVERY_D_TH, EVERY_T_B, FollowUpKind, StoredRepeats, read_follow_ups
@@ -339,16 +339,14 @@ class _Evidence:
     Attributes:
         plan: The campaign's plan.
         reducible: The pairs of which a difference can be reverted, among those shown, by their two numbers.
-        shares: How often each repeated solution was unsafe with other seeds, by number.
-        repeated: Numbers of the solutions that are being simulated again.
+        repeated: What repeats of their sides have shown.
         truths: The drive of each solution with ground truth, by number.
         reductions: The follow-up that reverts the differences of a pair, and its place there, by its two numbers.
     """
 
     plan: Plan
     reducible: Collection[tuple[int, int]]
-    shares: Mapping[int, Share]
-    repeated: Collection[int]
+    repeated: Repeated
     truths: Mapping[int, ComponentView]
     reductions: Mapping[tuple[int, int], tuple[_Reduction, int]]
 
@@ -391,36 +389,20 @@ class _Evidence:
             reducible=find_reducible(found.plan, found.archive, shown)
             if pairs.reducible is None
             else pairs.reducible,
-            shares=shares_of(of_kind[FollowUpKind.CONFIRM]),
-            repeated={
-                number
-                for one in of_kind[FollowUpKind.CONFIRM]
-                if one.campaign.status not in ENDED
-                for number in one.numbers
-            },
+            repeated=Repeated.of(stored),
             truths=truths, reductions=reductions,
         )  # fmt: skip
 
     def confirmation(self, pair: Pair) -> ConfirmationView:
         """Return whether both sides of a pair keep their verdicts with other seeds."""
-        safe, unsafe = self._shares_of(pair)
+        safe, unsafe = self.repeated.shares_of(pair.safe.number, pair.unsafe.number)
         return ConfirmationView(
             state=self.confirmation_state(pair), safe=_share(safe), unsafe=_share(unsafe)
         )  # fmt: skip
 
     def confirmation_state(self, pair: Pair) -> Confirmation:
         """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
-        shares = self._shares_of(pair)
-        numbers = (pair.safe.number, pair.unsafe.number)
-        pending = all(
-            number in self.repeated or share.evaluated >= LEAST_DRIVES
-            for number, share in zip(numbers, shares, strict=True)
-        )
-        return confirmation_of(*shares, pending=pending)
-
-    def _shares_of(self, pair: Pair) -> tuple[Share, Share]:
-        none = Share.of(0, 0)
-        return self.shares.get(pair.safe.number, none), self.shares.get(pair.unsafe.number, none)
+        return self.repeated.state(pair.safe.number, pair.unsafe.number)
 
     def component(self, pair: Pair) -> ComponentView:
         """Return whether the scenario alone is to blame for the unsafe side of a pair."""

@@ -153,6 +153,7 @@ def test_etag_changes_when_jobs_are_leased_within_a_generation(client: httpx.Cli
 def test_overview_lists_the_progress_of_every_campaign_in_columns(client: httpx.Client) -> None:
     done = finish(client, ball(name="first one"))
     waiting = submit(client, ball(seed=2, name="second_100%"))
+    eventually(lambda: None not in get_tagged(client, "overview")[0]["found"], "what it found is worked out")
     body, etag = get_tagged(client, "overview")
     assert body["id"] == [waiting, done]
     assert body["status"] == ["running", "finished"]

@@ -23,8 +23,8 @@ export async function show(main, context, { query }) {
   const table = h("div.card.scroll", { tabindex: 0, role: "region", "aria-label": "Campaigns" },
     h("table.campaigns", null, h("caption.read-out", null, "Campaigns, newest first"),
       h("thead", null, h("tr", null, [
-        "Campaign", "Status", "Simulations", "Rate", "Time left", "Unsafe", "Boundary solutions", "Submitted", "",
-      ].map((words, index) => h(index === 6 ? "th.dbs" : "th", { scope: "col", class: HIDDEN[index] ?? null }, words || h("span.read-out", null, "Actions"))))),
+        "Campaign", "Status", "Simulations", "Rate", "Time left", "Unsafe", "Found", "Submitted", "",
+      ].map((words, index) => h("th", { scope: "col", class: HIDDEN[index] ?? null }, words || h("span.read-out", null, "Actions"))))),
       body));
   const older = h("a.button", { hidden: true }, "Older");
   const newest = h("a.button", { href: link("campaigns"), hidden: !query.get("cursor") }, "Newest");
@@ -53,7 +53,7 @@ export async function show(main, context, { query }) {
   }
 
   const polling = context.watch(path, take, {
-    busy: (read) => read.status.some((one) => one === "running") || read.open_follow_ups.some((one) => one > 0),
+    busy: (read) => read.status.some((one) => one === "running") || read.open_follow_ups.some((one) => one > 0) || read.found.some((one) => one === null),
   });
   here.polling = polling;
 
@@ -150,10 +150,10 @@ function campaignRow(first, here) {
   const left = h("td.wide-only");
   const unsafe = h("td");
   const spark = sparkline("Boundary solutions");
-  const dbs = h("span");
+  const found = h("span");
   const actions = h("td.actions-cell");
   const node = h("tr", null, h("th.name", { scope: "row" }, name, " ", alike, about, tags, followUps), h("td", null, state), h("td.progress", null, done, numbers),
-    speed, left, unsafe, h("td.dbs", null, spark, " ", dbs), h("td.wide-only.small", null, when(first.created_at)), actions);
+    speed, left, unsafe, h("td.found", null, found, spark), h("td.wide-only.small", null, when(first.created_at)), actions);
   let drawn = null;
 
   node.update = (row) => {
@@ -169,9 +169,10 @@ function campaignRow(first, here) {
     text(speed, row.status === "running" ? rate(row.rate_per_s) : "–");
     text(left, row.status === "running" ? span(row.remaining_s) : "–");
     text(unsafe, row.evaluated ? percent(row.unsafe / row.evaluated) : "–");
-    const counts = row.looks_for_boundary ? row.dbs : [];
-    spark.update(counts);
-    text(dbs, counts.length ? count(counts.at(-1)) : "–");
+    text(found, row.found ?? "…");
+    attribute(found, "title", row.found === null ? "Being worked out" : null);
+    spark.classList.toggle("none", !row.about_boundary);
+    spark.update(row.about_boundary ? row.dbs : []);
     if (drawn !== row.status) {
       drawn = row.status;
       const inside = actions.contains(document.activeElement);
