@@ -133,6 +133,17 @@ class IgnoresSeeds(Protocol):
 
 
 @runtime_checkable
+class NeedsPython(Protocol):
+    """A problem that says whether its campaigns can be started from Python only.
+
+    Attributes:
+        python_only: Whether part of the problem is code that a campaign file cannot have.
+    """
+
+    python_only: bool
+
+
+@runtime_checkable
 class RecordsTraces(Protocol):
     """A simulated problem that says whether its simulator records traces; any other's does.
 
