@@ -16,11 +16,12 @@ from pydantic import Field
 from sqlalchemy import Connection
 
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
+from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.api.context import Context, Services
 from brink.server.api.findings import combinations_view, violation_types, violations_words
-from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView
+from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView, PairView
 from brink.server.api.pairs import follow_up_view, pairs_view
 from brink.server.api.repeats import DEFAULT_REPEATS, repeats_view
 from brink.server.api.schemas import View
@@ -96,7 +97,18 @@ class BestPair(View):
     safe: Annotated[int, Field(description="Number of the safe solution.")]
     unsafe: int
     words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
-    state: Annotated[str, Field(description="Whether it is confirmed; see `confirmation` of a pair.")]
+    state: Annotated[
+        Confirmation, Field(description="Whether it is confirmed; see `confirmation` of a pair.")
+    ]
+    evidence: Annotated[
+        str, Field(description="The same in a few words, with the number of drives that kept their verdicts.")
+    ]
+    shares: Annotated[
+        str,
+        Field(
+            description="How often each side was unsafe with other seeds, in a sentence; empty if not tried."
+        ),
+    ]
 
 
 class FollowedView(View):
@@ -121,10 +133,16 @@ class FindingView(View):
     ]
     rings: Annotated[
         list[tuple[int, int]],
-        Field(description="The sides of each of them, best first; empty if the search was not for pairs."),
+        Field(description="The sides of each of them, by place; empty if the search was not for pairs."),
     ]
     computed: Annotated[bool, Field(description="Whether verdicts are computed: there is no drive to draw.")]
-    best: Annotated[list[BestPair], Field(description="The first pairs.")]
+    best: Annotated[
+        list[BestPair],
+        Field(
+            description="The first pairs: confirmed ones, then those that were not tried, refuted ones last."
+        ),
+    ]
+    rule: Annotated[str, Field(description="What it takes for a pair to hold, in a sentence.")]
     steps: Annotated[list[StepView], Field(description="What to do next, the most useful first.")]
 
 
@@ -142,15 +160,42 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
         words=_sentence(words), more=[_sentence(one) for one in more if one],
         of=of, pairs=None if view is None else view.distinct, rings=known.rings[:MOST_RINGS],
         computed=view is not None and view.computed,
-        best=[
-            BestPair(
-                place=pair.place, safe=pair.safe.number, unsafe=pair.unsafe.number, words=pair.words,
-                state=pair.confirmation.state,
-            )
-            for pair in (() if view is None else view.pairs)
-        ],
+        best=[] if view is None else [_best_pair(view, pair) for pair in view.pairs],
+        rule="" if view is None else _rule_words(view),
         steps=[] if of is not None else _steps(known),
     )  # fmt: skip
+
+
+def _best_pair(view: PairsView, pair: PairView) -> BestPair:
+    state, safe, unsafe = pair.confirmation.state, pair.confirmation.safe, pair.confirmation.unsafe
+    kept, drives = safe.evaluated - safe.unsafe + unsafe.unsafe, safe.evaluated + unsafe.evaluated
+    evidence = {
+        Confirmation.CONFIRMED: f"holds with other seeds ({kept:,} of {drives:,} drives)",
+        Confirmation.NOT_CONFIRMED: f"does not hold ({kept:,} of {drives:,} drives)",
+        Confirmation.TOO_FEW: "too few drives to tell",
+        Confirmation.PENDING: "being simulated again",
+        Confirmation.NOT_TRIED: "not simulated again yet",
+    }[state]
+    shares = "" if not drives else (
+        f"With other seeds, the safe drive was unsafe in {safe.unsafe:,} of {safe.evaluated:,} simulations, and the "
+        f"unsafe drive in {unsafe.unsafe:,} of {unsafe.evaluated:,}."
+    )  # fmt: skip
+    return BestPair(
+        place=pair.place, safe=pair.safe.number, unsafe=pair.unsafe.number, words=pair.words, state=state,
+        evidence="computed" if view.computed else evidence, shares=shares,
+    )  # fmt: skip
+
+
+def _rule_words(view: PairsView) -> str:
+    """Return what it takes for a pair to hold."""
+    rule = view.rule
+    if view.computed:
+        return "Verdicts are computed, not simulated: every pair holds."
+    return (
+        f"A pair holds if both drives keep their verdicts when they are simulated again with other seeds, at least "
+        f"{rule.least_drives} times each: the safe one is then unsafe in at most {rule.safe_at_most:.0%} of the "
+        f"simulations, the unsafe one in at least {rule.unsafe_at_least:.0%}."
+    )
 
 
 def _sentence(words: str) -> str:
@@ -203,7 +248,9 @@ async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _
     except InvalidInput as error:
         too_many = "; ".join(one.message for one in error.errors)
     else:
-        view = await read(services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, BEST))
+        view = await read(
+            services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, BEST, by_evidence=True)
+        )
         if view.searched:
             rings = [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
     chosen = await asyncio.to_thread(distinct_boundary, found.archive, DEFAULT_T_B, DEFAULT_D_TH)

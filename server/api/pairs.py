@@ -172,6 +172,8 @@ def pairs_view(
     pairs: CampaignPairs,
     stored: Sequence[StoredRepeats],
     limit: int,
+    *,
+    by_evidence: bool = False,
 ) -> PairsView:
     """Return the distinct pairs of a campaign.
 
@@ -182,9 +184,17 @@ def pairs_view(
         pairs: Its pairs.
         stored: Its repeats.
         limit: Maximum number of pairs to return.
+        by_evidence: Whether to return confirmed pairs first and refuted ones last, each with its own place.
     """
     problem = found.plan.problem
-    shown = pairs.found.pairs[:limit]
+    placed = list(enumerate(pairs.found.pairs, start=1))
+    if by_evidence:
+        repeated = Repeated.of(stored)
+        placed.sort(
+            key=lambda one: _STANDING.get(repeated.state(one[1].safe.number, one[1].unsafe.number), 1)
+        )
+    placed = placed[:limit]
+    shown = [pair for _, pair in placed]
     numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
     some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers | some)}
@@ -219,10 +229,12 @@ def pairs_view(
             FollowUpOffer(kind=kind, simulations=simulations, reason=reason, left_out=left_out)
             for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
         ],
-        pairs=[
-            _pair(place, pair, problem, rows, evidence) for place, pair in enumerate(shown, start=1)
-        ],
+        pairs=[_pair(place, pair, problem, rows, evidence) for place, pair in placed],
     )  # fmt: skip
+
+
+_STANDING: Final = {Confirmation.CONFIRMED: 0, Confirmation.NOT_CONFIRMED: 2}
+"""The order of pairs by evidence; those of which little is known come in between."""
 
 
 def follow_up_view(stored: StoredRepeats) -> FollowUpView:

@@ -1,6 +1,7 @@
 """What a campaign page says first: the finding, the best pairs, what to do next; and results as they come in."""
 
 import base64
+import re
 from typing import Any
 
 import httpx
@@ -140,6 +141,14 @@ def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
         drive = best.get_by_role("img", name=f"The {side} drive of pair 1 from above")
         shown(drive).to_be_visible()
         assert colours(drive) > 5
+    shown(best).to_contain_text("A pair holds if both drives keep their verdicts")
+    evidence = best.locator("figcaption .badge")
+    shown(evidence).to_have_text("not simulated again yet")
+    asked = expect(own.post(f"{API}/campaigns/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
+    worker.work(asked["campaign"])
+    page.reload()
+    shown(evidence).to_have_text("holds with other seeds (20 of 20 drives)")
+    shown(evidence).to_have_attribute("title", re.compile("unsafe drive in 10 of 10\\.$"))
 
 
 def colours(canvas: Locator) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 from PIL import Image
 from support.api import FakeWorker, ball, completes, expect, finish, submit
-from support.problems import SIMULATOR
+from support.problems import REQUIREMENT, SIMULATOR
 from support.traces import make_trace
 from support.urban_pairs import SAFE, UNSAFE, judged
 
@@ -88,6 +88,36 @@ def test_a_search_for_pairs_says_how_many_it_found_and_asks_what_has_not_been_as
     later = finding(client, campaign)
     assert "confirm" not in kinds(later)
     assert "simulated again with other seeds" in later["words"]
+
+
+def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: httpx.Client) -> None:
+    campaign = finish(client, PAIRS)
+    pairs = expect(client.get(f"{API}/{campaign}/pairs"))["pairs"]
+    assert len(pairs) > 2
+    assert [one["evidence"] for one in finding(client, campaign)["best"]] == ["not simulated again yet"] * 2
+    ask = {"kind": "confirm", "limit": 2}
+    again = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json=ask), 201)["campaign"]
+    assert {one["evidence"] for one in finding(client, campaign)["best"]} == {"being simulated again"}
+    first = pairs[0]["unsafe"]["parameters"]
+
+    def refuting(job: LeasedJob) -> Completed | JobFailed:
+        """Let the unsafe side of the first pair be safe each time."""
+        outcome = completes(job)
+        assert isinstance(outcome, Completed)
+        at = (job.spec["scenario"]["x"], job.spec["behaviour"]["y"])
+        if at != (first["where"]["x"], first["what"]["y"]):
+            return outcome
+        held = outcome.verdicts[REQUIREMENT].model_copy(update={"robustness": 0.5})
+        return outcome.model_copy(update={"verdicts": {REQUIREMENT: held}})
+
+    FakeWorker(client, judge=refuting).work(again)
+    found = finding(client, campaign)
+    assert [one["place"] for one in found["best"]] == [2, 3]
+    assert found["best"][0]["evidence"] == "holds with other seeds (20 of 20 drives)"
+    assert "unsafe drive in 10 of 10." in found["best"][0]["shares"]
+    assert (found["best"][1]["state"], found["best"][1]["shares"]) == ("not tried", "")
+    assert found["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], "places stay"
+    assert "at least 10 times each" in found["rule"]
 
 
 def test_without_a_pair_the_next_step_is_a_larger_budget(client: httpx.Client) -> None:
