@@ -5,16 +5,20 @@ of them comes first depends on what the search is for.
 """
 
 import asyncio
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Any, Final
+from urllib.parse import urlencode
 
 import numpy as np
 from fastapi import APIRouter
 from pydantic import Field
 from sqlalchemy import Connection
 
+from brink.search.algorithm import WarmStarts
+from brink.search.algorithms.tolerance import Tolerance
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import UnsupportedSpace
@@ -38,13 +42,16 @@ from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.violations import read_violations
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import ReportsViolations
+from brink.server.problems.base import HasDetector, ReportsViolations
+from brink.server.problems.catalogue import ANY, problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])
 
 BEST: Final = 2
+_TOLERANCE_SIMULATIONS: Final = 2_000
+"""Enough for twelve cells under one condition."""
 MOST_RINGS: Final = 1_000
 
 
@@ -60,6 +67,17 @@ class StepKind(StrEnum):
     LOOK = "look"
     EXPORT = "export"
     LONGER = "longer"
+    REPORT = "report"
+    GO_ON = "go on"
+    ANY_REQUIREMENT = "any requirement"
+    TOLERANCE = "tolerance"
+    MONITOR = "monitor"
+
+
+_QUESTIONS_LEFT: Final = frozenset(
+    {StepKind.CONFIRM, StepKind.COMPONENT, StepKind.MINIMISE, StepKind.REPEAT, StepKind.LONGER}
+)
+"""Steps that tell more about what was found; what leads on is offered once none of them is left."""
 
 
 class StepRequest(View):
@@ -378,14 +396,93 @@ def _steps(known: _Known) -> list[StepView]:
     if searches_for_tolerances(campaign.body.algorithm.id):
         steps.append(
             StepView(
-                kind=StepKind.EXPORT, question="What is the requirement?", label="",
-                words="Writes the tolerances as sentences of a requirement.",
+                kind=StepKind.EXPORT, question="What may the detector get wrong?", label="",
+                words="Writes the tolerances as sentences: a requirement for the detector.",
                 command=f"brink tolerance {campaign.id} --format sentences",
+            )
+        )  # fmt: skip
+        steps.append(
+            StepView(
+                kind=StepKind.TOLERANCE, question="Does your detector meet it?", label="",
+                words="Compares the errors of a detector, from the drives of another campaign, with the tolerances.",
+                command=f"brink tolerance {campaign.id} --episodes OTHER",
             )
         )  # fmt: skip
     elif not known.searched_for_pairs and known.pairs is not None and known.pairs.distinct:
         steps.append(_look_at_pairs(known, "Which small change decides?"))
+    if not any(step.kind in _QUESTIONS_LEFT for step in steps):
+        steps += _leading_on(known)
     return steps
+
+
+def _leading_on(known: _Known) -> list[StepView]:
+    """Return what leads on once everything about the finding itself has been asked."""
+    campaign, plan = known.campaign, known.found.plan
+    about_tolerances = searches_for_tolerances(campaign.body.algorithm.id)
+    steps = [
+        StepView(
+            kind=StepKind.REPORT, question="Whom to tell?", label="",
+            words="Writes a report for people who have never seen Brink: one HTML file, with pictures and evidence.",
+            command=f"brink report {campaign.id} --out report.html",
+        )
+    ]  # fmt: skip
+    if isinstance(plan.algorithm, WarmStarts):
+        steps.append(
+            StepView(
+                kind=StepKind.GO_ON, question="Is there more to find?", label="Go on from these results",
+                words="Searches with another seed, from these results: they guide the search, and cost nothing.",
+                place=f"new?start_from={campaign.id}",
+            )
+        )  # fmt: skip
+    if not about_tolerances:
+        steps += _other_requirement(known)
+    if isinstance(plan.problem, HasDetector) and not about_tolerances:
+        steps.append(_tolerance_step(campaign, plan.problem.errors_problem))
+    if 0 < campaign.unsafe < campaign.evaluated and not about_tolerances:
+        steps.append(
+            StepView(
+                kind=StepKind.MONITOR, question="How likely is a new drive to be unsafe?", label="",
+                words="Fits a safety monitor to these simulations; it rates drives that were not simulated.",
+                command=f"brink monitor fit {campaign.id} --out monitor.json",
+            )
+        )  # fmt: skip
+    return steps
+
+
+def _other_requirement(known: _Known) -> list[StepView]:
+    """Return the step that changes what counts as a violation, if the problem knows more requirements."""
+    problem = known.campaign.body.problem
+    if "requirement" not in problem.params or problem.params["requirement"] == ANY:
+        return []
+    if not takes_requirement(problem.id, ANY):
+        return []
+    return [
+        StepView(
+            kind=StepKind.ANY_REQUIREMENT, question="Does it violate anything else?",
+            label="Search for any violation",
+            words="Searches again with requirement: any. That changes what counts as a violation: not only drives "
+            f"that {_violated(known)}.",
+            place=f"new?from={known.campaign.id}&requirement={ANY}",
+        )
+    ]  # fmt: skip
+
+
+def _tolerance_step(campaign: Campaign, errors_problem: str) -> StepView:
+    """Return the step that asks how wrong the detector of a problem may be."""
+    requirement = campaign.body.problem.params.get("requirement")
+    kind = problem_type(errors_problem)
+    body = {
+        "name": f"{campaign.body.name[:180]}: tolerances",
+        "problem": {"id": errors_problem, "params": {"errors": 1, "requirement": requirement}},
+        "algorithm": {"id": Tolerance.id, "params": {"cells": dict(kind.usual_cells)}},
+        "budget": {"simulations": _TOLERANCE_SIMULATIONS},
+    }
+    return StepView(
+        kind=StepKind.TOLERANCE, question="How wrong may the detector be?", label="Search for tolerances",
+        words="Searches for a requirement for the detector: how gross each type of its errors may be before drives "
+        "violate. What counts as a violation stays the same.",
+        place=f"new?{urlencode({'body': json.dumps(body)})}",
+    )  # fmt: skip
 
 
 def _pair_steps(known: _Known) -> list[StepView]:
@@ -483,7 +580,7 @@ def _boundary_steps(known: _Known) -> list[StepView]:
     steps.append(
         StepView(
             kind=StepKind.EXPORT,
-            question="How to show it to others?",
+            question="Who needs the evidence?",
             label="",
             words="Exports the boundary as tables, rules and replays.",
             command=f"brink evidence {campaign.id} --out evidence",

@@ -337,6 +337,28 @@ class ReplacesComponent(Protocol):
 
 
 @runtime_checkable
+class HasDetector(Protocol):
+    """A problem with an obstacle detector, for which tolerances can be found.
+
+    Attributes:
+        errors_problem: Id of the problem that simulates errors of this detector.
+    """
+
+    errors_problem: str
+
+
+@runtime_checkable
+class StudiesErrors(Protocol):
+    """A problem that simulates errors of a component, for tolerances.
+
+    Attributes:
+        usual_cells: The errors to begin with: parameters and those of their choices to study in combination.
+    """
+
+    usual_cells: Mapping[str, list[str]]
+
+
+@runtime_checkable
 class ReportsViolations(Protocol):
     """A simulated problem whose simulator reports the circumstances of violations."""
 

@@ -209,8 +209,8 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
 
 def _requirement_options(kind: type[Any]) -> list[dict[str, str]]:
     """Return the requirements that a problem takes, each with its meaning; among them `ANY` if it takes that."""
-    options = [one for one in requirement_options() if _takes_requirement(kind, one["value"])]
-    if _takes_requirement(kind, ANY):
+    options = [one for one in requirement_options() if takes_requirement(kind.id, one["value"])]
+    if takes_requirement(kind.id, ANY):
         problem = make_problem(kind.id, {"requirement": ANY})
         if isinstance(problem, NamesRequirements):
             names = ", ".join(name.split("@")[0].replace("-", " ") for name in problem.requirements)
@@ -218,9 +218,15 @@ def _requirement_options(kind: type[Any]) -> list[dict[str, str]]:
     return options
 
 
-def _takes_requirement(kind: type[Any], requirement: str) -> bool:
+def takes_requirement(problem_id: str, requirement: str) -> bool:
+    """Return whether a requirement, or `ANY`, can give the verdict of a problem.
+
+    Raises:
+        InvalidInput: The id of the problem is unknown.
+    """
+    kind = problem_type(problem_id)
     try:
-        read_problem_params(kind.id, {"requirement": requirement})
+        make_params(kind.params_type, {"requirement": requirement}, "/problem/params")
     except InvalidInput:
         return False
     return True

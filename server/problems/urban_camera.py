@@ -45,6 +45,7 @@ class UrbanCamera(HasTrueVariant, JudgedByRequirements):
     id: ClassVar[str] = "urban-camera@1"
     summary: ClassVar[str] = "Urban driving with a camera and an obstacle detector in the loop: 7 parameters."
     params_type: ClassVar[type[Any]] = UrbanCameraParams
+    errors_problem: ClassVar[str] = "urban-errors@1"
     extra: ClassVar[str] = "vision"
     modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
 

@@ -102,6 +102,29 @@ def test_on_a_phone_the_number_of_pairs_and_the_first_step_need_no_scrolling(
         assert box["y"] + box["height"] <= PHONE_HEIGHT
 
 
+def test_once_everything_is_answered_a_next_step_opens_the_form_for_another_campaign(
+    own: httpx.Client, visit: Visits
+) -> None:
+    body = {
+        "name": "answered", "problem": {"id": "urban-injected@1"}, "budget": {"simulations": 2},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}, "execution": {"keep_traces": 0},
+    }  # fmt: skip
+    campaign = submit(own, body)
+    FakeWorker(own, capabilities=(URBAN,), judge=judged).work(campaign)
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    steps = page.get_by_role("region", name="What to do next").get_by_role("listitem")
+    shown(
+        steps.get_by_text(f"brink report {campaign} --out report.html --server {origin(own)}")
+    ).to_be_visible()
+    shown(steps.get_by_role("link", name="Search for any violation")).to_be_visible()
+    steps.get_by_role("link", name="Search for tolerances").click()
+    shown(page.get_by_label("Problem", exact=True)).to_have_value("urban-errors@1")
+    shown(page.get_by_label("Algorithm", exact=True)).to_have_value("tolerance@1")
+    shown(page.get_by_label("Cells", exact=True)).to_have_value(re.compile('"short_range"'))
+    page.get_by_role("button", name="Check only").click()
+    shown(page.get_by_text("answered: tolerances is valid")).to_be_visible()
+
+
 def filmed(job: LeasedJob) -> Completed | JobFailed:
     outcome = judged(job)
     if not job.record or not isinstance(outcome, Completed):

@@ -2,7 +2,9 @@
 
 import base64
 import io
+import json
 from typing import Any
+from urllib.parse import parse_qs
 
 import httpx
 from PIL import Image
@@ -15,6 +17,7 @@ from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 API = "/api/v1/campaigns"
+YAML = {"Content-Type": "application/yaml"}
 SEARCH = ball(simulations=60)
 PAIRS = ball(
     name="edge", simulations=60, algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}},
@@ -148,6 +151,35 @@ def test_a_paused_campaign_can_be_resumed(client: httpx.Client) -> None:
     (step,) = finding(client, campaign)["steps"]
     expect(client.post(f"/api/v1/{step['request']['path']}", json=step["request"]["body"]))
     assert expect(client.get(f"{API}/{campaign}"))["status"] == "running"
+
+
+def test_once_everything_is_answered_the_next_steps_lead_on(client: httpx.Client) -> None:
+    campaign = finish(client, PAIRS)
+    assert "report" not in kinds(finding(client, campaign)), "the pairs have not been confirmed yet"
+    again = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
+    FakeWorker(client).work(again["campaign"])
+    steps = {step["kind"]: step for step in finding(client, campaign)["steps"]}
+    for step in ("minimise", "component"):
+        assert step not in steps, "the differences of these pairs cannot be reverted"
+    assert steps["report"]["command"] == f"brink report {campaign} --out report.html"
+    assert steps["go on"]["place"] == f"new?start_from={campaign}"
+    assert steps["monitor"]["command"] == f"brink monitor fit {campaign} --out monitor.json"
+    assert not steps.keys() & {"any requirement", "tolerance"}, "the ball has no requirements and no detector"
+
+
+def test_a_campaign_with_a_detector_leads_on_to_its_tolerances_and_to_other_requirements(
+    client: httpx.Client,
+) -> None:
+    campaign = urban(client)
+    steps = {step["kind"]: step for step in finding(client, campaign)["steps"]}
+    assert steps["any requirement"]["place"] == f"new?from={campaign}&requirement=any"
+    assert "go on" not in steps, "repeat@1 does not start from results"
+    query = parse_qs(steps["tolerance"]["place"].partition("?")[2])
+    body = json.loads(query["body"][0])
+    checked = client.post("/api/v1/campaigns/check", content=json.dumps(body), headers=YAML)
+    assert expect(checked)["problem"]["params"]["requirement"] == "front-gap@1"
+    questions = [step["question"] for step in steps.values()]
+    assert len(set(questions)) == len(questions)
 
 
 def filmed(job: LeasedJob) -> Completed | JobFailed:

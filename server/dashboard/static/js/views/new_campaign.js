@@ -55,6 +55,7 @@ export async function show(main, context, { query }) {
     h("form.new-campaign", { novalidate: true, onsubmit: (event) => { event.preventDefault(); attempt(submitted); } },
       trouble, panes.form, panes.file, h("div.actions", null, submit, check)));
   if (model) form.fill(bodyFrom(model, query));
+  else if (query.has("body")) form.fill(JSON.parse(query.get("body")));
 
   /** Switch between form and file, and convert what was entered. */
   async function turn(name) {
