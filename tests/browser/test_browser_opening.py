@@ -57,6 +57,24 @@ def test_the_finding_comes_first_then_what_to_do_then_the_map_and_delete_last(
     )
 
 
+def test_the_map_of_a_search_for_pairs_speaks_of_pairs_and_not_of_the_boundary(
+    own: httpx.Client, edge: str, visit: Visits
+) -> None:
+    page = visit(origin(own), f"#/campaigns/{edge}")
+    card = page.get_by_role("region", name="Map")
+    shown(card.get_by_role("list", name="Colours")).to_contain_text("distinct pairs")
+    shown(card.locator(".tints")).to_have_text(
+        "Ground, unsafe drives nearby: fewmanytoo few simulations nearby to tell"
+    )
+    colours = card.get_by_label("Colour").locator("option").all_inner_texts()
+    assert colours[:3] == ["verdict", "robustness", "generation"]
+    boundary = submit(own, ball(simulations=40))
+    FakeWorker(own).work(boundary)
+    page.goto(f"{origin(own)}/#/campaigns/{boundary}")
+    shown(card.locator(".tints")).to_contain_text("in its middle the boundary, 0.1")
+    shown(card.get_by_label("Colour").locator("option[value=fitness]")).to_have_count(1)
+
+
 def test_a_step_is_taken_by_its_button_and_followed_until_it_is_answered(
     own: httpx.Client, edge: str, visit: Visits
 ) -> None:

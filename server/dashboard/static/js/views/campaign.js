@@ -75,7 +75,7 @@ export async function show(main, context, { parts, query }) {
       replace(removing, context.may.remove && ended && remover());
     }
     opening.news(read, generations);
-    map.news(`${read.generation} ${read.simulations}`);
+    map.news(`${read.generation} ${read.simulations}`, { boundary: read.looks_for_boundary && !read.looks_for_pairs });
     convergence.news(read, generations);
     if (read.looks_for_boundary && read.evaluated) boundary.news(read.generation, convergence.thresholds(), { searchedForPairs: read.looks_for_pairs });
     found.news(`${read.sequence}`);
