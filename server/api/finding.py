@@ -421,7 +421,7 @@ def _leading_on(known: _Known) -> list[StepView]:
     about_tolerances = searches_for_tolerances(campaign.body.algorithm.id)
     steps = [
         StepView(
-            kind=StepKind.REPORT, question="Whom to tell?", label="",
+            kind=StepKind.REPORT, question="Who should know?", label="",
             words="Writes a report for people who have never seen Brink: one HTML file, with pictures and evidence.",
             command=f"brink report {campaign.id} --out report.html",
         )
@@ -580,7 +580,7 @@ def _boundary_steps(known: _Known) -> list[StepView]:
     steps.append(
         StepView(
             kind=StepKind.EXPORT,
-            question="Who needs the evidence?",
+            question="Where is the evidence?",
             label="",
             words="Exports the boundary as tables, rules and replays.",
             command=f"brink evidence {campaign.id} --out evidence",

@@ -587,11 +587,13 @@ def _result_words(
         if not found.safe and not found.unsafe:
             return f"every solution had both verdicts ({found.chancy:,}): no pair"
         both = f"; {found.chancy:,} had both verdicts" if found.chancy else ""
+        count = found.safe + found.unsafe
+        be = "is" if count == 1 else "are"
         if found.safe:
-            did = drives_held(deciding) if deciding else "are safe"
+            did = drives_held(deciding) if deciding else f"{be} safe"
         else:
-            did = unsafe_words(deciding) if deciding else "are unsafe"
-        return f"all {found.safe + found.unsafe:,} solutions {did}{both}: no pair"
+            did = unsafe_words(deciding) if deciding else f"{be} unsafe"
+        return f"{'the only solution' if count == 1 else f'all {count:,} solutions'} {did}{both}: no pair"
     return (
         f"no pair within eps {settings.eps:g}: the nearest solutions with opposite verdicts, "
         f"{pairs.nearest.safe} and {pairs.nearest.unsafe}, are {pairs.nearest.distance:.3g} apart"

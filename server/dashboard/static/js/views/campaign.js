@@ -2,7 +2,7 @@
 
 import { download, isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
-import { plural, when } from "../format.js";
+import { clause, plural, when } from "../format.js";
 import { go, link } from "../router.js";
 import { badge, callout, sure, workerCommand } from "../parts/elements.js";
 import { steering } from "./campaigns.js";
@@ -95,7 +95,7 @@ export async function show(main, context, { parts, query }) {
   function warnings(read) {
     const unrunnable = Object.entries(read.unrunnable);
     return [
-      read.trouble && callout("bad", `The database currently rejects writes: ${read.trouble}. No acknowledged result is lost.`),
+      read.trouble && callout("bad", `The database currently rejects writes: ${clause(read.trouble)}. No acknowledged result is lost.`),
       read.status_reason && callout(read.status === "failed" ? "bad" : "warn", read.status_reason),
       read.status === "running" && read.workers === 0 && callout("warn", "No worker is running. Start one: ", workerCommand()),
       read.status === "running" && read.workers > 0 && unrunnable.map(([needs, jobs]) => callout("warn", `${plural(jobs, "job")} cannot run on any live worker: ${jobs === 1 ? "it needs" : "they need"} ${needs}.`)),

@@ -2,7 +2,7 @@
 
 import { rowsOf, STATUSES } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { count, percent, plainId, plural, rate, span, toldApart, when } from "../format.js";
+import { clause, count, percent, plainId, plural, rate, span, toldApart, when } from "../format.js";
 import { go, link, place, rewrite } from "../router.js";
 import { badge, callout, meter, sparkline, sure, workerCommand } from "../parts/elements.js";
 
@@ -109,12 +109,12 @@ export async function show(main, context, { query }) {
     if (notes.dataset.told === told) return; // keeps selection and focus
     notes.dataset.told = told;
     replace(notes,
-      read.trouble && callout("bad", `The database currently rejects writes: ${read.trouble}. No acknowledged result is lost.`),
+      read.trouble && callout("bad", `The database currently rejects writes: ${clause(read.trouble)}. No acknowledged result is lost.`),
       running > 0 && read.workers === 0 && callout("warn", "Campaigns are running, but no worker is. Start one: ", workerCommand()));
   }
 }
 
-const HIDDEN = { 3: "wide-only", 4: "wide-only", 7: "wide-only" };
+const HIDDEN = { 3: "wide-only", 4: "wide-only", 6: "found", 7: "wide-only" };
 
 /** Return the values of a list in the query of an address. */
 function listOf(query, name) {
@@ -151,8 +151,9 @@ function campaignRow(first, here) {
   const unsafe = h("td");
   const spark = sparkline("Boundary solutions");
   const found = h("span");
+  const foundOnPhone = h("div.small.narrow-only");
   const actions = h("td.actions-cell");
-  const node = h("tr", null, h("th.name", { scope: "row" }, name, " ", alike, about, tags, followUps), h("td", null, state), h("td.progress", null, done, numbers),
+  const node = h("tr", null, h("th.name", { scope: "row" }, name, " ", alike, about, foundOnPhone, tags, followUps), h("td", null, state), h("td.progress", null, done, numbers),
     speed, left, unsafe, h("td.found", null, found, spark), h("td.wide-only.small", null, when(first.created_at)), actions);
   let drawn = null;
 
@@ -170,9 +171,11 @@ function campaignRow(first, here) {
     text(left, row.status === "running" ? span(row.remaining_s) : "–");
     text(unsafe, row.evaluated ? percent(row.unsafe / row.evaluated) : "–");
     text(found, row.found ?? "…");
+    text(foundOnPhone, row.found ?? "");
     attribute(found, "title", row.found === null ? "Being worked out" : null);
-    spark.classList.toggle("none", !row.about_boundary);
-    spark.update(row.about_boundary ? row.dbs : []);
+    const line = row.about_boundary && row.dbs.some((one) => one > 0) ? row.dbs : [];
+    spark.classList.toggle("none", line.length === 0);
+    spark.update(line);
     if (drawn !== row.status) {
       drawn = row.status;
       const inside = actions.contains(document.activeElement);

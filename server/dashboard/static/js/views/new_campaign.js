@@ -2,7 +2,7 @@
 
 import { ApiError, send } from "../api.js";
 import { h, replace, text } from "../dom.js";
-import { plainId } from "../format.js";
+import { plainId, sentence } from "../format.js";
 import { go } from "../router.js";
 import { callout } from "../parts/elements.js";
 import { field } from "../parts/fields.js";
@@ -117,7 +117,7 @@ export async function show(main, context, { query }) {
         return false;
       }
       const rest = mode === "form" ? form.complain(error.errors) : error.errors;
-      const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, one.pointer), one.pointer && ": ", one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
+      const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, one.pointer), one.pointer && ": ", one.nearest ? sentence(one.message) : one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
       replace(trouble, callout("bad", words.length ? h("ul.plain", null, words) : "Some fields are invalid; see the messages next to them."));
       return false;
     } finally {
@@ -214,7 +214,7 @@ function formOf({ problems, algorithms, description }) {
       const place = fields.find((one) => one.pointer === error.pointer);
       if (!place) rest.push(error);
       else {
-        place.complain(error.nearest ? `${error.message}. Did you mean ${error.nearest}?` : error.message);
+        place.complain(error.nearest ? `${sentence(error.message)} Did you mean ${error.nearest}?` : error.message);
         place.node.closest("details")?.setAttribute("open", "");
         first ??= place;
       }

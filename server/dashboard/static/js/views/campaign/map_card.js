@@ -115,7 +115,7 @@ export function mapCard(context, id, query) {
   function tintWords(p_th) {
     const ramp = h("i.ramp", { "aria-hidden": "true" });
     return aboutBoundary
-      ? ["Ground, unsafe share nearby: ", h("span", null, "0"), ramp, h("span", null, "1"), h("span", null, `; in its middle the boundary, ${figure(p_th)}`)]
+      ? ["Ground, unsafe share nearby: ", h("span", null, "0"), ramp, h("span", null, `1; in its middle the boundary, ${figure(p_th)}`)]
       : ["Ground, unsafe drives nearby: ", h("span", null, "few"), ramp, h("span", null, "many")];
   }
 
