@@ -43,8 +43,9 @@ from brink.server.campaigns.violations import read_violations
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import HasDetector, ReportsViolations
-from brink.server.problems.catalogue import ANY, problem_type, takes_requirement
+from brink.server.problems.catalogue import problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
+from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])

@@ -26,13 +26,11 @@ from brink.server.problems.base import (
     ReportsViolations,
     SimulatedProblem,
 )
+from brink.server.problems.requirements import ANY
 from brink.sim.catalogue import load_plugin, plugin_ids, requirement_ids, requirement_words
 
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
-
-ANY: Final = "any"
-"""Value of a parameter `requirement` that stands for all requirements of a problem."""
 
 _BOUNDS = ("ge", "gt", "le", "lt")
 _MODELS: dict[type[Any], type[BaseModel]] = {}

@@ -273,5 +273,4 @@ def test_catalogue_offers_the_requirements_that_a_problem_takes() -> None:
         if "requirement" in one["params"]["properties"]
     }
     assert offered["urban-injected@1"][-1] == "any"
-    assert "any" not in offered["highway-perception@1"]
     assert "lane-keeping@1" not in offered["sumo-drivers@1"], "SUMO does not measure it"
