@@ -209,7 +209,7 @@ def _context(
         films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,
-        figures=Figures(SLOW_AT_ONCE),
+        figures=Figures(SLOW_AT_ONCE, archives),
         drawing=drawing,
     )
 

@@ -4,6 +4,7 @@ They load neither the search nor the server, so they start fast with ``--server`
 """
 
 import asyncio
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,7 +37,6 @@ from brink.cli.options import (
 )
 from brink.server.api.schemas import (
     Boundary,
-    CampaignList,
     CampaignView,
     DbsCell,
     JobList,
@@ -174,6 +174,10 @@ def status(
             help="List only campaigns with all of these words in name, notes or tags.",
         ),
     ] = "",
+    everything: Annotated[
+        bool,
+        typer.Option("--all", help="List follow-ups, too, below their campaigns. --json always lists them."),
+    ] = False,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -187,15 +191,17 @@ def status(
     if campaign is not None and (tags or search):
         raise InvalidInput.at("--tag" if tags else "--search", "expected it without ID: it lists campaigns")
     asked = {"limit": 200, **({"tag": tags} if tags else {}), **({"search": search} if search else {})}
-    with_api(
-        server,
-        database,
-        lambda api: (
-            _show_campaign(api, campaign, as_json, place_option(server, database))
-            if campaign
-            else _list_campaigns(api, asked, as_json)
-        ),
-    )
+    place = place_option(server, database)
+
+    async def work(api: Api) -> None:
+        if campaign:
+            await _show_campaign(api, campaign, as_json, place)
+        elif as_json:
+            print_json(await api.get("/campaigns", asked))
+        else:
+            await _list_campaigns(api, asked, place, follow_ups=everything)
+
+    with_api(server, database, work)
 
 
 async def _show_campaign(api: Api, campaign: str, as_json: bool, place: str) -> None:
@@ -211,28 +217,41 @@ async def _show_campaign(api: Api, campaign: str, as_json: bool, place: str) -> 
     _print_status(progress, quarantined, len(live), place)
 
 
-async def _list_campaigns(api: Api, asked: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        print_json(await api.get("/campaigns", asked))
-        return
-    campaigns = (await api.read(CampaignList, "/campaigns", asked)).campaigns
-    tagged = any(one.tags for one in campaigns)
-    more = ("tags",) if tagged else ()
-    table = plain_table("id", "name", "status", "simulations", "unsafe", "failed", "submitted", *more)
+_LISTED = (
+    "id", "name", "status", "simulations", "budget", "unsafe", "failed", "created_at", "repeats_of", "tags",
+    "follow_ups",
+)  # fmt: skip
+"""The columns of the overview that the list of campaigns shows."""
+
+
+async def _list_campaigns(api: Api, asked: dict[str, Any], place: str, *, follow_ups: bool) -> None:
+    found = await api.get("/overview", {**asked, "follow_ups": "nested" if follow_ups else "hidden"})
+    campaigns = [
+        dict(zip(_LISTED, row, strict=True)) for row in zip(*(found[name] for name in _LISTED), strict=True)
+    ]
+    tagged = any(found["tags"])
+    table = plain_table(
+        "id", "name", "status", "simulations", "unsafe", "failed", "submitted", *(["tags"] if tagged else [])
+    )
+    depth: dict[str | None, int] = {}
     for one in campaigns:
-        counts: CampaignView | Progress = one
-        if one.status in (CampaignStatus.RUNNING, CampaignStatus.PAUSED):
-            # The progress includes the generation under way.
-            counts = await api.read(Progress, f"/campaigns/{one.id}/progress", {"since": ALL_GENERATIONS})
+        depth[one["id"]] = depth.get(one["repeats_of"], -1) + 1
         table.add_row(
-            one.id, one.name, counts.status, f"{counts.simulations} of {counts.budget}",
-            str(counts.unsafe), str(counts.failed), f"{one.created_at:%Y-%m-%d %H:%M}",
-            *([" ".join(one.tags)] if tagged else []),
+            one["id"], "  " * depth[one["id"]] + one["name"], one["status"],
+            f"{one['simulations']} of {one['budget']}", str(one["unsafe"]), str(one["failed"]),
+            f"{datetime.fromisoformat(one['created_at']):%Y-%m-%d %H:%M}",
+            *([" ".join(one["tags"])] if tagged else []),
         )  # fmt: skip
-    none = f"no campaigns yet; start one with: {program()} run FILE"
-    if len(asked) > 1:
-        none = "no such campaign"
-    console().print(table if campaigns else none)
+    if not campaigns:
+        none = f"no campaigns yet; start one with: {program()} run FILE"
+        console().print(none if len(asked) == 1 else "no such campaign")
+        return
+    console().print(table)
+    if not follow_ups and (hidden := sum(found["follow_ups"])):
+        noun = "follow-up" if hidden == 1 else "follow-ups"
+        console().print(
+            f"without {hidden} {noun}; list them with: {program()} status --all{place}", soft_wrap=True
+        )
 
 
 def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: int, place: str) -> None:

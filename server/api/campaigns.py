@@ -1,5 +1,6 @@
 """Routes of campaigns: submission, control, progress, the overview of all, and language-model calls."""
 
+from collections.abc import Mapping
 from datetime import datetime
 from functools import partial
 from typing import Annotated
@@ -53,7 +54,8 @@ from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
-from brink.server.dashboard.overview import Outline, list_outlines
+from brink.server.dashboard.found import Found, found_so_far
+from brink.server.dashboard.overview import FollowUpListing, Outline, list_outlines, with_follow_ups
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
 from brink.server.documents import MAX_FILE_BYTES, parse_yaml
@@ -74,6 +76,25 @@ SearchQuery = Annotated[
     str,
     Query(max_length=200, description="Only campaigns with all of these words in name, notes or tags."),
     AfterValidator(check_notes),
+]
+SearchOrIdQuery = Annotated[
+    str,
+    Query(
+        max_length=200,
+        description="Only campaigns with all of these words in name, notes or tags, or whose id begins with it.",
+    ),
+    AfterValidator(check_notes),
+]
+FollowUpsQuery = Annotated[
+    FollowUpListing,
+    Query(description="Whether follow-ups are listed like other campaigns, hidden, or nested below theirs."),
+]
+UnfoldQuery = Annotated[
+    list[str] | None,
+    Query(
+        max_length=50,
+        description="With hidden follow-ups: campaigns below which they are listed all the same.",
+    ),
 ]
 
 
@@ -351,10 +372,20 @@ class Overview(View):
             description="Whether it searches for the hazard boundary rather than for different violations."
         ),
     ]
+    about_boundary: Annotated[list[bool], Field(description="Whether what it found is boundary solutions.")]
+    found: Annotated[
+        list[str | None],
+        Field(
+            description="What it found, in a few words; empty while it runs, unless it searches for the boundary; "
+            "null while the words are being worked out."
+        ),
+    ]
     created_at: list[datetime]
     finished_at: list[datetime | None]
     experiment: Annotated[list[str | None], Field(description="Experiment that the campaign belongs to.")]
-    repeats_of: Annotated[list[str | None], Field(description="Campaign whose solutions this one repeats.")]
+    repeats_of: Annotated[list[str | None], Field(description="Campaign that this one follows up.")]
+    follow_ups: Annotated[list[int], Field(description="Number of follow-ups, listed or not.")]
+    open_follow_ups: Annotated[list[int], Field(description="Number of follow-ups that have not ended.")]
     tags: list[list[str]]
     workers: Annotated[int, Field(description="Live workers.")]
     trouble: Annotated[
@@ -374,7 +405,9 @@ async def get_overview(
     name: Annotated[str, Query(max_length=200, description="Part of a name, or prefix of an id.")] = "",
     experiment: Annotated[str | None, Query(max_length=16)] = None,
     tag: TagQuery = None,
-    search: SearchQuery = "",
+    search: SearchOrIdQuery = "",
+    follow_ups: FollowUpsQuery = FollowUpListing.LISTED,
+    unfold: UnfoldQuery = None,
 ) -> Overview:
     """Return a summary of campaigns, newest first. Supports conditional requests with ETag."""
     before = read_cursor(cursor)
@@ -390,13 +423,19 @@ async def get_overview(
             experiment=experiment,
             tags=tag or (),
             search=search,
+            follow_ups=follow_ups is FollowUpListing.LISTED,
         )
-        states = [_outline_state(connection, one) for one in outlines]
+        following = next_cursor(outlines, limit)
+        if follow_ups is not FollowUpListing.LISTED:
+            shown = unfold or () if follow_ups is FollowUpListing.HIDDEN else None
+            outlines = with_follow_ups(connection, outlines, shown)
+        found = services.figures.found.of(outlines)
+        states = [(*_outline_state(connection, one), found.get(one.id)) for one in outlines]
         workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
-        etag = etag_of(states, workers, limit, trouble.reason if trouble else None)
+        etag = etag_of(states, workers, following, trouble.reason if trouble else None)
         if matches(request, etag):
             return etag, None
-        return etag, _overview(services, connection, outlines, limit, len(workers))
+        return etag, _overview(services, connection, outlines, found, following, len(workers))
 
     etag, overview = await read(services.engines, look)
     if overview is None:
@@ -406,13 +445,19 @@ async def get_overview(
 
 
 def _outline_state(connection: Connection, one: Outline) -> tuple[object, ...]:
+    followed = (one.follow_ups.all, one.follow_ups.open)
     if one.finished_at is not None:
-        return (one.id, one.sequence)
-    return (one.id, one.sequence, *sorted(count_unfinished(connection, one.id).items()))
+        return (one.id, one.sequence, *followed)
+    return (one.id, one.sequence, *followed, *sorted(count_unfinished(connection, one.id).items()))
 
 
 def _overview(
-    services: Services, connection: Connection, outlines: list[Outline], limit: int, workers: int
+    services: Services,
+    connection: Connection,
+    outlines: list[Outline],
+    known: Mapping[str, Found | None],
+    following: str | None,
+    workers: int,
 ) -> Overview:
     standings = [
         read_campaign_progress(connection, one, workers=workers) if one.finished_at is None else None
@@ -420,6 +465,9 @@ def _overview(
     ]
     both = list(zip(outlines, standings, strict=True))
     sparks = services.figures.sparks.of(connection, outlines)
+    found = [
+        known[one.id] if one.id in known else found_so_far(one.algorithm, sparks[one.id]) for one in outlines
+    ]
     trouble = services.queue.writer.trouble
     columns = {
         name: [getattr(one, name) for one in outlines]
@@ -437,9 +485,13 @@ def _overview(
         remaining_s=[standing.remaining_s if standing else None for _, standing in both],
         dbs=[list(sparks[one.id]) for one in outlines],
         looks_for_boundary=[looks_for_boundary(one.algorithm) for one in outlines],
+        about_boundary=[one is not None and one.about_boundary for one in found],
+        found=[None if one is None else one.words for one in found],
+        follow_ups=[one.follow_ups.all for one in outlines],
+        open_follow_ups=[one.follow_ups.open for one in outlines],
         workers=workers,
         trouble=trouble.reason if trouble else None,
-        next=next_cursor(outlines, limit),
+        next=following,
     )
 
 

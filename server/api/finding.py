@@ -5,22 +5,27 @@ of them comes first depends on what the search is for.
 """
 
 import asyncio
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Any, Final
+from urllib.parse import urlencode
 
 import numpy as np
 from fastapi import APIRouter
 from pydantic import Field
 from sqlalchemy import Connection
 
+from brink.search.algorithm import WarmStarts
+from brink.search.algorithms.tolerance import Tolerance
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
+from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.api.context import Context, Services
 from brink.server.api.findings import combinations_view, violation_types, violations_words
-from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView
+from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView, PairView
 from brink.server.api.pairs import follow_up_view, pairs_view
 from brink.server.api.repeats import DEFAULT_REPEATS, repeats_view
 from brink.server.api.schemas import View
@@ -37,13 +42,17 @@ from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.violations import read_violations
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import ReportsViolations
+from brink.server.problems.base import HasDetector, ReportsViolations
+from brink.server.problems.catalogue import problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
+from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])
 
 BEST: Final = 2
+_TOLERANCE_SIMULATIONS: Final = 2_000
+"""Enough for twelve cells under one condition."""
 MOST_RINGS: Final = 1_000
 
 
@@ -59,6 +68,17 @@ class StepKind(StrEnum):
     LOOK = "look"
     EXPORT = "export"
     LONGER = "longer"
+    REPORT = "report"
+    GO_ON = "go on"
+    ANY_REQUIREMENT = "any requirement"
+    TOLERANCE = "tolerance"
+    MONITOR = "monitor"
+
+
+_QUESTIONS_LEFT: Final = frozenset(
+    {StepKind.CONFIRM, StepKind.COMPONENT, StepKind.MINIMISE, StepKind.REPEAT, StepKind.LONGER}
+)
+"""Steps that tell more about what was found; what leads on is offered once none of them is left."""
 
 
 class StepRequest(View):
@@ -96,7 +116,18 @@ class BestPair(View):
     safe: Annotated[int, Field(description="Number of the safe solution.")]
     unsafe: int
     words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
-    state: Annotated[str, Field(description="Whether it is confirmed; see `confirmation` of a pair.")]
+    state: Annotated[
+        Confirmation, Field(description="Whether it is confirmed; see `confirmation` of a pair.")
+    ]
+    evidence: Annotated[
+        str, Field(description="The same in a few words, with the number of drives that kept their verdicts.")
+    ]
+    shares: Annotated[
+        str,
+        Field(
+            description="How often each side was unsafe with other seeds, in a sentence; empty if not tried."
+        ),
+    ]
 
 
 class FollowedView(View):
@@ -121,10 +152,16 @@ class FindingView(View):
     ]
     rings: Annotated[
         list[tuple[int, int]],
-        Field(description="The sides of each of them, best first; empty if the search was not for pairs."),
+        Field(description="The sides of each of them, by place; empty if the search was not for pairs."),
     ]
     computed: Annotated[bool, Field(description="Whether verdicts are computed: there is no drive to draw.")]
-    best: Annotated[list[BestPair], Field(description="The first pairs.")]
+    best: Annotated[
+        list[BestPair],
+        Field(
+            description="The first pairs: confirmed ones, then those that were not tried, refuted ones last."
+        ),
+    ]
+    rule: Annotated[str, Field(description="What it takes for a pair to hold, in a sentence.")]
     steps: Annotated[list[StepView], Field(description="What to do next, the most useful first.")]
 
 
@@ -137,20 +174,49 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
     words, more = await _sentences(services, known)
     of = await read(services.engines, lambda c: _followed(c, campaign))
     view = known.pairs
+    if view is not None and view.searched and view.distinct:
+        more = [*more, view.caveat]
     return FindingView(
         campaign=campaign.id, complete=campaign.status in ENDED,
         words=_sentence(words), more=[_sentence(one) for one in more if one],
         of=of, pairs=None if view is None else view.distinct, rings=known.rings[:MOST_RINGS],
         computed=view is not None and view.computed,
-        best=[
-            BestPair(
-                place=pair.place, safe=pair.safe.number, unsafe=pair.unsafe.number, words=pair.words,
-                state=pair.confirmation.state,
-            )
-            for pair in (() if view is None else view.pairs)
-        ],
+        best=[] if view is None else [_best_pair(view, pair) for pair in view.pairs],
+        rule="" if view is None else _rule_words(view),
         steps=[] if of is not None else _steps(known),
     )  # fmt: skip
+
+
+def _best_pair(view: PairsView, pair: PairView) -> BestPair:
+    state, safe, unsafe = pair.confirmation.state, pair.confirmation.safe, pair.confirmation.unsafe
+    kept, drives = safe.evaluated - safe.unsafe + unsafe.unsafe, safe.evaluated + unsafe.evaluated
+    evidence = {
+        Confirmation.CONFIRMED: f"holds with other seeds ({kept:,} of {drives:,} drives)",
+        Confirmation.NOT_CONFIRMED: f"does not hold ({kept:,} of {drives:,} drives)",
+        Confirmation.TOO_FEW: "too few drives to tell",
+        Confirmation.PENDING: "being simulated again",
+        Confirmation.NOT_TRIED: "not simulated again yet",
+    }[state]
+    shares = "" if not drives else (
+        f"With other seeds, the safe drive was unsafe in {safe.unsafe:,} of {safe.evaluated:,} simulations, and the "
+        f"unsafe drive in {unsafe.unsafe:,} of {unsafe.evaluated:,}."
+    )  # fmt: skip
+    return BestPair(
+        place=pair.place, safe=pair.safe.number, unsafe=pair.unsafe.number, words=pair.words, state=state,
+        evidence="computed" if view.computed else evidence, shares=shares,
+    )  # fmt: skip
+
+
+def _rule_words(view: PairsView) -> str:
+    """Return what it takes for a pair to hold."""
+    rule = view.rule
+    if view.computed:
+        return "Verdicts are computed, not simulated: every pair holds."
+    return (
+        f"A pair holds if both drives keep their verdicts when they are simulated again with other seeds, at least "
+        f"{rule.least_drives} times each: the safe one is then unsafe in at most {rule.safe_at_most:.0%} of the "
+        f"simulations, the unsafe one in at least {rule.unsafe_at_least:.0%}."
+    )
 
 
 def _sentence(words: str) -> str:
@@ -331,14 +397,93 @@ def _steps(known: _Known) -> list[StepView]:
     if searches_for_tolerances(campaign.body.algorithm.id):
         steps.append(
             StepView(
-                kind=StepKind.EXPORT, question="What is the requirement?", label="",
-                words="Writes the tolerances as sentences of a requirement.",
+                kind=StepKind.EXPORT, question="What may the detector get wrong?", label="",
+                words="Writes the tolerances as sentences: a requirement for the detector.",
                 command=f"brink tolerance {campaign.id} --format sentences",
+            )
+        )  # fmt: skip
+        steps.append(
+            StepView(
+                kind=StepKind.TOLERANCE, question="Does your detector meet it?", label="",
+                words="Compares the errors of a detector, from the drives of another campaign, with the tolerances.",
+                command=f"brink tolerance {campaign.id} --episodes OTHER",
             )
         )  # fmt: skip
     elif not known.searched_for_pairs and known.pairs is not None and known.pairs.distinct:
         steps.append(_look_at_pairs(known, "Which small change decides?"))
+    if not any(step.kind in _QUESTIONS_LEFT for step in steps):
+        steps += _leading_on(known)
     return steps
+
+
+def _leading_on(known: _Known) -> list[StepView]:
+    """Return what leads on once everything about the finding itself has been asked."""
+    campaign, plan = known.campaign, known.found.plan
+    about_tolerances = searches_for_tolerances(campaign.body.algorithm.id)
+    steps = [
+        StepView(
+            kind=StepKind.REPORT, question="Who should know?", label="",
+            words="Writes a report for people who have never seen Brink: one HTML file, with pictures and evidence.",
+            command=f"brink report {campaign.id} --out report.html",
+        )
+    ]  # fmt: skip
+    if isinstance(plan.algorithm, WarmStarts):
+        steps.append(
+            StepView(
+                kind=StepKind.GO_ON, question="Is there more to find?", label="Go on from these results",
+                words="Searches with another seed, from these results: they guide the search, and cost nothing.",
+                place=f"new?start_from={campaign.id}",
+            )
+        )  # fmt: skip
+    if not about_tolerances:
+        steps += _other_requirement(known)
+    if isinstance(plan.problem, HasDetector) and not about_tolerances:
+        steps.append(_tolerance_step(campaign, plan.problem.errors_problem))
+    if 0 < campaign.unsafe < campaign.evaluated and not about_tolerances:
+        steps.append(
+            StepView(
+                kind=StepKind.MONITOR, question="How likely is a new drive to be unsafe?", label="",
+                words="Fits a safety monitor to these simulations; it rates drives that were not simulated.",
+                command=f"brink monitor fit {campaign.id} --out monitor.json",
+            )
+        )  # fmt: skip
+    return steps
+
+
+def _other_requirement(known: _Known) -> list[StepView]:
+    """Return the step that changes what counts as a violation, if the problem knows more requirements."""
+    problem = known.campaign.body.problem
+    if "requirement" not in problem.params or problem.params["requirement"] == ANY:
+        return []
+    if not takes_requirement(problem.id, ANY):
+        return []
+    return [
+        StepView(
+            kind=StepKind.ANY_REQUIREMENT, question="Does it violate anything else?",
+            label="Search for any violation",
+            words="Searches again with requirement: any. That changes what counts as a violation: not only drives "
+            f"that {_violated(known)}.",
+            place=f"new?from={known.campaign.id}&requirement={ANY}",
+        )
+    ]  # fmt: skip
+
+
+def _tolerance_step(campaign: Campaign, errors_problem: str) -> StepView:
+    """Return the step that asks how wrong the detector of a problem may be."""
+    requirement = campaign.body.problem.params.get("requirement")
+    kind = problem_type(errors_problem)
+    body = {
+        "name": f"{campaign.body.name[:180]}: tolerances",
+        "problem": {"id": errors_problem, "params": {"errors": 1, "requirement": requirement}},
+        "algorithm": {"id": Tolerance.id, "params": {"cells": dict(kind.usual_cells)}},
+        "budget": {"simulations": _TOLERANCE_SIMULATIONS},
+    }
+    return StepView(
+        kind=StepKind.TOLERANCE, question="How wrong may the detector be?", label="Search for tolerances",
+        words="Searches for a requirement for the detector: how gross each type of its errors may be before drives "
+        "violate. What counts as a violation stays the same.",
+        place=f"new?{urlencode({'body': json.dumps(body)})}",
+    )  # fmt: skip
 
 
 def _pair_steps(known: _Known) -> list[StepView]:
@@ -436,7 +581,7 @@ def _boundary_steps(known: _Known) -> list[StepView]:
     steps.append(
         StepView(
             kind=StepKind.EXPORT,
-            question="How to show it to others?",
+            question="Where is the evidence?",
             label="",
             words="Exports the boundary as tables, rules and replays.",
             command=f"brink evidence {campaign.id} --out evidence",

@@ -121,8 +121,9 @@ def violations_words(types: Sequence[TypeView]) -> str:
     """Return a sentence with the number of types of violations and of solutions that have them."""
     solutions = len({number for kind in types for number in kind.numbers})
     at_fault = sum(kind.at_fault is True for kind in types)
+    nouns = ("type" if len(types) == 1 else "types", "solution" if solutions == 1 else "solutions")
     return (
-        f"{len(types)} types of violations in {solutions} solutions; "
+        f"{len(types)} {nouns[0]} of violations in {solutions} {nouns[1]}; "
         f"in {at_fault} of the types, the ego vehicle is at fault according to the rules"
     )
 

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection, Row
 
 from brink.search.algorithms.minimise import Reduced, Reductions
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
+from brink.search.analysis.confirmation import Confirmation, Share
 from brink.search.analysis.pairs import Pair, Side
 from brink.search.features import Unit
 from brink.server.api.boundary_table import Cell, table_bytes
@@ -51,9 +51,9 @@ from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
 from brink.server.campaigns.pairs import (
     CampaignPairs,
     PairSettings,
+    Repeated,
     find_reducible,
     searches_for_pairs,
-    shares_of,
 )
 from brink.server.campaigns.plan import Plan, check_repeatable, make_plan, with_truth
 from brink.server.campaigns.repeats import EVERY_D_TH, EVERY_T_B, FollowUpKind, StoredRepeats, read_follow_ups
@@ -182,19 +182,19 @@ def pairs_view(
         found: Its archive.
         pairs: Its pairs.
         stored: Its repeats.
-        limit: Maximum number of pairs to return, in the order of the evidence for them.
+        limit: Maximum number of pairs to return: confirmed ones first, refuted ones last, each with its own place.
     """
     problem = found.plan.problem
-    again = _Again.of(stored)
-    states = [again.state(pair) for pair in pairs.found.pairs]
-    places = sorted(range(len(states)), key=lambda place: states[place].rank)[:limit]
-    shown = [pairs.found.pairs[place] for place in places]
+    repeated = Repeated.of(stored)
+    states = [repeated.state(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
+    placed = sorted(enumerate(pairs.found.pairs, start=1), key=lambda one: states[one[0] - 1].rank)[:limit]
+    shown = [pair for _, pair in placed]
     numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
     some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers | some)}
     if not rows.keys() >= numbers:
         raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
-    evidence = _Evidence.read(connection, found, pairs, shown, stored, again)
+    evidence = _Evidence.read(connection, found, pairs, shown, stored, repeated)
     parts = [evidence.component(pair).state for pair in pairs.found.pairs]
     deciding = _deciding(problem, next(iter(rows.values()), None))
     counts = {
@@ -223,9 +223,7 @@ def pairs_view(
             FollowUpOffer(kind=kind, simulations=simulations, reason=reason, left_out=left_out)
             for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
         ],
-        pairs=[
-            _pair(place + 1, pair, problem, rows, evidence) for place, pair in zip(places, shown, strict=True)
-        ],
+        pairs=[_pair(place, pair, problem, rows, evidence) for place, pair in placed],
     )  # fmt: skip
 
 
@@ -310,7 +308,7 @@ def _pair(
     return PairView(
         place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change, distance=pair.distance,
         checked=pair.checked, same_seed=pair.same_seed,
-        confirmation=evidence.again.view(pair), component=evidence.component(pair),
+        confirmation=evidence.confirmation(pair), component=evidence.component(pair),
         minimality=evidence.minimality(pair, safe), changes=changes, safe=sides[0], unsafe=sides[1],
     )  # fmt: skip
 
@@ -344,66 +342,20 @@ class _Reduction:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Again:
-    """What simulations with other seeds have shown.
-
-    Attributes:
-        shares: How often each repeated solution was unsafe, by number.
-        repeated: Numbers of the solutions that are being simulated again.
-    """
-
-    shares: Mapping[int, Share]
-    repeated: Collection[int]
-
-    @classmethod
-    def of(cls, stored: Sequence[StoredRepeats]) -> Self:
-        """Return what the follow-ups of a campaign have shown so far."""
-        confirming = [one for one in stored if one.kind is FollowUpKind.CONFIRM]
-        return cls(
-            shares=shares_of(confirming),
-            repeated={
-                number
-                for one in confirming
-                if one.campaign.status not in ENDED
-                for number in one.numbers
-            },
-        )  # fmt: skip
-
-    def view(self, pair: Pair) -> ConfirmationView:
-        """Return whether both sides of a pair keep their verdicts with other seeds."""
-        safe, unsafe = self._shares_of(pair)
-        return ConfirmationView(state=self.state(pair), safe=_share(safe), unsafe=_share(unsafe))
-
-    def state(self, pair: Pair) -> Confirmation:
-        """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
-        shares = self._shares_of(pair)
-        numbers = (pair.safe.number, pair.unsafe.number)
-        pending = all(
-            number in self.repeated or share.evaluated >= LEAST_DRIVES
-            for number, share in zip(numbers, shares, strict=True)
-        )
-        return confirmation_of(*shares, pending=pending)
-
-    def _shares_of(self, pair: Pair) -> tuple[Share, Share]:
-        none = Share.of(0, 0)
-        return self.shares.get(pair.safe.number, none), self.shares.get(pair.unsafe.number, none)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Evidence:
     """What the follow-ups of a campaign have shown.
 
     Attributes:
         plan: The campaign's plan.
         reducible: The pairs of which a difference can be reverted, among those shown, by their two numbers.
-        again: What simulations with other seeds have shown.
+        repeated: What repeats of their sides have shown.
         truths: The drive of each solution with ground truth, by number.
         reductions: The follow-up that reverts the differences of a pair, and its place there, by its two numbers.
     """
 
     plan: Plan
     reducible: Collection[tuple[int, int]]
-    again: _Again
+    repeated: Repeated
     truths: Mapping[int, ComponentView]
     reductions: Mapping[tuple[int, int], tuple[_Reduction, int]]
 
@@ -415,7 +367,7 @@ class _Evidence:
         pairs: CampaignPairs,
         shown: Sequence[Pair],
         stored: Sequence[StoredRepeats],
-        again: _Again,
+        repeated: Repeated,
     ) -> Self:
         """Read what follow-ups have shown.
 
@@ -425,7 +377,7 @@ class _Evidence:
             pairs: The campaign's pairs.
             shown: Those to be shown.
             stored: Its follow-ups, oldest first.
-            again: What those with other seeds have shown.
+            repeated: What those with other seeds have shown.
         """
         of_kind = {kind: [one for one in stored if one.kind is kind] for kind in FollowUpKind}
         truths: dict[int, ComponentView] = {}
@@ -448,8 +400,14 @@ class _Evidence:
             reducible=find_reducible(found.plan, found.archive, shown)
             if pairs.reducible is None
             else pairs.reducible,
-            again=again, truths=truths, reductions=reductions,
+            repeated=repeated, truths=truths, reductions=reductions,
         )  # fmt: skip
+
+    def confirmation(self, pair: Pair) -> ConfirmationView:
+        """Return whether both sides of a pair keep their verdicts with other seeds."""
+        safe, unsafe = self.repeated.shares_of(pair.safe.number, pair.unsafe.number)
+        state = self.repeated.state(pair.safe.number, pair.unsafe.number)
+        return ConfirmationView(state=state, safe=_share(safe), unsafe=_share(unsafe))
 
     def component(self, pair: Pair) -> ComponentView:
         """Return whether the scenario alone is to blame for the unsafe side of a pair."""
@@ -622,11 +580,13 @@ def _result_words(
         if not found.safe and not found.unsafe:
             return f"every solution had both verdicts ({found.chancy:,}): no pair"
         both = f"; {found.chancy:,} had both verdicts" if found.chancy else ""
+        count = found.safe + found.unsafe
+        be = "is" if count == 1 else "are"
         if found.safe:
-            did = drives_held(deciding) if deciding else "are safe"
+            did = drives_held(deciding) if deciding else f"{be} safe"
         else:
-            did = unsafe_words(deciding) if deciding else "are unsafe"
-        return f"all {found.safe + found.unsafe:,} solutions {did}{both}: no pair"
+            did = unsafe_words(deciding) if deciding else f"{be} unsafe"
+        return f"{'the only solution' if count == 1 else f'all {count:,} solutions'} {did}{both}: no pair"
     return (
         f"no pair within eps {settings.eps:g}: the nearest solutions with opposite verdicts, "
         f"{pairs.nearest.safe} and {pairs.nearest.unsafe}, are {pairs.nearest.distance:.3g} apart"

@@ -545,6 +545,10 @@ class ProblemView(View):
             description="Defaults of algorithm parameters that replace the algorithm's own on this problem."
         ),
     ]
+    first_algorithm: Annotated[str, Field(description="Id of the algorithm to begin with.")]
+    python_only: Annotated[
+        bool, Field(description="Whether its campaigns can be started from Python only, with brink.search().")
+    ]
 
 
 class AlgorithmView(View):

@@ -13,7 +13,7 @@ import numpy as np
 
 from brink.search.algorithms.edge import Edge
 from brink.search.algorithms.minimise import most_trials
-from brink.search.analysis.confirmation import Share
+from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
 from brink.search.analysis.pairs import FoundPairs, Opposites, Pair, find_pairs, nearest_opposites
 from brink.search.archive import Archive
 from brink.search.errors import TooManyPairs
@@ -22,7 +22,7 @@ from brink.server.campaigns.archives import CACHED, ReadArchive
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, reducible
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.repeats import MOST, StoredRepeats
+from brink.server.campaigns.repeats import MOST, FollowUpKind, StoredRepeats
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import InvalidInput, NotFound
@@ -166,6 +166,44 @@ def find_stored_pairs(
         raise NotFound(f"campaign {campaign_id}: no such campaign")
     seeds = np.array([stored[number] for number in numbers], np.int64)
     return find_pairs(archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th, seeds=seeds)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repeated:
+    """What repeats of the sides of pairs have shown.
+
+    Attributes:
+        shares: How often each repeated solution was unsafe with other seeds, by number.
+        under_way: Numbers of the solutions that are being simulated again.
+    """
+
+    shares: Mapping[int, Share]
+    under_way: frozenset[int]
+
+    @classmethod
+    def of(cls, stored: Sequence[StoredRepeats]) -> "Repeated":
+        """Return what the follow-ups of a campaign have shown; those of other kinds are ignored."""
+        again = [one for one in stored if one.kind is FollowUpKind.CONFIRM]
+        return cls(
+            shares=shares_of(again),
+            under_way=frozenset(
+                number for one in again if one.campaign.status not in ENDED for number in one.numbers
+            ),
+        )
+
+    def shares_of(self, safe: int, unsafe: int) -> tuple[Share, Share]:
+        """Return how often both sides of a pair were unsafe, by their numbers."""
+        none = Share.of(0, 0)
+        return self.shares.get(safe, none), self.shares.get(unsafe, none)
+
+    def state(self, safe: int, unsafe: int) -> Confirmation:
+        """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
+        shares = self.shares_of(safe, unsafe)
+        pending = all(
+            number in self.under_way or share.evaluated >= LEAST_DRIVES
+            for number, share in zip((safe, unsafe), shares, strict=True)
+        )
+        return confirmation_of(*shares, pending=pending)
 
 
 def shares_of(stored: Sequence[StoredRepeats]) -> Mapping[int, Share]:

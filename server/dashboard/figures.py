@@ -9,7 +9,8 @@ import numpy as np
 
 from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
 from brink.search.analysis.dependence import Dependence, dependences
-from brink.server.campaigns.archives import ArchiveActivity, ReadArchive
+from brink.server.campaigns.archives import ArchiveActivity, Archives, ReadArchive
+from brink.server.dashboard.found import FoundWords
 from brink.server.dashboard.overview import Sparklines
 from brink.server.dashboard.solution_map import SolutionMaps
 from brink.server.single_flight import SingleFlightCache
@@ -71,19 +72,24 @@ class Figures:
 
     Attributes:
         at_once: How many figures are computed at the same time.
+        archives: Where campaigns are read.
         maps: Maps of the solutions.
         convergence: Convergence curves.
         sparks: Convergence curves as sparklines.
+        found: What campaigns found, in a few words each.
     """
 
     at_once: InitVar[int]
+    archives: InitVar[Archives]
     maps: SolutionMaps = field(init=False)
     convergence: ConvergenceCurves = field(init=False)
     sparks: Sparklines = field(default_factory=Sparklines)
+    found: FoundWords = field(init=False)
     _dependences: SingleFlightCache[list[Dependence]] = field(init=False)
     _threads: ThreadPoolExecutor = field(init=False)
 
-    def __post_init__(self, at_once: int) -> None:
+    def __post_init__(self, at_once: int, archives: Archives) -> None:
+        self.found = FoundWords(archives)
         self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="brink-figures")
         self.maps = SolutionMaps(threads=self._threads, most_waiting=MAX_PENDING)
         self.convergence = ConvergenceCurves(threads=self._threads, most_waiting=MAX_PENDING)
@@ -101,3 +107,4 @@ class Figures:
     def close(self) -> None:
         """Finish the running computations and cancel the pending ones."""
         self._threads.shutdown(cancel_futures=True)
+        self.found.close()

@@ -1,22 +1,50 @@
 """Summaries of all campaigns, for the list on the dashboard's first page, which polls them every few seconds."""
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from enum import StrEnum
 from threading import Lock
-from typing import Final
+from typing import Any, Final
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, Select, and_, case, func, select
 
-from brink.server.campaigns.store import labelled, read_tags
+from brink.server.campaigns.store import ENDED, labelled, read_tags
 from brink.server.db.models import CampaignRow, ExperimentCampaignRow, GenerationRow, RepeatsRow
-from brink.server.db.sql import newest_first
+from brink.server.db.sql import in_list, newest_first
 from brink.server.states import CampaignStatus
 
 POINTS: Final = 24
 """Maximum number of points of a sparkline."""
 CACHED: Final = 1_000
+MOST_UNFOLDED: Final = 1_000
+"""Maximum number of follow-ups that are listed below their campaigns."""
+
+
+class FollowUpListing(StrEnum):
+    """How a list of campaigns treats follow-ups, which Brink starts to ask more about a campaign."""
+
+    LISTED = "listed"
+    """Like any other campaign."""
+    HIDDEN = "hidden"
+    NESTED = "nested"
+    """After the campaign that they follow up, oldest first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowUpCounts:
+    """The follow-ups of a campaign.
+
+    Attributes:
+        all: Their number.
+        open: Those that have not ended.
+        sequence: Sum of their sequences; it increases with every change to one of them.
+    """
+
+    all: int = 0
+    open: int = 0
+    sequence: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +53,8 @@ class Outline:
 
     Attributes:
         experiment: The experiment it belongs to, if any.
-        repeats_of: The campaign whose solutions it repeats, if any.
+        repeats_of: The campaign that it follows up, if any: whose solutions it repeats, for example.
+        repeats: Stored number of repeats if it is a follow-up, which says what it asks.
     """
 
     id: str
@@ -46,7 +75,9 @@ class Outline:
     finished_at: datetime | None
     experiment: str | None
     repeats_of: str | None
+    repeats: int | None
     tags: list[str]
+    follow_ups: FollowUpCounts
 
     @property
     def completed(self) -> int:
@@ -64,6 +95,7 @@ def list_outlines(
     experiment: str | None = None,
     tags: Sequence[str] = (),
     search: str = "",
+    follow_ups: bool = True,
 ) -> list[Outline]:
     """Return campaigns, newest first.
 
@@ -75,19 +107,12 @@ def list_outlines(
         named: Only campaigns whose name contains this or whose id begins with it, ignoring case.
         experiment: Only campaigns of this experiment.
         tags: Only campaigns with all of these tags.
-        search: Only campaigns with all of these words in name, notes or tags, ignoring case.
+        search: Only campaigns with all of these words in name, notes or tags, or whose id begins with this; case does
+            not matter.
+        follow_ups: Whether to return follow-ups, too.
     """
     row = CampaignRow
-    page = newest_first(row.__table__, limit=limit, before=before)
-    query = page.with_only_columns(
-        row.id, row.name, row.document["problem"]["id"].as_string().label("problem"),
-        row.document["algorithm"]["id"].as_string().label("algorithm"), row.seed, row.status, row.status_reason,
-        row.sequence, row.budget, row.generation, row.evaluated, row.unsafe, row.failed, row.measured,
-        row.created_at, row.finished_at, ExperimentCampaignRow.experiment_id.label("experiment"),
-        RepeatsRow.of_id.label("repeats_of"),
-    ).outerjoin_from(
-        row.__table__, ExperimentCampaignRow.__table__, ExperimentCampaignRow.campaign_id == row.id
-    ).outerjoin(RepeatsRow.__table__, RepeatsRow.campaign_id == row.id)  # fmt: skip
+    query = _with_columns(newest_first(row.__table__, limit=limit, before=before))
     if statuses:
         query = query.where(row.status.in_(statuses))
     if named:
@@ -95,12 +120,89 @@ def list_outlines(
         query = query.where(inside | row.id.startswith(named.lower(), autoescape=True))
     if experiment is not None:
         query = query.where(ExperimentCampaignRow.experiment_id == experiment)
-    rows = connection.execute(query.where(*labelled(tags, search))).all()
-    tagged = read_tags(connection, [one.id for one in rows])
+    if not follow_ups:
+        query = query.where(RepeatsRow.campaign_id.is_(None))
+    words = labelled((), search)
+    if words:
+        query = query.where(and_(*words) | row.id.startswith(search.strip().lower(), autoescape=True))
+    return _outlines(connection, query.where(*labelled(tags, "")))
+
+
+def with_follow_ups(
+    connection: Connection, outlines: Sequence[Outline], unfolded: Collection[str] | None
+) -> list[Outline]:
+    """Return campaigns, each followed by its follow-ups and theirs, oldest first.
+
+    Args:
+        connection: Read connection on one snapshot.
+        outlines: The campaigns, without their follow-ups.
+        unfolded: Campaigns whose follow-ups are returned; None for all.
+    """
+    parents = [one.id for one in outlines if one.follow_ups.all and (unfolded is None or one.id in unfolded)]
+    if not parents:
+        return list(outlines)
+    row = CampaignRow
+    query = _with_columns(select(row.__table__).order_by(row.created_at, row.id).limit(MOST_UNFOLDED))
+    found = _outlines(connection, query.where(RepeatsRow.of_id.in_(parents)))
+    below: dict[str, list[Outline]] = {}
+    parent = ""
+    for one in with_follow_ups(connection, found, unfolded):
+        if one.repeats_of in parents:  # otherwise it follows up the follow-up before it
+            parent = one.repeats_of
+        below.setdefault(parent, []).append(one)
+    return [each for one in outlines for each in (one, *below.get(one.id, ()))]
+
+
+def _with_columns(page: Select[Any]) -> Select[Any]:
+    """Return a query of campaigns that selects what `_outlines` reads."""
+    row = CampaignRow
+    return page.with_only_columns(
+        row.id, row.name, row.document["problem"]["id"].as_string().label("problem"),
+        row.document["algorithm"]["id"].as_string().label("algorithm"), row.seed, row.status, row.status_reason,
+        row.sequence, row.budget, row.generation, row.evaluated, row.unsafe, row.failed, row.measured,
+        row.created_at, row.finished_at, ExperimentCampaignRow.experiment_id.label("experiment"),
+        RepeatsRow.of_id.label("repeats_of"), RepeatsRow.repeats,
+    ).outerjoin_from(
+        row.__table__, ExperimentCampaignRow.__table__, ExperimentCampaignRow.campaign_id == row.id
+    ).outerjoin(RepeatsRow.__table__, RepeatsRow.campaign_id == row.id)  # fmt: skip
+
+
+def _outlines(connection: Connection, query: Select[Any]) -> list[Outline]:
+    rows = connection.execute(query).all()
+    ids = [one.id for one in rows]
+    tagged, followed = read_tags(connection, ids), _count_follow_ups(connection, ids)
     return [
-        Outline(**{**one._mapping, "status": CampaignStatus(one.status), "tags": tagged[one.id]})
+        Outline(
+            **{
+                **one._mapping, "status": CampaignStatus(one.status), "tags": tagged[one.id],
+                "follow_ups": followed.get(one.id, FollowUpCounts()),
+            }
+        )
         for one in rows
-    ]
+    ]  # fmt: skip
+
+
+_FOLLOW_UPS: Final = (
+    select(
+        RepeatsRow.of_id,
+        func.count().label("all"),
+        func.sum(case((CampaignRow.status.in_(ENDED), 0), else_=1)).label("open"),
+        func.sum(CampaignRow.sequence).label("sequence"),
+    )
+    .join(CampaignRow, CampaignRow.id == RepeatsRow.campaign_id)
+    .where(in_list(RepeatsRow.of_id, "campaigns"))
+    .group_by(RepeatsRow.of_id)
+)
+
+
+def _count_follow_ups(connection: Connection, campaigns: Sequence[str]) -> dict[str, FollowUpCounts]:
+    """Return the follow-ups of those campaigns that have any."""
+    if not campaigns:
+        return {}
+    return {
+        one.of_id: FollowUpCounts(all=one.all, open=int(one.open), sequence=int(one.sequence))
+        for one in connection.execute(_FOLLOW_UPS, {"campaigns": list(campaigns)})
+    }
 
 
 @dataclass(slots=True)

@@ -133,6 +133,17 @@ class IgnoresSeeds(Protocol):
 
 
 @runtime_checkable
+class NeedsPython(Protocol):
+    """A problem that says whether its campaigns can be started from Python only.
+
+    Attributes:
+        python_only: Whether part of the problem is code that a campaign file cannot have.
+    """
+
+    python_only: bool
+
+
+@runtime_checkable
 class RecordsTraces(Protocol):
     """A simulated problem that says whether its simulator records traces; any other's does.
 
@@ -334,6 +345,28 @@ class ReplacesComponent(Protocol):
         Solutions are those of the same space, although some of their parameters then have no part in the episode.
         """
         ...
+
+
+@runtime_checkable
+class HasDetector(Protocol):
+    """A problem with an obstacle detector, for which tolerances can be found.
+
+    Attributes:
+        errors_problem: Id of the problem that simulates errors of this detector.
+    """
+
+    errors_problem: str
+
+
+@runtime_checkable
+class StudiesErrors(Protocol):
+    """A problem that simulates errors of a component, for tolerances.
+
+    Attributes:
+        usual_cells: The errors to begin with: parameters and those of their choices to study in combination.
+    """
+
+    usual_cells: Mapping[str, list[str]]
 
 
 @runtime_checkable

@@ -21,10 +21,12 @@ from brink.server.problems.base import (
     InProcessProblem,
     NamesRequirements,
     NeedsExtra,
+    NeedsPython,
     Problem,
     ReportsViolations,
     SimulatedProblem,
 )
+from brink.server.problems.requirements import ANY
 from brink.sim.catalogue import load_plugin, plugin_ids, plugin_modules, requirement_ids, requirement_words
 
 PROBLEMS = "brink.problems"
@@ -189,6 +191,8 @@ def describe_problems() -> list[dict[str, Any]]:
                 "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
                 "finds": _finds(problem),
                 "algorithm_defaults": dict(problem.algorithm_defaults),
+                "first_algorithm": _first_algorithm(problem),
+                "python_only": isinstance(problem, NeedsPython) and problem.python_only,
             }
         )
     return described
@@ -199,13 +203,59 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
     schema = params_model(kind.params_type).model_json_schema()
     requirement = schema["properties"].get("requirement")
     if requirement is not None and isinstance(problem, NamesRequirements):
-        requirement |= {"main": True, "options": requirement_options()}
+        requirement |= {"main": True, "options": _requirement_options(kind)}
     return schema
+
+
+def _requirement_options(kind: type[Any]) -> list[dict[str, str]]:
+    """Return the requirements that a problem takes, each with its meaning; among them `ANY` if it takes that."""
+    options = [one for one in requirement_options() if takes_requirement(kind.id, one["value"])]
+    if takes_requirement(kind.id, ANY):
+        problem = make_problem(kind.id, {"requirement": ANY})
+        if isinstance(problem, NamesRequirements):
+            names = ", ".join(name.split("@")[0].replace("-", " ") for name in problem.requirements)
+            options.append({"value": ANY, "words": f"A violation of any of these counts: {names}."})
+    return options
+
+
+def takes_requirement(problem_id: str, requirement: str) -> bool:
+    """Return whether a requirement, or `ANY`, can give the verdict of a problem.
+
+    Raises:
+        InvalidInput: The id of the problem is unknown.
+    """
+    kind = problem_type(problem_id)
+    try:
+        make_params(kind.params_type, {"requirement": requirement}, "/problem/params")
+    except InvalidInput:
+        return False
+    return True
 
 
 def requirement_options() -> list[dict[str, str]]:
     """Return the registered requirements, each with its meaning in words, from the documentation of its class."""
     return [{"value": name, "words": requirement_words(name)} for name in requirement_ids()]
+
+
+_FIRST: Final = ("edge@1", "mlcshe@1", "random@1")
+_FIRST_FOR_VIOLATIONS: Final = ("mumoea@1", *_FIRST)
+_AMPLE: Final = 10**6
+"""A budget that is enough for any algorithm."""
+
+
+def _first_algorithm(problem: Problem) -> str:
+    """Return the algorithm to begin with: the first one that can search the problem's space."""
+    for name in _FIRST_FOR_VIOLATIONS if isinstance(problem, ReportsViolations) else _FIRST:
+        algorithm = make_algorithm(name)
+        known = set(algorithm.config_type.__dataclass_fields__)
+        defaults = {key: value for key, value in problem.algorithm_defaults.items() if key in known}
+        try:
+            config = make_params(algorithm.config_type, defaults, "/algorithm/params")
+            algorithm.check(problem.space, config, budget=_AMPLE)
+        except (UnsupportedSpace, ConfigError, InvalidInput):
+            continue
+        return name
+    return _FIRST[-1]
 
 
 def _finds(problem: Problem) -> list[str]:

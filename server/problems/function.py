@@ -50,6 +50,7 @@ class Function:
     id: ClassVar[str] = "function@1"
     summary: ClassVar[str] = "A Python function of your own, submitted by brink.search()."
     params_type: ClassVar[type[Any]] = FunctionParams
+    python_only: ClassVar[bool] = True
 
     def __init__(self, params: FunctionParams) -> None:
         self.params = params

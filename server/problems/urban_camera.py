@@ -49,6 +49,7 @@ class UrbanCamera(HasTrueVariant, JudgedByRequirements):
         "The detector is the one that the campaign names, on rendered images. On recorded ones it may err otherwise "
         "(docs/how-to/set-a-requirement.md)."
     )
+    errors_problem: ClassVar[str] = "urban-errors@1"
     extra: ClassVar[str] = "vision"
     modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
 

@@ -96,6 +96,17 @@ class UrbanErrors(HasTrueVariant, JudgedByRequirements):
     id: ClassVar[str] = "urban-errors@1"
     summary: ClassVar[str] = "Urban driving with errors of the obstacle detector relative to the truth."
     params_type: ClassVar[type[Any]] = UrbanErrorsParams
+    errors_problem: ClassVar[str] = "urban-errors@1"
+    usual_cells: ClassVar[Mapping[str, list[str]]] = {
+        "type": [
+            kind.value
+            for kind in (
+                ErrorType.MISS, ErrorType.LATE, ErrorType.FLICKER, ErrorType.TOO_FAR, ErrorType.LEFT,
+                ErrorType.SHORT_RANGE,
+            )
+        ],
+        "target": [Target.LEAD.value, Target.PEDESTRIAN.value],
+    }  # fmt: skip
 
     about_component: ClassVar[str] = (
         "The detector's errors are injected: results show what would happen if a detector erred like this, not that "

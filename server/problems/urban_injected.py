@@ -146,6 +146,7 @@ class UrbanInjected(JudgedByRequirements):
     id: ClassVar[str] = "urban-injected@1"
     summary: ClassVar[str] = "Urban driving with injected obstacle detections: 7 + 22 parameters."
     params_type: ClassVar[type[Any]] = UrbanInjectedParams
+    errors_problem: ClassVar[str] = "urban-errors@1"
     terms_of_changes: ClassVar[str] = (
         "reported: what the detector tells the driving system, true or not; of other road users it knows nothing else"
     )

@@ -1,6 +1,7 @@
 """What a campaign page says first: the finding, the best pairs, what to do next; and results as they come in."""
 
 import base64
+import re
 from typing import Any
 
 import httpx
@@ -56,6 +57,24 @@ def test_the_finding_comes_first_then_what_to_do_then_the_map_and_delete_last(
     )
 
 
+def test_the_map_of_a_search_for_pairs_speaks_of_pairs_and_not_of_the_boundary(
+    own: httpx.Client, edge: str, visit: Visits
+) -> None:
+    page = visit(origin(own), f"#/campaigns/{edge}")
+    card = page.get_by_role("region", name="Map")
+    shown(card.get_by_role("list", name="Colours")).to_contain_text("distinct pairs")
+    shown(card.locator(".tints")).to_have_text(
+        "Ground, unsafe drives nearby: fewmanytoo few simulations nearby to tell"
+    )
+    colours = card.get_by_label("Colour").locator("option").all_inner_texts()
+    assert colours[:3] == ["verdict", "robustness", "generation"]
+    boundary = submit(own, ball(simulations=40))
+    FakeWorker(own).work(boundary)
+    page.goto(f"{origin(own)}/#/campaigns/{boundary}")
+    shown(card.locator(".tints")).to_contain_text("in its middle the boundary, 0.1")
+    shown(card.get_by_label("Colour").locator("option[value=fitness]")).to_have_count(1)
+
+
 def test_a_step_is_taken_by_its_button_and_followed_until_it_is_answered(
     own: httpx.Client, edge: str, visit: Visits
 ) -> None:
@@ -101,6 +120,29 @@ def test_on_a_phone_the_number_of_pairs_and_the_first_step_need_no_scrolling(
         assert box["y"] + box["height"] <= PHONE_HEIGHT
 
 
+def test_once_everything_is_answered_a_next_step_opens_the_form_for_another_campaign(
+    own: httpx.Client, visit: Visits
+) -> None:
+    body = {
+        "name": "answered", "problem": {"id": "urban-injected@1"}, "budget": {"simulations": 2},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}, "execution": {"keep_traces": 0},
+    }  # fmt: skip
+    campaign = submit(own, body)
+    FakeWorker(own, capabilities=(URBAN,), judge=judged).work(campaign)
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    steps = page.get_by_role("region", name="What to do next").get_by_role("listitem")
+    shown(
+        steps.get_by_text(f"brink report {campaign} --out report.html --server {origin(own)}")
+    ).to_be_visible()
+    shown(steps.get_by_role("link", name="Search for any violation")).to_be_visible()
+    steps.get_by_role("link", name="Search for tolerances").click()
+    shown(page.get_by_label("Problem", exact=True)).to_have_value("urban-errors@1")
+    shown(page.get_by_label("Algorithm", exact=True)).to_have_value("tolerance@1")
+    shown(page.get_by_label("Cells", exact=True)).to_have_value(re.compile('"short_range"'))
+    page.get_by_role("button", name="Check only").click()
+    shown(page.get_by_text("answered: tolerances is valid")).to_be_visible()
+
+
 def filmed(job: LeasedJob) -> Completed | JobFailed:
     outcome = judged(job)
     if not job.record or not isinstance(outcome, Completed):
@@ -140,6 +182,14 @@ def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
         drive = best.get_by_role("img", name=f"The {side} drive of pair 1 from above")
         shown(drive).to_be_visible()
         assert colours(drive) > 5
+    shown(best).to_contain_text("A pair holds if both drives keep their verdicts")
+    evidence = best.locator("figcaption .badge")
+    shown(evidence).to_have_text("not simulated again yet")
+    asked = expect(own.post(f"{API}/campaigns/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
+    worker.work(asked["campaign"])
+    page.reload()
+    shown(evidence).to_have_text("holds with other seeds (20 of 20 drives)")
+    shown(evidence).to_have_attribute("title", re.compile("unsafe drive in 10 of 10\\.$"))
 
 
 def colours(canvas: Locator) -> int:

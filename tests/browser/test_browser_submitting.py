@@ -216,3 +216,49 @@ def test_a_campaign_is_cloned_with_several_requirements_and_a_larger_budget(
     submitted = body_of(page, site.client)
     assert submitted["problem"]["params"]["requirement"] == ["front-gap@1", "no-collision@1"]
     expect(site.client.post(f"{API}/campaigns/{page.url.rpartition('/')[2]}/cancel"))
+
+
+def test_the_form_begins_with_a_search_for_pairs_and_offers_what_it_can_submit(
+    site: Served, browse: Browse
+) -> None:
+    page = browse("#/new")
+    problem, algorithm = (page.get_by_label(name, exact=True) for name in ("Problem", "Algorithm"))
+    shown(problem).to_have_value("urban-injected@1")
+    shown(algorithm).to_have_value("edge@1")
+    offered = problem.locator("option").evaluate_all("options => options.map(option => option.value)")
+    assert "ball@1" in offered
+    assert "function@1" not in offered, "it can be submitted from Python only"
+    problem.select_option("npc-actions@1")
+    shown(algorithm).to_have_value("mumoea@1")
+    algorithm.select_option("random@1")
+    problem.select_option("urban-injected@1")
+    shown(algorithm).to_have_value("random@1")
+    page.get_by_role("button", name="Campaign file").click()
+    assert '"id": "random@1"' in page.get_by_label("Campaign file").input_value()
+
+
+def test_any_requirement_is_offered_with_its_meaning(site: Served, browse: Browse) -> None:
+    page = browse("#/new")
+    requirement = page.get_by_label("Requirement", exact=True)
+    requirement.select_option("any")
+    shown(requirement).to_have_accessible_description(
+        re.compile("^A violation of any of these counts: front gap, no collision, ")
+    )
+    page.goto(f"{site.url}/#/new?from={site.urban}&requirement=any")
+    shown(requirement).to_have_value("any")
+
+
+def test_a_campaign_goes_on_from_another_one(site: Served, browse: Browse) -> None:
+    page = browse(f"#/new?start_from={site.urban}")
+    shown(page.get_by_role("heading", name="Go on from night rain")).to_be_visible()
+    shown(page.get_by_text(f"It starts from the results of campaign {site.urban}.")).to_be_visible()
+    page.get_by_role("button", name="Campaign file").click()
+    written = json.loads(page.get_by_label("Campaign file").input_value().partition("\n")[2])
+    assert (written["start_from"], written["seed"]) == ({"campaign": site.urban}, 9)
+    page.get_by_role("button", name="Form", exact=True).click()
+    page.get_by_role("button", name="Check only").click()
+    shown(page.get_by_text("night rain is valid")).to_be_visible()
+    page.get_by_role("button", name="Start from nothing").click()
+    shown(page.get_by_text("It starts from")).to_be_hidden()
+    page.get_by_role("button", name="Campaign file").click()
+    assert "start_from" not in page.get_by_label("Campaign file").input_value()

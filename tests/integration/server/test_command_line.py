@@ -684,3 +684,31 @@ def test_a_missing_plug_in_is_one_line(
     import_plugin_modules.cache_clear()
     assert "brink: plug-in module 'nowhere_plugin'" in said.line
     assert not (tmp_path / "brink.db").exists()
+
+
+@on_sqlite
+@pytest.mark.usefixtures("small_problems")
+def test_status_hides_follow_ups_and_lists_them_below_their_campaign_on_demand(
+    brink: Command, database_url: str
+) -> None:
+    with coordinator(database_url) as client:
+        searched = submit(client, ball(name="searched"))
+        FakeWorker(client).work(searched)
+        number = expect(client.get(f"/api/v1/campaigns/{searched}/solutions"))["solutions"][0]["number"]
+        path = f"/api/v1/campaigns/{searched}/repeats"
+        again = expect(client.post(path, json={"numbers": [number]}), 201)["campaign"]
+    at = ("--database", database_url)
+    listed = brink("status", *at).out
+    assert (searched in listed, again in listed) == (True, False)
+    assert "without 1 follow-up; list them with: brink status --all" in listed
+    lines = brink("status", "--all", *at).out.splitlines()
+    above, below = (
+        next(place for place, line in enumerate(lines) if one in line) for one in (searched, again)
+    )
+    assert below == above + 1
+    assert "   searched: solution" in lines[below]
+    assert "without" not in lines[-1]
+    assert {one["id"] for one in json.loads(brink("status", "--json", *at).out)["campaigns"]} == {
+        searched,
+        again,
+    }

@@ -153,6 +153,7 @@ def test_etag_changes_when_jobs_are_leased_within_a_generation(client: httpx.Cli
 def test_overview_lists_the_progress_of_every_campaign_in_columns(client: httpx.Client) -> None:
     done = finish(client, ball(name="first one"))
     waiting = submit(client, ball(seed=2, name="second_100%"))
+    eventually(lambda: None not in get_tagged(client, "overview")[0]["found"], "what it found is worked out")
     body, etag = get_tagged(client, "overview")
     assert body["id"] == [waiting, done]
     assert body["status"] == ["running", "finished"]
@@ -176,6 +177,51 @@ def test_overview_filters_by_name_status_and_experiment(client: httpx.Client) ->
         ({"experiment": "0000"}, []),
     ):
         assert expect(client.get(f"{API}/overview", params=query))["name"] == found, query
+
+
+def test_overview_hides_follow_ups_or_nests_them_below_their_campaigns(client: httpx.Client) -> None:
+    first = finish(client, ball(name="first"))
+    numbers = [one["number"] for one in expect(client.get(f"{API}/campaigns/{first}/solutions"))["solutions"]]
+    second = submit(client, ball(name="second", seed=2))
+    once, twice = (
+        expect(client.post(f"{API}/campaigns/{first}/repeats", json={"numbers": [number]}), 201)["campaign"]
+        for number in numbers[:2]
+    )
+    FakeWorker(client).work(once)
+    of_once = expect(client.post(f"{API}/campaigns/{once}/repeats", json={"numbers": [0]}), 201)["campaign"]
+
+    def listed(**params: Any) -> list[str]:
+        found: list[str] = expect(client.get(f"{API}/overview", params=params))["id"]
+        return found
+
+    assert listed() == [of_once, twice, once, second, first]
+    assert listed(follow_ups="hidden") == [second, first]
+    assert listed(follow_ups="hidden", unfold=[first]) == [second, first, once, twice]
+    assert listed(follow_ups="hidden", unfold=[first, once]) == [second, first, once, of_once, twice]
+    assert listed(follow_ups="nested") == [second, first, once, of_once, twice]
+    assert listed(follow_ups="nested", limit=1) == [second]
+    body, etag = get_tagged(client, "overview?follow_ups=hidden")
+    assert (body["follow_ups"], body["open_follow_ups"]) == ([0, 2], [0, 0])
+    assert get_again(client, "overview?follow_ups=hidden", etag).status_code == 304
+    third = expect(client.post(f"{API}/campaigns/{first}/repeats", json={"numbers": numbers[2:3]}), 201)
+    body, _ = get_tagged(client, "overview?follow_ups=hidden")
+    assert (body["follow_ups"], body["open_follow_ups"]) == ([0, 3], [0, 1])
+    FakeWorker(client).work(third["campaign"])
+    assert get_tagged(client, "overview?follow_ups=hidden")[0]["open_follow_ups"] == [0, 0]
+
+
+def test_overview_finds_campaigns_by_words_tags_and_id(client: httpx.Client) -> None:
+    night = submit(client, ball(name="alpha", tags=["night", "rain"], notes="Too dark at Dusk"))
+    plain = submit(client, ball(name="beta", seed=2, tags=["night"]))
+    for query, found in (
+        ({"search": "dusk alpha"}, [night]),
+        ({"search": "RAIN"}, [night]),
+        ({"search": plain[:6]}, [plain]),
+        ({"search": "gamma"}, []),
+        ({"tag": ["night", "rain"]}, [night]),
+        ({"tag": "night"}, [plain, night]),
+    ):
+        assert expect(client.get(f"{API}/overview", params=query))["id"] == found, query
 
 
 def test_overview_comes_in_pages(client: httpx.Client) -> None:

@@ -2,12 +2,14 @@
 
 import base64
 import io
+import json
 from typing import Any
+from urllib.parse import parse_qs
 
 import httpx
 from PIL import Image
 from support.api import FakeWorker, ball, completes, expect, finish, submit
-from support.problems import SIMULATOR
+from support.problems import REQUIREMENT, SIMULATOR
 from support.traces import make_trace
 from support.urban_pairs import SAFE, UNSAFE, judged
 
@@ -15,6 +17,7 @@ from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 API = "/api/v1/campaigns"
+YAML = {"Content-Type": "application/yaml"}
 SEARCH = ball(simulations=60)
 PAIRS = ball(
     name="edge", simulations=60, algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}},
@@ -90,6 +93,36 @@ def test_a_search_for_pairs_says_how_many_it_found_and_asks_what_has_not_been_as
     assert "simulated again with other seeds" in later["words"]
 
 
+def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: httpx.Client) -> None:
+    campaign = finish(client, PAIRS)
+    pairs = expect(client.get(f"{API}/{campaign}/pairs"))["pairs"]
+    assert len(pairs) > 2
+    assert [one["evidence"] for one in finding(client, campaign)["best"]] == ["not simulated again yet"] * 2
+    ask = {"kind": "confirm", "limit": 2}
+    again = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json=ask), 201)["campaign"]
+    assert {one["evidence"] for one in finding(client, campaign)["best"]} == {"being simulated again"}
+    first = pairs[0]["unsafe"]["parameters"]
+
+    def refuting(job: LeasedJob) -> Completed | JobFailed:
+        """Let the unsafe side of the first pair be safe each time."""
+        outcome = completes(job)
+        assert isinstance(outcome, Completed)
+        at = (job.spec["scenario"]["x"], job.spec["behaviour"]["y"])
+        if at != (first["where"]["x"], first["what"]["y"]):
+            return outcome
+        held = outcome.verdicts[REQUIREMENT].model_copy(update={"robustness": 0.5})
+        return outcome.model_copy(update={"verdicts": {REQUIREMENT: held}})
+
+    FakeWorker(client, judge=refuting).work(again)
+    found = finding(client, campaign)
+    assert [one["place"] for one in found["best"]] == [2, 3]
+    assert found["best"][0]["evidence"] == "holds with other seeds (20 of 20 drives)"
+    assert "unsafe drive in 10 of 10." in found["best"][0]["shares"]
+    assert (found["best"][1]["state"], found["best"][1]["shares"]) == ("not tried", "")
+    assert found["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], "places stay"
+    assert "at least 10 times each" in found["rule"]
+
+
 def test_without_a_pair_the_next_step_is_a_larger_budget(client: httpx.Client) -> None:
     tight = {"id": "edge@1", "params": {"eps": 0.000001, "d_th": 0.1}}
     campaign = finish(client, ball(algorithm=tight, simulations=20))
@@ -118,6 +151,35 @@ def test_a_paused_campaign_can_be_resumed(client: httpx.Client) -> None:
     (step,) = finding(client, campaign)["steps"]
     expect(client.post(f"/api/v1/{step['request']['path']}", json=step["request"]["body"]))
     assert expect(client.get(f"{API}/{campaign}"))["status"] == "running"
+
+
+def test_once_everything_is_answered_the_next_steps_lead_on(client: httpx.Client) -> None:
+    campaign = finish(client, PAIRS)
+    assert "report" not in kinds(finding(client, campaign)), "the pairs have not been confirmed yet"
+    again = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
+    FakeWorker(client).work(again["campaign"])
+    steps = {step["kind"]: step for step in finding(client, campaign)["steps"]}
+    for step in ("minimise", "component"):
+        assert step not in steps, "the differences of these pairs cannot be reverted"
+    assert steps["report"]["command"] == f"brink report {campaign} --out report.html"
+    assert steps["go on"]["place"] == f"new?start_from={campaign}"
+    assert steps["monitor"]["command"] == f"brink monitor fit {campaign} --out monitor.json"
+    assert not steps.keys() & {"any requirement", "tolerance"}, "the ball has no requirements and no detector"
+
+
+def test_a_campaign_with_a_detector_leads_on_to_its_tolerances_and_to_other_requirements(
+    client: httpx.Client,
+) -> None:
+    campaign = urban(client)
+    steps = {step["kind"]: step for step in finding(client, campaign)["steps"]}
+    assert steps["any requirement"]["place"] == f"new?from={campaign}&requirement=any"
+    assert "go on" not in steps, "repeat@1 does not start from results"
+    query = parse_qs(steps["tolerance"]["place"].partition("?")[2])
+    body = json.loads(query["body"][0])
+    checked = client.post("/api/v1/campaigns/check", content=json.dumps(body), headers=YAML)
+    assert expect(checked)["problem"]["params"]["requirement"] == "front-gap@1"
+    questions = [step["question"] for step in steps.values()]
+    assert len(set(questions)) == len(questions)
 
 
 def filmed(job: LeasedJob) -> Completed | JobFailed:

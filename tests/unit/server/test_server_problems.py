@@ -20,6 +20,7 @@ from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
 from brink.server.problems.base import MeasuresOnData, ReportsViolations, SimulatedProblem, SupportsSeeds
+from brink.server.problems.catalogue import describe_problems
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
 from brink.sim.aeb.specification import AebScenario, Behaviour, Options
 from brink.sim.encounter.specification import EncounterScenario
@@ -254,3 +255,22 @@ def test_the_npc_problem_implements_its_protocols() -> None:
 def test_a_requirement_that_the_road_cannot_violate_is_rejected() -> None:
     with pytest.raises(ConfigError, match="no other road has lights"):
         NpcActionsParams(violation="red-light@1", road_curve="straight")
+
+
+def test_catalogue_says_which_algorithm_to_begin_with_and_what_a_form_cannot_submit() -> None:
+    problems = {one["id"]: one for one in describe_problems()}
+    assert problems["urban-injected@1"]["first_algorithm"] == "edge@1"
+    assert problems["npc-actions@1"]["first_algorithm"] == "mumoea@1"
+    assert [name for name, one in problems.items() if one["python_only"]] == ["function@1"]
+
+
+def test_catalogue_offers_the_requirements_that_a_problem_takes() -> None:
+    offered = {
+        one["id"]: [
+            option["value"] for option in one["params"]["properties"]["requirement"].get("options", [])
+        ]
+        for one in describe_problems()
+        if "requirement" in one["params"]["properties"]
+    }
+    assert offered["urban-injected@1"][-1] == "any"
+    assert "lane-keeping@1" not in offered["sumo-drivers@1"], "SUMO does not measure it"

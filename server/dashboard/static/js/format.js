@@ -18,6 +18,11 @@ export function sentence(words) {
   return /[.!?]$/.test(words) ? capital(words) : `${capital(words)}.`;
 }
 
+/** The words without the full stop at their end, for a sentence that goes on. */
+export function clause(words) {
+  return words.replace(/\.$/, "");
+}
+
 /** A number with that many significant digits: ``0.0123``. */
 export function figure(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";

@@ -2,13 +2,14 @@
 
 import { download, isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
-import { plural, when } from "../format.js";
+import { clause, plural, when } from "../format.js";
 import { go, link } from "../router.js";
 import { badge, callout, sure, workerCommand } from "../parts/elements.js";
 import { steering } from "./campaigns.js";
 import { aboutCard, boundaryCard, dependenceCard, findings, settingsCard } from "./campaign/cards.js";
 import { convergenceCards, Generations } from "./campaign/convergence.js";
 import { finding } from "./campaign/finding.js";
+import { labels } from "./campaign/labels.js";
 import { mapCard } from "./campaign/map_card.js";
 import { pairsCard } from "./pairs.js";
 import { toleranceCard } from "./tolerance.js";
@@ -26,6 +27,7 @@ export async function show(main, context, { parts, query }) {
   const state = badge(campaign.status);
   const actions = h("div.actions.push");
   const notes = h("div");
+  const labelled = labels(context, id, () => polling.now());
   const map = mapCard(context, id, query);
   const opening = finding(context, id, (read) => read.rings.length && map.ring(read.rings), () => polling.now());
   const convergence = convergenceCards(context, id, query, campaign.thresholds);
@@ -43,6 +45,7 @@ export async function show(main, context, { parts, query }) {
   replace(main,
     h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns")),
     h("div.head", null, h("h1", null, name), state, actions),
+    labelled,
     notes,
     h("div.stack", null,
       opening, tolerance, map, pairs, boundary, found, dependence, convergence.card,
@@ -61,6 +64,7 @@ export async function show(main, context, { parts, query }) {
     generations.take(read.generations);
     const ended = !isOpen(read.status);
     state.update(read.status);
+    labelled.update(read);
     warn(read);
     if (steered !== read.status) {
       steered = read.status;
@@ -71,7 +75,7 @@ export async function show(main, context, { parts, query }) {
       replace(removing, context.may.remove && ended && remover());
     }
     opening.news(read, generations);
-    map.news(`${read.generation} ${read.simulations}`);
+    map.news(`${read.generation} ${read.simulations}`, { boundary: read.looks_for_boundary && !read.looks_for_pairs });
     convergence.news(read, generations);
     if (read.looks_for_boundary && read.evaluated) boundary.news(read.generation, convergence.thresholds(), { searchedForPairs: read.looks_for_pairs });
     found.news(`${read.sequence}`);
@@ -91,7 +95,7 @@ export async function show(main, context, { parts, query }) {
   function warnings(read) {
     const unrunnable = Object.entries(read.unrunnable);
     return [
-      read.trouble && callout("bad", `The database currently rejects writes: ${read.trouble}. No acknowledged result is lost.`),
+      read.trouble && callout("bad", `The database currently rejects writes: ${clause(read.trouble)}. No acknowledged result is lost.`),
       read.status_reason && callout(read.status === "failed" ? "bad" : "warn", read.status_reason),
       read.status === "running" && read.workers === 0 && callout("warn", "No worker is running. Start one: ", workerCommand()),
       read.status === "running" && read.workers > 0 && unrunnable.map(([needs, jobs]) => callout("warn", `${plural(jobs, "job")} cannot run on any live worker: ${jobs === 1 ? "it needs" : "they need"} ${needs}.`)),

@@ -335,7 +335,7 @@ function picker(context, chosen, choose) {
   let more = false;
   let waiting = null;
   context.signal.addEventListener("abort", () => clearTimeout(waiting), { once: true });
-  const listing = context.watch(() => `overview?${new URLSearchParams({ limit: LISTED, name: search.value.trim() })}`, (read) => {
+  const listing = context.watch(() => `overview?${new URLSearchParams({ limit: LISTED, name: search.value.trim(), follow_ups: "hidden" })}`, (read) => {
     found = rowsOf(read);
     more = read.next !== null;
     node.update();

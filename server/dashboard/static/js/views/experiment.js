@@ -2,7 +2,7 @@
 
 import { isOpen, saveBlob } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { count, figure, percent, plural, rate, span, when } from "../format.js";
+import { clause, count, figure, percent, plural, rate, span, when } from "../format.js";
 import { go, link, rewrite } from "../router.js";
 import { colour } from "../theme.js";
 import { chart, intervals, inWords } from "../parts/charts.js";
@@ -82,7 +82,7 @@ function warn(place, read) {
   if (place.dataset.told === told) return;
   place.dataset.told = told;
   replace(place,
-    read.trouble && callout("bad", `The database currently rejects writes: ${read.trouble}. No acknowledged result is lost.`),
+    read.trouble && callout("bad", `The database currently rejects writes: ${clause(read.trouble)}. No acknowledged result is lost.`),
     read.status === "running" && read.workers === 0 && callout("warn", "The experiment is running, but no worker is. ", h("a", { href: link("workers") }, "How to start one")),
     read.paused.length > 0 && callout("warn", `${plural(read.paused.length, "campaign")} ${read.paused.length === 1 ? "is" : "are"} paused:`,
       h("ul.reasons", null, pausedFor(read.paused).map(([reason, ids]) => h("li", null, `${reason}: `,

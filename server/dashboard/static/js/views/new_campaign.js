@@ -2,20 +2,20 @@
 
 import { ApiError, send } from "../api.js";
 import { h, replace, text } from "../dom.js";
-import { plainId } from "../format.js";
+import { plainId, sentence } from "../format.js";
 import { go } from "../router.js";
 import { callout } from "../parts/elements.js";
 import { field } from "../parts/fields.js";
 
-const FIRST = { problem: "urban-injected@1", algorithm: "mlcshe@1" };
+const FIRST = { problem: "urban-injected@1", algorithm: "edge@1" };
 const EXAMPLE = `# A campaign file for brink run or brink submit.
-name: mlcshe
+name: quickstart
 problem:
   id: urban-injected@1
   params:
     requirement: front-gap@1
 algorithm:
-  id: mlcshe@1
+  id: edge@1
 budget:
   simulations: 300
 seed: 1
@@ -27,13 +27,14 @@ export async function show(main, context, { query }) {
     replace(main, h("h1", null, "New campaign"), callout("warn", "This token is read-only. A token of scope user can submit campaigns."));
     return;
   }
-  const from = query.get("from");
+  const goesOn = query.get("start_from");
+  const from = goesOn ?? query.get("from");
   const [problems, algorithms, description, model] = await Promise.all([
     context.get("problems"), context.get("algorithms"), schemas(context),
     from ? context.get(`campaigns/${encodeURIComponent(from)}`) : null,
   ]);
   const trouble = h("div", { role: "alert" });
-  const form = formOf({ problems, algorithms: algorithms.filter((one) => !one.internal), description });
+  const form = formOf({ problems: problems.filter((one) => !one.python_only), algorithms: algorithms.filter((one) => !one.internal), description });
   const file = h("textarea", { id: "yaml", spellcheck: "false", "aria-describedby": "yaml-help" });
   file.value = EXAMPLE;
   const panes = {
@@ -50,10 +51,11 @@ export async function show(main, context, { query }) {
   const check = h("button", { type: "button", onclick: () => attempt(checked) }, "Check only");
 
   replace(main, h("p.crumb", null, h("a", { href: "#/campaigns" }, "Campaigns")),
-    h("div.head", null, h("h1", null, model ? `Clone of ${model.name}` : "New campaign"), h("div.segments", { role: "group", "aria-label": "Input" }, modes)),
+    h("div.head", null, h("h1", null, model ? `${goesOn ? "Go on from" : "Clone of"} ${model.name}` : "New campaign"), h("div.segments", { role: "group", "aria-label": "Input" }, modes)),
     h("form.new-campaign", { novalidate: true, onsubmit: (event) => { event.preventDefault(); attempt(submitted); } },
       trouble, panes.form, panes.file, h("div.actions", null, submit, check)));
-  if (model) form.fill({ ...model.body, budget: { simulations: Number(query.get("simulations")) || model.body.budget.simulations }, seed: Math.min(model.body.seed + 1, Number.MAX_SAFE_INTEGER) });
+  if (model) form.fill(bodyFrom(model, query));
+  else if (query.has("body")) form.fill(JSON.parse(query.get("body")));
 
   /** Switch between form and file, and convert what was entered. */
   async function turn(name) {
@@ -115,7 +117,7 @@ export async function show(main, context, { query }) {
         return false;
       }
       const rest = mode === "form" ? form.complain(error.errors) : error.errors;
-      const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, one.pointer), one.pointer && ": ", one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
+      const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, one.pointer), one.pointer && ": ", one.nearest ? sentence(one.message) : one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
       replace(trouble, callout("bad", words.length ? h("ul.plain", null, words) : "Some fields are invalid; see the messages next to them."));
       return false;
     } finally {
@@ -125,6 +127,18 @@ export async function show(main, context, { query }) {
 }
 
 const YAML = { "Content-Type": "application/yaml" };
+
+/** Return the body of another campaign as the address asks for it: with the next seed, and with what is to be different. */
+function bodyFrom({ id, body }, query) {
+  const requirement = query.get("requirement");
+  return {
+    ...body, tags: [], notes: "",
+    ...(query.has("start_from") ? { start_from: { campaign: id } } : {}),
+    problem: requirement ? { ...body.problem, params: { ...body.problem.params, requirement } } : body.problem,
+    budget: { simulations: Number(query.get("simulations")) || body.budget.simulations },
+    seed: Math.min(body.seed + 1, Number.MAX_SAFE_INTEGER),
+  };
+}
 
 /** Return the schemas of a campaign from the OpenAPI document. */
 async function schemas(context) {
@@ -143,12 +157,19 @@ function formOf({ problems, algorithms, description }) {
   const execution = Object.entries(description.Execution.properties).map(([name, schema]) => field(name, schema, `/execution/${name}`));
   const algorithm = plugin("algorithm", "Algorithm", algorithms, FIRST.algorithm);
   own.push(...further);
-  const problem = plugin("problem", "Problem", problems, FIRST.problem, (chosen) => algorithm.suggest(chosen?.algorithm_defaults ?? {}));
+  const problem = plugin("problem", "Problem", problems, FIRST.problem, (chosen) => {
+    algorithm.suggest(chosen?.algorithm_defaults ?? {});
+    algorithm.follow(chosen?.first_algorithm);
+  });
   const every = () => [...own, ...execution, ...problem.fields(), ...algorithm.fields()];
   let kept = {}; // parts without a field in the form
+  const start = h("p.hint", { hidden: true }, h("span"), " ", h("button.quiet", { type: "button", onclick: () => {
+    delete kept.start_from;
+    showStart();
+  } }, "Start from nothing"));
 
   const node = h("div.stack", null,
-    h("fieldset.card", null, h("legend", null, "Campaign"), h("div.fields", null, own.filter((one) => !further.includes(one)).map((one) => one.node))),
+    h("fieldset.card", null, h("legend", null, "Campaign"), h("div.fields", null, own.filter((one) => !further.includes(one)).map((one) => one.node)), start),
     problem.node, algorithm.node,
     h("details.card", null, h("summary", null, "Advanced: priority, repeats, execution"), h("div.fields", null, [...further, ...execution].map((one) => one.node))));
 
@@ -167,12 +188,20 @@ function formOf({ problems, algorithms, description }) {
   }
 
   function fill(body) {
-    const { llm } = body;
-    kept = llm ? { llm } : {};
+    kept = Object.fromEntries(["llm", "start_from", "tags", "notes"].filter((name) => body[name]?.length !== 0 && body[name]).map((name) => [name, body[name]]));
+    showStart();
     for (const one of own) one.fill(one.pointer === "/budget/simulations" ? body.budget?.simulations : body[one.pointer.slice(1)]);
     for (const one of execution) one.fill(body.execution?.[one.pointer.split("/").at(-1)]);
     problem.fill(body.problem);
     algorithm.fill(body.algorithm);
+  }
+
+  /** Say what the campaign starts from, which has no field. */
+  function showStart() {
+    const { start_from: from } = kept;
+    start.hidden = !from;
+    text(start.firstChild, !from ? "" : from.campaign
+      ? `It starts from the ${from.results === false ? "solutions" : "results"} of campaign ${from.campaign}.` : `It starts from ${from.solutions.length} given solutions.`);
   }
 
   /** Show errors next to their fields; returns those that belong to none. */
@@ -185,7 +214,7 @@ function formOf({ problems, algorithms, description }) {
       const place = fields.find((one) => one.pointer === error.pointer);
       if (!place) rest.push(error);
       else {
-        place.complain(error.nearest ? `${error.message}. Did you mean ${error.nearest}?` : error.message);
+        place.complain(error.nearest ? `${sentence(error.message)} Did you mean ${error.nearest}?` : error.message);
         place.node.closest("details")?.setAttribute("open", "");
         first ??= place;
       }
@@ -199,7 +228,10 @@ function formOf({ problems, algorithms, description }) {
 
 /** Return the part of the form for a plug-in and its parameters; ``told`` is called with the plug-in, or null if it is unknown. */
 function plugin(part, title, known, first, told = () => {}) {
-  const select = h("select", { id: `choose-${part}`, onchange: () => choose(select.value) }, known.map((one) => h("option", { value: one.id }, plainId(one.id))));
+  const select = h("select", { id: `choose-${part}`, onchange: () => {
+    byHand = true;
+    choose(select.value);
+  } }, known.map((one) => h("option", { value: one.id }, plainId(one.id))));
   const summary = h("p.help", { id: `about-${part}` });
   select.setAttribute("aria-describedby", `about-${part}`);
   const wrong = h("p.wrong", { role: "alert", hidden: true });
@@ -211,6 +243,7 @@ function plugin(part, title, known, first, told = () => {}) {
   let fields = [];
   let unknown = {}; // parameters of a plug-in that is not installed here
   let suggested = {}; // defaults that are not the schema's
+  let byHand = false; // whether somebody has chosen it
 
   function choose(id) {
     unknown = {};
@@ -228,6 +261,7 @@ function plugin(part, title, known, first, told = () => {}) {
   }
 
   function fill(given) {
+    byHand = true;
     choose(given?.id ?? first);
     if (!known.some((one) => one.id === given?.id)) unknown = given?.params ?? {};
     for (const one of fields) one.fill(given?.params?.[one.pointer.split("/").at(-1)]);
@@ -245,10 +279,15 @@ function plugin(part, title, known, first, told = () => {}) {
     for (const one of fields) one.suggest(suggested[one.pointer.split("/").at(-1)]);
   }
 
+  /** Choose another plug-in, unless somebody has chosen one. */
+  function follow(id) {
+    if (!byHand && id !== undefined && id !== select.value) choose(id);
+  }
+
   choose(known.some((one) => one.id === first) ? first : known[0].id);
   return {
     node,
     fields: () => [...fields, { pointer: `/${part}/id`, node: select, focus: () => select.focus(), complain: (message) => { text(wrong, message); wrong.hidden = !message; } }],
-    read, fill, suggest,
+    read, fill, suggest, follow,
   };
 }

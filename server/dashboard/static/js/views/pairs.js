@@ -5,7 +5,7 @@ import { h, keyed, replace, text } from "../dom.js";
 import { capital, count, figure, plural } from "../format.js";
 import { loadOnNews } from "../polling.js";
 import { link, rewrite } from "../router.js";
-import { badge, requirementBadge } from "../parts/elements.js";
+import { badge, outcomeBadge } from "../parts/elements.js";
 import { followUps } from "./pair/follow_ups.js";
 import { evidence, findings, said, share } from "./pair/words.js";
 
@@ -137,7 +137,7 @@ function pairTable(id, asked) {
 
   function outcome(pair, side) {
     const again = pair.confirmation[side];
-    return h("div.small", null, requirementBadge(pair[side]), ` ${pair[side].outcome}`, again.evaluated > 0 && h("span.muted", null, `; unsafe with other seeds in ${share(again)}`));
+    return h("div.small", null, outcomeBadge(pair[side]), again.evaluated > 0 && h("span.muted", null, ` unsafe with other seeds in ${share(again)}`));
   }
 
   node.update = (read) => {

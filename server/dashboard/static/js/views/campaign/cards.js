@@ -151,7 +151,7 @@ function panel(one, overall, top) {
   const colour = one.detectable ? "var(--unsafe)" : "var(--pending)";
   const name = `${spaced(one.parameter).replace(".", ": ")}`;
   const words = groups.map((group) => `${group.label ?? figure(group.at)}: ${percent(group.hits / group.all)} of ${group.all}`).join("; ");
-  const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${name}. Unsafe: ${words}.` },
+  const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${name}. Unsafe: ${words || "no solution has a value"}.` },
     h("line", { x1: 0, x2: WIDTH, y1: y(overall), y2: y(overall), stroke: "var(--muted)", "stroke-width": 1, "stroke-dasharray": "3 3" }),
     groups.map((group) => {
       const [from, to] = group.interval;

@@ -5,10 +5,11 @@ import { attribute, h, keyed, replace, text } from "../../dom.js";
 import { count, percent, rate, sentence, span } from "../../format.js";
 import { loadOnNews, whenMade } from "../../polling.js";
 import { link } from "../../router.js";
-import { command, facts, meter, requirementBadge } from "../../parts/elements.js";
+import { badge, command, facts, meter, requirementBadge } from "../../parts/elements.js";
 import { follower } from "../pair/follow_ups.js";
 
 const FOLLOW_MS = 3_000;
+const EVIDENCE = { confirmed: "confirmed", "not confirmed": "not-confirmed" };
 
 /**
  * Return the cards in one element.
@@ -89,16 +90,24 @@ export function finding(context, id, found, changed) {
 /** Return the card of the best pairs, both drives of each from above; ``update`` takes the finding. It appears with the first picture. */
 function bestPairs(context, id) {
   const row = h("div.best-pairs");
+  const meaning = h("span");
   const card = h("section.card", { "aria-label": "Best pairs", hidden: true }, h("h2", null, "Best pairs"),
-    h("p.hint", null, "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one."), row);
+    h("p.hint", null, "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one. ", meaning), row);
 
   function pair(one) {
     const sides = ["safe", "unsafe"].map((side) => {
       const canvas = h("canvas", { role: "img", "aria-label": `The ${side} drive of pair ${one.place} from above`, width: 720, height: 340 });
       return { side, canvas, node: h(`div.drive-picture.${side}`, null, requirementBadge({ kind: side === "safe" ? "held" : "violated" }), canvas) };
     });
+    const known = badge("found");
+    known.classList.add("long");
     const node = h("figure", { hidden: true }, h("figcaption", null,
-      h("a", { href: link("campaigns", id, "pairs", `${one.safe}-${one.unsafe}`) }, `Pair ${one.place}`), `: ${sentence(one.words)}`), sides.map((each) => each.node));
+      h("div", null, h("a", { href: link("campaigns", id, "pairs", `${one.safe}-${one.unsafe}`) }, `Pair ${one.place}`), " ", known), sentence(one.words)), sides.map((each) => each.node));
+    node.update = (next) => {
+      known.update(`${EVIDENCE[next.state] ?? "found"} long`, next.evidence);
+      attribute(known, "title", next.shares || null);
+    };
+    node.update(one);
     show(node, one, sides);
     return node;
   }
@@ -123,6 +132,7 @@ function bestPairs(context, id) {
 
   card.update = (read) => {
     if (!read.complete || read.computed) return; // pairs change while it runs, and the workers have better things to do
+    text(meaning, read.rule);
     keyed(row, read.best, (one) => `${one.safe}-${one.unsafe}`, pair);
   };
   return card;

@@ -13,8 +13,8 @@ const OWN = [["verdict", "verdict"], ["fitness", "fitness"], ["robustness", "rob
 const MOST_LISTED = 60;
 
 /**
- * Return the card, which appears with the first result; ``news`` loads new solutions, ``parameters`` offers more
- * colours, ``ring`` marks the results of the search: the numbers of each, two for a pair, best first.
+ * Return the card, which appears with the first result; ``news`` loads new solutions of a search for the boundary or
+ * for something else, ``parameters`` offers more colours, ``ring`` marks the results of the search: the numbers of each, two for a pair, best first.
  *
  * @param {Context} context
  * @param {string} id Id of the campaign.
@@ -26,6 +26,7 @@ export function mapCard(context, id, query) {
   let opened = /^\d+$/.test(query.get("solution") ?? "") ? Number(query.get("solution")) : null;
   let chosen = [];
   let results = [];
+  let aboutBoundary = true; // whether the search is for the boundary: then fitness and p_th mean something
 
   const tip = h("div.tip", { hidden: true, "aria-hidden": "true" });
   const canvas = solutionMap({ signal: context.signal, hover, open: (i) => open(data.number[i]), hoverRing, openRing, choose });
@@ -45,6 +46,7 @@ export function mapCard(context, id, query) {
     h("div.map-body", null, h("div", null, frame, legend, tints, about), panel));
 
   let offered = null;
+  let known = [];
   offer([]);
   explain();
 
@@ -59,11 +61,13 @@ export function mapCard(context, id, query) {
 
   /** Offer colours. The list, which may be open, is not rebuilt if only the order has changed. */
   function offer(parameters) {
-    const names = parameters.map((one) => `${one.component}.${one.parameter}`).sort().join();
+    known = parameters;
+    const own = OWN.filter(([name]) => name !== "fitness" || aboutBoundary || by === "fitness");
+    const names = own.length + parameters.map((one) => `${one.component}.${one.parameter}`).sort().join();
     if (names === offered) return;
     offered = names;
     const groups = Map.groupBy?.(parameters, (one) => one.component) ?? new Map([["parameters", parameters]]);
-    replace(colours, OWN.map(([value, words]) => h("option", { value }, words)),
+    replace(colours, own.map(([value, words]) => h("option", { value }, words)),
       [...groups].map(([component, some]) => h("optgroup", { label: spaced(component) },
         some.map((one) => h("option", { value: `${one.component}.${one.parameter}` }, spaced(one.parameter).replace(".", ": "))))));
     if (isParameter(by) && !parameters.some((one) => `${one.component}.${one.parameter}` === by)) {
@@ -93,11 +97,10 @@ export function mapCard(context, id, query) {
       const dot = h("i");
       dot.style.background = one.colour;
       return h("li", null, dot, one.label);
-    }), data.told < data.count && h("li", null, h("i.hollow"), `${count(data.count - data.told)} just reported, not scored yet`),
+    }), data.told < data.count && h("li", null, h("i.hollow"), `${count(data.count - data.told)} just reported${aboutBoundary ? ", not scored yet" : ""}`),
     rings.length > 0 && h("li", null, h("i.ringed"), rings[0].at.length > 1 ? plural(rings.length, "distinct pair") : plural(rings.length, "distinct boundary solution")));
     tints.hidden = !data.ground;
-    if (data.ground) replace(tints, "Ground, unsafe share nearby: ", h("span", null, "0"), h("i.ramp", { "aria-hidden": "true" }), h("span", null, "1"),
-      h("span", null, `; in its middle the boundary, ${figure(data.ground.p_th)}`), h("i.hatched", { "aria-hidden": "true" }), h("span", null, "too few simulations nearby to tell"));
+    if (data.ground) replace(tints, tintWords(data.ground.p_th), h("i.hatched", { "aria-hidden": "true" }), h("span", null, "too few simulations nearby to tell"));
     const { said, drawn, evaluated, explained, across, up, own_axes } = data.about;
     text(about, [
       said,
@@ -106,6 +109,14 @@ export function mapCard(context, id, query) {
       across && `Horizontal axis: ${across}.`, up && `Vertical axis: ${up}.`,
     ].filter(Boolean).join(" "));
     mark();
+  }
+
+  /** Return what the colours of the ground mean; its middle is the boundary, which only a search for it looks for. */
+  function tintWords(p_th) {
+    const ramp = h("i.ramp", { "aria-hidden": "true" });
+    return aboutBoundary
+      ? ["Ground, unsafe share nearby: ", h("span", null, "0"), ramp, h("span", null, `1; in its middle the boundary, ${figure(p_th)}`)]
+      : ["Ground, unsafe drives nearby: ", h("span", null, "few"), ramp, h("span", null, "many")];
   }
 
   function colouringOf() {
@@ -122,8 +133,8 @@ export function mapCard(context, id, query) {
     tip.hidden = i === null;
     canvas.classList.toggle("over", i !== null);
     if (i === null) return;
-    const fitness = i < data.told ? `fitness ${figure(data.fitness[i])}` : "not scored yet";
-    point(`solution ${data.number[i]}: ${data.words(i)}; robustness ${figure(data.robustness[i])}, ${fitness}`, { x, y });
+    const fitness = !aboutBoundary ? "" : i < data.told ? `, fitness ${figure(data.fitness[i])}` : ", not scored yet";
+    point(`solution ${data.number[i]}: ${data.words(i)}; robustness ${figure(data.robustness[i])}${fitness}`, { x, y });
   }
 
   function hoverRing(ring, place) {
@@ -166,8 +177,8 @@ export function mapCard(context, id, query) {
       h("p", null, read.words),
       h("p.small.muted", null, [
         read.robustness !== null && `robustness ${figure(read.robustness)}`,
-        read.fitness !== null && `fitness ${figure(read.fitness)}`,
-        read.neighbours !== null && `${read.unsafe_neighbours} of ${read.neighbours} neighbours unsafe`,
+        aboutBoundary && read.fitness !== null && `fitness ${figure(read.fitness)}`,
+        aboutBoundary && read.neighbours !== null && `${read.unsafe_neighbours} of ${read.neighbours} neighbours unsafe`,
       ].filter(Boolean).join(" · ")),
       h("p", null, h("a.button.primary", { href: link("campaigns", id, "solutions", number) }, "Open and replay")),
       chosen.length > 0 && h("p", null, h("button.quiet", { type: "button", onclick: list }, "Back to the selection")));
@@ -192,12 +203,13 @@ export function mapCard(context, id, query) {
   function list() {
     const rows = placed(chosen);
     const unsafe = rows.filter((i) => data.unsafe[i]).length;
-    const sorted = rows.sort((a, b) => data.fitness[a] - data.fitness[b]).slice(0, MOST_LISTED);
+    const distance = aboutBoundary ? (i) => data.fitness[i] : (i) => Math.abs(data.robustness[i]);
+    const sorted = rows.sort((a, b) => distance(a) - distance(b)).slice(0, MOST_LISTED);
     replace(panel, h("h3", null, `${plural(rows.length, "solution")} selected`),
-      h("p.small.muted", null, `${percent(unsafe / rows.length)} unsafe. Closest to the boundary first.`),
+      h("p.small.muted", null, `${percent(unsafe / rows.length)} unsafe. ${aboutBoundary ? "Closest to the boundary first." : "Smallest robustness, positive or negative, first."}`),
       h("ul.chosen", null, sorted.map((i) => h("li", null,
         h("a", { href: link("campaigns", id, "solutions", data.number[i]) }, `solution ${data.number[i]}`),
-        h("span.small.muted", null, ` ${data.words(i)}; fitness ${figure(data.fitness[i])}`)))),
+        h("span.small.muted", null, ` ${data.words(i)}; ${aboutBoundary ? `fitness ${figure(data.fitness[i])}` : `robustness ${figure(data.robustness[i])}`}`)))),
       rows.length > MOST_LISTED && h("p.hint", null, `and ${count(rows.length - MOST_LISTED)} more`),
       h("p", null, h("button", { type: "button", onclick: () => choose([]) }, "Clear selection")));
   }
@@ -224,7 +236,11 @@ export function mapCard(context, id, query) {
 
   onTheme(draw, context.signal);
   if (opened !== null) open(opened);
-  card.news = (news) => {
+  card.news = (news, { boundary }) => {
+    if (boundary !== aboutBoundary) {
+      aboutBoundary = boundary;
+      offer(known);
+    }
     last = news;
     load(isParameter(by) ? `${news}/${by}` : String(news));
   };

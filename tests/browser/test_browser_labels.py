@@ -1,0 +1,184 @@
+"""Tags and notes: finding campaigns by them, editing them in place; follow-ups folded below their campaign."""
+
+import re
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Page
+from playwright.sync_api import expect as shown
+from support.api import FakeWorker, ball, expect, finish, submit
+
+from brink.server.states import Scope
+from browser.console import Console
+from browser.served import API, NOBODYS, Served, origin
+from browser.test_browser_accessibility import RULES, faults
+from browser.test_browser_layout import OVERHANGING, PHONE_PX
+from browser.test_browser_tokens import token_of
+from browser.visits import Theme, Visits
+
+LONGEST_TAG = "x" * 40
+
+
+@pytest.fixture
+def three(own: httpx.Client) -> dict[str, str]:
+    """Campaigns by name: two with tags and notes, one without."""
+    bodies: list[dict[str, Any]] = [
+        ball(name="alpha", problem=NOBODYS, tags=["night", "rain"], notes="Too dark at dusk.\nAsk again."),
+        ball(name="beta", problem=NOBODYS, tags=["night", LONGEST_TAG], seed=2),
+        ball(name="gamma", problem=NOBODYS, seed=3),
+    ]
+    return {body["name"]: submit(own, body) for body in bodies}
+
+
+def rows(page: Page) -> list[str]:
+    return page.locator("table.campaigns tbody a.row").all_inner_texts()
+
+
+def labels_of(client: httpx.Client, campaign: str) -> tuple[list[str], str]:
+    read = expect(client.get(f"{API}/campaigns/{campaign}"))
+    return read["tags"], read["notes"]
+
+
+def test_campaigns_are_found_by_tags_and_words_and_the_address_keeps_it(
+    own: httpx.Client, three: dict[str, str], visit: Visits
+) -> None:
+    page = visit(origin(own))
+    row = page.get_by_role("row").filter(has_text="alpha")
+    row.get_by_role("button", name="night").click()
+    shown(page.locator("table.campaigns tbody tr")).to_have_count(2)
+    row.get_by_role("button", name="rain").press("Enter")
+    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
+    shown(row.get_by_role("button", name="rain")).to_have_attribute("aria-pressed", "true")
+    page.reload()
+    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
+    chosen = page.get_by_role("list", name="Only campaigns with these tags").get_by_role("listitem")
+    shown(chosen).to_have_text(["night×", "rain×"])
+    chosen.filter(has_text="rain").get_by_role("button").press("Enter")
+    shown(page.locator("table.campaigns tbody tr")).to_have_count(2)
+    shown(page.get_by_label("Find")).to_be_focused()
+    page.get_by_label("Find").fill("DUSK alpha")
+    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
+    page.reload()
+    shown(page.get_by_label("Find")).to_have_value("DUSK alpha")
+    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
+    assert rows(page) == ["alpha"]
+    page.goto(f"{origin(own)}/#/campaigns?search={three['gamma'][:6]}")
+    shown(page.get_by_role("link", name="gamma")).to_be_visible()
+    assert rows(page) == ["gamma"]
+
+
+def test_tags_and_notes_are_edited_in_place_by_keyboard(
+    own: httpx.Client, three: dict[str, str], visit: Visits
+) -> None:
+    page = visit(origin(own), f"#/campaigns/{three['alpha']}")
+    labels = page.get_by_role("region", name="Tags and notes")
+    shown(labels).to_contain_text("Too dark at dusk.")
+    labels.get_by_role("button", name="Edit tags and notes").press("Enter")
+    shown(labels.get_by_role("textbox", name="Tags")).to_be_focused()
+    shown(labels.get_by_role("textbox", name="Tags")).to_have_value("night rain")
+    labels.get_by_role("textbox", name="Tags").fill("Rain  release-4, fog")
+    labels.get_by_role("textbox", name="Notes").fill("Detector of release 4.")
+    expect(own.patch(f"{API}/campaigns/{three['alpha']}", json={"add_tags": ["meanwhile"]}))
+    labels.get_by_role("button", name="Save").press("Enter")
+    shown(labels.get_by_role("listitem")).to_have_text(["fog", "meanwhile", "rain", "release-4"])
+    shown(labels).to_contain_text("Detector of release 4.")
+    shown(labels.get_by_role("button", name="Edit tags and notes")).to_be_focused()
+    assert labels_of(own, three["alpha"])[1] == "Detector of release 4."
+
+    labels.get_by_role("button", name="Edit tags and notes").click()
+    labels.get_by_role("textbox", name="Notes").fill("never mind")
+    page.keyboard.press("Escape")
+    shown(labels.get_by_role("textbox", name="Notes")).to_have_count(0)
+    assert labels_of(own, three["alpha"])[1] == "Detector of release 4."
+    labels.get_by_role("link", name="fog").click()
+    shown(page.get_by_role("link", name="alpha")).to_be_visible()
+    assert (rows(page), page.url.rpartition("#")[2]) == (["alpha"], "/campaigns?tag=fog")
+
+
+def test_tags_that_are_refused_say_why_and_what_was_written_stays(
+    own: httpx.Client, three: dict[str, str], visit: Visits, console: Console
+) -> None:
+    page = visit(origin(own), f"#/campaigns/{three['gamma']}")
+    labels = page.get_by_role("region", name="Tags and notes")
+    labels.get_by_role("button", name="Add tags or notes").click()
+    labels.get_by_role("textbox", name="Tags").fill("fine not&fine")
+    console.expect_status(422)
+    labels.get_by_role("button", name="Save").click()
+    shown(labels.get_by_role("alert")).to_have_text(re.compile(r"^Expected a word .*, got 'not&fine'\.$"))
+    shown(labels.get_by_role("textbox", name="Tags")).to_have_value("fine not&fine")
+    assert labels_of(own, three["gamma"]) == ([], "")
+
+
+def test_a_read_only_token_shows_tags_and_notes_without_a_button(
+    guarded: httpx.Client, own_database: str, visit: Visits
+) -> None:
+    campaign = expect(guarded.get(f"{API}/campaigns"))["campaigns"][0]["id"]
+    page = visit(origin(guarded), f"#/campaigns/{campaign}", token=token_of(own_database, Scope.READ))
+    shown(page.get_by_role("region", name="Finding")).to_be_visible()
+    shown(page.get_by_role("region", name="Tags and notes")).to_have_count(0)
+    expect(guarded.patch(f"{API}/campaigns/{campaign}", json={"tags": ["night"], "notes": "A note."}))
+    labels = page.get_by_role("region", name="Tags and notes")
+    shown(labels).to_contain_text("A note.")
+    shown(labels.get_by_role("button")).to_have_count(0)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_tags_and_notes_fit_a_phone_and_have_no_serious_fault(
+    own: httpx.Client, three: dict[str, str], visit: Visits, theme: Theme
+) -> None:
+    page = visit(origin(own), "#/campaigns?tag=night", width=PHONE_PX, height=844, theme=theme)
+    shown(page.get_by_role("link", name="beta")).to_be_visible()
+    assert page.evaluate("document.scrollingElement.scrollWidth") == PHONE_PX, page.evaluate(
+        OVERHANGING, PHONE_PX
+    )
+    assert faults(page, RULES[theme]) == []
+    page.goto(f"{origin(own)}/#/campaigns/{three['beta']}")
+    labels = page.get_by_role("region", name="Tags and notes")
+    shown(labels.get_by_role("listitem")).to_have_count(2)
+    for _ in range(2):  # shown, then edited
+        assert page.evaluate("document.scrollingElement.scrollWidth") == PHONE_PX, page.evaluate(
+            OVERHANGING, PHONE_PX
+        )
+        assert faults(page, RULES[theme]) == []
+        labels.get_by_role("button").last.click()
+
+
+def test_follow_ups_are_folded_below_their_campaign(own: httpx.Client, visit: Visits) -> None:
+    campaign = finish(own, ball(name="searched"))
+    numbers = [one["number"] for one in expect(own.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"]]
+    once, twice = (
+        expect(own.post(f"{API}/campaigns/{campaign}/repeats", json={"numbers": [number]}), 201)["campaign"]
+        for number in numbers[:2]
+    )
+    page = visit(origin(own))
+    fold = page.get_by_role("button", name="2 follow-ups, 2 under way")
+    shown(fold).to_have_attribute("aria-expanded", "false")
+    assert rows(page) == ["searched"]
+    fold.press("Enter")
+    nested = page.locator("table.campaigns tbody tr.nested")
+    shown(nested).to_have_count(2)
+    shown(fold).to_be_focused()
+    links = page.locator("table.campaigns tbody a.row")
+    assert [link.get_attribute("href") for link in links.all()] == [
+        f"#/campaigns/{one}" for one in (campaign, once, twice)
+    ]
+    page.reload()
+    shown(nested).to_have_count(2)
+    assert faults(page, RULES["light"]) == []
+    page.get_by_label("Status").select_option("running")
+    shown(links).to_have_count(2)
+    shown(nested).to_have_count(0)
+    page.get_by_label("Status").select_option("")
+    FakeWorker(own).work(once)
+    FakeWorker(own).work(twice)
+    page.get_by_role("button", name=re.compile("^−2 follow-ups$")).click()
+    shown(nested).to_have_count(0)
+
+
+def test_a_campaign_compares_with_campaigns_not_with_follow_ups(site: Served, visit: Visits) -> None:
+    number = expect(site.client.get(f"{API}/campaigns/{site.ball}/solutions"))["solutions"][0]["number"]
+    expect(site.client.post(f"{API}/campaigns/{site.ball}/repeats", json={"numbers": [number]}), 201)
+    page = visit(site.url, f"#/compare?ids={site.urban}")
+    shown(page.get_by_role("checkbox", name=re.compile("^ball "))).to_be_visible()
+    shown(page.get_by_role("checkbox", name=re.compile("again "))).to_have_count(0)

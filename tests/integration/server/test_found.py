@@ -1,0 +1,150 @@
+"""What each campaign found, in a few words in the list of campaigns."""
+
+from typing import Any
+
+import httpx
+import pytest
+from support.api import FakeWorker, ball, eventually, expect, finish, progress, submit
+from support.tolerance import body as tolerance
+from support.tolerance import judge
+from support.traffic import traffic_worker
+from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
+
+from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.plan import Plan
+from brink.server.campaigns.store import Campaign
+from brink.server.dashboard.found import FoundWords
+from brink.server.problems.urban_injected import SIMULATOR as URBAN
+from brink.worker.wire import Completed, LeasedJob, WireVerdict
+
+API = "/api/v1"
+EDGE = {"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}}
+
+
+def column(client: httpx.Client, name: str = "found", **params: Any) -> dict[str, Any]:
+    """Return a column of the overview by campaign, once everything has been worked out."""
+    read: dict[str, Any] = {}
+
+    def known() -> bool:
+        read.update(expect(client.get(f"{API}/overview", params=params)))
+        return None not in read["found"]
+
+    eventually(known, "the words are worked out")
+    return dict(zip(read["id"], read[name], strict=True))
+
+
+def boundary_solutions(stands: dict[str, Any]) -> int:
+    return int(stands["generations"][-1]["dbs"]) if stands["generations"] else 0
+
+
+def test_pairs_are_counted_and_then_how_many_of_them_hold(client: httpx.Client) -> None:
+    campaign = finish(client, ball(name="edge", algorithm=EDGE))
+    pairs = expect(client.get(f"{API}/campaigns/{campaign}/pairs"))["distinct"]
+    assert pairs > 1
+    assert column(client) == {campaign: f"{pairs} pairs"}
+    again = expect(client.post(f"{API}/campaigns/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
+    FakeWorker(client).work(again["campaign"])
+    held = expect(client.get(f"{API}/campaigns/{campaign}/pairs"))["confirmed"]
+    eventually(
+        lambda: column(client)[campaign] == f"{held} of {pairs} pairs hold",
+        "the follow-up is taken into account",
+    )
+    assert column(client)[again["campaign"]] == ""
+
+
+def test_a_boundary_is_counted_while_the_search_runs_and_without_pairs_there_is_no_pair(
+    client: httpx.Client,
+) -> None:
+    running = submit(client, ball(simulations=200))
+    FakeWorker(client).work(running, until=lambda stands: boundary_solutions(stands) > 1)
+    dbs = boundary_solutions(progress(client, running))
+    assert column(client) == {running: f"{dbs} boundary solutions"}
+    assert column(client, "about_boundary") == {running: True}
+    FakeWorker(client).work(running)
+    assert boundary_solutions(progress(client, running)) == 1
+    none = finish(
+        client, ball(seed=2, simulations=20, algorithm={"id": "edge@1", "params": {"eps": 0.000001}})
+    )
+    assert column(client) == {running: "1 boundary solution", none: "no pair"}
+    assert column(client, "about_boundary") == {running: True, none: False}
+
+
+def perturbed(job: LeasedJob) -> Completed:
+    """Let a perturbation of at least a medium intensity be unsafe."""
+    robustness = 0.5 - job.spec["behaviour"]["strong"]
+    return Completed(
+        verdicts={"distance@1": WireVerdict(robustness=robustness, unit="m", violated_at_s=None)}
+    )
+
+
+def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client) -> None:
+    tolerances = submit(client, tolerance(simulations=400))
+    FakeWorker(client, capabilities=("brink-drive-errors@1",), judge=judge).work(tolerances)
+    traffic = {
+        "name": "traffic", "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},
+        "algorithm": {"id": "mumoea@1", "params": {"population_size": 20}}, "budget": {"simulations": 40},
+    }  # fmt: skip
+    violations = submit(client, traffic)
+    traffic_worker(client).work(violations)
+    types = expect(client.get(f"{API}/campaigns/{violations}/violations"))["types"]
+    chains = finish(
+        client, ball(simulations=40, problem={"id": "slotted@1"}, algorithm={"id": "random@1"}), perturbed
+    )
+    found = column(client)
+    assert found[tolerances] == "8 tolerances"
+    assert found[violations] == f"{len(types)} types of violations"
+    assert "hazardous combination" in found[chains]
+
+
+def test_the_part_of_the_component_is_told_by_its_follow_up(client: httpx.Client) -> None:
+    given = {
+        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 4},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE]}},
+    }  # fmt: skip
+    campaign = submit(client, given)
+    worker = FakeWorker(client, capabilities=(URBAN,), judge=judged)
+    worker.work(campaign)
+    asked = {"kind": "component", "d_th": 0.01}
+    follow_up = expect(client.post(f"{API}/campaigns/{campaign}/pairs/follow-ups", json=asked), 201)[
+        "campaign"
+    ]
+    worker.work(follow_up)
+    assert column(client) == {campaign: "2 unsafe", follow_up: "1 of 2 safe with ground truth"}
+
+
+def test_a_list_that_polls_works_nothing_out_twice_and_waits_for_nothing(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = finish(client, ball(name="edge", algorithm=EDGE))
+    restored: list[str] = []
+    stored = Archives.stored
+
+    def counted(self: Archives, campaign: Campaign) -> Any:
+        restored.append(campaign.id)
+        return stored(self, campaign)
+
+    monkeypatch.setattr(Archives, "stored", counted)
+    first = client.get(f"{API}/overview")
+    assert expect(first)["found"] == [None]
+    column(client)
+    etag = client.get(f"{API}/overview").headers["etag"]
+    assert etag != first.headers["etag"]
+    for _ in range(3):
+        assert client.get(f"{API}/overview", headers={"If-None-Match": etag}).status_code == 304
+    expect(client.patch(f"{API}/campaigns/{campaign}", json={"tags": ["night"]}))
+    assert expect(client.get(f"{API}/overview"))["found"][0].endswith("pairs"), "earlier words stay meanwhile"
+    eventually(lambda: column(client)[campaign].endswith("pairs"), "they are worked out again")
+    assert restored == [campaign]
+
+
+def test_what_cannot_be_told_is_left_out(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    campaign = finish(client, ball(name="edge", algorithm=EDGE))
+
+    def fails(self: FoundWords, campaign: Campaign, plan: Plan) -> str:
+        raise OSError("the disk is gone")
+
+    monkeypatch.setattr(FoundWords, "_pairs_words", fails)
+    assert column(client) == {campaign: ""}
+    assert "what it found cannot be told" in caplog.text
