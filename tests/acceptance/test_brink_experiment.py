@@ -78,6 +78,6 @@ def test_a_file_without_an_experiment_creates_nothing(
     )
     said = CliRunner().invoke(app, ["experiment", "run", str(file)])
     assert said.exit_code == 1
-    assert "/algorithms/0/id" in str(said.exception)
+    assert "wrong.yaml: line 2: algorithms[0].id: unknown" in str(said.exception)
     assert "did you mean 'ga@1'" in str(said.exception)
     assert not list(tmp_path.glob("*.db"))

@@ -334,7 +334,7 @@ def test_commands_check_preview_and_log_requests(
     file.write_text(yaml.safe_dump(seeded(endpoint, seeds=POPULATION + 1)))
     refused = run(app, ["llm", "dry-run", str(file)])
     assert isinstance(refused.exception, InvalidInput)
-    assert "/algorithm/params/seeds: expected at most population_size" in str(refused.exception)
+    assert "line 7: algorithm.params.seeds: expected at most population_size" in str(refused.exception)
     file.write_text(yaml.safe_dump(seeded(endpoint)))
     assert "Rule 1" in run(app, ["llm", "dry-run", str(file)]).stdout
     assert "cost unknown" in shown.stdout

@@ -211,7 +211,9 @@ def test_unimportable_simulator_is_skipped_with_reason(
 
 def test_a_plug_in_that_cannot_be_imported_is_named() -> None:
     process = EpisodeProcess(plugins=("no_such_plugin",))
-    with pytest.raises(ChildFailedToStart, match="No module named 'no_such_plugin'"):
+    with pytest.raises(
+        ChildFailedToStart, match="plug-in module 'no_such_plugin', which --plugin or BRINK_PLUGINS names"
+    ):
         process.start()
     process.close()
 
