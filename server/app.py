@@ -177,7 +177,7 @@ def _context(
     wakeups = Wakeups()
     scheduler = Scheduler(engines, stepper, wakeups)
     queue = QueueService(
-        settings=settings, writer=writer, on_idle=scheduler.advance_soon, metrics=metrics, wakeups=wakeups
+        settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups
     )
     campaigns = CampaignService(
         engines=engines,

@@ -148,6 +148,7 @@ class CampaignDisplay(LiveDisplay):
     def __init__(self, console: Console) -> None:
         super().__init__(console)
         self._series: list[GenerationView] = []
+        self._failed = False
 
     @property
     def generations(self) -> int:
@@ -157,6 +158,8 @@ class CampaignDisplay(LiveDisplay):
     def show(self, progress: Progress) -> None:
         """Show the progress of a campaign, including the generations that are new."""
         self._series += [one for one in progress.generations if one.number >= len(self._series)]
+        if failures_of(progress) and not self._failed:
+            self._printed_at, self._failed = float("-inf"), True
         self._update(progress, lambda: self._panel(progress), lambda: self._line(progress))
 
     def _panel(self, progress: Progress) -> Group:
@@ -196,8 +199,8 @@ class CampaignDisplay(LiveDisplay):
             rows.insert(2, ("boundary", boundary, spark([one.dbs for one in self._series])))
         if progress.measured:
             rows.append(("on data", f"{progress.measured} measured   simulated {progress.evaluated}", ""))
-        if progress.quarantined or progress.failed:
-            rows.append(("failed", f"{progress.failed}   quarantined {progress.quarantined}", ""))
+        if failures_of(progress):
+            rows.append(("failed", failures_words(progress), ""))
         # Before the first worker connects, every job is unrunnable: nothing worth reporting.
         for needs, count in progress.unrunnable.items() if progress.workers else ():
             rows.append(("waiting", f"{count} jobs need {needs}, which no worker provides", ""))
@@ -218,7 +221,8 @@ class CampaignDisplay(LiveDisplay):
             *rate_parts(progress),
             f"workers {progress.workers or 'none yet'}",
         ]
-        return ", ".join([*parts, progress.asking] if progress.asking else parts)
+        failures = [f"failed {failures_words(progress)}"] if failures_of(progress) else []
+        return ", ".join([*parts, *([progress.asking] if progress.asking else []), *failures])
 
 
 def budget_bar(name: str, simulations: int, budget: int, kind: str = "simulations") -> Table:
@@ -250,6 +254,17 @@ def facts_table(rows: Sequence[tuple[str, *tuple[Text, ...]]]) -> Table:
     for column in facts.columns:
         column.no_wrap, column.overflow = True, "ellipsis"
     return facts
+
+
+def failures_of(progress: Progress) -> int:
+    """Return how many simulations of a campaign have failed, whether or not its search has been told."""
+    return progress.failed + progress.reported_failed
+
+
+def failures_words(progress: Progress) -> str:
+    """Return how many simulations of a campaign have failed, and the first error."""
+    first = f" (first: {progress.failure})" if progress.failure else ""
+    return f"{failures_of(progress):,}{first}"
 
 
 def rate_parts(progress: Progress | ExperimentProgress) -> list[str]:

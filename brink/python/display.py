@@ -6,7 +6,7 @@ from typing import Any, Protocol, Self
 
 from rich.console import Console
 
-from brink.api.live import CampaignDisplay, duration, rate_of
+from brink.api.live import CampaignDisplay, duration, failures_of, failures_words, rate_of
 from brink.server.api.schemas import Progress
 
 
@@ -61,7 +61,7 @@ def progress_html(progress: Progress) -> str:
     facts = [
         f"{progress.simulations:,} of {progress.budget:,} simulations",
         f"{progress.unsafe:,} unsafe",
-        f"{progress.failed:,} failed" if progress.failed else "",
+        f"failed: {failures_words(progress)}" if failures_of(progress) else "",
         progress.status.value if progress.status.value != "running" else rate_of(progress.rate_per_s),
         f"{duration(progress.remaining_s)} left" if progress.remaining_s is not None else "",
         progress.status_reason,

@@ -7,13 +7,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from brink.api.live import failures_of
+from brink.python.client import check_finished
 from brink.python.connection import wait_for
 from brink.python.local import run_body
-from brink.python.result import AsyncResult, Result
+from brink.python.result import AsyncResult, CampaignUnfinished, Result
 from brink.python.start import Start, started
 from brink.search.errors import SpaceError
 from brink.search.shorthand import DeclaredSpace, space_of
 from brink.search.space import SearchSpace
+from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
@@ -66,7 +69,8 @@ def search(
     Raises:
         SpaceError: A parameter is not written as expected, or is no argument of the function.
         InvalidInput: Another setting is invalid.
-        CampaignUnfinished: Too many calls failed; the message says why the last one did.
+        CampaignUnfinished: More than a fifth of the calls failed, or all of the first five; the message says how
+            many, and why the first one did.
 
     Example:
         >>> import brink
@@ -137,7 +141,27 @@ async def search_async(
                 PLUGINS_VARIABLE: ",".join(filter(None, [os.environ.get(PLUGINS_VARIABLE), simulator.__name__])),
                 simulator.FILE_VARIABLE: str(path),
             },
+            check=_check_calls,
         )  # fmt: skip
+
+
+def _check_calls(progress: Progress) -> None:
+    """Check that a search has finished.
+
+    Raises:
+        CampaignUnfinished: It was cancelled, or paused by a user or after too many failed calls.
+    """
+    failed = failures_of(progress)
+    if progress.status is not CampaignStatus.PAUSED or not progress.status_reason or not failed:
+        check_finished(progress)
+        return
+    first = (progress.failure or progress.status_reason).removeprefix("invalid: ")
+    raise CampaignUnfinished(
+        f"{progress.name}: {failed:,} of {progress.simulations:,} calls failed, so the search was paused. The first: "
+        f"{first}. Correct the function and call brink.search() again. A failed call is neither safe nor unsafe: "
+        "where the function has no result, leave such values out of the space, or "
+        f"return what counts as safe or unsafe there. (campaign {progress.id})"
+    )
 
 
 def _defaults(function: Callable[..., Any], algorithm: str) -> dict[str, Any]:

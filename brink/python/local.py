@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from brink.api.client import Api, CoordinatorError
@@ -85,6 +85,7 @@ async def run_body(
     statuses: tuple[CampaignStatus, ...],
     progress: bool,
     environment: Mapping[str, str] | None = None,
+    check: Callable[[Progress], None] = check_finished,
 ) -> AsyncResult:
     """Run a checked campaign on this machine to its end.
 
@@ -95,6 +96,7 @@ async def run_body(
         statuses: An earlier run with one of these is continued, or returned if it has finished.
         progress: Whether to show the progress.
         environment: Environment variables for the workers.
+        check: Raises `CampaignUnfinished` unless the campaign has finished.
 
     Raises:
         CampaignUnfinished: The campaign was cancelled, or paused after too many failures.
@@ -104,7 +106,7 @@ async def run_body(
         campaign = await _start(api, body, statuses)
         try:
             with display_of(progress) as display:
-                check_finished(await _watch(api, campaign, display, processes))
+                check(await _watch(api, campaign, display, processes))
         except asyncio.CancelledError:
             await asyncio.shield(_pause(api, campaign))
             raise

@@ -296,12 +296,17 @@ def read_progress(
     standing = read_campaign_progress(connection, campaign, workers=len(live))
     capabilities = set().union(*live.values())
     waiting = queued_needs(connection, campaign.id) if standing.queued else {}
+    failed, failure = (
+        view_store.read_failures(connection, campaign.id, campaign.generation)
+        if standing.quarantined
+        else (0, "")
+    )
     return Progress(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
         status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,
         simulations=standing.done, evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
         measured=campaign.measured, reported=len(reported.results), reported_unsafe=reported.unsafe,
-        quarantined=standing.quarantined, queued=standing.queued,
+        reported_failed=failed, failure=failure, quarantined=standing.quarantined, queued=standing.queued,
         leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
         cached=standing.cached, remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},

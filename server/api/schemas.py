@@ -114,6 +114,10 @@ class Progress(View):
         int, Field(description="Verdicts that workers have reported and the search has not been told yet.")
     ] = 0
     reported_unsafe: Annotated[int, Field(description="Those of them that are unsafe.")] = 0
+    reported_failed: Annotated[
+        int, Field(description="Failed simulations that the search has not been told yet.")
+    ] = 0
+    failure: Annotated[str, Field(description="The first error of a simulation that failed, if any.")] = ""
     quarantined: int
     queued: int
     leased: int

@@ -66,13 +66,15 @@ from brink.server.llm.settings import LlmSettings
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
 from brink.server.queue import job_store
-from brink.server.queue.job_store import JobOutcome
+from brink.server.queue.job_store import JobOutcome, first_line
 from brink.server.queue.wakeups import Wakeups
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 from brink.worker.wire import Completed
 
 FEW_FAILURES = 3
 """This many failures or fewer never pause a campaign."""
+FIRST_FAILURES = 5
+"""This many failures before any success pause a campaign at once, unless it allows most simulations to fail."""
 
 log = logging.getLogger(__name__)
 
@@ -169,7 +171,10 @@ class Stepper:
                 self._live.pop(campaign_id, None)
                 return False
             outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
-        if self._has_other_simulator(campaign) or _is_open(outcomes):
+        if self._has_other_simulator(campaign):
+            return False
+        if _is_open(outcomes):
+            self._pause_if_nothing_works(campaign, outcomes)
             return False
         try:
             live = self._state(campaign)
@@ -202,6 +207,20 @@ class Stepper:
             else:  # nothing is lost, and the cause may be fixed
                 self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             raise
+
+    def _pause_if_nothing_works(self, campaign: Campaign, outcomes: Sequence[JobOutcome]) -> None:
+        """Pause a campaign whose first simulations all failed, rather than wait for the rest of its generation."""
+        errors = [one.error or "" for one in outcomes if one.status is JobStatus.QUARANTINED]
+        if (
+            len(errors) < FIRST_FAILURES
+            or campaign.completed
+            or campaign.failures_accepted
+            or campaign.body.execution.max_failed_share > 0.5
+            or any(one.status is JobStatus.DONE for one in outcomes)
+        ):
+            return
+        reason = f"all of the first {len(errors)} simulations failed. {_advice(errors[0])}"
+        self._end(campaign, CampaignStatus.PAUSED, reason, failures=len(errors))
 
     def _has_other_simulator(self, campaign: Campaign) -> bool:
         """Return whether a campaign was simulated with another simulator than its problem uses here, and pause it."""
@@ -515,11 +534,14 @@ def _too_many_failures(
     limit = campaign.body.execution.max_failed_share
     if failed <= max(FEW_FAILURES, campaign.failures_accepted) or failed <= limit * candidates:
         return None
-    last = next(e.reason for e in reversed(list(evaluations.values())) if isinstance(e, Failed))
-    return (
-        f"{failed} of {candidates} candidates failed, more than max_failed_share {limit:g} allows. Retry their jobs, "
-        f"or resume to go on without them. Last error: {last.strip().splitlines()[0] if last.strip() else last}"
-    )
+    first = next(e.reason for e in evaluations.values() if isinstance(e, Failed))
+    allowed = f"more than max_failed_share {limit:g} allows"
+    return f"{failed} of {candidates} candidates failed, {allowed}. {_advice(first)}"
+
+
+def _advice(error: str) -> str:
+    """Return what to do about failures, and the first of the errors."""
+    return f"Retry their jobs, or resume to go on without them. First error: {first_line(error)}"
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
 from brink.server.campaigns.step_store import GenerationSummary
 from brink.server.db.models import CampaignRow, GenerationRow, JobRow, SolutionRow
-from brink.server.queue.job_store import EVALUATIONS, IS_EVALUATION, MAX_NAMED, count_unfinished
+from brink.server.queue.job_store import EVALUATIONS, IS_EVALUATION, MAX_NAMED, count_unfinished, first_line
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 RATE_WINDOW: Final = 5
@@ -194,6 +194,27 @@ def count_in_flight(connection: Connection, campaign_id: str, generation: int) -
             SolutionRow.campaign_id == campaign_id, SolutionRow.generation >= generation
         )
     ).scalar_one()
+
+
+def read_failures(connection: Connection, campaign_id: str, generation: int) -> tuple[int, str]:
+    """Return how many simulations of a generation and later ones have failed, and the first error of the campaign.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: A campaign with quarantined jobs.
+        generation: The generation.
+    """
+    its_jobs = (JobRow.campaign_id == campaign_id, JobRow.status == JobStatus.QUARANTINED, IS_EVALUATION)
+    same = (SolutionRow.campaign_id == JobRow.campaign_id) & (SolutionRow.number == JobRow.number)
+    failed = (
+        select(func.count())
+        .select_from(JobRow)
+        .join(SolutionRow, same)
+        .where(*its_jobs, SolutionRow.generation >= generation)
+    )
+    first = select(JobRow.last_error).where(*its_jobs).order_by(JobRow.number).limit(1)
+    error: str | None = connection.execute(first).scalar_one_or_none()
+    return connection.execute(failed).scalar_one(), first_line(error or "")
 
 
 def count_origins(connection: Connection, campaign_id: str) -> dict[str, int]:

@@ -141,6 +141,11 @@ class JobCount:
     oldest: datetime
 
 
+def first_line(error: str) -> str:
+    """Return the first line of an error; the others are a traceback, or the output of a process."""
+    return error.strip().partition("\n")[0]
+
+
 def enqueue(
     connection: Connection,
     campaign_id: str,

@@ -1,7 +1,7 @@
 """Serves workers: leases, heartbeats, results.
 
 All changes to jobs go through the writer. Waiting requests are woken on the event loop whenever jobs are enqueued,
-and `on_idle` is called with the campaigns that have no open job left.
+and `on_due` is called with the campaigns that have no open job left, and with those that have another failed job.
 """
 
 import asyncio
@@ -155,7 +155,7 @@ class QueueService:
 
     settings: Settings
     writer: Writer
-    on_idle: Callable[[Iterable[str]], None]
+    on_due: Callable[[Iterable[str]], None]
     metrics: Metrics = field(default_factory=Metrics)
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
@@ -261,7 +261,7 @@ class QueueService:
         _log_granted(request.worker.id, granted)
         if released or report.quarantined:  # a quarantined job may have kept identical simulations waiting
             self.wakeups.wake()  # all waiters: the first may be unable to run these jobs
-        self.on_idle(report.campaigns)
+        self.on_due({*report.campaigns, *(attempt.campaign for attempt in report.quarantined)})
         reply: LeaseReply | None = None
         if wanted is not None:
             if granted and gone.is_set():
@@ -341,7 +341,7 @@ class QueueService:
             _log_quarantined(expired)
             self.metrics.expired.inc(len(expired))
         self.wakeups.wake(due_retries)
-        self.on_idle(idle)
+        self.on_due({*idle, *(attempt.campaign for attempt in expired if attempt.final)})
 
     def _drop_absent(self) -> dict[str, _WorkerRecord]:
         """Drop workers that are dead or have not made contact; return those with unrecorded counts."""

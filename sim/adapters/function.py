@@ -105,7 +105,7 @@ class FunctionSimulator:
         try:
             returned = function(**values)
         except Exception as error:
-            raise InvalidEpisode(_words(error)) from error
+            raise InvalidEpisode(_words(error, function, values)) from error
         robustness, objectives = _outcome(returned)
         return EpisodeResult(
             verdicts={FUNCTION: Verdict(robustness=robustness, unit="1", violated_at_s=None)},
@@ -165,11 +165,18 @@ def _number(value: Any, name: str) -> float:
     return float(value)
 
 
-def _words(error: Exception) -> str:
-    """Return what went wrong, and where."""
-    frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    return f"the function raised {type(error).__name__}: {error}{where}"
+def _words(error: Exception, function: Callable[..., Any], values: Mapping[str, Json]) -> str:
+    """Return what went wrong, where in the file of the function, and with which values; all in one line."""
+    frames = traceback.extract_tb(error.__traceback__)[1:]  # the first one is the call in this module
+    code = getattr(function, "__code__", None)
+    own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
+    where = ""
+    if shown := (own or frames)[-1:]:
+        line = f": {shown[0].line}" if shown[0].line else ""
+        where = f", at {Path(shown[0].filename).name}, line {shown[0].lineno}{line}"
+    given = ", ".join(f"{name}={value!r}" for name, value in values.items())
+    said = " ".join(str(error).split())
+    return f"the function raised {type(error).__name__}: {said}{where}; called with {given}"
 
 
 if FILE_VARIABLE in os.environ:  # in a worker that `brink.search` started

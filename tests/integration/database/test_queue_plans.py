@@ -128,7 +128,7 @@ def periodic(queue: Queue) -> None:
     writer = Writer(engines.writer)
     settings = settings_for(engines.writer.url.render_as_string(hide_password=False))
     idle: list[str] = []
-    service = QueueService(settings=settings, writer=writer, on_idle=idle.extend)
+    service = QueueService(settings=settings, writer=writer, on_due=idle.extend)
     try:
         asyncio.run(service.sweep())
     finally:

@@ -2,6 +2,7 @@
 
 import asyncio
 import inspect
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -116,8 +117,33 @@ def test_an_exception_in_a_function_is_shown_and_stops_the_search(folder: Path) 
     def broken(x: float) -> float:
         raise RuntimeError(f"no road at {x:.0f}")
 
-    with pytest.raises(CampaignUnfinished, match=r"paused.*function raised RuntimeError: no road at"):
-        brink.search(broken, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=20, progress=False)
+    with pytest.raises(CampaignUnfinished) as caught:
+        brink.search(broken, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=400, progress=False)
+    found = re.match(
+        r"broken: (\d+) of \1 calls failed, so the search was paused\. The first: ", str(caught.value)
+    )
+    assert found is not None, caught.value
+    assert 5 <= int(found[1]) < 60, "it does not wait for a generation of 60"
+    assert re.search(
+        r"function raised RuntimeError: no road at \d, at test_running\.py, line \d+: "
+        r'raise RuntimeError\(f"no road at \{x:\.0f\}"\); called with x=0\.\d+\. Correct the function',
+        str(caught.value),
+    )
+
+
+def test_a_function_that_fails_too_often_is_counted(folder: Path) -> None:
+    def narrow(x: float) -> float:
+        if x > 0.6:
+            raise RuntimeError("no road here")
+        return x - 0.5
+
+    with pytest.raises(
+        CampaignUnfinished, match=r"narrow: \d\d of 60 calls failed.*RuntimeError: no road here"
+    ):
+        brink.search(narrow, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=60, progress=False)
+    result = brink.search(narrow, {"x": (0.0, 0.7)}, algorithm="random@1", simulations=60, progress=False)
+    assert result.failed + result.evaluated == 60
+    assert 0 < result.failed <= 12
 
 
 @pytest.mark.parametrize(

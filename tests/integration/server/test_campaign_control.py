@@ -175,6 +175,45 @@ def test_too_many_failures_pause_a_campaign_that_can_resume_without_them(client:
     assert worker.work(campaign)["status"] == "finished"
 
 
+def test_a_campaign_of_which_nothing_succeeds_pauses_before_the_end_of_its_generation(
+    client: httpx.Client,
+) -> None:
+    worker, campaign = FakeWorker(client, judge=fails_east_of(-9.0)), submit(client, ball())
+    worker.report(worker.lease(max_jobs=4))
+    early = progress(client, campaign)
+    assert (early["status"], early["failed"], early["reported_failed"]) == ("running", 0, 4)
+    assert early["failure"] == "invalid: no road here\N{REPLACEMENT CHARACTER}"
+    worker.report(worker.lease(max_jobs=1))
+    eventually(lambda: progress(client, campaign)["status"] == "paused", "five failures pause it")
+    stopped = progress(client, campaign)
+    assert stopped["status_reason"].startswith(
+        "all of the first 5 simulations failed. Retry their jobs, or resume"
+    )
+    assert "First error: invalid: no road here" in stopped["status_reason"]
+    assert (stopped["queued"], stopped["reported_failed"]) == (15, 5)
+    post(client, campaign, "resume")
+    worker.judge = completes
+    done = worker.work(campaign)
+    assert (done["status"], done["failed"], done["reported_failed"]) == ("finished", 5, 0)
+
+
+@pytest.mark.parametrize("share", [0.2, 1.0])
+def test_failures_beside_successes_or_that_are_allowed_do_not_pause_it_early(
+    client: httpx.Client, share: float
+) -> None:
+    worker = FakeWorker(client, judge=completes)
+    campaign = submit(client, ball(execution={"max_failed_share": share}))
+    if share < 1:
+        worker.report(worker.lease(max_jobs=1))
+    worker.judge = fails_east_of(-9.0)
+    worker.report(worker.lease(max_jobs=6))
+    worker.judge = completes
+    worker.report_all()
+    eventually(lambda: progress(client, campaign)["queued"] == 0, "all are simulated")
+    reason = progress(client, campaign)["status_reason"]
+    assert reason.startswith("6 of 20 candidates failed") if share < 1 else reason == ""
+
+
 def test_quarantined_jobs_can_be_retried_before_resuming(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client, judge=fails_east_of(0.0)), submit(client, ball())
     worker.work(campaign)

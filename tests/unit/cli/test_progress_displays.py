@@ -65,6 +65,21 @@ def test_results_from_the_cache_are_no_rate() -> None:
     assert line == "254/1300 simulations, 254 from the cache, workers 2\n"
 
 
+def test_failures_are_counted_with_the_first_error_before_the_search_is_told() -> None:
+    line = line_of(failed=2, reported_failed=3, failure="invalid: no road here")
+    assert line.endswith(", workers 2, failed 5 (first: invalid: no road here)\n")
+
+
+def test_the_first_failure_is_shown_at_once_in_a_file() -> None:
+    screen = Console(file=io.StringIO(), markup=False)
+    with CampaignDisplay(screen) as display:
+        for failed in (0, 1, 2):
+            display.show(Progress.model_validate({**PROGRESS, "reported_failed": failed}))
+    assert isinstance(screen.file, io.StringIO)
+    lines = screen.file.getvalue().splitlines()
+    assert [line.endswith("failed 1") for line in lines] == [False, True]
+
+
 def test_colours_in_a_file_do_not_make_it_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm")
