@@ -1,7 +1,7 @@
 """`brink evidence`: export a folder with which others can verify and use a campaign's boundary."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,7 +36,15 @@ from brink.cli.options import (
 from brink.report.component import DetectionCounts, count_detections, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, TooManyPairs, install_command
-from brink.server.api.boundary_table import FORMATS, MEANINGS, Row, boundary_rows, has_parquet, table_bytes
+from brink.server.api.boundary_table import (
+    FORMATS,
+    MEANINGS,
+    Row,
+    boundary_columns,
+    boundary_rows,
+    has_parquet,
+    table_bytes,
+)
 from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.pairs import searches_for_pairs
@@ -114,11 +122,12 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
     boundary = await api.read(Boundary, f"/campaigns/{fetched.id}/boundary", params)
     options.folder.mkdir(parents=True, exist_ok=True)
     rows, notes = boundary_rows(boundary, fetched.id, fetched.body), list[str]()
+    columns = boundary_columns(fetched.plan.problem.space)
     searched = searches_for_pairs(fetched.body.algorithm.id)
     if not has_parquet():
         notes.append(f"no Parquet: {install_command('analysis')}")
     if rows or not searched:
-        _tables(rows, options.folder)
+        _tables(rows, options.folder, columns)
     found: list[Rules] = []
     with Steps(screen, "finding rules"):
         try:
@@ -144,7 +153,7 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
     drawn, missing = await _replays(api, fetched, rows, boundary, options, screen)
     notes += missing
     if rows or not searched:
-        _tables(rows, options.folder)
+        _tables(rows, options.folder, columns)
     readme.write_text(_readme(fetched, boundary, options, found, notes, drawn, pairs), encoding="utf-8")
     return {
         "campaign": fetched.id, "folder": str(options.folder), "solutions": len(rows), "replays": drawn,
@@ -153,10 +162,10 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
     }  # fmt: skip
 
 
-def _tables(rows: Sequence[Row], folder: Path) -> None:
+def _tables(rows: Sequence[Row], folder: Path, columns: Mapping[str, type]) -> None:
     for form in FORMATS:
         if form != "parquet" or has_parquet():
-            (folder / f"boundary.{form}").write_bytes(table_bytes(rows, form))
+            (folder / f"boundary.{form}").write_bytes(table_bytes(rows, form, columns))
 
 
 def _rules(fetched: FetchedArchive, t_b: float) -> list[Rules]:

@@ -1,8 +1,7 @@
 """Results as pandas data frames; pandas is imported when the first one is made."""
 
-import io
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -13,6 +12,8 @@ from brink.search.space import BoolArray, SearchSpace
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_DTYPES: Final[Mapping[type, str]] = {int: "int64", float: "float64", bool: "bool", str: "str"}
 
 
 def data_frame(columns: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
@@ -25,14 +26,31 @@ def data_frame(columns: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> "pd.
     return frame
 
 
-def frame_of_csv(text: str) -> "pd.DataFrame":
-    """Return a data frame of a CSV table.
+def typed_frame(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, type]) -> "pd.DataFrame":
+    """Return a data frame of rows, which has its columns with their types also where there are no rows.
+
+    Args:
+        rows: Rows that have these columns, and possibly others.
+        columns: Columns with the type of their values.
 
     Raises:
         MissingExtra: pandas is not installed.
     """
-    frame: pd.DataFrame = _pandas().read_csv(io.StringIO(text))
-    return frame
+    if rows:
+        unknown = [name for name, kind in columns.items() if kind is float]  # perhaps None in all rows
+        return data_frame(rows).astype(dict.fromkeys(unknown, "float64"))
+    pd = _pandas()
+    return data_frame(
+        {name: pd.Series([], dtype=_DTYPES.get(kind, "object")) for name, kind in columns.items()}
+    )
+
+
+def types_of(row: Mapping[str, Any]) -> dict[str, type]:
+    """Return the types of the values of a row, as columns for `typed_frame`."""
+    return {
+        name: float if name.startswith(("robustness.", "violated_at_s.")) else type(value)
+        for name, value in row.items()
+    }
 
 
 def _pandas() -> Any:

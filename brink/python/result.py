@@ -8,6 +8,7 @@ import base64
 import contextlib
 import html
 import io
+import math
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,15 +27,17 @@ from brink.api.results import (
     run_episode,
 )
 from brink.python.connection import Connection, wait_for, with_workers
-from brink.python.frames import archive_frame, data_frame, frame_of_csv
+from brink.python.frames import archive_frame, data_frame, typed_frame, types_of
 from brink.python.picture import Picture
 from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
 from brink.report.campaign import campaign_report, write_page
 from brink.report.figures import campaign_figure
 from brink.report.pair_pictures import headline, write_pair
 from brink.search.errors import TooManyPairs
+from brink.server.api.boundary_table import boundary_columns, boundary_rows
+from brink.server.api.pair_table import pair_columns, pair_rows
 from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, PairsView
-from brink.server.api.schemas import CampaignView, Progress
+from brink.server.api.schemas import Boundary, CampaignView, Progress, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.errors import InvalidInput, ServerError
 from brink.server.states import CampaignStatus
@@ -45,6 +48,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FOLLOW_UP_POLL_S: Final = 0.5
+_VIOLATION: Final[Mapping[str, type]] = {
+    "number": int, "requirement": str, "time_s": float, "type": str, "name": str, "signature": dict,
+    "circumstances": dict,
+}  # fmt: skip
 
 
 class CampaignUnfinished(ServerError):
@@ -128,7 +135,7 @@ class AsyncResult(CampaignResult):
         async with connection.open() as api:
             progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
             view = await api.read(CampaignView, f"/campaigns/{campaign}")
-            return cls(connection, progress, view.body, await _finding(api, progress.id))
+            return cls(connection, progress, view.body, await _finding(api, progress))
 
     async def archive(self) -> FetchedArchive:
         """Return all evaluated solutions with their search space."""
@@ -151,17 +158,29 @@ class AsyncResult(CampaignResult):
 
     async def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
         """Return the distinct boundary solutions as a data frame."""
-        return await self._table("boundary", {"t_b": t_b, "d_th": d_th})
+        async with self._connection.open() as api:
+            view = await api.read(Boundary, f"/campaigns/{self.id}/boundary", {"t_b": t_b, "d_th": d_th})
+        rows = boundary_rows(view, self.id, self._body)
+        return typed_frame(rows, types_of(rows[0]) if rows else await self._boundary_columns(view))
+
+    async def _boundary_columns(self, empty: Boundary) -> dict[str, type]:
+        """Return the columns of a table of boundary solutions; any evaluated solution shows what was measured."""
+        fetched = await self.archive()
+        columns = boundary_columns(fetched.plan.problem.space)
+        if not len(fetched.archive):
+            return columns
+        async with self._connection.open() as api:
+            any_one = f"/campaigns/{self.id}/solutions/{fetched.archive.numbers[0]}"
+            view = empty.model_copy(update={"solutions": [await api.read(SolutionView, any_one)]})
+        return types_of(boundary_rows(view, self.id, self._body)[0]) | columns
 
     async def pairs(self, eps: float | None = None, d_th: float | None = None) -> "pd.DataFrame":
         """Return the distinct pairs across the boundary as a data frame."""
-        return await self._table("pairs", {"limit": MOST_PAIRS, **_given(eps=eps, d_th=d_th)})
-
-    async def _table(self, name: str, params: Mapping[str, Any]) -> "pd.DataFrame":
+        params = {"limit": MOST_PAIRS, **_given(eps=eps, d_th=d_th)}
         async with self._connection.open() as api:
-            path = f"/campaigns/{self.id}/{name}"
-            answer = await api.request("GET", path, params={**params, "format": "csv"})
-        return frame_of_csv(answer.text)
+            view = await api.read(PairsView, f"/campaigns/{self.id}/pairs", params)
+        rows = pair_rows(view)
+        return typed_frame(rows, {} if rows else pair_columns((await self.archive()).plan.problem.space))
 
     async def check_pairs(
         self,
@@ -183,14 +202,15 @@ class AsyncResult(CampaignResult):
                 view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
                 await continue_follow_up(api, view)
                 await _ended(api, view.campaign)
-            self.finding = await _finding(api, self.id)
+            self.finding = await _finding(api, self._progress)
         return await self.pairs()
 
     async def violations(self) -> "pd.DataFrame":
         """Return the violations as a data frame."""
         async with self._connection.open() as api:
             with contextlib.suppress(CoordinatorError):
-                return data_frame((await api.get(f"/campaigns/{self.id}/violations"))["violations"])
+                found = (await api.get(f"/campaigns/{self.id}/violations"))["violations"]
+                return typed_frame(found, _VIOLATION)
         frame = await self.to_pandas()
         return frame[frame["unsafe"]].reset_index(drop=True)
 
@@ -408,9 +428,27 @@ class Result(CampaignResult):
         return f'<h4>{name}</h4><p><b>{finding}</b></p><p style="opacity:0.7">{facts}</p>'
 
 
-async def _finding(api: Api, campaign: str) -> str:
-    """Return what a campaign found, in a sentence."""
-    return str((await api.get(f"/campaigns/{campaign}/finding"))["words"])
+async def _finding(api: Api, progress: Progress) -> str:
+    """Return what a campaign found, in a sentence, and what to try if a search for pairs found none."""
+    found = await api.get(f"/campaigns/{progress.id}/finding")
+    words = str(found["words"])
+    if found["pairs"] != 0 or not progress.looks_for_pairs or progress.status is not CampaignStatus.FINISHED:
+        return words
+    view = await api.read(PairsView, f"/campaigns/{progress.id}/pairs", {"limit": 1})
+    return f"{words} {_what_to_try(progress, view)}"
+
+
+def _what_to_try(progress: Progress, view: PairsView) -> str:
+    """Return what may lead to pairs after a search that found none."""
+    more = f"Try more simulations, such as {4 * progress.budget:,}"
+    if view.nearest is not None:
+        eps = math.ceil(100 * view.nearest.distance) / 100
+        return f"{more}, or look at solutions that are farther apart: pairs(eps={eps:g})."
+    if progress.unsafe in (0, progress.evaluated):
+        return (
+            f"{more}, wider ranges of the parameters, or another requirement: one that is violated at times."
+        )
+    return f"{more}."
 
 
 async def _ended(api: Api, campaign: str) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from brink.python.frames import archive_frame, data_frame, parameter_columns
+from brink.python.frames import archive_frame, parameter_columns, typed_frame
 from brink.python.start import known_from, start_of
 from brink.search.algorithm import (
     Algorithm,
@@ -31,6 +31,7 @@ from brink.search.errors import DocumentError, OrderError, UnsupportedSpace
 from brink.search.shorthand import DeclaredSpace, flat_values, space_from, space_of
 from brink.search.space import SearchSpace
 from brink.search.streams import episode_seed
+from brink.server.api import boundary_table
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_EPS, DEFAULT_PAIRS_D_TH, DEFAULT_T_B
 from brink.server.problems.catalogue import make_algorithm, make_params
 
@@ -238,7 +239,10 @@ class Study:
                 row[f"{side}.robustness"] = float(self.archive.robustness[place])
                 row |= {f"{side}.{name}": value for name, value in zip(names, values.values(), strict=True)}
             table.append(row)
-        return data_frame(table)
+        kinds = zip(names, boundary_table.parameter_columns(self._space).values(), strict=True)
+        of_a_side = {"number": int, "robustness": float, **dict(kinds)}
+        sides = {f"{side}.{name}": kind for side in ("safe", "unsafe") for name, kind in of_a_side.items()}
+        return typed_frame(table, {"distance": float, **sides})
 
     def save(self, path: str | Path) -> Path:
         """Write the study to a JSON file with every result that was told; `load` continues it."""

@@ -8,6 +8,8 @@ from importlib.util import find_spec
 from typing import Any, Final, TypeAlias
 
 from brink.search.errors import install_command
+from brink.search.parameters import Categorical, Integer
+from brink.search.space import SearchSpace
 from brink.server.api.schemas import Boundary, SolutionView
 from brink.server.campaigns.body import CampaignBody
 from brink.server.errors import InvalidInput
@@ -44,6 +46,34 @@ MEANINGS: Final = {
 }
 """Meaning of the columns; an asterisk stands for any name."""
 _TIMINGS: Final = ("cpu_s", "simulated_s")
+
+
+_SOLUTION: Final[Mapping[str, type]] = {
+    "number": int, "verdict": str, "outcome": str, "robustness": float, "fitness": float, "neighbours": int,
+    "unsafe_neighbours": int, "interval_low": float, "interval_high": float, "strict": bool, "seed": int,
+    "words": str, "idle": str,
+}  # fmt: skip
+_CAMPAIGN: Final[Mapping[str, type]] = {
+    "campaign": str, "problem": str, "algorithm": str, "campaign_seed": int, "generation": int,
+}  # fmt: skip
+
+
+def boundary_columns(space: SearchSpace) -> dict[str, type]:
+    """Return the columns of every table of boundary solutions in a search space, with the type of their values.
+
+    Columns for what was measured in the episodes follow.
+    """
+    return {**_SOLUTION, **parameter_columns(space), **_CAMPAIGN}
+
+
+def parameter_columns(space: SearchSpace) -> dict[str, type]:
+    """Return a column for each parameter of a space, as component.parameter, with the type of its values."""
+    kinds: dict[type, type] = {Categorical: str, Integer: int}
+    return {
+        f"{component.name}.{one.name}": kinds.get(type(one), float)
+        for component in space.components
+        for one in component.parameters
+    }
 
 
 def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list[Row]:
@@ -102,21 +132,22 @@ def _with_all_columns(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
     return [{name: row.get(name) for name in columns} for row in rows]
 
 
-def table_bytes(rows: Sequence[Row], form: str) -> bytes:
+def table_bytes(rows: Sequence[Row], form: str, columns: Mapping[str, type]) -> bytes:
     """Encode rows as a file.
 
     Args:
         rows: Rows that all have the same columns.
         form: One of `FORMATS`.
+        columns: Columns of a table without rows, with the type of their values.
 
     Raises:
         InvalidInput: The format is Parquet, and pyarrow is not installed.
     """
     if form == "parquet":
-        return _parquet(rows)
+        return _parquet(rows, columns)
     text = io.StringIO()
     if form == "csv":
-        writer = csv.DictWriter(text, list(rows[0]) if rows else ["number"], lineterminator="\n")
+        writer = csv.DictWriter(text, list(rows[0] if rows else columns), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
     else:
@@ -129,7 +160,7 @@ def has_parquet() -> bool:
     return find_spec("pyarrow") is not None
 
 
-def _parquet(rows: Sequence[Row]) -> bytes:
+def _parquet(rows: Sequence[Row], columns: Mapping[str, type]) -> bytes:
     if not has_parquet():
         message = f"Parquet needs pyarrow, which is not installed: {install_command('analysis')}"
         raise InvalidInput.at("/query/format", message)
@@ -137,7 +168,11 @@ def _parquet(rows: Sequence[Row]) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.Table.from_pylist([_of_one_type(row, mixed) for mixed in [_mixed(rows)] for row in rows])
+    if rows:
+        table = pa.Table.from_pylist([_of_one_type(row, mixed) for mixed in [_mixed(rows)] for row in rows])
+    else:
+        kinds = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
+        table = pa.schema([(name, kinds[kind]) for name, kind in columns.items()]).empty_table()
     buffer = io.BytesIO()
     pq.write_table(table, buffer)
     return buffer.getvalue()

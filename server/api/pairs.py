@@ -13,8 +13,8 @@ from brink.search.algorithms.minimise import Reduced, Reductions
 from brink.search.analysis.confirmation import Confirmation, Share
 from brink.search.analysis.pairs import Pair, Side
 from brink.search.features import Unit
-from brink.server.api.boundary_table import Cell, table_bytes
 from brink.server.api.context import Services
+from brink.server.api.pair_table import pairs_table
 from brink.server.api.pair_views import (
     DEFAULT_PAIRS,
     MOST_PAIRS,
@@ -118,7 +118,9 @@ async def get_pairs(
     if format == "json":
         response.headers["ETag"] = etag
         return view
-    table = await asyncio.get_running_loop().run_in_executor(None, pairs_table, view, format)
+    table = await asyncio.get_running_loop().run_in_executor(
+        None, pairs_table, view, found.plan.problem.space, format
+    )
     headers = {"Content-Disposition": f'attachment; filename="pairs-{campaign.id}.{format}"', "ETag": etag}
     return Response(table, media_type=MEDIA[format], headers=headers)  # type: ignore[return-value]
 
@@ -591,42 +593,3 @@ def _result_words(
         f"no pair within eps {settings.eps:g}: the nearest solutions with opposite verdicts, "
         f"{pairs.nearest.safe} and {pairs.nearest.unsafe}, are {pairs.nearest.distance:.3g} apart"
     )
-
-
-def pairs_table(view: PairsView, form: str) -> bytes:
-    """Encode pairs as a file: JSON Lines with all details of each pair, or a flat table.
-
-    Args:
-        view: The pairs.
-        form: ``csv``, ``jsonl`` or ``parquet``.
-
-    Raises:
-        InvalidInput: The format is Parquet, and pyarrow is not installed.
-    """
-    if form == "jsonl":
-        return b"".join(pair.model_dump_json().encode() + b"\n" for pair in view.pairs)
-    return table_bytes([_flat(view, pair) for pair in view.pairs], form)
-
-
-def _flat(view: PairsView, pair: PairView) -> dict[str, Cell]:
-    row: dict[str, Cell] = {
-        "campaign": view.campaign, "pair": pair.place, "words": pair.words, "change": pair.change,
-        "distance": pair.distance, "checked": pair.checked, "same_seed": pair.same_seed,
-        "confirmation": str(pair.confirmation.state), "component": str(pair.component.state),
-        "minimality": str(pair.minimality.state), "component_outcome": pair.component.outcome,
-        "minimised_change": "" if pair.minimality.unsafe is None else pair.minimality.unsafe.change,
-        "differing": "; ".join(change.words for change in pair.changes),
-    }  # fmt: skip
-    for name, side, share in (
-        ("safe", pair.safe, pair.confirmation.safe), ("unsafe", pair.unsafe, pair.confirmation.unsafe),
-    ):  # fmt: skip
-        row.update({
-            f"{name}.number": side.number, f"{name}.robustness": side.robustness,
-            f"{name}.evaluated": side.evaluated, f"{name}.seed": side.seed, f"{name}.outcome": side.outcome,
-            f"{name}.words": side.words, f"{name}.again_evaluated": share.evaluated,
-            f"{name}.again_unsafe": share.unsafe, f"{name}.again_low": share.low,
-            f"{name}.again_high": share.high,
-        })  # fmt: skip
-        for component, values in side.parameters.items():
-            row.update({f"{name}.{component}.{parameter}": value for parameter, value in values.items()})
-    return row

@@ -20,7 +20,7 @@ from brink.search.archive import Archive
 from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
-from brink.server.api.boundary_table import boundary_rows, table_bytes
+from brink.server.api.boundary_table import boundary_columns, boundary_rows, table_bytes
 from brink.server.api.context import Services
 from brink.server.api.schemas import (
     MAX_NUMBER,
@@ -112,7 +112,9 @@ async def get_boundary(
     if format == "json":
         return view
     rows = boundary_rows(view, campaign.id, campaign.body)
-    table = await asyncio.get_running_loop().run_in_executor(None, table_bytes, rows, format)
+    table = await asyncio.get_running_loop().run_in_executor(
+        None, table_bytes, rows, format, boundary_columns(found.plan.problem.space)
+    )
     headers = {"Content-Disposition": f'attachment; filename="boundary-{campaign.id}.{format}"'}
     return PlainResponse(table, media_type=MEDIA[format], headers=headers)  # type: ignore[return-value]
 

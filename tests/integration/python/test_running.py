@@ -82,6 +82,52 @@ def test_a_data_frame_has_a_column_for_each_parameter(circle: brink.Result) -> N
     assert len(circle.violations()) == circle.unsafe == int(frame["unsafe"].sum())
 
 
+def test_a_table_without_rows_has_the_columns_of_one_with_rows(circle: brink.Result) -> None:
+    for full, none in ((circle.pairs(), circle.pairs(eps=0.0)), (circle.boundary(1.0), circle.boundary(0.0))):
+        assert len(full) > len(none) == 0
+        assert list(none.columns) == list(full.columns)
+        assert none.dtypes.astype(str).to_dict() == full.dtypes.astype(str).to_dict()
+
+
+def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result) -> None:
+    waiting = brink.connect(database="brink.db").submit(
+        brink.Campaign(problem="npc-actions@1", algorithm="random@1", simulations=20, name="nothing yet")
+    )
+    result = waiting.result()
+    assert {"words", "distance", "safe.number"} <= set(result.pairs().columns)
+    assert {"fitness", "generation"} <= set(result.boundary().columns)
+    assert {"number", "unsafe", "robustness", "outcome"} <= set(result.to_pandas().columns)
+    assert list(result.violations().columns)[:4] == ["number", "requirement", "time_s", "type"]
+    assert str(result.violations()["time_s"].dtype) == "float64"
+    assert str(result.to_pandas()["unsafe"].dtype) == "bool"
+    assert result.finding == "No simulation has a verdict yet."
+    waiting.cancel()
+
+
+def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
+    options: dict[str, Any] = {"algorithm": "edge@1", "progress": False, "simulations": 20}
+    far = brink.search(inside, SPACE, params={"eps": 1e-6, "explore": 0.9}, **options)
+    assert len(far.pairs()) == 0
+    found = re.search(
+        r"No pair within eps .* Try more simulations, such as 80, or .*: pairs\(eps=(.*)\)", far.finding
+    )
+    assert found is not None, far.finding
+    assert len(far.pairs(eps=float(found[1]))) > 0
+    safe = brink.search(inside, {**SPACE, "x": (0.0, 0.1)}, **options)
+    assert "Try more simulations, such as 80, wider ranges of the parameters" in safe.finding
+
+
+def test_a_choice_that_is_called_null_is_no_missing_value(folder: Path) -> None:
+    def ghost(label: str, x: float) -> float:
+        return x - 0.5 if label == "null" else 1.0
+
+    found = brink.search(
+        ghost, {"label": ["null", "person"], "x": (0.0, 1.0)}, simulations=80, progress=False
+    )
+    labels = {*found.pairs()["safe.parameters.label"], *found.pairs()["unsafe.parameters.label"]}
+    assert "null" in labels <= {"null", "person"}
+
+
 def test_a_result_shows_itself_in_a_notebook(circle: brink.Result) -> None:
     shown = circle._repr_html_()
     assert "data:image/png;base64," in shown

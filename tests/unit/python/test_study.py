@@ -33,6 +33,8 @@ def test_a_study_finds_pairs_on_a_known_boundary() -> None:
     assert len(pairs) >= 8
     assert (pairs["safe.robustness"] >= 0).all()
     assert (pairs["unsafe.robustness"] < 0).all()
+    none = Study(SPACE, simulations=250).pairs()
+    assert none.dtypes.to_dict() == pairs.dtypes.to_dict()
     radius = np.hypot(pairs["safe.x"] - 0.5, pairs["safe.y"] - 0.5)
     assert np.abs(radius - 0.3).max() < 0.01
 

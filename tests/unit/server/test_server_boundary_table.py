@@ -8,11 +8,14 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from brink.server.api.boundary_table import boundary_rows, table_bytes
+from brink.search.parameters import Categorical, Integer, Real
+from brink.search.space import Component, SearchSpace
+from brink.server.api.boundary_table import boundary_columns, boundary_rows, table_bytes
 from brink.server.api.schemas import ActivityView, Boundary, SolutionView
 from brink.server.campaigns.body import parse_body
 from brink.server.states import SolutionVerdict
 
+COLUMNS = {"number": int, "fitness": float, "strict": bool, "scenario.weather": str}
 BODY = parse_body({
     "name": "x", "problem": {"id": "urban-injected@1"}, "algorithm": {"id": "ga@1"}, "budget": {"simulations": 9},
     "seed": 4,
@@ -24,6 +27,7 @@ def solution(number: int, **changes: Any) -> SolutionView:
         "number": number, "generation": 2, "verdict": SolutionVerdict.SAFE, "robustness": 0.5, "objectives": None,
         "failure": None, "origin": None, "fitness": 0.05, "neighbours": 40, "unsafe_neighbours": 4,
         "interval": (0.04, 0.23), "seed": 2**52 + 1, "attempts": 1, "words": 'fog, "late", 3 s',
+        "outcome": "front gap held",
         "parameters": {"scenario": {"weather": "fog", "lanes": 2}, "behaviour": {"late_s": 3.25}},
         "verdicts": {"front-gap@1": {"robustness": 0.5, "unit": "m", "violated_at_s": None}},
         "features": {"ended": "goal", "where": [1, 2]}, "provenance": {"brink": "0.1.0", "cpu_s": 0.2}, **changes,
@@ -71,9 +75,9 @@ def test_parameters_are_as_the_episode_had_them() -> None:
 
 def test_all_formats_have_the_same_content() -> None:
     given = rows()
-    as_csv = list(csv.DictReader(io.StringIO(table_bytes(given, "csv").decode())))
-    as_lines = [json.loads(line) for line in table_bytes(given, "jsonl").splitlines()]
-    as_parquet = pq.read_table(io.BytesIO(table_bytes(given, "parquet"))).to_pylist()
+    as_csv = list(csv.DictReader(io.StringIO(table_bytes(given, "csv", COLUMNS).decode())))
+    as_lines = [json.loads(line) for line in table_bytes(given, "jsonl", COLUMNS).splitlines()]
+    as_parquet = pq.read_table(io.BytesIO(table_bytes(given, "parquet", COLUMNS))).to_pylist()
     assert as_lines == given
     assert [list(row) for row in as_csv] == [list(row) for row in given]
     for row, text in zip(given, as_csv, strict=True):
@@ -85,10 +89,23 @@ def test_all_formats_have_the_same_content() -> None:
 
 @pytest.mark.parametrize("form", ["csv", "jsonl", "parquet"])
 def test_a_boundary_without_solutions_is_an_empty_table(form: str) -> None:
-    written = table_bytes(boundary_rows(boundary(), "c0ffee", BODY), form)
+    written = table_bytes(boundary_rows(boundary(), "c0ffee", BODY), form, COLUMNS)
     if form == "csv":
-        assert written == b"number\n"
+        assert written.decode() == ",".join(COLUMNS) + "\n"
     elif form == "jsonl":
         assert written == b""
     else:
-        assert pq.read_table(io.BytesIO(written)).num_rows == 0
+        table = pq.read_table(io.BytesIO(written))
+        assert (table.num_rows, table.column_names) == (0, list(COLUMNS))
+        assert str(table.schema.field("fitness").type) == "double"
+
+
+def test_rows_begin_with_the_columns_that_every_table_has() -> None:
+    space = SearchSpace((
+        Component("scenario", (Categorical("weather", ("clear", "fog")), Integer("lanes", 1, 4))),
+        Component("behaviour", (Real("late_s", 0.0, 5.0),)),
+    ))  # fmt: skip
+    columns = boundary_columns(space)
+    first, _ = rows()
+    assert list(first)[: len(columns)] == list(columns)
+    assert {name: type(first[name]) for name in columns} == columns

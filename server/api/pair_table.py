@@ -1,0 +1,72 @@
+"""Pairs as a table with one row for each pair: CSV, JSON Lines or Parquet."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from brink.search.space import SearchSpace
+from brink.server.api.boundary_table import Cell, Row, parameter_columns, table_bytes
+from brink.server.api.pair_views import PairsView, PairView
+
+_PAIR: Final[Mapping[str, type]] = {
+    "campaign": str, "pair": int, "words": str, "change": str, "distance": float, "checked": bool, "same_seed": bool,
+    "confirmation": str, "component": str, "minimality": str, "component_outcome": str, "minimised_change": str,
+    "differing": str,
+}  # fmt: skip
+_SIDE: Final[Mapping[str, type]] = {
+    "number": int, "robustness": float, "evaluated": int, "seed": int, "outcome": str, "words": str,
+    "again_evaluated": int, "again_unsafe": int, "again_low": float, "again_high": float,
+}  # fmt: skip
+
+
+def pair_columns(space: SearchSpace) -> dict[str, type]:
+    """Return the columns of a table of pairs in a search space, in order, with the type of their values."""
+    columns = dict(_PAIR)
+    of_a_side = {**_SIDE, **parameter_columns(space)}
+    for side in ("safe", "unsafe"):
+        columns |= {f"{side}.{name}": kind for name, kind in of_a_side.items()}
+    return columns
+
+
+def pair_rows(view: PairsView) -> list[Row]:
+    """Return pairs as rows that have the columns of `pair_columns`."""
+    return [_flat(view, pair) for pair in view.pairs]
+
+
+def pairs_table(view: PairsView, space: SearchSpace, form: str) -> bytes:
+    """Encode pairs as a file: JSON Lines with all details of each pair, or a flat table.
+
+    Args:
+        view: The pairs.
+        space: Their search space.
+        form: ``csv``, ``jsonl`` or ``parquet``.
+
+    Raises:
+        InvalidInput: The format is Parquet, and pyarrow is not installed.
+    """
+    if form == "jsonl":
+        return b"".join(pair.model_dump_json().encode() + b"\n" for pair in view.pairs)
+    return table_bytes(pair_rows(view), form, pair_columns(space))
+
+
+def _flat(view: PairsView, pair: PairView) -> dict[str, Cell]:
+    row: dict[str, Cell] = {
+        "campaign": view.campaign, "pair": pair.place, "words": pair.words, "change": pair.change,
+        "distance": pair.distance, "checked": pair.checked, "same_seed": pair.same_seed,
+        "confirmation": str(pair.confirmation.state), "component": str(pair.component.state),
+        "minimality": str(pair.minimality.state), "component_outcome": pair.component.outcome,
+        "minimised_change": "" if pair.minimality.unsafe is None else pair.minimality.unsafe.change,
+        "differing": "; ".join(change.words for change in pair.changes),
+    }  # fmt: skip
+    for name, side, share in (
+        ("safe", pair.safe, pair.confirmation.safe), ("unsafe", pair.unsafe, pair.confirmation.unsafe),
+    ):  # fmt: skip
+        row.update({
+            f"{name}.number": side.number, f"{name}.robustness": side.robustness,
+            f"{name}.evaluated": side.evaluated, f"{name}.seed": side.seed, f"{name}.outcome": side.outcome,
+            f"{name}.words": side.words, f"{name}.again_evaluated": share.evaluated,
+            f"{name}.again_unsafe": share.unsafe, f"{name}.again_low": share.low,
+            f"{name}.again_high": share.high,
+        })  # fmt: skip
+        for component, values in side.parameters.items():
+            row.update({f"{name}.{component}.{parameter}": value for parameter, value in values.items()})
+    return row
