@@ -1,9 +1,8 @@
 """The change between two candidates of `urban-injected@1` in words: what the detector reports, when, and where.
 
-Only what comes before the violation can have caused it, so only that is described. A box tells the driving system how
-far away something is by its lower edge, and where in the road by its left and right edges
-(`brink.sim.driving.obstacles`). Changes of these edges are therefore given in metres on the road where the distance
-is trusted.
+Only what comes before the violation can have caused it, so only that is described. The driving system infers from a
+box how far away something is, how far to the side, how wide and how tall (`brink.sim.driving.obstacles`). Changes of
+a box's edges are given in these metres.
 Boxes are compared at a time at which both drives run and report them, the one at which they differ more.
 """
 
@@ -11,13 +10,17 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.obstacles import depth_m
 from brink.sim.driving.settings import LocalisationSettings
 from brink.sim.urban import behaviour as b
 
 _CAMERA: Final = Camera()
-_TRUSTED_M: Final = LocalisationSettings().max_ground_range_m
+_LOCALISATION: Final = LocalisationSettings()
 _LEAST_PX: Final = 0.05
-"""Smaller changes would be shown as 0.0 px."""
+"""Smaller changes of an edge are left out."""
+_LEAST_M: Final = 0.005
+"""Smaller changes of a distance would be shown as no change."""
 _MINOR: Final = 0.2
 """A change of an edge or of the size is left out if it is smaller than this share of the other one."""
 _SCENARIO: Final = {
@@ -227,7 +230,7 @@ class _Reports:
             return [_Clause(f"{whom} is reported {' and '.join(times)}", steps * _PX_PER_STEP)]
         if "t1_step" in self._changed:
             pace = "more slowly" if new["t1_step"] > old["t1_step"] else "faster"
-            return [_Clause(f"the box of {self._who} moves {pace} through the image", 0.0)]
+            return [_Clause(f"{self._who} moves {pace} through the image", 0.0)]
         return []
 
     def _boxes(self) -> list[_Clause]:
@@ -241,12 +244,11 @@ class _Reports:
         if not moves or last < first:
             return []
         when = f"(at {_s(step)} s)"
-        text = f"the box of {self._who} {' and '.join(move.text for move in moves)} {when}"
-        if len(moves) == 1 or (len(text) <= _MOST_LETTERS and not _mixes_units(moves)):
+        text = f"{self._who} {' and '.join(move.text for move in moves)} {when}"
+        if len(moves) == 1 or len(text) <= _MOST_LETTERS:
             return [_Clause(text, _largest(moves))]
-        large = [move for move in moves if move.px >= _MINOR * _largest(moves)]
-        most = max(large, key=lambda move: (not _is_in_pixels(move), move.px))
-        return [_Clause(f"the box of {self._who} {most.text} {when}", most.px, len(moves) - 1)]
+        most = max(moves, key=lambda move: move.px)
+        return [_Clause(f"{self._who} {most.text} {when}", most.px, len(moves) - 1)]
 
     def _moves(self, step: float) -> list[_Clause]:
         """Return how the box of the unsafe drive differs at a step from that of the safe one."""
@@ -254,19 +256,12 @@ class _Reports:
         for side in b.BOX_SIDES:
             if not self._changed & {f"{side}_0_px", f"{side}_1_px"}:
                 new[side] = old[side]  # the two differ in their times alone
-        return [*_across(old, new), *_upright(old, new)]
+        places = _place(self._old["label"], old), _place(self._new["label"], new)
+        return [*_across(old, new, *places), *_upright(old, new, *places)]
 
 
 def _largest(moves: Sequence[_Clause]) -> float:
     return max((move.px for move in moves), default=0.0)
-
-
-def _mixes_units(moves: Sequence[_Clause]) -> bool:
-    return len({_is_in_pixels(move) for move in moves}) > 1
-
-
-def _is_in_pixels(move: _Clause) -> bool:
-    return " px " in f"{move.text} "
 
 
 def _box_at(values: Mapping[str, Any], step: float) -> dict[str, float]:
@@ -279,38 +274,49 @@ def _box_at(values: Mapping[str, Any], step: float) -> dict[str, float]:
     }
 
 
-def _across(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]:
+def _across(
+    old: Mapping[str, float], new: Mapping[str, float], was: "_Place | None", now: "_Place | None"
+) -> list[_Clause]:
     """Return how the left and right edges differ."""
     left, right = (new[f"x_{side}"] - old[f"x_{side}"] for side in ("min", "max"))
     shift, growth = 0.5 * (left + right), right - left
     moved = abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth))
     grown = abs(growth) >= max(_LEAST_PX, _MINOR * abs(shift))
-    grounds = _grounds(old, new)
-    sideways = f"{_px(shift)} further {'right' if shift > 0 else 'left'}"
-    size = f"{_px(growth)} {'wider' if growth > 0 else 'narrower'}"
+    if not moved and not grown:
+        return []
+    px = max(abs(shift) if moved else 0.0, abs(growth) if grown else 0.0)
+    if was is None or now is None:
+        return [_Clause("is elsewhere in the image", px)]
     if moved and grown:
-        text = _span(*grounds) if grounds else f"is {sideways} and {size}"
-        return [_Clause(text, max(abs(shift), abs(growth)))]
+        return [_Clause(_span(was, now), px)]
     if moved:
-        return [_Clause(f"is {_aside(*grounds) if grounds else sideways}", abs(shift))]
-    if grounds:
-        old_m, new_m = _different(*(one.left_m - one.right_m for one in grounds))
-        size = f"{new_m} m wide instead of {old_m} m"
-    return [_Clause(f"is {size}", abs(growth))] if grown else []
+        return [_Clause(f"is {_aside(was, now)}", px)]
+    old_m, new_m = _different(*(one.left_m - one.right_m for one in (was, now)))
+    return [_Clause(f"is {new_m} m wide instead of {old_m} m", px)]
 
 
-def _upright(old: Mapping[str, float], new: Mapping[str, float]) -> list[_Clause]:
-    """Return how the upper and lower edges differ."""
+def _upright(
+    old: Mapping[str, float], new: Mapping[str, float], was: "_Place | None", now: "_Place | None"
+) -> list[_Clause]:
+    """Return how the upper and lower edges differ: by them, things are farther away or taller."""
     upper, lower = (new[f"y_{side}"] - old[f"y_{side}"] for side in ("min", "max"))
+    lowered = abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper))
+    raised = abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower))
+    if not lowered and not raised:
+        return []
+    if was is None or now is None:
+        return [_Clause("is elsewhere in the image", max(abs(lower), abs(upper)))]
     found = []
-    if abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper)):
-        text = f"{_px(lower)} {_way(lower)} at its lower edge"
-        if grounds := _grounds(old, new):
-            old_m, new_m = _different(*(one.ahead_m for one in grounds))
-            text = f"{new_m} m ahead instead of {old_m} m by its lower edge"
-        found.append(_Clause(f"is {text}", abs(lower)))
-    if abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower)):
-        found.append(_Clause(f"is {_px(upper)} {_way(upper)} at its upper edge", abs(upper)))
+    if abs(now.ahead_m - was.ahead_m) >= _LEAST_M:
+        old_m, new_m = _different(was.ahead_m, now.ahead_m)
+        found.append(
+            _Clause(f"is {new_m} m ahead instead of {old_m} m", abs(lower) if lowered else abs(upper))
+        )
+    elif lowered:
+        found.append(_Clause(f"is {'lower' if lower > 0 else 'higher'} in the image", abs(lower)))
+    if raised and was.by_lower_edge and now.by_lower_edge:
+        old_m, new_m = _different(was.tall_m, now.tall_m)
+        found.append(_Clause(f"is {new_m} m tall instead of {old_m} m", abs(upper)))
     return found
 
 
@@ -323,20 +329,24 @@ def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-class _Ground(NamedTuple):
-    """Where the lower edge of a box lies on the road.
+class _Place(NamedTuple):
+    """Where the driving system takes a box to be.
 
     Attributes:
         ahead_m: Distance ahead of the camera.
         left_m: How far left of straight ahead its left end is.
         right_m: The same of its right end.
         middle_m: The same of its middle.
+        tall_m: Its height.
+        by_lower_edge: Whether the lower edge tells the distance; otherwise the height does.
     """
 
     ahead_m: float
     left_m: float
     right_m: float
     middle_m: float
+    tall_m: float
+    by_lower_edge: bool
 
     def reach(self, digits: int) -> str:
         """Return from where to where it reaches."""
@@ -347,19 +357,24 @@ class _Ground(NamedTuple):
         return f"{self.left_m:.{digits}f} m left to {-self.right_m:.{digits}f} m right"
 
 
-def _grounds(*boxes: Mapping[str, float]) -> list[_Ground]:
-    """Return where boxes are on the road; nothing if the distance of any of them is not trusted."""
-    found = []
-    for box in boxes:
-        ahead_m = _CAMERA.ground_depth_m(box["y_max"])
-        if ahead_m is None or ahead_m > _TRUSTED_M:
-            return []
-        columns = box["x_min"], box["x_max"], 0.5 * (box["x_min"] + box["x_max"])
-        found.append(_Ground(ahead_m, *(_CAMERA.left_m(column, ahead_m) for column in columns)))
-    return found
+def _place(label: str, box: Mapping[str, float]) -> _Place | None:
+    """Return where the driving system takes a box to be; None if it ignores the box."""
+    found = Box(ObstacleLabel(label), box["x_min"], box["x_max"], box["y_min"], box["y_max"])
+    ahead_m = depth_m(found, _CAMERA, _LOCALISATION)
+    if ahead_m is None:
+        return None
+    ground_m = _CAMERA.ground_depth_m(found.y_max_px)
+    return _Place(
+        ahead_m=ahead_m,
+        left_m=_CAMERA.left_m(found.x_min_px, ahead_m),
+        right_m=_CAMERA.left_m(found.x_max_px, ahead_m),
+        middle_m=_CAMERA.left_m(0.5 * (found.x_min_px + found.x_max_px), ahead_m),
+        tall_m=(found.y_max_px - found.y_min_px) * ahead_m / _CAMERA.focal_px,
+        by_lower_edge=ground_m is not None and ground_m <= _LOCALISATION.max_ground_range_m,
+    )
 
 
-def _aside(old: _Ground, new: _Ground) -> str:
+def _aside(old: _Place, new: _Place) -> str:
     """Return how far to the side the middle of each box is."""
     lefts = old.middle_m, new.middle_m
     sides = ["left" if left > 0 else "right" for left in lefts]
@@ -369,7 +384,7 @@ def _aside(old: _Ground, new: _Ground) -> str:
     return f"{new_m} m {sides[1]} of straight ahead instead of {was}"
 
 
-def _span(old: _Ground, new: _Ground) -> str:
+def _span(old: _Place, new: _Place) -> str:
     """Return from where to where each box reaches."""
     digits = 2 if old.reach(1) == new.reach(1) else 1
     return f"spans {new.reach(digits)} of straight ahead instead of {old.reach(digits)}"
@@ -379,14 +394,6 @@ def _different(first: float, second: float, *, alike: bool = True) -> tuple[str,
     """Return two lengths with one decimal, or with two if they are `alike` in all else and in the first."""
     digits = 2 if alike and f"{first:.1f}" == f"{second:.1f}" else 1
     return f"{first:.{digits}f}", f"{second:.{digits}f}"
-
-
-def _px(change: float) -> str:
-    return f"{abs(change):.{0 if abs(change) >= 10 else 1}f} px"
-
-
-def _way(down: float) -> str:
-    return "lower" if down > 0 else "higher"
 
 
 def _seconds(values: Mapping[str, Any]) -> str:

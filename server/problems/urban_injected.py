@@ -148,7 +148,8 @@ class UrbanInjected(JudgedByRequirements):
     params_type: ClassVar[type[Any]] = UrbanInjectedParams
     errors_problem: ClassVar[str] = "urban-errors@1"
     terms_of_changes: ClassVar[str] = (
-        "reported: what the detector tells the driving system, true or not; of other road users it knows nothing else"
+        "reported: what the detector tells the driving system, true or not; of other road users it knows nothing "
+        "else. Metres: where the driving system takes it to be, by the reported box"
     )
 
     about_component: ClassVar[str] = (

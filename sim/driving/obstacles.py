@@ -141,18 +141,22 @@ class GroundPlaneLocaliser:
 
     def depth_m(self, box: Box) -> float | None:
         """Return the depth of a box's nearest point; None if the box has no positive, finite extent."""
-        settings, camera = self._settings, self._camera
-        label, x_min, x_max, y_min, y_max = box
-        height = y_max - y_min
-        # Written so that a NaN fails the test.
-        if not (height > 0 and x_max > x_min and math.isfinite(height + x_max - x_min + y_max + x_max)):
-            return None
-        depth = camera.ground_depth_m(y_max)
-        if depth is None or depth > settings.max_ground_range_m:
-            is_person = label is ObstacleLabel.PERSON
-            tall = settings.person_height_m if is_person else settings.vehicle_height_m
-            depth = min(camera.focal_px * tall / height, settings.max_ground_range_m)
-        return max(depth, settings.min_range_m)
+        return depth_m(box, self._camera, self._settings)
+
+
+def depth_m(box: Box, camera: Camera, settings: LocalisationSettings) -> float | None:
+    """Return the depth of a box's nearest point; None if the box has no positive, finite extent."""
+    label, x_min, x_max, y_min, y_max = box
+    height = y_max - y_min
+    # Written so that a NaN fails the test.
+    if not (height > 0 and x_max > x_min and math.isfinite(height + x_max - x_min + y_max + x_max)):
+        return None
+    depth = camera.ground_depth_m(y_max)
+    if depth is None or depth > settings.max_ground_range_m:
+        is_person = label is ObstacleLabel.PERSON
+        tall = settings.person_height_m if is_person else settings.vehicle_height_m
+        depth = min(camera.focal_px * tall / height, settings.max_ground_range_m)
+    return max(depth, settings.min_range_m)
 
 
 def _fitted(

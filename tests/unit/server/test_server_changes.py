@@ -90,7 +90,7 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
         (NONE, report("person", 41, 60), "a person is reported from 4.1 to 6.0 s; in the safe drive none"),
         (
             report("person", 41, 200), report("person", 41, 250),
-            "the box of the reported person moves more slowly through the image",
+            "the reported person moves more slowly through the image",
         ),
         (
             report("person", 41, 200), report("vehicle", 41, 200),
@@ -98,33 +98,42 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
         ),
         (  # (400 - 350) px * 6.8 m / 400 px is 0.85 m, where 6.8 m is the distance of the lower edge
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=310.0, x_max_0_px=410.0),
-            "the box of the reported person is 0.7 m left of straight ahead instead of 0.8 m (at 4.1 s)",
+            "the reported person is 0.7 m left of straight ahead instead of 0.8 m (at 4.1 s)",
         ),
         (
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=420.0, x_max_0_px=520.0),
-            "the box of the reported person is 1.2 m right of straight ahead instead of 0.8 m left (at 4.1 s)",
+            "the reported person is 1.2 m right of straight ahead instead of 0.8 m left (at 4.1 s)",
         ),
-        (
+        (  # by its height: 400 px * 1.7 m / 70 px is 9.7 m
             report("person", 41, 60),
             report("person", 41, 60, y_min_0_px=220.0, y_max_0_px=290.0, x_min_0_px=310.0, x_max_0_px=410.0),
-            "the box of the reported person is 110 px higher at its lower edge (at 4.1 s), and 2 more differences",
+            "the reported person is 9.7 m ahead instead of 6.8 m (at 4.1 s), and 1 more difference",
         ),
         (
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=300.0, x_max_0_px=500.0),
-            "the box of the reported person spans 1.7 m left to 1.7 m right of straight ahead instead of 0.0 to "
+            "the reported person spans 1.7 m left to 1.7 m right of straight ahead instead of 0.0 to "
             "1.7 m left (at 4.1 s)",
         ),
         (
             report("person", 41, 60), report("person", 41, 60, x_min_0_px=304.0, x_max_0_px=396.0),
-            "the box of the reported person is 1.6 m wide instead of 1.7 m (at 4.1 s)",
+            "the reported person is 1.6 m wide instead of 1.7 m (at 4.1 s)",
         ),
         (  # 400 px * 1.7 m / (400 - 300) px is 6.8 m
             report("person", 41, 60), report("person", 41, 60, y_max_0_px=470.0),
-            "the box of the reported person is 4.0 m ahead instead of 6.8 m by its lower edge (at 4.1 s)",
+            "the reported person is 4.0 m ahead instead of 6.8 m (at 4.1 s)",
         ),
         (
             report("person", 41, 60), report("person", 41, 60, y_max_1_px=305.0),
-            "the box of the reported person is 195 px higher at its lower edge (at 6.0 s)",
+            "the reported person is 12.4 m ahead instead of 3.4 m (at 6.0 s)",
+        ),
+        (  # its lower edge is where it was, 6.8 m ahead; 200 px are as much as 3.4 m there
+            report("person", 41, 60), report("person", 41, 60, y_min_0_px=200.0),
+            "the reported person is 3.4 m tall instead of 2.5 m (at 4.1 s)",
+        ),
+        (  # above the horizon, a person of 60 px is 11.3 m away, wherever in the image
+            report("person", 41, 60, y_min_0_px=200.0, y_max_0_px=260.0),
+            report("person", 41, 60, y_min_0_px=180.0, y_max_0_px=240.0),
+            "the reported person is higher in the image (at 4.1 s)",
         ),
         (report("person", 80, 189), report("person", 90, 189), NOTHING_ACTIVE),
     ],
@@ -143,23 +152,20 @@ def test_a_change_is_described_as_what_the_detector_reports(
         # The box of the safe drive's report at 7.1 s, 30 of 200 steps after its first one, is 15% on its way.
         ({"x_min_1_px": 300.0, "x_max_1_px": 700.0}, "0.4 m left of straight ahead instead of 0.8 m (at 7.1 s)"),
         ({"y_max_0_px": 450.0, "y_min_0_px": 200.0},
-         "4.5 m ahead instead of 6.8 m by its lower edge (at 4.1 s), and 1 more difference"),
+         "4.5 m ahead instead of 6.8 m (at 4.1 s), and 1 more difference"),
         ({"x_min_0_px": 200.0, "x_max_0_px": 280.0, "y_min_0_px": 270.0, "y_max_0_px": 330.0},
          "9.1 m left of straight ahead instead of 0.8 m (at 4.1 s), and 2 more differences"),
     ],
 )  # fmt: skip
-def test_boxes_are_compared_while_both_drives_run_in_one_unit(box: dict[str, float], expected: str) -> None:
+def test_boxes_are_compared_while_both_drives_run(box: dict[str, float], expected: str) -> None:
     safe, unsafe = report("person", 41, 241), report("person", 41, 241, **box)
-    assert (
-        words(drive(safe, NONE), unsafe_drive(unsafe, NONE))
-        == f"the box of the reported person is {expected}"
-    )
+    assert words(drive(safe, NONE), unsafe_drive(unsafe, NONE)) == f"the reported person is {expected}"
 
 
 def test_boxes_are_not_compared_after_the_safe_drive_has_ended() -> None:
     safe, unsafe = report("person", 41, 241), report("person", 41, 241, x_min_1_px=300.0, x_max_1_px=700.0)
     assert words(drive(safe, NONE, end_step=61), unsafe_drive(unsafe, NONE)) == (
-        "the box of the reported person is 0.5 m left of straight ahead instead of 0.8 m (at 6.1 s)"
+        "the reported person is 0.5 m left of straight ahead instead of 0.8 m (at 6.1 s)"
     )
 
 
@@ -169,7 +175,7 @@ def test_a_long_description_is_cut_to_what_differs_most() -> None:
         report("person", 25, 60, x_min_0_px=320.0), report("vehicle", 30, 200, x_min_0_px=200.0)
     )
     assert words(safe, unsafe) == (
-        "the box of the reported vehicle spans 0.0 to 3.4 m left of straight ahead instead of 0.0 to 1.7 m left "
+        "the reported vehicle spans 0.0 to 3.4 m left of straight ahead instead of 0.0 to 1.7 m left "
         "(at 3.0 s), and 2 more differences"
     )
 
