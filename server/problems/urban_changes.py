@@ -3,7 +3,7 @@
 Only what comes before the violation can have caused it, so only that is described. The driving system infers from a
 box how far away something is, how far to the side, how wide and how tall (`brink.sim.driving.obstacles`). Changes of
 a box's edges are given in these metres.
-Boxes are compared at a time at which both drives run and report them, the one at which they differ more.
+Boxes are compared at a time at which both drives run and report them, the one at which they differ most.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -19,6 +19,10 @@ _CAMERA: Final = Camera()
 _LOCALISATION: Final = LocalisationSettings()
 _LEAST_PX: Final = 0.05
 """Smaller changes of an edge are left out."""
+_MOMENTS: Final = 30
+"""Parts of the time in which both drives report something, at whose ends distances are compared."""
+_MUCH_FARTHER: Final = 1.2
+"""A place so many times as far away is a change worth telling."""
 _LEAST_M: Final = 0.005
 """Smaller changes of a distance would be shown as no change."""
 _MINOR: Final = 0.2
@@ -234,14 +238,16 @@ class _Reports:
         return []
 
     def _boxes(self) -> list[_Clause]:
-        """Return how the boxes differ at the time at which they differ more: the first or the last common one."""
+        """Return how the boxes differ at the time at which they differ most."""
         if not any(name.endswith("_px") for name in self._changed):
             return []
         first = max(self._old["t0_step"], self._new["t0_step"])
         last = min(self._old["t1_step"], self._new["t1_step"], self._last_step)
-        found = max(((self._moves(step), step) for step in (first, last)), key=lambda one: _largest(one[0]))
-        moves, step = found if last > first else (self._moves(first), first)
-        if not moves or last < first:
+        if last < first:
+            return []
+        step = self._moment(first, last)
+        moves = self._moves(step)
+        if not moves:
             return []
         when = f"(at {_s(step)} s)"
         text = f"{self._who} {' and '.join(move.text for move in moves)} {when}"
@@ -250,14 +256,47 @@ class _Reports:
         most = max(moves, key=lambda move: move.px)
         return [_Clause(f"{self._who} {most.text} {when}", most.px, len(moves) - 1)]
 
+    def _moment(self, first: float, last: float) -> float:
+        """Return the step at which the boxes differ most.
+
+        That is the first or the last one. But a box above the horizon, whose distance its height tells, may be as far
+        away as one whose lower edge tells it, and not when it has moved.
+        """
+        step = max((first, last), key=self._difference)
+        edges = {"y_min_0_px", "y_min_1_px", "y_max_0_px", "y_max_1_px"}
+        if not self._changed & edges or self._times_as_far(step) >= _MUCH_FARTHER:
+            return step
+        between = (float(round(first + (last - first) * part / _MOMENTS)) for part in range(1, _MOMENTS))
+        other = max((step, *between), key=self._times_as_far)
+        return other if self._times_as_far(other) >= _MUCH_FARTHER else step
+
+    def _difference(self, step: float) -> float:
+        return _largest(self._moves(step))
+
+    def _times_as_far(self, step: float) -> float:
+        """Return how many times as far away the farther one of both boxes is at a step."""
+        was, now = self._places(step)
+        if was is None or now is None:
+            return 1.0
+        return max(now.ahead_m, was.ahead_m) / min(now.ahead_m, was.ahead_m)
+
     def _moves(self, step: float) -> list[_Clause]:
         """Return how the box of the unsafe drive differs at a step from that of the safe one."""
+        old, new = self._both(step)
+        places = self._places(step)
+        return [*_across(old, new, *places), *_upright(old, new, *places)]
+
+    def _places(self, step: float) -> "tuple[_Place | None, _Place | None]":
+        old, new = self._both(step)
+        return _place(self._old["label"], old), _place(self._new["label"], new)
+
+    def _both(self, step: float) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the boxes of both drives at a step."""
         old, new = (_box_at(values, step) for values in (self._old, self._new))
         for side in b.BOX_SIDES:
             if not self._changed & {f"{side}_0_px", f"{side}_1_px"}:
                 new[side] = old[side]  # the two differ in their times alone
-        places = _place(self._old["label"], old), _place(self._new["label"], new)
-        return [*_across(old, new, *places), *_upright(old, new, *places)]
+        return old, new
 
 
 def _largest(moves: Sequence[_Clause]) -> float:
@@ -316,7 +355,8 @@ def _upright(
         found.append(_Clause(f"is {'lower' if lower > 0 else 'higher'} in the image", abs(lower)))
     if raised and was.by_lower_edge and now.by_lower_edge:
         old_m, new_m = _different(was.tall_m, now.tall_m)
-        found.append(_Clause(f"is {new_m} m tall instead of {old_m} m", abs(upper)))
+        # The height tells the driving system nothing where the lower edge tells the distance.
+        found.append(_Clause(f"is {new_m} m tall instead of {old_m} m", 0.0))
     return found
 
 

@@ -26,6 +26,8 @@ SCENARIO = {
 }  # fmt: skip
 BOX = {"x_min_0_px": 300.0, "x_max_0_px": 400.0, "y_min_0_px": 250.0, "y_max_0_px": 400.0,
        "x_min_1_px": 100.0, "x_max_1_px": 500.0, "y_min_1_px": 250.0, "y_max_1_px": 500.0}  # fmt: skip
+ABOVE = {"y_min_1_px": 180.0, "y_max_1_px": 240.0}
+"""The upper and lower edge of a box above the horizon, at its end."""
 NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
 VIOLATED_AT_S = 7.1
 
@@ -131,9 +133,13 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
             "the reported person is 3.4 m tall instead of 2.5 m (at 4.1 s)",
         ),
         (  # above the horizon, a person of 60 px is 11.3 m away, wherever in the image
-            report("person", 41, 60, y_min_0_px=200.0, y_max_0_px=260.0),
-            report("person", 41, 60, y_min_0_px=180.0, y_max_0_px=240.0),
+            report("person", 41, 60, y_min_0_px=200.0, y_max_0_px=260.0, **ABOVE),
+            report("person", 41, 60, y_min_0_px=180.0, y_max_0_px=240.0, **ABOVE),
             "the reported person is higher in the image (at 4.1 s)",
+        ),
+        (  # At 4.1 s both are 6.8 m away, one by its height (100 px), the other one by its lower edge.
+            report("person", 41, 61, y_min_0_px=180.0, y_max_0_px=280.0), report("person", 41, 61),
+            "the reported person is 5.9 m ahead instead of 52.3 m (at 4.4 s), and 1 more difference",
         ),
         (report("person", 80, 189), report("person", 90, 189), NOTHING_ACTIVE),
     ],
