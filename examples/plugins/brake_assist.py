@@ -29,9 +29,9 @@ class BrakeAssistSimulator:
         gust = np.random.default_rng(spec.seed).normal(0.0, 0.5)
         brakes_at = speed**2 / (2 * 9.81 * GRIP["dry"]) + 15.0 - bias - speed * delay
         gap = brakes_at - speed**2 / (2 * 9.81 * GRIP[road]) - gust
-        verdict = Verdict(robustness=gap, unit="m", violated_at_s=None if gap >= 0 else spec.duration_s)
+        verdict = Verdict(robustness=gap, unit="m", violated_at_s=None)  # computed at once: there is no time
         return EpisodeResult(
-            verdicts={"stops": verdict}, objectives={"gap_m": gap}, features={}, provenance={}
+            verdicts={"margin": verdict}, objectives={"gap_m": gap}, features={}, provenance={}
         )
 
 
@@ -48,11 +48,11 @@ class BrakeAssist:
         decoded = SPACE.decode(vectors)
         return EpisodeSpec(
             simulator=self.needs, scenario=decoded["scenario"], behaviour=decoded["behaviour"],
-            requirements=("stops",), seed=seed, duration_s=10.0,
+            requirements=("margin",), seed=seed, duration_s=10.0,
         )  # fmt: skip
 
     def evaluation(self, outcome):
-        gap = outcome.verdicts["stops"].robustness
+        gap = outcome.verdicts["margin"].robustness
         return Scored(unsafe=gap < 0, robustness=gap, objectives=outcome.objectives)
 
 

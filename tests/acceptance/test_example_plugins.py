@@ -17,7 +17,9 @@ PLUGINS = Path(__file__).parents[2] / "examples" / "plugins"
 
 @pytest.mark.parametrize(
     ("plugin", "simulations"),
-    mostly_long([("brake_assist", 120), ("gentle", 60), ("edge_walk", 40)], [], "runs a campaign"),
+    mostly_long(
+        [("brake_assist", 120), ("gentle", 60), ("wide_gap", 60), ("edge_walk", 40)], [], "runs a campaign"
+    ),
 )
 def test_example_plugin_runs_as_a_campaign(plugin: str, simulations: int, tmp_path: Path) -> None:
     text = (PLUGINS / f"{plugin}.yaml").read_text(encoding="utf-8")
