@@ -1,10 +1,12 @@
 """Where campaigns are: a coordinator, or a database of this machine; and how synchronous code talks to either."""
 
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+import os
+import tempfile
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from anyio import CancelScope, to_thread
 from anyio.from_thread import start_blocking_portal
@@ -12,6 +14,8 @@ from anyio.from_thread import start_blocking_portal
 from brink.api.client import Api, connect, in_process
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
 from brink.server.settings import Settings
+from brink.sim.adapters import function as simulator
+from brink.sim.catalogue import PLUGINS_VARIABLE
 
 T = TypeVar("T")
 RESULTS: Final = Path("brink-results")
@@ -79,19 +83,38 @@ class LocalDatabase:
         return in_process(self.settings)
 
 
+@contextmanager
+def environment_with(function: Callable[..., Any] | None) -> Iterator[dict[str, str]]:
+    """Yield environment variables for workers of this machine that can call a function; none without a function.
+
+    Raises:
+        TypeError: The function cannot be pickled.
+    """
+    if function is None:
+        yield {}
+        return
+    with tempfile.TemporaryDirectory(prefix="brink-") as folder:
+        path, _ = simulator.write_function(function, Path(folder))
+        plugins = filter(None, [os.environ.get(PLUGINS_VARIABLE), simulator.__name__])
+        yield {PLUGINS_VARIABLE: ",".join(plugins), simulator.FILE_VARIABLE: str(path)}
+
+
 @asynccontextmanager
-async def with_workers(connection: Connection, workers: int) -> AsyncIterator[Api]:
+async def with_workers(
+    connection: Connection, workers: int, environment: Mapping[str, str] | None = None
+) -> AsyncIterator[Api]:
     """Yield a client of a place where something simulates: workers of this machine, unless there are others.
 
     Args:
         connection: The place.
         workers: Number of worker processes on this machine.
+        environment: Environment variables that they get besides those of this process.
     """
     if not isinstance(connection, LocalDatabase):
         async with connection.open() as api:
             yield api
         return
-    async with local_workers(connection.settings, workers) as (api, _):
+    async with local_workers(connection.settings, workers, environment) as (api, _):
         yield api
 
 

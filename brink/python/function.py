@@ -1,15 +1,12 @@
 """Searching the boundary of a Python function of one's own."""
 
 import inspect
-import os
-import tempfile
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from brink.api.live import failures_of
 from brink.python.client import check_finished
-from brink.python.connection import wait_for
+from brink.python.connection import environment_with, wait_for
 from brink.python.local import run_body
 from brink.python.result import AsyncResult, CampaignUnfinished, Result
 from brink.python.start import Start, started
@@ -23,7 +20,6 @@ from brink.server.errors import InvalidInput
 from brink.server.problems.function import Function
 from brink.server.states import CampaignStatus
 from brink.sim.adapters import function as simulator
-from brink.sim.catalogue import PLUGINS_VARIABLE
 
 
 def search(
@@ -111,8 +107,8 @@ async def search_async(
     """Find where a function of your own changes its sign; see `search`."""
     declared = space_of(space)
     check_call(function, declared)
-    with tempfile.TemporaryDirectory(prefix="brink-") as folder:
-        path, digest = simulator.write_function(function, Path(folder))
+    digest = simulator.digest_of(function)
+    with environment_with(function) as environment:
         title = name or getattr(function, "__name__", type(function).__name__)
         document: dict[str, Any] = {
             "name": title,
@@ -131,18 +127,17 @@ async def search_async(
         }  # fmt: skip
         body = started(parse_body(document), start_from)
         check_submission(body)
-        return await run_body(
+        result = await run_body(
             body,
             workers=workers,
             database=database,
             statuses=(CampaignStatus.RUNNING, CampaignStatus.PAUSED) if resume else (),
             progress=progress,
-            environment={
-                PLUGINS_VARIABLE: ",".join(filter(None, [os.environ.get(PLUGINS_VARIABLE), simulator.__name__])),
-                simulator.FILE_VARIABLE: str(path),
-            },
+            environment=environment,
             check=_check_calls,
-        )  # fmt: skip
+        )
+    result.function = function
+    return result
 
 
 def _check_calls(progress: Progress) -> None:

@@ -10,7 +10,7 @@ import html
 import io
 import math
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -26,7 +26,7 @@ from brink.api.results import (
     read_all_pairs,
     run_episode,
 )
-from brink.python.connection import Connection, wait_for, with_workers
+from brink.python.connection import Connection, environment_with, wait_for, with_workers
 from brink.python.frames import archive_frame, data_frame, typed_frame, types_of
 from brink.python.picture import Picture
 from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
@@ -120,6 +120,8 @@ class AsyncResult(CampaignResult):
     """What a campaign found: the methods of `Result`, which describes them, with ``await``."""
 
     _fetched: FetchedArchive | None = None
+    function: Callable[..., Any] | None = None
+    """The function that was searched, for workers that call it again."""
 
     @classmethod
     async def fetch(cls, connection: Connection, campaign: str) -> Self:
@@ -197,12 +199,13 @@ class AsyncResult(CampaignResult):
             raise InvalidInput.at(
                 "confirm", "expected confirm=10, component=True or minimise=True; got neither"
             )
-        async with with_workers(self._connection, workers) as api:
-            for request in asked:
-                view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
-                await continue_follow_up(api, view)
-                await _ended(api, view.campaign)
-            self.finding = await _finding(api, self._progress)
+        with environment_with(self.function) as environment:
+            async with with_workers(self._connection, workers, environment) as api:
+                for request in asked:
+                    view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
+                    await continue_follow_up(api, view)
+                    await _ended(api, view.campaign, waits=self._connection.has_workers)
+                self.finding = await _finding(api, self._progress)
         return await self.pairs()
 
     async def violations(self) -> "pd.DataFrame":
@@ -451,11 +454,16 @@ def _what_to_try(progress: Progress, view: PairsView) -> str:
     return f"{more}."
 
 
-async def _ended(api: Api, campaign: str) -> None:
+async def _ended(api: Api, campaign: str, *, waits: bool) -> None:
     """Wait for the end of a follow-up.
 
+    Args:
+        api: Where it is simulated.
+        campaign: Its id.
+        waits: Whether workers that can simulate it may still come.
+
     Raises:
-        CampaignUnfinished: It was cancelled, or paused.
+        CampaignUnfinished: It was cancelled or paused, or no worker can simulate it and none will come.
     """
     while True:
         progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
@@ -463,6 +471,12 @@ async def _ended(api: Api, campaign: str) -> None:
             return
         if progress.status is not CampaignStatus.RUNNING:
             raise CampaignUnfinished(f"campaign {campaign} is {progress.status}: {progress.status_reason}")
+        if progress.workers and progress.unrunnable and not progress.leased and not waits:
+            needs = ", ".join(progress.unrunnable)
+            raise CampaignUnfinished(
+                f"campaign {campaign} needs {needs}, which no worker of this machine provides: install its extra, "
+                "name its plug-in in BRINK_PLUGINS, or, for a function, ask the result that brink.search() returned"
+            )
         await asyncio.sleep(FOLLOW_UP_POLL_S)
 
 

@@ -159,6 +159,22 @@ def test_a_function_with_chance_gets_the_seed_of_the_episode(folder: Path) -> No
     assert 0.003 < noise.std() < 0.03
 
 
+def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> None:
+    def noisy(x: float, y: float, seed: int) -> float:
+        return x - y + np.random.default_rng(seed).normal(0, 0.02)
+
+    result = brink.search(noisy, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, simulations=150, progress=False)
+    pairs = result.check_pairs(confirm=10)
+    assert len(pairs) >= 2
+    assert (pairs["safe.again_evaluated"] == 10).all()
+    assert set(pairs["confirmation"]) <= {"confirmed", "not confirmed"}
+    stored = brink.connect(database="brink.db").campaign(result.id).result()
+    with pytest.raises(
+        CampaignUnfinished, match=r"which no worker of this machine provides.*brink.search\(\)"
+    ):
+        stored.check_pairs(confirm=11)
+
+
 def test_an_exception_in_a_function_is_shown_and_stops_the_search(folder: Path) -> None:
     def broken(x: float) -> float:
         raise RuntimeError(f"no road at {x:.0f}")
