@@ -198,7 +198,7 @@ class UrbanInjected(JudgedByRequirements):
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
         if self._mode is b.BehaviourMode.ORACLE:
-            return f"{words_of_scenario(scenario_of(decoded['scenario']))}; detected: the ground truth"
+            return f"{words_of_scenario(scenario_of(decoded['scenario']))}; reported: the ground truth"
         trajectories = _behaviour(decoded["behaviour"])["trajectories"]
         return f"{words_of_scenario(scenario_of(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
 

@@ -173,15 +173,15 @@ def steps_from_json(document: Json) -> tuple[tuple[int, int] | None, ...] | None
 
 
 def words_of_behaviour(trajectories: Json) -> str:
-    """Describe injected detections with their times, such as ``detected: person 17.4-26.7 s``."""
+    """Describe injected detections with their times, such as ``reported: person 17.4-26.7 s``."""
     if not isinstance(trajectories, list) or not trajectories:
-        return "nothing detected"
+        return "nothing reported"
     detections = []
     for trajectory in trajectories:
         if isinstance(trajectory, Mapping):
             start, end = (float(str(trajectory[name])) * PERCEPTION_STEP_S for name in ("t0_step", "t1_step"))
             detections.append(f"{trajectory['label']} {start:.1f}-{end:.1f} s")
-    return "detected: " + ", ".join(detections)
+    return "reported: " + ", ".join(detections)
 
 
 def _trajectory(where: str, document: Json, duration_s: float) -> InjectedTrajectory | None:

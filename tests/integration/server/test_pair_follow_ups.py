@@ -251,7 +251,7 @@ def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx
     assert [one["seed"] for one in after] == [before[1], before[3]], "the very episodes of the unsafe sides"
     spec = expect(client.get(f"{API}/{asked['campaign']}/solutions/0"))["spec"]
     assert spec["behaviour"] == {"mode": "oracle"}
-    assert "detected: the ground truth" in after[0]["words"]
+    assert "reported: the ground truth" in after[0]["words"]
     assert expect(client.get(f"{API}/{campaign}/repeats")) == [], "these are no repeats"
 
 

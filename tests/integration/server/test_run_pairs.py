@@ -107,8 +107,8 @@ def test_the_table_says_what_both_sides_share_and_explains_its_terms(searched: S
     scenario = "Long left bend (road 0), night; task: take the first exit"
     told = pair.model_copy(
         update={
-            "safe": pair.safe.model_copy(update={"words": f"{scenario}; detected: nothing"}),
-            "unsafe": pair.unsafe.model_copy(update={"words": f"{scenario}; detected: person"}),
+            "safe": pair.safe.model_copy(update={"words": f"{scenario}; reported: nothing"}),
+            "unsafe": pair.unsafe.model_copy(update={"words": f"{scenario}; reported: person"}),
         }
     )
     view = found.model_copy(update={"pairs": [told], "terms": "reported: true or not", "computed": False})

@@ -73,7 +73,7 @@ def test_a_trajectory_that_was_never_delivered_is_as_good_as_none() -> None:
     assert found.effective.tolist() == np.concatenate(same).tolist()
     assert found.idle == ()
     assert describe_candidate(URBAN, vectors, found) == describe_candidate(URBAN, same)
-    assert describe_candidate(URBAN, vectors).endswith("detected: person 2.0-6.0 s, vehicle 15.0-25.0 s")
+    assert describe_candidate(URBAN, vectors).endswith("reported: person 2.0-6.0 s, vehicle 15.0-25.0 s")
 
 
 def test_the_numbers_of_a_null_trajectory_are_inactive_but_its_label_is_not() -> None:
@@ -100,7 +100,7 @@ def test_a_window_that_the_end_cuts_off_ends_there_with_the_box_of_that_time() -
         assert boxes[0] is not None
         assert boxes[1] is not None
         assert boxes[1][1:] == pytest.approx(boxes[0][1:])
-    assert describe_candidate(URBAN, vectors, found).endswith("detected: person 2.0-9.9 s")
+    assert describe_candidate(URBAN, vectors, found).endswith("reported: person 2.0-9.9 s")
     assert vectors[1].tolist() == candidate(trajectory("person", 20, 220), NONE)[1].tolist(), "unchanged"
 
 
@@ -113,7 +113,7 @@ def test_a_behaviour_without_any_detection_says_so(trajectories: Any, delivered:
     vectors = candidate(*trajectories)
     found = known(vectors, outcome(*delivered))
     assert found.idle == ("behaviour",)
-    assert describe_candidate(URBAN, vectors, found).endswith(f"; nothing detected; {NO_PART}")
+    assert describe_candidate(URBAN, vectors, found).endswith(f"; nothing reported; {NO_PART}")
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_a_behaviour_without_any_detection_says_so(trajectories: Any, delivered:
 def test_what_was_not_recorded_is_unknown(result: dict[str, Any] | None) -> None:
     vectors = candidate(trajectory("person", 20, 220), NONE)
     assert activity_of(URBAN, vectors, result) is None
-    assert describe_candidate(URBAN, vectors, None).endswith("detected: person 2.0-22.0 s")
+    assert describe_candidate(URBAN, vectors, None).endswith("reported: person 2.0-22.0 s")
 
 
 def test_a_problem_without_a_record_is_unknown() -> None:
