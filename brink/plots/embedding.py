@@ -1,5 +1,6 @@
 """The map of a campaign: a dot for each solution, similar ones close together, with rings around its results."""
 
+import textwrap
 from dataclasses import dataclass
 from typing import Final
 
@@ -37,6 +38,8 @@ from brink.search.space import FloatArray
 HEIGHT_PX: Final = 1060
 MAP_LEFT_PX, MAP_RIGHT_PX, MAP_TOP_PX, MAP_BOTTOM_PX = 76, 1170, 140, 64
 TEXT_LEFT_PX: Final = 1212
+KEY_LETTERS: Final = 40
+"""Letters of a line of the key, which would otherwise run off the figure."""
 GRID_CELLS: Final = 170
 """Number of background cells along the longer side."""
 SMOOTHING: Final = 0.02
@@ -296,7 +299,8 @@ def _verdict_keys(inputs: CampaignFigures) -> list[tuple[str, str]]:
     if others:
         broken = words.other.replace(", another", ",\nanother")
         keys.append((OTHER, f"{broken}: {others:,}"))
-    return [*keys, (UNSAFE, f"{words.violated}: {unsafe:,} ({share})")]
+    keys.append((UNSAFE, f"{words.violated}: {unsafe:,} ({share})"))
+    return [(hue, textwrap.fill(text, KEY_LETTERS) if "\n" not in text else text) for hue, text in keys]
 
 
 def _ring_text(inputs: CampaignFigures, drawn: _Map) -> str:

@@ -126,9 +126,9 @@ def _component_words(pair: PairView) -> str:
     others = f" (but {rest})" if rest else ""
     if pair.component.state is ComponentPart.SCENARIO:
         what = f" ({pair.component.outcome})" if pair.component.outcome else ""
-        return f"With a detector that reports the truth, this drive is unsafe too{what}: the scenario is to blame."
-    keeps = "keeps its gap" if first == _GAP_HELD else "is safe"
-    return f"With a detector that reports the truth, this drive {keeps}{others}: the component is to blame."
+        return f"With true perception, this drive is unsafe too{what}: the scenario is to blame."
+    keeps = "keeps the front gap" if first == _GAP_HELD else "is safe"
+    return f"With true perception, this drive {keeps}{others}: the component is to blame."
 
 
 def _drives_a_side(again: ConfirmationView) -> str:

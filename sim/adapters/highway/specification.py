@@ -292,6 +292,8 @@ class PerceptionError:
             place = _GHOST_PLACES[self.target].format(at=f"{self.distance_m:.0f} m")
             return f"a vehicle that is not there {much} {place}"
         who = _SINGLE[self.target] if MAGNITUDES[self.type].has_window else _EVERY[self.target]
+        if self.type is ErrorType.MISS and self.target is Target.ALL:
+            return f"no vehicle {much.replace('not ', '', 1)}"
         return f"{who} {much}"
 
 

@@ -191,16 +191,16 @@ def test_shares_and_facts_say_what_is_known(disc: tuple[str, list[str]]) -> None
     [
         (
             ComponentPart.COMPONENT, "front gap held",
-            "With a detector that reports the truth, this drive keeps its gap: the component is to blame.",
+            "With true perception, this drive keeps the front gap: the component is to blame.",
         ),
         (
             ComponentPart.COMPONENT, "front gap held; stood still too long at 14.4 s",
-            "With a detector that reports the truth, this drive keeps its gap (but stood still too long at 14.4 s): "
+            "With true perception, this drive keeps the front gap (but stood still too long at 14.4 s): "
             "the component is to blame.",
         ),
         (
             ComponentPart.SCENARIO, "violated the front gap at 5.5 s",
-            "With a detector that reports the truth, this drive is unsafe too (violated the front gap at 5.5 s): "
+            "With true perception, this drive is unsafe too (violated the front gap at 5.5 s): "
             "the scenario is to blame.",
         ),
     ],

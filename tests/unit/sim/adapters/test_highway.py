@@ -125,7 +125,7 @@ def test_an_ego_that_perceives_nobody_hits_somebody(simulator: HighwayEnvSimulat
     hit = next(event for event in trace.events if event.kind == "collision")
     assert str(result.features["collided_with"]) in hit.text
     error = next(event for event in trace.events if event.kind == "error")
-    assert error.text == "every vehicle is not perceived for 12.0 s from 0.0 s on"
+    assert error.text == "no vehicle is perceived for 12.0 s from 0.0 s on"
     assert error.time_s == 0.0
 
 
