@@ -348,7 +348,8 @@ def test_campaigns_are_controlled_by_command(
 ) -> None:
     monkeypatch.setattr(campaigns, "RETRY_PAGE", 7)
     with databases.database("steered") as url, listening_coordinator(url) as client:
-        campaign = submit(client, ball(simulations=100))
+        whole = {"max_failed_share": 0.6}  # paused once the generation is complete
+        campaign = submit(client, ball(simulations=100, execution=whole))
         afar, near = ("--server", str(client.base_url)), ("--database", url)
         assert "brink resume" in brink("pause", campaign[:4], *afar).out
         assert FakeWorker(client).lease() == []
