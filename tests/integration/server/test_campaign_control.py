@@ -208,10 +208,12 @@ def test_failures_beside_successes_or_that_are_allowed_do_not_pause_it_early(
     worker.judge = fails_east_of(-9.0)
     worker.report(worker.lease(max_jobs=6))
     worker.judge = completes
-    worker.report_all()
-    eventually(lambda: progress(client, campaign)["queued"] == 0, "all are simulated")
-    reason = progress(client, campaign)["status_reason"]
-    assert reason.startswith("6 of 20 candidates failed") if share < 1 else reason == ""
+    stopped = worker.work(campaign)
+    if share < 1:
+        assert (stopped["status"], stopped["simulations"]) == ("paused", 20)
+        assert stopped["status_reason"].startswith("6 of 20 candidates failed")
+    else:
+        assert (stopped["status"], stopped["failed"]) == ("finished", 6)
 
 
 def test_quarantined_jobs_can_be_retried_before_resuming(client: httpx.Client) -> None:
