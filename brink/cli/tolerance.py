@@ -26,7 +26,7 @@ from brink.cli.options import (
     write_json,
 )
 from brink.report.figures import Drawing
-from brink.report.tolerance import requirement_document, tolerated_words
+from brink.report.tolerance import KEY, requirement_document, tolerated_words
 from brink.server.api.tolerance import (
     AgreementView,
     CellView,
@@ -39,8 +39,10 @@ from brink.server.campaigns.detector_check import CheckResult
 from brink.server.errors import InvalidInput
 from brink.sim.urban.detection_files import CameraModel, read_coco, read_csv
 
-CELLS_SHOWN: Final = 24
-"""Cells shown at the end of a run."""
+ERRORS_SHOWN: Final = 30
+"""Errors shown at the end of a run, each under every condition."""
+MOST_CONDITIONS: Final = 4
+"""Conditions beside which their tolerances fit."""
 
 
 class Format(StrEnum):
@@ -267,9 +269,8 @@ def show_detector(screen: Console, view: DetectorView) -> None:
         soft_wrap=True,
         style="dim",
     )
-    names = [name.rpartition(".")[2] for name in view.cells[0].choices]
     table = plain_table(
-        *names, "condition", "drives", "median", "95% within", "beyond", "violate", "", "requirement", "worst",
+        "error", "condition", "drives", "median", "95% within", "beyond", "violate", "", "requirement", "worst",
         right=("drives", "median", "95% within", "beyond", "violate"),
     )  # fmt: skip
     for cell in view.cells:
@@ -277,7 +278,7 @@ def show_detector(screen: Console, view: DetectorView) -> None:
         if cell.share is not None and cell.low is not None and cell.high is not None:
             share, interval = f"{cell.share:.1%}", f"[{cell.low:.1%}, {cell.high:.1%}]"
         table.add_row(
-            *cell.choices.values(), cell.condition, str(cell.drives),
+            cell.error, cell.condition, str(cell.drives),
             _with_unit(cell.typical, cell.unit), _with_unit(cell.grossest, cell.unit), str(cell.beyond), share,
             interval, Text(cell.result, _RESULT_STYLES[cell.result]), " ".join(cell.worst[:3]),
         )  # fmt: skip
@@ -306,13 +307,12 @@ def _compare(campaign: str, fresh: str, server: str | None, database: str | None
     if as_json:
         print_json(view.model_dump(mode="json"))
         return
-    names = [name.rpartition(".")[2] for name in view.cells[0].choices]
     table = plain_table(
-        *names, "condition", "drives", "caused", "predicted", "", right=("drives", "caused", "predicted")
+        "error", "condition", "drives", "caused", "predicted", "", right=("drives", "caused", "predicted")
     )
     for cell in view.cells:
         table.add_row(
-            *cell.choices.values(), cell.condition, str(cell.drives), str(cell.caused),
+            cell.error, cell.condition, str(cell.drives), str(cell.caused),
             f"{cell.low} to {cell.high}", "" if cell.agrees else Text("not as predicted", "yellow"),
         )  # fmt: skip
     screen = console()
@@ -359,22 +359,32 @@ def draw_tolerance(view: ToleranceView, path: Path) -> None:
     figure_tolerance(view).savefig(path)
 
 
-def show_tolerance(screen: Console, view: ToleranceView, shown: int | None = None) -> None:
-    """Print the requirement: a row for each cell, then where more error is safer, and the drives without error."""
+def show_tolerance(screen: Console, view: ToleranceView, *, briefly: bool = False) -> None:
+    """Print the requirement: the tolerances, then where more error is safer, and the drives without error.
+
+    Args:
+        screen: Where to print.
+        view: The tolerances.
+        briefly: Whether a row has all conditions of an error, without the numbers of drives.
+    """
     screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
+    screen.print(view.caveat, soft_wrap=True)
     screen.print(
         f"tolerated: the magnitude at which {view.limit:.0%} of drives violate because of the error, with an "
         f"interval of {view.confidence:.0%}; mean width of the intervals: {view.mean_width:.3f} of the scale",
         soft_wrap=True,
         style="dim",
     )
-    screen.print(tolerance_table(view.cells[:shown]))
-    if shown is not None and len(view.cells) > shown:
-        screen.print(f"… and {len(view.cells) - shown} more in tolerance.csv", style="dim")
+    if briefly and len(view.conditions) <= MOST_CONDITIONS:
+        _show_matrix(screen, view)
+    else:
+        cells = view.cells[: ERRORS_SHOWN if briefly else None]
+        screen.print(KEY, soft_wrap=True, style="dim")
+        screen.print(tolerance_table(cells))
+        _show_rest(screen, len(view.cells) - len(cells))
     for cell in view.cells:
         if cell.fall is not None:
-            name = ", ".join([*cell.choices.values(), cell.condition])
-            screen.print(f"{name}: {cell.fall.words}", soft_wrap=True)
+            screen.print(f"{cell.error}, {cell.condition}: {cell.fall.words}", soft_wrap=True)
     screen.print("without any error, these shares of drives violate:")
     table = plain_table("condition", "drives", "violate")
     for one in view.baseline:
@@ -400,18 +410,36 @@ def show_tolerance(screen: Console, view: ToleranceView, shown: int | None = Non
         )
 
 
+def _show_matrix(screen: Console, view: ToleranceView) -> None:
+    """Print a row for each error, with a column for each condition."""
+    rows: dict[tuple[str, ...], dict[str, CellView]] = {}
+    for cell in view.cells:
+        rows.setdefault(tuple(cell.choices.values()), {})[cell.condition] = cell
+    table = plain_table("error", *view.conditions)
+    for cells in list(rows.values())[:ERRORS_SHOWN]:
+        table.add_row(
+            next(iter(cells.values())).error,
+            *(" ".join(tolerated_words(cells[one])) if one in cells else "–" for one in view.conditions),
+        )
+    screen.print(table)
+    _show_rest(screen, len(rows) - ERRORS_SHOWN)
+
+
+def _show_rest(screen: Console, rows: int) -> None:
+    if rows > 0:
+        screen.print(f"… and {rows} more in tolerance.csv", style="dim")
+
+
 def tolerance_table(cells: Sequence[CellView]) -> Table:
     """Return a table of cells."""
-    names = [name.rpartition(".")[2] for name in (cells[0].choices if cells else ())]
     table = plain_table(
-        *names, "condition", "tolerated", "", "screened", "vulnerable", "drives", "caused",
+        "error", "condition", "tolerated", "", "screened", "vulnerable", "drives", "caused",
         right=("tolerated", "screened", "vulnerable", "drives", "caused"),
     )  # fmt: skip
     for cell in cells:
         table.add_row(
-            *cell.choices.values(), cell.condition,
-            *tolerated_words(cell), str(cell.screened or ""), str(cell.vulnerable if cell.screened else ""),
-            str(cell.drives), str(cell.caused),
+            cell.error, cell.condition, *tolerated_words(cell), str(cell.screened or ""),
+            str(cell.vulnerable if cell.screened else ""), str(cell.drives), str(cell.caused),
         )  # fmt: skip
     return table
 
@@ -438,7 +466,7 @@ class ToleranceFindings:
 
     def show(self, screen: Console) -> None:
         """Print the requirement."""
-        show_tolerance(screen, self._view, CELLS_SHOWN)
+        show_tolerance(screen, self._view, briefly=True)
 
     def write(self, folder: Path) -> list[Path]:
         """Write the requirement to files; return the files."""

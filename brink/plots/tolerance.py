@@ -1,6 +1,7 @@
 """The curves of tolerances: the share of drives that violate because of an error, against how gross it is."""
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -27,7 +28,9 @@ COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e
 MOST_CONDITIONS: Final = len(COLOURS)
 MOST_PANELS: Final = 60
 _COLUMNS: Final = 4
-_ROW_PX, _TOP_PX, _BOTTOM_PX = 250, 150, 70
+_TITLE_CHARACTERS: Final = 31
+"""Characters in a line of a panel's title."""
+_ROW_PX, _TOP_PX, _BOTTOM_PX = 250, 170, 70
 
 
 def figure_tolerance(view: ToleranceView) -> Figure:
@@ -42,7 +45,7 @@ def figure_tolerance(view: ToleranceView) -> Figure:
     for cell in view.cells:
         if cell.condition in conditions:
             panels.setdefault(tuple(cell.choices.values()), []).append(cell)
-    shown = list(panels.items())[:MOST_PANELS]
+    shown = list(panels.values())[:MOST_PANELS]
     columns = min(_COLUMNS, max(len(shown), 1))
     rows = math.ceil(len(shown) / columns)
     height_px = _TOP_PX + rows * _ROW_PX + _BOTTOM_PX
@@ -57,10 +60,10 @@ def figure_tolerance(view: ToleranceView) -> Figure:
         max(rows, 1), columns, left=left, right=right, top=1 - (_TOP_PX + 20) / height_px,
         bottom=_BOTTOM_PX / height_px, hspace=0.75, wspace=0.18,
     )  # fmt: skip
-    highest = max((max(cell.curve.high) for _, cells in shown for cell in cells), default=1.0)
-    for place, (choices, cells) in enumerate(shown):
+    highest = max((max(cell.curve.high) for cells in shown for cell in cells), default=1.0)
+    for place, cells in enumerate(shown):
         axes = figure.add_subplot(grid[place // columns, place % columns])
-        _panel(axes, choices, cells, colours, view.limit)
+        _panel(axes, cells, colours, view.limit)
         axes.set_ylim(0.0, min(1.0, 1.05 * max(highest, 2 * view.limit)))
         show_percent(axes.yaxis)
         if place % columns:
@@ -71,11 +74,9 @@ def figure_tolerance(view: ToleranceView) -> Figure:
     return figure
 
 
-def _panel(
-    axes: Axes, choices: Sequence[str], cells: Sequence[CellView], colours: Mapping[str, str], limit: float
-) -> None:
+def _panel(axes: Axes, cells: Sequence[CellView], colours: Mapping[str, str], limit: float) -> None:
     style_axes(axes)
-    set_panel_title(axes, ", ".join(choice.replace("_", " ") for choice in choices))
+    set_panel_title(axes, textwrap.fill(cells[0].error, _TITLE_CHARACTERS))
     for cell in cells:
         curve, colour = cell.curve, colours[cell.condition]
         across = curve.severity if curve.magnitude is None else curve.magnitude

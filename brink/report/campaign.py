@@ -182,7 +182,7 @@ def _tolerance_figures(view: ToleranceView) -> list[Term]:
     found = Counter(cell.tolerated.finding for cell in view.cells)
     return [
         Term(f"{found[Finding.LIMIT]:,} of {len(view.cells):,}", "cells with a limit within the scale"),
-        Term(f"{found[Finding.THROUGHOUT]:,}", "cells in which even the grossest error is tolerated"),
+        Term(f"{found[Finding.THROUGHOUT]:,}", "cells in which no limit was found"),
         Term(f"{found[Finding.UNDECIDED]:,}", "cells undecided"),
     ]
 

@@ -16,7 +16,7 @@ from brink.report.combinations import claim_words, tally_words
 from brink.report.pair_pictures import facts as pair_facts
 from brink.report.pair_pictures import findings as pair_findings
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
-from brink.report.tolerance import tolerated_words
+from brink.report.tolerance import KEY, tolerated_words
 from brink.report.violations import by_frequency
 from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
@@ -211,12 +211,12 @@ def tolerance_section(facts: Facts, album: Album) -> Section | None:
     lists = [("Tolerated up to a magnitude, tightest first", [cell.sentence for cell in limits[:MOST_ROWS]])]
     if len(limits) > MOST_ROWS:
         lists[0][1].append(f"… and {len(limits) - MOST_ROWS} more in the table.")
-    lists.append(("Tolerated however gross", [_named(cell.choices, cell.condition) for cell in throughout]))
+    lists.append(("No limit found", [cell.sentence for cell in throughout]))
     lists.append(
         (
             "Where more error is safer",
             [
-                f"{_named(cell.choices, cell.condition)}: {cell.fall.words}."
+                f"{as_sentence(cell.error)}, {cell.condition}: {cell.fall.words}."
                 for cell in view.cells
                 if cell.fall
             ],
@@ -227,9 +227,7 @@ def tolerance_section(facts: Facts, album: Album) -> Section | None:
         paragraphs=[
             "A cell is a type of error that concerns one target, under one condition. A violation counts if it goes "
             f"away without the error, in the same drive with the same seed. The limit is {view.limit:.0%} of drives.",
-            "Screened drives were simulated with the grossest error; it made the vulnerable ones violate. Only these "
-            "were simulated with milder errors: “drives” says how many, “caused” how many of them violated because "
-            "of the error. Where there are few, the interval is wide.",
+            view.caveat,
         ],
         pictures=album(
             "tolerance.png",
@@ -240,30 +238,23 @@ def tolerance_section(facts: Facts, album: Album) -> Section | None:
     )
 
 
-def _named(choices: Mapping[str, str], condition: str) -> str:
-    return ", ".join([*(choice.replace("_", " ") for choice in choices.values()), condition])
-
-
 def _cells_table(view: ToleranceView) -> Table:
-    names = [name.rpartition(".")[2] for name in view.cells[0].choices]
     rows = []
     for cell in view.cells:
         value, interval = tolerated_words(cell)
         rows.append(
             (
-                *(choice.replace("_", " ") for choice in cell.choices.values()), cell.condition,
-                str(cell.tolerated.finding), value, interval, f"{cell.screened:,}", f"{cell.vulnerable:,}",
-                f"{cell.drives:,}", f"{cell.caused:,}",
+                as_sentence(cell.error), cell.condition, value, interval, f"{cell.screened:,}",
+                f"{cell.vulnerable:,}", f"{cell.drives:,}", f"{cell.caused:,}",
             )
         )  # fmt: skip
-    first = len(names) + 2
     return Table(
         label="Tolerated magnitude of each error",
         columns=(
-            *names, "condition", "finding", "tolerated", f"{view.confidence:.0%} interval", "screened", "vulnerable",
-            "drives", "caused",
+            "error", "condition", "tolerated", f"{view.confidence:.0%} interval", "screened", "vulnerable", "drives",
+            "caused",
         ),
-        rows=rows, right=tuple(range(first, first + 6)),
+        rows=rows, right=tuple(range(2, 8)), more=f"{as_sentence(KEY)}.",
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from brink.sim.errors import SimulatorError
 MOST_CHOICES: Final = 12
 """Choices of a parameter that are listed by name."""
 LONGEST_VALUE: Final = 100
-TIGHTEST: Final = 3
+TIGHTEST: Final = 1
 """Tolerances in the first paragraph."""
 
 
@@ -206,8 +206,8 @@ def uncertainties(facts: Facts) -> list[str]:
     if facts.tolerance is not None:
         view = facts.tolerance
         told.append(
-            f"Each limit has an interval that covers the truth with a probability of {view.confidence:.0%}; each "
-            "sentence is about one error at a time."
+            f"Each limit has an interval that covers the truth with a probability of {view.confidence:.0%}. "
+            f"{view.caveat}"
         )
         if view.open:
             told.append(

@@ -19,6 +19,9 @@ def requirement_document(view: ToleranceView, picture: str | None = None) -> str
         f"Campaign {view.campaign}: {view.note}. A drive counts if it violates with the error and not without it, "
         "under the same seed.",
         "",
+        view.caveat,
+        "",
+        *(_SCREENING if any(cell.screened for cell in view.cells) else ()),
     ]
     if picture is not None:
         lines += [
@@ -33,9 +36,7 @@ def requirement_document(view: ToleranceView, picture: str | None = None) -> str
     if falls:
         lines += ["## Where more error is safer", ""]
         lines += [
-            f"- {', '.join([*cell.choices.values(), cell.condition])}: {cell.fall.words}."
-            for cell in falls
-            if cell.fall is not None
+            f"- {cell.error}, {cell.condition}: {cell.fall.words}." for cell in falls if cell.fall is not None
         ]
         lines.append("")
     lines += ["## Without any error", "", table_row(["condition", "cells", "drives", "violate", "interval"])]
@@ -51,17 +52,26 @@ def requirement_document(view: ToleranceView, picture: str | None = None) -> str
         f"Intervals of tolerated magnitudes cover {view.confidence:.0%}, those of this table 95%.",
         f"{view.audited} drives that hold with the grossest error were simulated with milder ones; {view.leaks} of "
         "them violated.",
-        "",
-        "Each sentence is about one error at a time, in the scenarios of the campaign, with its driving system.",
     ]
     return "\n".join(lines) + "\n"
 
 
-_SECTIONS = {
-    "Tolerated up to a magnitude": Finding.LIMIT,
-    "Tolerated however gross": Finding.THROUGHOUT,
+_SCREENING: Final = (
+    "A drive is vulnerable if the grossest error concerning the same road users makes it violate. Milder errors were "
+    "simulated in these drives alone.",
+    "",
+)
+_SECTIONS: Final = {
+    "Tolerated up to a limit": Finding.LIMIT,
+    "No limit found": Finding.THROUGHOUT,
     "Undecided": Finding.UNDECIDED,
 }
+KEY: Final = (
+    "screened: drives simulated with the grossest error concerning the same road users; vulnerable: those that it "
+    "makes violate; drives: those simulated with this error, of the vulnerable ones if there was screening; caused: "
+    "those that violate because of it"
+)
+"""What the numbers of drives in a table of cells mean."""
 
 
 def tolerated_words(cell: CellView) -> tuple[str, str]:
@@ -73,10 +83,13 @@ def tolerated_words(cell: CellView) -> tuple[str, str]:
     if cell.unit and cell.curve.magnitude and cell.curve.magnitude[0] > cell.curve.magnitude[-1]:
         ends = [found.high, found.low]
     interval = ", ".join(_amount(one.magnitude, one.severity) for one in ends)
-    if found.finding is Finding.THROUGHOUT:
-        return "any", ""
-    value = _amount(found.value.magnitude, found.value.severity)
     unit = cell.unit if cell.unit == "%" else f" {cell.unit}".rstrip()
+    if not cell.basis:
+        return "unknown", ""
+    if found.finding is Finding.THROUGHOUT:
+        most = cell.curve.severity[-1] if cell.curve.magnitude is None else cell.curve.magnitude[-1]
+        return f"no limit to {most:.{0 if most >= 20 else 1}f}{unit}", ""
+    value = _amount(found.value.magnitude, found.value.severity)
     return (value if value == _BEYOND else f"{value}{unit}"), f"[{interval}]"
 
 

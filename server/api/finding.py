@@ -148,7 +148,10 @@ class FindingView(View):
     of: Annotated[FollowedView | None, Field(description="The campaign that this one follows up.")] = None
     pairs: Annotated[
         int | None,
-        Field(description="Distinct pairs at its own settings; null if there are too many to tell."),
+        Field(
+            description="Distinct pairs at its own settings; null if there are too many to tell, or it searched for "
+            "tolerances."
+        ),
     ]
     rings: Annotated[
         list[tuple[int, int]],
@@ -233,7 +236,7 @@ class _Known:
         outcomes: What its simulations showed.
         reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
         stored: Its follow-ups.
-        pairs: Its first pairs; None if there are too many to tell.
+        pairs: Its first pairs; None if there are too many to tell, or the search was for tolerances.
         too_many: Why there are too many.
         rings: The sides of all its pairs if it searched for them.
         boundary: Distinct boundary solutions, and strict ones among them.
@@ -264,14 +267,15 @@ async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _
     stored = await read(services.engines, lambda c: read_follow_ups(c, campaign.id))
     reported = await read(services.engines, lambda c: services.reported.read(c, campaign))
     view, too_many, rings = None, "", []
-    try:
-        pairs = await services.pairs.get(campaign, found, PairSettings.of(found.plan))
-    except InvalidInput as error:
-        too_many = "; ".join(one.message for one in error.errors)
-    else:
-        view = await read(services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, BEST))
-        if view.searched:
-            rings = [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
+    if not searches_for_tolerances(campaign.body.algorithm.id):
+        try:
+            pairs = await services.pairs.get(campaign, found, PairSettings.of(found.plan))
+        except InvalidInput as error:
+            too_many = "; ".join(one.message for one in error.errors)
+        else:
+            view = await read(services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, BEST))
+            if view.searched:
+                rings = [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
     chosen = await asyncio.to_thread(distinct_boundary, found.archive, DEFAULT_T_B, DEFAULT_D_TH)
     return _Known(
         campaign=campaign, found=found, outcomes=await services.outcomes.get(campaign.id, found),
@@ -303,7 +307,7 @@ async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
     if searches_for_tolerances(campaign.body.algorithm.id):
         tolerances = await services.tolerances.get(campaign, found)
         view = await asyncio.to_thread(tolerance_view, campaign, found.plan, tolerances)
-        return _so_far(campaign, view.note), []
+        return _so_far(campaign, view.note), [view.caveat]
     special = await _special_words(services, known)
     also = [pairs] if known.pairs is not None and known.pairs.distinct else []
     if special:

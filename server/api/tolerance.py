@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from brink.search.analysis.confirmation import Share
-from brink.search.curves import Curve, severities
+from brink.search.curves import Curve, Screening, severities
 from brink.search.streams import Stream, generator
 from brink.server.api.context import Services
 from brink.server.api.pair_views import ShareView
@@ -102,8 +102,14 @@ class CellView(View):
     place: Annotated[int, Field(description="Its place in the list, from 1.")]
     choices: dict[str, str]
     condition: str
+    error: Annotated[
+        str, Field(description="The error as an activity of the component, without its magnitude.")
+    ]
     words: Annotated[str, Field(description="The error as an activity of the component, with its magnitude.")]
-    sentence: str
+    sentence: Annotated[str, Field(description="The requirement that follows, with its basis.")]
+    basis: Annotated[
+        str, Field(description="How many drives it rests on, in words; empty if there are none.")
+    ]
     unit: Annotated[str, Field(description="Unit of magnitudes; empty for none.")]
     decimals: Annotated[int, Field(description="Decimal places of magnitudes that matter.")]
     meaning: str
@@ -141,6 +147,7 @@ class ToleranceView(View):
     limit: float
     confidence: float
     note: str
+    caveat: Annotated[str, Field(description="What the tolerances do not say.")]
     simulations: Annotated[
         int, Field(description="Simulations with a verdict, those without an error included.")
     ]
@@ -229,6 +236,7 @@ class DetectorCell(View):
 
     place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
     choices: dict[str, str]
+    error: str
     condition: str
     result: CheckResult
     drives: Annotated[int, Field(description="Drives of the detector under the condition.")]
@@ -321,8 +329,9 @@ def detector_view(
         share = check.share
         cells.append(
             DetectorCell(
-                place=check.cell + 1, choices=choices, condition=cell.condition, result=check.result,
-                drives=check.drives, typical=_in_unit(scale, middle), grossest=_in_unit(scale, most),
+                place=check.cell + 1, choices=choices, error=error_words(plan.problem, choices),
+                condition=cell.condition, result=check.result, drives=check.drives,
+                typical=_in_unit(scale, middle), grossest=_in_unit(scale, most),
                 unit=scale.unit if scale else "", beyond=check.beyond,
                 share=share.value if share else None, low=share.low if share else None,
                 high=share.high if share else None, worst=list(check.worst),
@@ -358,6 +367,7 @@ class AgreementCell(View):
 
     place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
     choices: dict[str, str]
+    error: str
     condition: str
     drives: Annotated[int, Field(description="Fresh drives with the error.")]
     caused: Annotated[int, Field(description="Fresh drives with a violation that the error caused.")]
@@ -411,16 +421,23 @@ async def get_agreement(
             "expected a campaign that does not screen its drives, such as one with design: random, and with the same "
             "fixed parameters",
         )  # fmt: skip
-    return await asyncio.to_thread(agreement_view, campaign, other, known, found, confidence)
+    plan = (await services.archives.get(campaign)).plan
+    return await asyncio.to_thread(agreement_view, campaign, plan, other, known, found, confidence)
 
 
 def agreement_view(
-    campaign: Campaign, other: Campaign, known: CampaignTolerance, found: CampaignTolerance, confidence: float
+    campaign: Campaign,
+    plan: Plan,
+    other: Campaign,
+    known: CampaignTolerance,
+    found: CampaignTolerance,
+    confidence: float,
 ) -> AgreementView:
     """Return whether fresh drives are as tolerances predict.
 
     Args:
         campaign: The campaign with the tolerances.
+        plan: Its plan.
         other: The campaign with the fresh drives.
         known: The tolerances.
         found: What the fresh drives say.
@@ -441,10 +458,11 @@ def agreement_view(
             levels, generator(campaign.body.seed, Stream.TOLERANCE, 3, place), confidence
         )
         caused = int(fresh.caused.sum())
+        choices = dict(zip(known.layout.names, cell.choices, strict=True))
         cells.append(
             AgreementCell(
-                place=place + 1, choices=dict(zip(known.layout.names, cell.choices, strict=True)),
-                condition=cell.condition, drives=len(levels), caused=caused, low=low, high=high,
+                place=place + 1, choices=choices, error=error_words(plan.problem, choices), condition=cell.condition,
+                drives=len(levels), caused=caused, low=low, high=high,
                 agrees=low <= caused <= high,
             )
         )  # fmt: skip
@@ -478,12 +496,11 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         choices = dict(zip(layout.names, cell.choices, strict=True))
         words = _Words(problem, choices, requirements, config.limit)
         screening = None if cell.group is None else found.tally.screenings[cell.group]
+        basis = _basis(curve, screening)
         cells.append(
             CellView(
-                place=place + 1, choices=choices, condition=cell.condition,
-                words=words.activity(curve), sentence=words.sentence(
-                    cell.condition, curve, known=bool(curve.drives.any() or (screening and screening.screened))
-                ),
+                place=place + 1, choices=choices, condition=cell.condition, error=error_words(problem, choices),
+                words=words.activity(curve), sentence=words.sentence(cell.condition, curve, basis), basis=basis,
                 unit=words.scale.unit if words.scale else "",
                 decimals=words.scale.decimals if words.scale else 2,
                 meaning=words.scale.meaning if words.scale else "severity of the error",
@@ -504,7 +521,7 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
         complete=campaign.status in ENDED, requirements=requirements, limit=config.limit,
         confidence=config.confidence, simulations=campaign.evaluated, open=len(found.tally.open_numbers),
-        note=_note(cells, drives, config.limit, config.confidence),
+        note=_note(cells, drives, config.limit, config.confidence), caveat=_caveat(cells, config.limit),
         conditions=list(layout.conditions), baseline=_baselines(found), cells=cells,
         mean_width=sum(curve.tolerated.width for curve in found.curves) / len(found.curves),
         audited=max((one.audited for one in found.tally.screenings), default=0),
@@ -519,6 +536,39 @@ def _note(cells: list[CellView], drives: int, limit: float, confidence: float) -
         f"{len(cells)} cells, {drives} drives with an error: in {reached} the error makes {limit:.0%} of drives "
         f"violate at some magnitude, in {never} at none; {len(cells) - reached - never} undecided; intervals of "
         f"{confidence:.0%}"
+    )
+
+
+def _caveat(cells: list[CellView], limit: float) -> str:
+    about = "All of this is about one error at a time, in these scenarios, with this driving system."
+    without = [cell for cell in cells if cell.basis and cell.tolerated.finding is Finding.THROUGHOUT]
+    if not without:
+        return about
+    more = ""
+    if shares := [cell.vulnerable / cell.screened for cell in without if cell.screened]:
+        low, high = f"{min(shares):.0%}", f"{max(shares):.0%}"
+        more = (
+            f" The grossest error concerning the same road users makes "
+            f"{low if low == high else f'{low} to {high}'} of drives violate."
+        )
+    return (
+        f"{about} An error for which no limit was found is not harmless: it may make up to {limit:.0%} of drives "
+        f"violate, and more in other scenarios or together with other errors.{more}"
+    )
+
+
+def _basis(curve: Curve, screening: Screening | None) -> str:
+    """Return how many drives the tolerance of a cell rests on; empty if there are none."""
+    drives, caused = int(curve.drives.sum()), int(curve.caused.sum())
+    if screening is None:
+        return f"such errors did so in {caused} of {drives} drives" if drives else ""
+    if not screening.screened:
+        return ""
+    vulnerable = f"{screening.vulnerable} of {screening.screened} drives are vulnerable"
+    return (
+        f"such errors did so in {caused} of {drives} vulnerable drives; {vulnerable}"
+        if drives
+        else vulnerable
     )
 
 
@@ -544,6 +594,13 @@ def _baselines(found: CampaignTolerance) -> list[BaselineView]:
             )
         )
     return views
+
+
+def error_words(problem: Any, choices: Mapping[str, str]) -> str:
+    """Return the error of a cell without its magnitude, such as ``not reporting the lead for …``."""
+    if isinstance(problem, ScalesSeverity) and problem.severity_scale(choices) is not None:
+        return problem.error_words(choices, "…")
+    return ", ".join(choice.replace("_", " ") for choice in choices.values()) or "the error"
 
 
 class _Words:
@@ -606,13 +663,13 @@ class _Words:
             return f"{severity:.2f}"
         return self.scale.words(severity) if unit else self.scale.number(severity)
 
-    def sentence(self, condition: str, curve: Curve, *, known: bool) -> str:
+    def sentence(self, condition: str, curve: Curve, basis: str) -> str:
         """Return the requirement that follows from a cell, with its interval.
 
         Args:
             condition: Its condition.
             curve: Its curve.
-            known: Whether anything was simulated.
+            basis: How many drives it rests on; empty if there are none.
         """
         share = f"{self._limit:.0%}"
         violated = _violated(self._requirements)
@@ -622,7 +679,7 @@ class _Words:
                 words = f"{activity} makes {share} of drives {violated}"
             case Finding.THROUGHOUT:
                 words = f"{activity} makes fewer than {share} of drives {violated}"
-            case Finding.UNDECIDED if not known:
+            case Finding.UNDECIDED if not basis:
                 words = f"{self._activity('any magnitude')}: nothing is known yet"
             case Finding.UNDECIDED if math.isinf(curve.tolerated.value):
                 words = f"{activity} probably makes fewer than {share} of drives {violated}"
@@ -631,7 +688,7 @@ class _Words:
                     words += f", but {self._activity(low)} may already make that many"
             case Finding.UNDECIDED:
                 words = f"{activity} probably makes {share} of drives {violated}, or no magnitude does"
-        return f"{as_sentence(condition)}: {words}."
+        return f"{as_sentence(condition)}: {words}{f' ({basis})' if basis else ''}."
 
     def fall(self, curve: Curve) -> FallView | None:
         fall = curve.fall
@@ -683,7 +740,7 @@ def tolerance_csv(view: ToleranceView) -> str:
     ends = ("value", "low", "high")
     writer.writerow(
         [
-            *(name.rpartition(".")[2] for name in names), "condition", "finding", "unit",
+            *(name.rpartition(".")[2] for name in names), "error", "condition", "finding", "unit",
             *(f"tolerated_{end}" for end in ends), *(f"severity_{end}" for end in ends),
             "limit", "confidence", "screened", "vulnerable", "drives", "caused", "sentence",
         ]
@@ -692,7 +749,8 @@ def tolerance_csv(view: ToleranceView) -> str:
         amounts = [getattr(cell.tolerated, end) for end in ends]
         writer.writerow(
             [
-                *(cell.choices[name] for name in names), cell.condition, cell.tolerated.finding.value, cell.unit,
+                *(cell.choices[name] for name in names), cell.error, cell.condition, cell.tolerated.finding.value,
+                cell.unit,
                 *(_digits(one.magnitude) for one in amounts), *(_digits(one.severity) for one in amounts),
                 view.limit, view.confidence, cell.screened, cell.vulnerable, cell.drives, cell.caused, cell.sentence,
             ]

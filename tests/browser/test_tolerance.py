@@ -66,7 +66,9 @@ def test_the_card_shows_a_curve_for_each_error_and_says_each_requirement(
 ) -> None:
     card = card_of(page)
     shown(card).to_contain_text(told["note"][1:])
-    shown(card.get_by_role("img", name=re.compile("^Miss, lead: share of drives"))).to_be_visible()
+    shown(
+        card.get_by_role("img", name=re.compile("^Not reporting the lead for …: share of drives"))
+    ).to_be_visible()
     shown(card.locator(".curves figure")).to_have_count(2)
     shown(card.get_by_role("list", name="Conditions")).to_contain_text("by night")
     rows = card.get_by_role("region", name="Table of tolerances").locator("tbody tr")

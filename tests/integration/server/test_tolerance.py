@@ -72,7 +72,14 @@ def test_the_tolerated_magnitudes_are_found_with_units_and_sentences(service: Se
             )
             words = f"{cell['condition'].capitalize()}: not reporting the lead for "
             assert cell["sentence"].startswith(words)
-            assert cell["sentence"].endswith("makes 5% of drives violate the front gap or collide.")
+            basis = (
+                f"such errors did so in {cell['caused']} of {cell['drives']} vulnerable drives; "
+                f"{cell['vulnerable']} of {cell['screened']} drives are vulnerable"
+            )
+            assert cell["sentence"].endswith(
+                f" makes 5% of drives violate the front gap or collide ({basis})."
+            )
+            assert cell["error"] == "not reporting the lead for …"
         else:
             assert found["finding"] in ("throughout", "undecided")
             assert cell["caused"] == 0
@@ -83,6 +90,20 @@ def test_the_tolerated_magnitudes_are_found_with_units_and_sentences(service: Se
     assert view["note"].startswith(
         f"8 cells, {sum(cell['drives'] for cell in view['cells'])} drives with an error"
     )
+
+
+def test_the_finding_says_what_a_missing_limit_does_not_mean(service: Service) -> None:
+    finding = expect(service.client.get(f"{API}/{service.campaign}/finding"))
+    assert "8 cells" in finding["words"]
+    (caveat,) = finding["more"]
+    assert "is not harmless" in caveat
+    shares = [
+        round(100 * cell["vulnerable"] / cell["screened"])
+        for cell in service.get()["cells"]
+        if cell["tolerated"]["finding"] == "throughout"
+    ]
+    assert f"{min(shares)}% to {max(shares)}% of drives violate" in caveat
+    assert (finding["pairs"], finding["best"]) == (None, [])
 
 
 def test_violations_without_an_error_are_counted_apart(service: Service) -> None:
@@ -262,7 +283,9 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
         return done.output
 
     shown = tolerance()
-    assert "miss" in shown
+    assert "not reporting the lead for …" in shown
+    assert "not reporting the nearest pedestrian for …" in shown
+    assert "vulnerable: those that it makes violate" in shown
     assert "without any error" in shown
     sentences = tolerance("--format", "sentences").splitlines()
     assert len(sentences) == 8
@@ -277,7 +300,9 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     text = document.read_text()
     assert text.startswith("# Requirement on the component: tolerance-1\n")
     assert text.count("\n- By ") == 8
-    assert "## Tolerated however gross" in text
+    no_limit = text.partition("## No limit found")[2]
+    assert "makes fewer than 5% of drives" in no_limit
+    assert "An error for which no limit was found is not harmless" in text
     good = detections(tmp_path / "good.csv", drives=60, missed_s=0.3)
     bad = detections(tmp_path / "bad.csv", drives=20, missed_s=4.0)
     for file, result in ((good, "met"), (bad, "not met")):

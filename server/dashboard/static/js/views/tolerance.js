@@ -100,9 +100,9 @@ function isKnown(cell) {
   return cell.drives + cell.screened > 0;
 }
 
-/** ``Too far, pedestrian``. */
+/** ``Not reporting the lead for …``. */
 function name(cell) {
-  return capital(Object.values(cell.choices).map(spaced).join(", ")) || "Any error";
+  return capital(cell.error);
 }
 
 function colourOf(place) {
@@ -182,12 +182,12 @@ function number(cell, severity, unit = false) {
   return unit ? `${digits}${cell.unit === "%" ? "" : " "}${cell.unit}`.trim() : digits;
 }
 
-/** ``2.2 s [1.4, 2.8]``; ``any, up to 8.0 s``. */
+/** ``2.2 s [1.4, 2.8]``; ``no limit to 8.0 s``. */
 function tolerated(cell) {
   const { finding, value, low, high } = cell.tolerated;
   if (!isKnown(cell)) return "unknown";
   const falling = cell.curve.magnitude !== null && cell.curve.magnitude.at(-1) < cell.curve.magnitude[0];
-  if (finding === "throughout") return `any, ${falling ? "down" : "up"} to ${number(cell, 1, true)}`;
+  if (finding === "throughout") return `no limit to ${number(cell, 1, true)}`;
   const probably = finding === "undecided" ? "probably " : "";
   const open = value.severity === null;
   const ends = [low, high].map(({ severity }) => (severity === null ? "beyond" : number(cell, severity, open)));
@@ -204,20 +204,21 @@ function toleranceTable(id) {
   function row(cell) {
     const [example] = cell.examples;
     return h("tr", { title: cell.sentence },
-      Object.values(cell.choices).map((value) => h("th", { scope: "row" }, spaced(value))),
-      h("th", { scope: "row" }, cell.condition),
+      h("th", { scope: "row" }, name(cell)), h("th", { scope: "row" }, cell.condition),
       h("td.tolerated", null, h("span", { "aria-hidden": "true" }, tolerated(cell)), h("span.read-out", null, cell.sentence)),
+      h("td.right", null, cell.screened ? `${count(cell.vulnerable)} of ${count(cell.screened)}` : "–"),
       h("td.right", null, count(cell.drives)), h("td.right", null, count(cell.caused)),
       h("td.example", null, example ? [h("a", { href: link("campaigns", id, "solutions", example.number) }, `solution ${example.number}`), h("span.small.muted", null, ` ${number(cell, example.severity, true)}`)] : "–"));
   }
 
   node.update = (read, cells) => {
-    const heads = [...Object.keys(cells[0]?.choices ?? {}).map(shortName).map(capital), "Condition", `Tolerated, ${percent(read.confidence)} interval`];
+    const heads = ["Error", "Condition", `Tolerated, ${percent(read.confidence)} interval`];
     if (known !== heads.join()) {
       known = heads.join();
       replace(head, heads.map((words) => h("th", { scope: "col" }, words)),
-        h("th.right", { scope: "col", title: "Simulated drives with the error, after screening" }, "Drives"),
-        h("th.right", { scope: "col", title: "Drives in which the error caused a violation" }, "Caused"),
+        h("th.right", { scope: "col", title: "Drives that the grossest error concerning the same road users makes violate, of those simulated with it" }, "Vulnerable"),
+        h("th.right", { scope: "col", title: "Drives simulated with this error: of the vulnerable ones, if there was screening" }, "Drives"),
+        h("th.right", { scope: "col", title: "Drives in which this error caused a violation" }, "Caused"),
         h("th", { scope: "col", title: "Drive with the smallest error that caused a violation" }, "Mildest example"));
     }
     keyed(body, cells, (cell) => JSON.stringify([cell.place, cell.sentence, cell.drives, cell.caused, cell.examples[0]]), row);
