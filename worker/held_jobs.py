@@ -190,8 +190,10 @@ class HeldJobs:
 
     def finish(
         self, job: LeasedJob, outcome: Completed | JobFailed, *, wall_s: float, size_bytes: int
-    ) -> None:
-        """Store the outcome of a job until the coordinator acknowledges it.
+    ) -> bool:
+        """Store the outcome of a job until the coordinator acknowledges it. Return whether the worker stops.
+
+        A worker that stops later finishes the next episode, which has begun already.
 
         Args:
             job: A job in the simulation process.
@@ -214,6 +216,7 @@ class HeldJobs:
                 self._queue_was_empty = False
             self._note_if_idle()
             self.changed.notify_all()
+            return self._stopping
 
     def put_back(self, jobs: Iterable[LeasedJob]) -> None:
         """Return unfinished jobs from the simulation process to the front of the queue, in order."""

@@ -300,25 +300,27 @@ class Runner:
                 self._wait_after_failed_start(error)
             except EpisodeAbandoned:
                 return False
-        return self._process.pending > 0 and not self._held.stopping
+        return self._process.pending > 0
 
     def _receive(self) -> bool:
-        """Wait for one outcome. Return False if the process was killed deliberately."""
+        """Wait for one outcome. Return False if it was the last one: the worker stops, or the process was killed."""
         try:
             finished = self._process.receive()
         except EpisodeAbandoned as abandoned:
             if abandoned.ticket is None:
                 return False
             self._held.put_back([self._jobs.pop(abandoned.ticket)])
-            return True
+            return not self._held.stopping
         except ChildFailedToStart as error:
             self._wait_after_failed_start(error)
-            return True
+            return not self._held.stopping
         self._failed_starts = 0
         job = self._jobs.pop(finished.ticket)
         _log_outcome(job, finished)
-        self._held.finish(job, finished.outcome, wall_s=finished.wall_s, size_bytes=finished.size_bytes)
-        return True
+        stopping = self._held.finish(
+            job, finished.outcome, wall_s=finished.wall_s, size_bytes=finished.size_bytes
+        )
+        return not stopping
 
     def _wait_after_failed_start(self, error: ChildFailedToStart) -> None:
         self._failed_starts += 1
