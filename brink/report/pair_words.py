@@ -19,12 +19,6 @@ def extent_words(pair: PairView) -> str:
     return f"{differing} of {sum(map(len, pair.safe.parameters.values()))} parameters"
 
 
-def chance_words(view: PairsView) -> str:
-    """Return at how many places the verdict depends on chance; such solutions are on neither side of a pair."""
-    places = "1 place" if view.chancy == 1 else f"{view.chancy:,} places"
-    return f"{places} where the verdict depends on chance: the same solution was safe and unsafe with different seeds"
-
-
 def legend(view: PairsView) -> list[str]:
     """Return what the words of the table mean that need it, one term at a time."""
     found = [view.terms] if view.terms else []

@@ -95,6 +95,10 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     assert rain["confirmation"]["state"] == "not confirmed"
     assert (view["tried"], view["confirmed"], view["not_confirmed"]) == (2, 1, 1)
     assert "of 2 simulated again with other seeds, 1 confirmed and 1 not confirmed" in view["note"]
+    assert view["chance"] == [
+        "After the search, 4 sides of pairs were simulated again with other seeds; 2 had the other verdict at least "
+        "once"
+    ]
     before, after = (
         [one["seed"] for one in solutions(client, name)] for name in (campaign, asked["campaign"])
     )
