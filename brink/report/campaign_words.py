@@ -333,9 +333,16 @@ def _component(pairs: PairsView) -> str:
         return "It was not asked whether the component or the scenario is to blame for the unsafe sides."
     asked = pairs.component + pairs.scenario
     rest = f"; for {pairs.scenario:,}, the scenario alone is enough" if pairs.scenario else ""
+    confirmed = pairs.component_confirmed + pairs.scenario_confirmed
+    sure = (
+        f" Of the confirmed pairs among them, it is {pairs.component_confirmed:,} of {confirmed:,}."
+        if confirmed
+        else " None of these pairs is confirmed."
+    )
     return (
         f"With ground truth in place of the component, the unsafe side of {pairs.component:,} of "
-        f"{count(asked, 'pair')} is safe: there the component is to blame{rest}."
+        f"{count(asked, 'pair')} is safe: there the component is to blame{rest}. Judged in one drive each, with the "
+        f"seed of the search.{sure}"
     )
 
 

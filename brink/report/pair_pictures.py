@@ -33,6 +33,7 @@ _MOST_LETTERS: Final = 230
 """A longer headline is cut to the change alone."""
 _GAP_HELD: Final = held_words(["front-gap"])
 _REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
+_ONE_SEED: Final = "the {} is to blame, judged with this one seed"
 _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
 
 
@@ -113,7 +114,7 @@ def findings(pair: PairView) -> list[str]:
         found.append(_component_words(pair))
     again = pair.confirmation
     if again.state is Confirmation.CONFIRMED:
-        found.append(f"Confirmed with {_drives_a_side(again)} other seeds a side.")
+        found.append(f"Confirmed with {_drives_a_side(again)} other seeds each side.")
     elif again.state is Confirmation.NOT_CONFIRMED:
         # First, because it limits what the rest says.
         found.insert(0, f"Not confirmed, so chance may decide: with other seeds, {_doubt(again)}.")
@@ -126,9 +127,11 @@ def _component_words(pair: PairView) -> str:
     others = f" (but {rest})" if rest else ""
     if pair.component.state is ComponentPart.SCENARIO:
         what = f" ({pair.component.outcome})" if pair.component.outcome else ""
-        return f"With true perception, this drive is unsafe too{what}: the scenario is to blame."
+        blamed = _ONE_SEED.format("scenario")
+        return f"With true perception and the same seed, this drive is unsafe too{what}: {blamed}."
     keeps = "keeps the front gap" if first == _GAP_HELD else "is safe"
-    return f"With true perception, this drive {keeps}{others}: the component is to blame."
+    blamed = _ONE_SEED.format("component")
+    return f"With true perception and the same seed, this drive {keeps}{others}: {blamed}."
 
 
 def _drives_a_side(again: ConfirmationView) -> str:

@@ -189,10 +189,12 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
 
 def _best_pair(view: PairsView, pair: PairView) -> BestPair:
     state, safe, unsafe = pair.confirmation.state, pair.confirmation.safe, pair.confirmation.unsafe
-    kept, drives = safe.evaluated - safe.unsafe + unsafe.unsafe, safe.evaluated + unsafe.evaluated
+    drives = safe.evaluated + unsafe.evaluated
+    counts = " and ".join(f"{side.unsafe:,}/{side.evaluated:,}" for side in (safe, unsafe))
+    again = f"unsafe in {counts} drives with other seeds"
     evidence = {
-        Confirmation.CONFIRMED: f"holds with other seeds ({kept:,} of {drives:,} drives)",
-        Confirmation.NOT_CONFIRMED: f"does not hold ({kept:,} of {drives:,} drives)",
+        Confirmation.CONFIRMED: f"confirmed: {again}",
+        Confirmation.NOT_CONFIRMED: f"not confirmed: {again}",
         Confirmation.TOO_FEW: "too few drives to tell",
         Confirmation.PENDING: "being simulated again",
         Confirmation.NOT_TRIED: "not simulated again yet",

@@ -330,6 +330,12 @@ class PairsView(View):
         ),
     ]
     scenario: Annotated[int, Field(description="Distinct pairs whose unsafe side is unsafe with it, too.")]
+    component_confirmed: Annotated[
+        int, Field(description="Confirmed pairs among those that `component` counts.")
+    ] = 0
+    scenario_confirmed: Annotated[
+        int, Field(description="Confirmed pairs among those that `scenario` counts.")
+    ] = 0
     nearest: Annotated[
         NearestView | None,
         Field(description="Nearest solutions with opposite verdicts, if none are near enough for a pair."),

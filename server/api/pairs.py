@@ -200,6 +200,7 @@ def pairs_view(
     parts = [evidence.component(pair).state for pair in pairs.found.pairs]
     deciding = _deciding(problem, next(iter(rows.values()), None))
     sides = _sides_again(pairs.found.pairs, repeated)
+    blamed = [part for part, state in zip(parts, states, strict=True) if state is Confirmation.CONFIRMED]
     counts = {
         "tried": sum(state not in (Confirmation.NOT_TRIED, Confirmation.PENDING) for state in states),
         "pending": states.count(Confirmation.PENDING),
@@ -207,6 +208,8 @@ def pairs_view(
         "not_confirmed": states.count(Confirmation.NOT_CONFIRMED),
         "component": parts.count(ComponentPart.COMPONENT),
         "scenario": parts.count(ComponentPart.SCENARIO),
+        "component_confirmed": blamed.count(ComponentPart.COMPONENT),
+        "scenario_confirmed": blamed.count(ComponentPart.SCENARIO),
     }
     return PairsView(
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
@@ -610,11 +613,14 @@ def _result_words(
                 (drives_held(deciding), unsafe_words(deciding)) if deciding else ("is safe", "is unsafe")
             )
             words += (
-                f"; with ground truth in place of the component, the unsafe side of {counts['component']:,} of "
-                f"{blamed:,} {held} (the component's hazard)"
+                "; with ground truth in place of the component, in one drive each, the unsafe side of "
+                f"{counts['component']:,} of {blamed:,} {held} (the component's hazard)"
             )
             if counts["scenario"]:
                 words += f", that of {counts['scenario']:,} {violated} all the same (the scenario's hazard)"
+            if confirmed := counts["component_confirmed"] + counts["scenario_confirmed"]:
+                blamed = counts["component_confirmed"]
+                words += f"; of the confirmed pairs, {blamed:,} of {confirmed:,} are the component's"
         return words
     if found.without_part:
         return (
