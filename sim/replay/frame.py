@@ -423,7 +423,7 @@ class _TimeBar:
         below = np.any([np.asarray(series) < 0 for series in self._trace.robustness.values()], axis=0)
         for violated, first, last in runs(below.tolist()):
             if violated:
-                self._draw_run(draw, first, last, rows[2], VIOLATION)
+                self._draw_run(draw, self._shown_from(first), last, rows[2], VIOLATION)
         self._draw_axis(draw, self._top + 46 * unit)
 
     def draw(self, frame: Image.Image, sample: int) -> None:
@@ -436,6 +436,10 @@ class _TimeBar:
         draw.polygon(
             (x - 5 * unit, tip - 3 * unit, x + 5 * unit, tip - 3 * unit, x, tip + 4 * unit), fill=INK
         )
+
+    def _shown_from(self, sample: int) -> int:
+        """Return the sample that shows a violation that begins at a sample."""
+        return next((one.shown for one in self._story.violations if one.sample == sample), sample)
 
     def _x_px(self, time_s: float) -> float:
         return self._left + (time_s - self._start_s) / self._span_s * (self._right - self._left)

@@ -290,10 +290,12 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
         values = np.where(np.isfinite(values), values, 1e3)
         inside = (trace.time_s >= window.start_s) & (trace.time_s <= window.end_s)
         found.append(values[inside])
-        axes.plot(trace.time_s, values, color=hexadecimal(colour), linewidth=2.0, zorder=3)
+        # A sample keeps the lowest robustness until the next one: drawn when it was reached.
+        time_s = np.asarray(trace.time_s, dtype=np.float64) + story.unsafe.lag_s
+        axes.plot(time_s, values, color=hexadecimal(colour), linewidth=2.0, zorder=3)
         if colour == UNSAFE_DRIVE:
             axes.fill_between(
-                trace.time_s, np.minimum(values, 0), 0, color=hexadecimal(VIOLATION), alpha=0.5, linewidth=0
+                time_s, np.minimum(values, 0), 0, color=hexadecimal(VIOLATION), alpha=0.5, linewidth=0
             )
     shown = np.concatenate(found) if found else np.zeros(1)
     least = min(0.0, float(shown.min(initial=0.0)))

@@ -76,6 +76,7 @@ class ViolatedHere:
         sample: Sample whose robustness tells of it: the lowest until the next sample.
         shown: Sample that shows it: the one whose time reads as its own.
         time_s: Its exact time; of old traces, up to a sample's length too early.
+        lag_s: How long after `sample` that is.
         words: What the ego did and when, such as ``hit a pedestrian at 12.8 s``.
     """
 
@@ -83,6 +84,7 @@ class ViolatedHere:
     sample: int
     shown: int
     time_s: float
+    lag_s: float
     words: str
 
 
@@ -111,6 +113,11 @@ class Story:
     moments: tuple[Moment, ...]
     violations: tuple[ViolatedHere, ...]
     words: str
+
+    @property
+    def lag_s(self) -> float:
+        """How long after the sample that tells of it the requirement was violated; 0 without a violation."""
+        return self.violations[0].lag_s if self.violated else 0.0
 
     @property
     def shown(self) -> int:  # noqa: D102  (see above)
@@ -166,8 +173,11 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
             words = f"{what} at {time_s:.1f} s"
             shown = _reads_as(trace, time_s, sample)
             found.append(
-                ViolatedHere(requirement=name, sample=sample, shown=shown, time_s=time_s, words=words)
-            )
+                ViolatedHere(
+                    requirement=name, sample=sample, shown=shown, time_s=time_s, words=words,
+                    lag_s=max(0.0, time_s - float(trace.time_s[sample])),
+                )
+            )  # fmt: skip
     return tuple(sorted(found, key=lambda one: (one.requirement != chosen, one.sample)))
 
 

@@ -127,10 +127,10 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
     shown = np.minimum(np.where(np.isfinite(values), values, most * 2), most * 2)
     axes.axhspan(least - 2 * most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
     axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.2)
-    axes.plot(trace.time_s, shown, color=hexadecimal(INK), linewidth=1.8)
-    axes.fill_between(
-        trace.time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0
-    )
+    # A sample keeps the lowest robustness until the next one: drawn when it was reached.
+    time_s = np.asarray(trace.time_s, dtype=np.float64) + story.lag_s
+    axes.plot(time_s, shown, color=hexadecimal(INK), linewidth=1.8)
+    axes.fill_between(time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0)
     axes.set_ylim(least - 0.22 * (most - least), most * 1.08)
     axes.set_ylabel(unit_of(story.requirement) or "robustness")
     style_axes(axes)
