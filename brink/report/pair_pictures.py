@@ -31,6 +31,8 @@ from brink.sim.verdict import held_words
 FILMS: Final = (".mp4", ".gif")
 _MOST_LETTERS: Final = 230
 """A longer headline is cut to the change alone."""
+_CUT: Final = " more difference"
+"""In a change in words that leaves differences out."""
 _GAP_HELD: Final = held_words(["front-gap"])
 _REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
 _ONE_SEED: Final = "the {} is to blame, judged with this one seed"
@@ -155,6 +157,8 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
     found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
     if not view.computed and pair.confirmation.state not in _REPEATED:
         found.append(_search_words(pair))
+    if _CUT in pair.change:
+        found.append(f"All that differs: {', '.join(change.words for change in pair.changes)}.")
     less = pair.minimality
     if less.state is Minimality.DIFFERENT_SEEDS:
         found.append("The two had different episode seeds, so chance may be the reason for the verdicts.")

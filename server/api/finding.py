@@ -545,10 +545,11 @@ _QUESTIONS: Final = {
 def _look_at_pairs(known: _Known, question: str) -> StepView:
     view, campaign = known.pairs, known.campaign.id
     count = 0 if view is None else view.distinct
+    best = view.pairs[0].place if view is not None and view.pairs else 1
     return StepView(
         kind=StepKind.LOOK, question=question, words="Shows both drives of each pair side by side.",
         label="Open the pair" if count == 1 else f"Open all {count:,} pairs", place=f"campaigns/{campaign}/pairs",
-        command=f"brink pairs {campaign} --film 1 pair-1.mp4",
+        command=f"brink pairs {campaign} --film {best} pair-{best}.mp4",
     )  # fmt: skip
 
 

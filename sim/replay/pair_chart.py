@@ -43,7 +43,7 @@ _GAP_PX: Final = 7
 _MOST_SCRIPTS: Final = 3
 _TOP: Final = 1.04
 """Where greater robustness is drawn, in multiples of the greatest one that is not cut."""
-_PANEL_NAME_LETTERS: Final = 16
+_PANEL_NAME_LETTERS: Final = 13
 """Letters that a line of a panel's name may have, so that it fits beside the panel."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 118, 26, 44
 DIFFERENCE: Final[Rgb] = (253, 238, 214)
@@ -313,7 +313,7 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
     _name_panel(axes, "\n".join(lines))
     if float(shown.max(initial=0.0)) > most * _TOP:
         # Where the lines are cut is a tick: words inside would be struck through by them.
-        ticks = [tick for tick in axes.get_yticks().tolist() if least <= tick < 0.85 * most]
+        ticks = [tick for tick in axes.get_yticks().tolist() if least <= tick < 0.7 * most]
         axes.set_yticks([*ticks, most * _TOP], [*(f"{tick:g}" for tick in ticks), f"{most * _TOP:.3g}+"])
     axes.annotate(
         "violated", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -4), textcoords="offset points", va="top",
