@@ -13,7 +13,6 @@ from brink.cli.options import print_sentence
 from brink.cli.pair_tables import pairs_table, print_legend
 from brink.report.figures import Drawing
 from brink.report.pair_pictures import write_pair
-from brink.report.pair_words import chance_words
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView, PairView
@@ -91,8 +90,8 @@ class PairFindings:
             if view.distinct > _PAIRS_SHOWN:
                 screen.print(f"… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv", style="dim")
             print_legend(screen, view)
-        if view.chancy:
-            print_sentence(screen, chance_words(view))
+        for words in view.chance:
+            print_sentence(screen, words)
         if self._no_picture:
             screen.print(self._no_picture, soft_wrap=True, style="yellow")
 

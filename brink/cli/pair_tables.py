@@ -5,7 +5,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.cli.options import plain_table, print_sentence
-from brink.report.pair_words import chance_words, common_words, evidence_words, extent_words, legend
+from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.server.api.pair_views import MOST_PAIRS, PairsView
 from brink.server.problems.changes import as_sentence
 
@@ -21,8 +21,8 @@ def print_pairs(screen: Console, view: PairsView) -> None:
         f"apart",
         style="dim",
     )
-    if view.chancy:
-        print_sentence(screen, chance_words(view))
+    for words in view.chance:
+        print_sentence(screen, words)
     screen.print(pairs_table(view))
     print_legend(screen, view)
     if view.distinct > len(view.pairs):

@@ -326,7 +326,8 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
     axes = figure.add_axes((left, top - 26 / HEIGHT_PX, width, height))
     axes.imshow(_BACKGROUND(np.linspace(0, 1, 256))[None], aspect="auto", extent=(0, 1, 0, 1))
     axes.set_yticks([])
-    axes.set_xticks([0, 0.5, 1], ["0", f"p_th = {p_th:g}", "1"], fontsize=SMALL_PT, color=MUTED)
+    middle = f"p_th = {p_th:g}" if inputs.pairs is None else f"{p_th:g}"
+    axes.set_xticks([0, 0.5, 1], ["0", middle, "1"], fontsize=SMALL_PT, color=MUTED)
     axes.tick_params(length=0, pad=5)
     for spine in axes.spines.values():
         spine.set_color(HAIRLINE)
@@ -355,7 +356,9 @@ def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float
     line = 21 / HEIGHT_PX
     for x, word in columns:
         figure.text((TEXT_LEFT_PX + x) / WIDTH_PX, top, word, fontsize=SMALL_PT, color=MUTED, va="top")
-    for row, cells in enumerate(rows[:MAX_LISTED], start=1):
+    # A single further one takes as much room as saying that there is one.
+    listed = len(rows) if len(rows) <= MAX_LISTED + 1 else MAX_LISTED
+    for row, cells in enumerate(rows[:listed], start=1):
         for index, ((x, _), (cell, colour)) in enumerate(
             zip(columns, [(f"{row}", INK), *cells], strict=True)
         ):
@@ -363,8 +366,8 @@ def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float
                 (TEXT_LEFT_PX + x) / WIDTH_PX, top - row * line - 4 / HEIGHT_PX, cell, fontsize=TICK_PT, va="top",
                 color=colour, fontweight="bold" if index == 0 else "normal",
             )  # fmt: skip
-    more = len(rows) - MAX_LISTED
-    if more > 0:
+    more = len(rows) - listed
+    if more:
         figure.text(
             TEXT_LEFT_PX / WIDTH_PX, top - (MAX_LISTED + 1) * line - 6 / HEIGHT_PX, f"and {more:,} more",
             fontsize=SMALL_PT, color=MUTED, va="top",

@@ -234,16 +234,18 @@ class AsyncResult(CampaignResult):
             campaign_figure, what, fetched, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, pairs=pairs
         )
 
-    async def pair(self, place: int = 1, *, film: bool = False) -> Picture:
+    async def pair(self, place: int | None = None, *, film: bool = False) -> Picture:
         """Draw both drives of a pair side by side."""
         async with self._connection.open() as api:
             view = await read_all_pairs(api, self.id)
             if isinstance(view, TooManyPairs):
                 raise view
-            chosen = find_pair(view, place)
+            best = view.pairs[0] if view.pairs else None
+            chosen = best if place is None else find_pair(view, place)
             if chosen is None:
+                asked = "the best pair" if place is None else str(place)
                 raise InvalidInput.at(
-                    "place", f"expected the place of one of {len(view.pairs)} pairs, from 1; got {place}"
+                    "place", f"expected the number of one of {len(view.pairs)} pairs, from 1; got {asked}"
                 )
             with _scratch(film) as path:
                 await write_pair(api, view, chosen, path, workers=self._connection.has_workers)
@@ -372,11 +374,11 @@ class Result(CampaignResult):
         """
         return wait_for(lambda: self._async.plot(what))
 
-    def pair(self, place: int = 1, *, film: bool = False) -> Picture:
+    def pair(self, place: int | None = None, *, film: bool = False) -> Picture:
         """Draw both drives of a pair side by side; where nothing was driven, what the two differ in.
 
         Args:
-            place: Place of the pair in the list, from 1.
+            place: Number of the pair, from 1; by default the one with the best evidence: a confirmed one, if any is.
             film: Whether to draw a film instead of a picture.
 
         Raises:

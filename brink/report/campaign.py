@@ -158,11 +158,13 @@ def _key_figures(facts: Facts) -> list[Term]:
         distinct = "distinct pair" if pairs.distinct == 1 else "distinct pairs"
         told.append(Term(f"{pairs.distinct:,}", f"{distinct}: almost the same, one safe, one unsafe"))
         if pairs.tried:
-            told.append(Term(f"{pairs.confirmed:,} of {pairs.tried:,}", "pairs confirmed with other seeds"))
-        if asked := pairs.component + pairs.scenario:
             told.append(
-                Term(f"{pairs.component:,} of {asked:,}", "pairs for which the component is to blame")
+                Term(
+                    f"{pairs.confirmed:,} of {pairs.tried:,}",
+                    f"pairs confirmed with at least {pairs.rule.least_drives} other seeds each side",
+                )
             )
+        told += _blamed_figures(pairs)
     elif facts.tolerance is not None:
         told += _tolerance_figures(facts.tolerance)
     elif facts.violations is not None:
@@ -176,6 +178,18 @@ def _key_figures(facts: Facts) -> list[Term]:
         solutions = "distinct boundary solution" + ("" if facts.boundary.dbs == 1 else "s")
         told.append(Term(f"{facts.boundary.dbs:,}", solutions))
     return told
+
+
+def _blamed_figures(pairs: PairsView) -> list[Term]:
+    """Return for how many pairs the component is to blame: of the confirmed ones, if there are any."""
+    blamed, asked, which = pairs.component, pairs.component + pairs.scenario, "pairs, confirmed or not"
+    if confirmed := pairs.component_confirmed + pairs.scenario_confirmed:
+        blamed, asked, which = pairs.component_confirmed, confirmed, "confirmed pairs"
+    if not asked:
+        return []
+    return [
+        Term(f"{blamed:,} of {asked:,}", f"{which}: the component is to blame, judged with one seed each")
+    ]
 
 
 def _tolerance_figures(view: ToleranceView) -> list[Term]:

@@ -15,13 +15,14 @@ from brink.report.campaign_words import boundary_words, count, limiting, noun, o
 from brink.report.combinations import claim_words, tally_words
 from brink.report.pair_pictures import facts as pair_facts
 from brink.report.pair_pictures import findings as pair_findings
+from brink.report.pair_pictures import share_words
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.report.tolerance import KEY, tolerated_words
 from brink.report.violations import by_frequency
 from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
-from brink.server.api.pair_views import PairsView, PairView
+from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
 from brink.server.api.tolerance import Finding, ToleranceView
 from brink.server.problems.changes import as_sentence
 from brink.server.states import OutcomeKind
@@ -154,10 +155,18 @@ def pairs_section(facts: Facts, album: Album, full: Sequence[PairView]) -> Secti
         *(f"{as_sentence(words)}." for words in legend(pairs)),
     ]
     return Section(
-        title="The best pairs" if facts.searched_pairs else "Pairs that it came across",
+        title=_pairs_title(facts, pairs),
         pairs=[_shown_pair(facts, pairs, pair, album) for pair in full], lists=[("How to read pairs", told)],
         tables=[] if rest is None else [rest],
     )  # fmt: skip
+
+
+def _pairs_title(facts: Facts, pairs: PairsView) -> str:
+    if not facts.searched_pairs:
+        return "Pairs that it came across"
+    if pairs.computed:
+        return "The nearest pairs"
+    return "The pairs, confirmed ones first" if pairs.tried else "The pairs, none of them confirmed yet"
 
 
 def _shown_pair(facts: Facts, pairs: PairsView, pair: PairView, album: Album) -> ShownPair:
@@ -171,12 +180,19 @@ def _shown_pair(facts: Facts, pairs: PairsView, pair: PairView, album: Album) ->
     )
     return ShownPair(
         place=pair.place, change=as_sentence(pair.change), common=as_sentence(common[0]) if common else "",
-        safe=f"{noun(facts)} {pair.safe.number}: {pair.safe.outcome}",
-        unsafe=f"{noun(facts)} {pair.unsafe.number}: {pair.unsafe.outcome}",
+        safe=_side_words(facts, pair.safe, pair.confirmation.safe),
+        unsafe=_side_words(facts, pair.unsafe, pair.confirmation.unsafe),
         evidence=[*evidence_words(pairs, pair).split(", "), extent_words(pair)],
         sentences=[*pair_findings(pair), *smaller, *pair_facts(pairs, pair)[1:]],
         picture=picture[0] if picture else None,
     )  # fmt: skip
+
+
+def _side_words(facts: Facts, side: SideView, again: ShareView) -> str:
+    """Return what happened in a drive, and how often it was unsafe when it was simulated again."""
+    return ". ".join(
+        filter(None, (f"{noun(facts)} {side.number}: {side.outcome}", as_sentence(share_words(again))))
+    )
 
 
 def _rest(facts: Facts, pairs: PairsView, full: Sequence[PairView]) -> Table | None:

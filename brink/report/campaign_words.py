@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from brink.report.campaign_facts import LISTED, RANDOM, Facts
-from brink.report.pair_words import chance_words
 from brink.report.violations import by_frequency
 from brink.search.analysis.dependence import ParameterColumn
 from brink.search.parameters import Categorical
@@ -306,10 +305,8 @@ def _repeated(facts: Facts) -> list[Term]:
         terms.append(Term("Confirmation", words))
         if isinstance(facts.fetched.plan.problem, ReplacesComponent):
             terms.append(Term("Component", _component(pairs)))
-        if pairs.chancy:
-            terms.append(
-                Term("Chance", f"{as_sentence(chance_words(pairs))}; such solutions are in no pair.")
-            )
+        if pairs.chance:
+            terms.append(Term("Chance", " ".join(f"{words}." for words in pairs.chance)))
     terms += [Term("Repeats", f"{as_sentence(one.words)}") for one in facts.repeats if one.boundary]
     if not terms:
         terms.append(
@@ -336,9 +333,16 @@ def _component(pairs: PairsView) -> str:
         return "It was not asked whether the component or the scenario is to blame for the unsafe sides."
     asked = pairs.component + pairs.scenario
     rest = f"; for {pairs.scenario:,}, the scenario alone is enough" if pairs.scenario else ""
+    confirmed = pairs.component_confirmed + pairs.scenario_confirmed
+    sure = (
+        f" Of the confirmed pairs among them, it is {pairs.component_confirmed:,} of {confirmed:,}."
+        if confirmed
+        else " None of these pairs is confirmed."
+    )
     return (
         f"With ground truth in place of the component, the unsafe side of {pairs.component:,} of "
-        f"{count(asked, 'pair')} is safe: there the component is to blame{rest}."
+        f"{count(asked, 'pair')} is safe: there the component is to blame{rest}. Judged in one drive each, with the "
+        f"seed of the search.{sure}"
     )
 
 

@@ -31,8 +31,11 @@ from brink.sim.verdict import held_words
 FILMS: Final = (".mp4", ".gif")
 _MOST_LETTERS: Final = 230
 """A longer headline is cut to the change alone."""
+_CUT: Final = " more difference"
+"""In a change in words that leaves differences out."""
 _GAP_HELD: Final = held_words(["front-gap"])
 _REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
+_ONE_SEED: Final = "the {} is to blame, judged with this one seed"
 _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
 
 
@@ -113,7 +116,7 @@ def findings(pair: PairView) -> list[str]:
         found.append(_component_words(pair))
     again = pair.confirmation
     if again.state is Confirmation.CONFIRMED:
-        found.append(f"Confirmed with {_drives_a_side(again)} other seeds a side.")
+        found.append(f"Confirmed with {_drives_a_side(again)} other seeds each side.")
     elif again.state is Confirmation.NOT_CONFIRMED:
         # First, because it limits what the rest says.
         found.insert(0, f"Not confirmed, so chance may decide: with other seeds, {_doubt(again)}.")
@@ -126,9 +129,11 @@ def _component_words(pair: PairView) -> str:
     others = f" (but {rest})" if rest else ""
     if pair.component.state is ComponentPart.SCENARIO:
         what = f" ({pair.component.outcome})" if pair.component.outcome else ""
-        return f"With true perception, this drive is unsafe too{what}: the scenario is to blame."
+        blamed = _ONE_SEED.format("scenario")
+        return f"With true perception and the same seed, this drive is unsafe too{what}: {blamed}."
     keeps = "keeps the front gap" if first == _GAP_HELD else "is safe"
-    return f"With true perception, this drive {keeps}{others}: the component is to blame."
+    blamed = _ONE_SEED.format("component")
+    return f"With true perception and the same seed, this drive {keeps}{others}: {blamed}."
 
 
 def _drives_a_side(again: ConfirmationView) -> str:
@@ -152,6 +157,8 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
     found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
     if not view.computed and pair.confirmation.state not in _REPEATED:
         found.append(_search_words(pair))
+    if _CUT in pair.change:
+        found.append(f"All that differs: {', '.join(change.words for change in pair.changes)}.")
     less = pair.minimality
     if less.state is Minimality.DIFFERENT_SEEDS:
         found.append("The two had different episode seeds, so chance may be the reason for the verdicts.")

@@ -2,7 +2,7 @@
 
 import itertools
 
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation
+from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share
 from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView
 
 
@@ -17,12 +17,6 @@ def extent_words(pair: PairView) -> str:
     """Return in how many of the parameters the sides differ."""
     differing = sum(len(change.names) for change in pair.changes)
     return f"{differing} of {sum(map(len, pair.safe.parameters.values()))} parameters"
-
-
-def chance_words(view: PairsView) -> str:
-    """Return at how many places the verdict depends on chance; such solutions are on neither side of a pair."""
-    places = "1 place" if view.chancy == 1 else f"{view.chancy:,} places"
-    return f"{places} where the verdict depends on chance: the same solution was safe and unsafe with different seeds"
 
 
 def legend(view: PairsView) -> list[str]:
@@ -42,6 +36,11 @@ def legend(view: PairsView) -> list[str]:
             "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations after the search "
             f"and the unsafe side in 9 of 10; at most 20% and at least 80% confirm a pair, from {LEAST_DRIVES} each"
         )
+        found.append(
+            f"95% intervals of these shares: {_interval(0, LEAST_DRIVES)} after 0/{LEAST_DRIVES}, "
+            f"{_interval(LEAST_DRIVES, LEAST_DRIVES)} after {LEAST_DRIVES}/{LEAST_DRIVES}; those of each pair are on "
+            "its picture and in the files"
+        )
     if Confirmation.NOT_CONFIRMED in states:
         found.append("not confirmed: these shares are beyond those limits, so chance may decide")
     if Confirmation.TOO_FEW in states:
@@ -56,11 +55,16 @@ def legend(view: PairsView) -> list[str]:
     if view.component or view.scenario:
         found.append(
             "hazard: the component's if the unsafe side keeps the requirement with ground truth in place of the "
-            "component, otherwise the scenario's; in the same episode, with one seed"
+            "component, otherwise the scenario's; judged in one drive, with the seed of the search"
         )
     if Confirmation.CONFIRMED in states or Confirmation.NOT_CONFIRMED in states:
         found.append("confirmed pairs come first, those not confirmed last; a pair keeps its number")
     return found
+
+
+def _interval(unsafe: int, evaluated: int) -> str:
+    share = Share.of(unsafe, evaluated)
+    return f"{share.low:.0%} to {share.high:.0%}"
 
 
 def evidence_words(view: PairsView, pair: PairView) -> str:
@@ -90,8 +94,8 @@ def evidence_words(view: PairsView, pair: PairView) -> str:
 _REDUCED = {Minimality.PENDING: "being minimised", Minimality.UNDECIDED: "minimal or not: undecided"}
 """Words for states that do not speak for themselves."""
 _PARTS = {
-    ComponentPart.COMPONENT: "component's hazard",
-    ComponentPart.SCENARIO: "scenario's hazard",
+    ComponentPart.COMPONENT: "component's hazard (one seed)",
+    ComponentPart.SCENARIO: "scenario's hazard (one seed)",
     ComponentPart.FAILED: "ground truth failed",
     ComponentPart.PENDING: "ground truth pending",
 }

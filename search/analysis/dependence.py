@@ -208,9 +208,10 @@ class AxisMeaning:
 
     @property
     def text(self) -> str:
-        """The meaning in words, such as ``mostly scenario.weather (explains 81% of this axis)``."""
+        """The meaning in words, such as ``mostly scenario: weather (explains 81% of this axis)``."""
         how = "mostly" if self.explained >= 0.5 else "partly"
-        return f"{how} {self.name} (explains {self.explained:.0%} of this axis)"
+        name = self.name.replace(".", ": ", 1).replace(".", " ").replace("_", " ")
+        return f"{how} {name} (explains {self.explained:.0%} of this axis)"
 
 
 def axis_meanings(

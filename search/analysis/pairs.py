@@ -5,15 +5,18 @@ parameters and other seeds, counts once: it is safe if all its verdicts are, uns
 Chancy solutions are on neither side of a pair. A pair is *checked* if each of its sides was simulated with at least
 two different seeds.
 
+Two solutions that differ in nothing that had a part in either of their episodes are no pair, although they are near
+and have opposite verdicts: the episodes were the same but for chance.
+
 Pairs are *distinct* if their midpoints are at least d_th apart. They are taken greedily: checked pairs first, then by
 distance, then by number.
 
 Source: ours; docs/explanation/pairs.md.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -28,6 +31,11 @@ _CHUNK_CELLS: Final = 4_000_000
 """Distances computed at a time; bounds the memory."""
 _BLOCK: Final = 1_000
 """Midpoints compared at a time."""
+HadPart: TypeAlias = Callable[[IntArray], BoolArray]
+"""Returns for the solutions at n positions of an archive which parameters had a part in the episode of each.
+
+The result has the shape ``(n, d)``.
+"""
 MOST_TIGHT: Final = 200_000
 MOST_DISTINCT: Final = 5_000
 """Maximum numbers of tight and of distinct pairs; they bound time and memory."""
@@ -86,6 +94,7 @@ class FoundPairs:
     Attributes:
         pairs: Distinct pairs in the order in which they were taken.
         tight: Number of tight pairs, distinct or not.
+        without_part: Number of near solutions with opposite verdicts that differ in nothing that had a part.
         chancy: Number of solutions whose simulations had different verdicts.
         safe: Number of safe solutions, each counted once.
         unsafe: Number of unsafe solutions, each counted once.
@@ -93,6 +102,7 @@ class FoundPairs:
 
     pairs: tuple[Pair, ...]
     tight: int
+    without_part: int
     chancy: int
     safe: int
     unsafe: int
@@ -129,7 +139,13 @@ class _Candidates:
 
 
 def find_pairs(
-    archive: Archive, space: SearchSpace, *, eps: float, d_th: float, seeds: IntArray | None = None
+    archive: Archive,
+    space: SearchSpace,
+    *,
+    eps: float,
+    d_th: float,
+    seeds: IntArray | None = None,
+    had_part: HadPart | None = None,
 ) -> FoundPairs:
     """Find the distinct tight pairs of an archive.
 
@@ -139,6 +155,7 @@ def find_pairs(
         eps: Largest distance between the sides of a pair, unless they are one step apart in a single parameter.
         d_th: Smallest distance between the midpoints of two distinct pairs.
         seeds: Episode seed of each solution, shape ``(n,)``; None if each was simulated with a seed of its own.
+        had_part: Tells which parameters had a part in the episodes; None if all may have had one.
 
     Raises:
         TooManyPairs: There are more than `MOST_TIGHT` tight or `MOST_DISTINCT` distinct pairs.
@@ -148,6 +165,9 @@ def find_pairs(
     steps = Steps(space)
     rows = archive.vectors[solutions.first]
     found = _tight(rows, steps, np.flatnonzero(is_safe), np.flatnonzero(is_unsafe), eps)
+    differs = _differ_in_a_part(archive, solutions, found, had_part)
+    without_part = len(found) - int(differs.sum())
+    found = found.at(np.flatnonzero(differs))
     repeated = np.minimum(solutions.seeds[found.safe], solutions.seeds[found.unsafe]) >= 2
     numbers = archive.numbers[solutions.first]
     found = found.at(np.lexsort((numbers[found.unsafe], numbers[found.safe], found.distance, ~repeated)))
@@ -171,9 +191,27 @@ def find_pairs(
                 taken.safe.tolist(), taken.unsafe.tolist(), taken.distance.tolist(), strict=True
             )
         ),
-        tight=len(found), chancy=int((~is_safe & ~is_unsafe).sum()), safe=int(is_safe.sum()),
-        unsafe=int(is_unsafe.sum()),
+        tight=len(found), without_part=without_part, chancy=int((~is_safe & ~is_unsafe).sum()),
+        safe=int(is_safe.sum()), unsafe=int(is_unsafe.sum()),
     )  # fmt: skip
+
+
+def _differ_in_a_part(
+    archive: Archive, solutions: _Solutions, found: _Candidates, had_part: HadPart | None
+) -> BoolArray:
+    """Return which candidates differ in a parameter that had a part in an episode of either, shape ``(n,)``."""
+    differs = np.ones(len(found), np.bool_)
+    if had_part is None or not len(found):
+        return differs
+    sides, place = np.unique(np.concatenate([found.safe, found.unsafe]), return_inverse=True)
+    part = had_part(solutions.first[sides])
+    safe, unsafe = place.reshape(2, -1)
+    rows = archive.vectors[solutions.first[sides]]
+    for begin in range(0, len(found), _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        one, other = safe[block], unsafe[block]
+        differs[block] = ((rows[one] != rows[other]) & (part[one] | part[other])).any(axis=1)
+    return differs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

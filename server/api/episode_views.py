@@ -15,7 +15,6 @@ from brink.server.api.schemas import View
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
 from brink.sim.replay.scene import (
-    GHOSTS,
     LABELS,
     PERSON_REGION,
     PICTURE_COLOURS,
@@ -26,6 +25,7 @@ from brink.sim.replay.scene import (
     EpisodeScene,
     Flags,
     ReplayError,
+    ghost_words,
     is_car,
     map_centres,
     pictures_shown,
@@ -335,7 +335,7 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
             report=report_word(trace),
             labels=LABELS,
             sighted=SIGHTED,
-            ghosts=GHOSTS,
+            ghosts=[ghost_words(trace, label) for label in range(len(LABELS))],
         ),
         camera=_camera(),
         film=None if trace.film is None else _film(trace, trace.film),

@@ -192,10 +192,12 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
 
 def _best_pair(view: PairsView, pair: PairView) -> BestPair:
     state, safe, unsafe = pair.confirmation.state, pair.confirmation.safe, pair.confirmation.unsafe
-    kept, drives = safe.evaluated - safe.unsafe + unsafe.unsafe, safe.evaluated + unsafe.evaluated
+    drives = safe.evaluated + unsafe.evaluated
+    counts = " and ".join(f"{side.unsafe:,}/{side.evaluated:,}" for side in (safe, unsafe))
+    again = f"unsafe in {counts} drives with other seeds"
     evidence = {
-        Confirmation.CONFIRMED: f"holds with other seeds ({kept:,} of {drives:,} drives)",
-        Confirmation.NOT_CONFIRMED: f"does not hold ({kept:,} of {drives:,} drives)",
+        Confirmation.CONFIRMED: f"confirmed: {again}",
+        Confirmation.NOT_CONFIRMED: f"not confirmed: {again}",
         Confirmation.TOO_FEW: "too few drives to tell",
         Confirmation.PENDING: "being simulated again",
         Confirmation.NOT_TRIED: "not simulated again yet",
@@ -547,10 +549,11 @@ _QUESTIONS: Final = {
 def _look_at_pairs(known: _Known, question: str) -> StepView:
     view, campaign = known.pairs, known.campaign.id
     count = 0 if view is None else view.distinct
+    best = view.pairs[0].place if view is not None and view.pairs else 1
     return StepView(
         kind=StepKind.LOOK, question=question, words="Shows both drives of each pair side by side.",
         label="Open the pair" if count == 1 else f"Open all {count:,} pairs", place=f"campaigns/{campaign}/pairs",
-        command=f"brink pairs {campaign} --film 1 pair-1.mp4",
+        command=f"brink pairs {campaign} --film {best} pair-{best}.mp4",
     )  # fmt: skip
 
 

@@ -289,7 +289,17 @@ class PairsView(View):
     ] = ""
     safe: Annotated[int, Field(description="Safe solutions, each counted once.")]
     unsafe: Annotated[int, Field(description="Unsafe solutions, each counted once.")]
-    chancy: Annotated[int, Field(description="Solutions whose simulations had different verdicts.")]
+    chancy: Annotated[
+        int,
+        Field(description="Solutions that the search simulated with different seeds and different verdicts."),
+    ]
+    without_part: Annotated[
+        int,
+        Field(
+            description="How often two near solutions with opposite verdicts differ in nothing that had a part in "
+            "either drive: chance decides there, so they are no pair."
+        ),
+    ] = 0
     tight: Annotated[int, Field(description="Pairs, distinct or not.")]
     distinct: Annotated[int, Field(description="Distinct pairs.")]
     checked: Annotated[int, Field(description="Distinct pairs that are checked.")]
@@ -303,6 +313,12 @@ class PairsView(View):
         int,
         Field(description="Distinct pairs that are being simulated again and have too few drives so far."),
     ]
+    repeated: Annotated[
+        int, Field(description="Sides of distinct pairs that were simulated again with other seeds.")
+    ] = 0
+    changed: Annotated[
+        int, Field(description="Those among them that did not always keep the verdict of the search.")
+    ] = 0
     confirmed: Annotated[int, Field(description="Distinct pairs that are confirmed.")]
     not_confirmed: Annotated[
         int, Field(description="Distinct pairs that simulations with other seeds did not confirm.")
@@ -314,13 +330,23 @@ class PairsView(View):
         ),
     ]
     scenario: Annotated[int, Field(description="Distinct pairs whose unsafe side is unsafe with it, too.")]
+    component_confirmed: Annotated[
+        int, Field(description="Confirmed pairs among those that `component` counts.")
+    ] = 0
+    scenario_confirmed: Annotated[
+        int, Field(description="Confirmed pairs among those that `scenario` counts.")
+    ] = 0
     nearest: Annotated[
         NearestView | None,
-        Field(description="Nearest solutions with opposite verdicts, if there is no pair."),
+        Field(description="Nearest solutions with opposite verdicts, if none are near enough for a pair."),
     ]
     follow_ups: Annotated[list[FollowUpView], Field(description="Oldest first.")]
     offers: Annotated[list[FollowUpOffer], Field(description="What can be asked about the distinct pairs.")]
     rule: ConfirmationRule = ConfirmationRule()
+    chance: Annotated[
+        tuple[str, ...],
+        Field(description="What is known of the part of chance, in sentences without a full stop."),
+    ] = ()
     pairs: Annotated[
         list[PairView],
         Field(

@@ -199,6 +199,8 @@ def pairs_view(
     evidence = _Evidence.read(connection, found, pairs, shown, stored, repeated)
     parts = [evidence.component(pair).state for pair in pairs.found.pairs]
     deciding = _deciding(problem, next(iter(rows.values()), None))
+    sides = _sides_again(pairs.found.pairs, repeated)
+    blamed = [part for part, state in zip(parts, states, strict=True) if state is Confirmation.CONFIRMED]
     counts = {
         "tried": sum(state not in (Confirmation.NOT_TRIED, Confirmation.PENDING) for state in states),
         "pending": states.count(Confirmation.PENDING),
@@ -206,6 +208,8 @@ def pairs_view(
         "not_confirmed": states.count(Confirmation.NOT_CONFIRMED),
         "component": parts.count(ComponentPart.COMPONENT),
         "scenario": parts.count(ComponentPart.SCENARIO),
+        "component_confirmed": blamed.count(ComponentPart.COMPONENT),
+        "scenario_confirmed": blamed.count(ComponentPart.SCENARIO),
     }
     return PairsView(
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
@@ -216,6 +220,8 @@ def pairs_view(
         terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
         caveat=_caveat(campaign, problem),
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
+        without_part=pairs.found.without_part, repeated=sides[0], changed=sides[1],
+        chance=_chance(pairs, *sides),
         tight=pairs.found.tight, distinct=len(pairs.found.pairs), checked=pairs.found.checked, **counts,
         nearest=None if pairs.nearest is None else NearestView(
             safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
@@ -227,6 +233,43 @@ def pairs_view(
         ],
         pairs=[_pair(place, pair, problem, rows, evidence) for place, pair in placed],
     )  # fmt: skip
+
+
+def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:
+    """Return how many sides were simulated again with other seeds, and how many of them had another verdict then."""
+    sides = {pair.safe.number: False for pair in pairs} | {pair.unsafe.number: True for pair in pairs}
+    shares = {number: repeated.shares[number] for number in sides if number in repeated.shares}
+    changed = [
+        (share.evaluated - share.unsafe if sides[number] else share.unsafe) > 0
+        for number, share in shares.items()
+    ]
+    return len(shares), sum(changed)
+
+
+def _chance(pairs: CampaignPairs, again: int, changed: int) -> tuple[str, ...]:
+    """Return what is known of the part of chance: from the search, and from simulations after it."""
+    chancy, alike, told = pairs.found.chancy, pairs.found.without_part, []
+    if chancy:
+        what, which = (
+            ("1 solution was", "it is") if chancy == 1 else (f"{chancy:,} solutions were", "they are")
+        )
+        told.append(f"In the search, {what} safe and unsafe with different seeds; {which} in no pair")
+    if alike:
+        told.append(
+            f"In {_cases(alike)}, two near solutions with opposite verdicts differ in nothing that had a part in "
+            "either drive: chance decides there, so they are no pair"
+        )
+    if again:
+        what = "1 side of a pair was" if again == 1 else f"{again:,} sides of pairs were"
+        had = f"{changed:,}" if changed else "none"
+        told.append(
+            f"After the search, {what} simulated again with other seeds; {had} had the other verdict at least once"
+        )
+    return tuple(told)
+
+
+def _cases(number: int) -> str:
+    return "1 case" if number == 1 else f"{number:,} cases"
 
 
 def _caveat(campaign: Campaign, problem: Problem) -> str:
@@ -570,12 +613,20 @@ def _result_words(
                 (drives_held(deciding), unsafe_words(deciding)) if deciding else ("is safe", "is unsafe")
             )
             words += (
-                f"; with ground truth in place of the component, the unsafe side of {counts['component']:,} of "
-                f"{blamed:,} {held} (the component's hazard)"
+                "; with ground truth in place of the component, in one drive each, the unsafe side of "
+                f"{counts['component']:,} of {blamed:,} {held} (the component's hazard)"
             )
             if counts["scenario"]:
                 words += f", that of {counts['scenario']:,} {violated} all the same (the scenario's hazard)"
+            if confirmed := counts["component_confirmed"] + counts["scenario_confirmed"]:
+                blamed = counts["component_confirmed"]
+                words += f"; of the confirmed pairs, {blamed:,} of {confirmed:,} are the component's"
         return words
+    if found.without_part:
+        return (
+            f"no pair: in {_cases(found.without_part)}, two near solutions with opposite verdicts differ in nothing "
+            "that had a part in their drives, so chance decides"
+        )
     if not found.safe and not found.unsafe and not found.chancy:
         return "no solution has been evaluated: no pair"
     if pairs.nearest is None:

@@ -17,7 +17,7 @@ from brink.search.analysis.monitor import Model, Monitor, default_model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
 from brink.search.errors import MissingExtra
-from brink.search.space import FloatArray
+from brink.search.space import FloatArray, IntArray
 from brink.server.campaigns import step_store, view_store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.known import KnownRecord, known_of, read_known
@@ -83,7 +83,11 @@ class ArchiveActivity:
 
 
 def read_activity(
-    connection: Connection, campaign_id: str, problem: Problem, archive: Archive
+    connection: Connection,
+    campaign_id: str,
+    problem: Problem,
+    archive: Archive,
+    places: IntArray | None = None,
 ) -> ArchiveActivity:
     """Return which parameters had a part in the episodes of a campaign's evaluated solutions.
 
@@ -92,16 +96,19 @@ def read_activity(
         campaign_id: The campaign.
         problem: Its problem.
         archive: Its archive.
+        places: Positions of the n solutions that are asked about; None for all of the archive.
     """
-    recorded = np.zeros(len(archive), dtype=np.bool_)
-    active = np.ones(archive.vectors.shape, dtype=np.bool_)
-    effective = archive.vectors.copy()
+    asked = np.arange(len(archive)) if places is None else places
+    rows, numbers = archive.vectors[asked], archive.numbers[asked].tolist()
+    recorded = np.zeros(len(rows), dtype=np.bool_)
+    active = np.ones(rows.shape, dtype=np.bool_)
+    effective = rows.copy()
     if isinstance(problem, RecordsActivity):
-        results = view_store.read_results(connection, campaign_id)
-        for place, number in enumerate(archive.numbers.tolist()):
+        results = view_store.read_results(connection, campaign_id, None if places is None else numbers)
+        for place, number in enumerate(numbers):
             text = results.get(number)
             result = json.loads(text) if text else None
-            found = activity_of(problem, problem.space.split(archive.vectors[place]), result)
+            found = activity_of(problem, problem.space.split(rows[place]), result)
             if found is not None:
                 recorded[place] = True
                 active[place], effective[place] = found.active, found.effective

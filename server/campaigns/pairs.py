@@ -17,8 +17,9 @@ from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share
 from brink.search.analysis.pairs import FoundPairs, Opposites, Pair, find_pairs, nearest_opposites
 from brink.search.archive import Archive
 from brink.search.errors import TooManyPairs
+from brink.search.space import BoolArray, IntArray
 from brink.server.campaigns import view_store
-from brink.server.campaigns.archives import CACHED, ReadArchive
+from brink.server.campaigns.archives import CACHED, ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, reducible
 from brink.server.campaigns.plan import Plan
@@ -26,6 +27,7 @@ from brink.server.campaigns.repeats import MOST, FollowUpKind, StoredRepeats
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import InvalidInput, NotFound
+from brink.server.problems.base import RecordsActivity
 from brink.server.single_flight import SingleFlightCache
 
 MOST_PENDING: Final = 4
@@ -66,7 +68,7 @@ class CampaignPairs:
     Attributes:
         settings: Which solutions are a pair, and which pairs are distinct.
         found: The pairs.
-        nearest: The nearest solutions with opposite verdicts, if there is no pair.
+        nearest: The nearest solutions with opposite verdicts, if none are near enough for a pair.
         reducible: Of the first `MOST` pairs, those of which a difference can be reverted; None while the campaign has
             not ended.
         most_trials: Largest number of simulations that reverting the differences of the first `MOST_PAIRS_FOLLOWED`
@@ -122,7 +124,11 @@ class Pairs:
             found = find_stored_pairs(self.engines, campaign.id, read.plan, read.archive, settings)
         except TooManyPairs as error:
             return error  # cached, unlike what is raised here
-        nearest = None if found.tight else nearest_opposites(read.archive, read.plan.problem.space)
+        nearest = (
+            None
+            if found.tight or found.without_part
+            else nearest_opposites(read.archive, read.plan.problem.space)
+        )
         if (
             campaign.status not in ENDED
         ):  # nothing can be reverted yet, and the next generation changes the pairs
@@ -165,7 +171,15 @@ def find_stored_pairs(
     if not stored.keys() >= set(numbers):
         raise NotFound(f"campaign {campaign_id}: no such campaign")
     seeds = np.array([stored[number] for number in numbers], np.int64)
-    return find_pairs(archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th, seeds=seeds)
+
+    def had_part(places: IntArray) -> BoolArray:
+        with engines.reader.connect() as connection:
+            return read_activity(connection, campaign_id, plan.problem, archive, places).active
+
+    return find_pairs(
+        archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th, seeds=seeds,
+        had_part=had_part if isinstance(plan.problem, RecordsActivity) else None,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -240,10 +240,25 @@ def read_solutions(
     return found
 
 
-def read_results(connection: Connection, campaign_id: str) -> dict[int, str | None]:
-    """Return the stored result of each simulated solution of a campaign, as JSON, by number."""
+def read_results(
+    connection: Connection, campaign_id: str, numbers: Iterable[int] | None = None
+) -> dict[int, str | None]:
+    """Return the stored results of simulated solutions of a campaign, as JSON, by number.
+
+    Args:
+        connection: Read connection.
+        campaign_id: The campaign.
+        numbers: Numbers of the solutions; None for all.
+    """
     query = select(EVALUATIONS.c.number, EVALUATIONS.c.result).where(EVALUATIONS.c.campaign_id == campaign_id)
-    return {row.number: row.result for row in connection.execute(query)}
+    if numbers is None:
+        return {row.number: row.result for row in connection.execute(query)}
+    wanted = sorted(numbers)
+    found: dict[int, str | None] = {}
+    for start in range(0, len(wanted), MAX_NAMED):
+        some = query.where(EVALUATIONS.c.number.in_(wanted[start : start + MAX_NAMED]))
+        found |= {row.number: row.result for row in connection.execute(some)}
+    return found
 
 
 def read_seeds(connection: Connection, campaign_id: str) -> dict[int, int]:

@@ -47,7 +47,7 @@ class UrbanCamera(HasTrueVariant, JudgedByRequirements):
     params_type: ClassVar[type[Any]] = UrbanCameraParams
     about_component: ClassVar[str] = (
         "The detector is the one that the campaign names, on rendered images. On recorded ones it may err otherwise "
-        "(docs/how-to/set-a-requirement.md)."
+        "(see “Set a requirement for a detector” in Brink's documentation)."
     )
     errors_problem: ClassVar[str] = "urban-errors@1"
     extra: ClassVar[str] = "vision"

@@ -42,7 +42,7 @@ _ABSENT_PX: Final = float(b.IMAGE_WIDTH_PX)
 """What one drive reports and the other one does not, or not at that time, differs by the whole image."""
 _PX_PER_STEP: Final = 8.0
 """How much a step in which one drive alone reports something counts: ten seconds as much as the whole image."""
-AFTERWARDS: Final = "what differs came after the violation"
+AFTERWARDS: Final = "all that differs came after the violation"
 
 
 class _Clause(NamedTuple):
@@ -66,6 +66,7 @@ def words_of_changes(
     violated_at_s: float | None,
     *,
     ended_at_step: float = float("inf"),
+    unsafe_ended_at_step: float | None = None,
 ) -> str:
     """Describe what is different in the unsafe one of two candidates; empty if no value differs visibly.
 
@@ -75,6 +76,7 @@ def words_of_changes(
         changed: The parameters in which they differ, as component.parameter.
         violated_at_s: Time of the violation in the unsafe candidate's drive; None if it is unknown.
         ended_at_step: Perception step at which the shorter drive ended, if it is known.
+        unsafe_ended_at_step: Perception step at which the unsafe drive ended; None if it is unknown.
     """
     parts = [_Clause(words) for words in scenario_changes(safe["scenario"], unsafe["scenario"], changed)]
     late = False
@@ -83,8 +85,9 @@ def words_of_changes(
         names = frozenset(one.removeprefix(prefix) for one in changed if one.startswith(prefix))
         if names:
             both = _Reports(
-                number, safe["behaviour"], unsafe["behaviour"], names, violated_at_s, ended_at_step
-            )
+                number, safe["behaviour"], unsafe["behaviour"], names, violated_at_s, ended_at_step,
+                unsafe_ended_at_step,
+            )  # fmt: skip
             parts += both.clauses()
             late = late or both.come_after
     return _description(parts) or (AFTERWARDS if late else "")
@@ -134,6 +137,7 @@ class _Reports:
         changed: The names, without its number, of the values in which they differ.
         violated_at_s: Time of the violation in the unsafe drive; None if it is unknown.
         ended_at_step: Perception step at which the shorter drive ended; infinity if it is unknown.
+        unsafe_ended_at_step: Perception step at which the unsafe drive ended; None if it is unknown.
     """
 
     def __init__(
@@ -144,6 +148,7 @@ class _Reports:
         changed: frozenset[str],
         violated_at_s: float | None,
         ended_at_step: float,
+        unsafe_ended_at_step: float | None,
     ) -> None:
         prefix = f"trajectory_{number}."
         self._old, self._new = (
@@ -153,8 +158,8 @@ class _Reports:
         self._others = tuple(_others(number, values) for values in (safe, unsafe))
         end_s = float("inf") if violated_at_s is None else violated_at_s
         self._end_step = end_s / b.PERCEPTION_STEP_S
-        self._at = "before the violation" if violated_at_s is None else f"before {violated_at_s:.1f} s"
         self._last_step = min(self._end_step, ended_at_step)
+        self._unsafe_ended_at_step = unsafe_ended_at_step
         self._who = self._name(number, safe)
 
     @property
@@ -190,22 +195,28 @@ class _Reports:
         return f"the {'first' if first else 'second'} reported {label}"
 
     def _vanished(self) -> str:
-        """Say that what the safe drive reports is not reported before the violation."""
+        """Say that what the safe drive reports is not reported in the unsafe one, or only after its violation."""
         label, seconds = self._old["label"], _seconds(self._old)
-        if self._reports_other(self._others[1], label, self._end_step):
-            return f"no second {label} is reported {self._at}; in the safe drive one is, from {seconds}"
-        return f"no {label} is reported {self._at}; in the safe drive one is, from {seconds}"
+        second = "second " if self._reports_other(self._others[1], label, self._end_step) else ""
+        ended = self._unsafe_ended_at_step
+        if self._new["label"] == label and ended is not None and self._new["t0_step"] <= ended:
+            times = f"{_s(self._new['t0_step'])} s instead of {_s(self._old['t0_step'])} s"
+            return f"a {second}{label} is reported only after the violation, from {times}"
+        known = ended is not None or self._end_step == float("inf")
+        until_step = float("inf") if ended is None else ended + 1
+        later = not second and self._reports_other(self._others[1], label, until_step)
+        never = known and not later
+        when = "" if never else " up to the violation"
+        return f"no {second}{label} is reported{when}; in the safe drive, one is from {seconds}"
 
     def _appeared(self) -> str:
         """Say that what is reported before the violation is not reported in the safe drive, or only later."""
         label, seconds = self._new["label"], _seconds(self._new)
         later = self._old["label"] == label
-        before = f"before {_s(self._old['t0_step'])} s" if later else ""
         until_step = self._old["t0_step"] if later else float("inf")
-        if self._reports_other(self._others[0], label, until_step):
-            when = f"not {before}" if later else "not at all"
-            return f"a second {label} is reported from {seconds}; in the safe drive {when}"
-        return f"a {label} is reported from {seconds}; in the safe drive none {before}".rstrip()
+        second = "second " if self._reports_other(self._others[0], label, until_step) else ""
+        when = f"only from {_s(self._old['t0_step'])} s" if later else f"no {second}{label} is"
+        return f"a {second}{label} is reported from {seconds}; in the safe drive, {when}"
 
     @staticmethod
     def _reports_other(others: Sequence[Mapping[str, Any]], label: str, until_step: float) -> bool:

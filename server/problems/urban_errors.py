@@ -110,7 +110,8 @@ class UrbanErrors(HasTrueVariant, JudgedByRequirements):
 
     about_component: ClassVar[str] = (
         "The detector's errors are injected: results show what would happen if a detector erred like this, not that "
-        "yours does. Whether it does is checked with that detector: urban-camera@1, docs/how-to/set-a-requirement.md."
+        "yours does. Whether it does is checked with that detector, on urban-camera@1: see “Set a requirement for a "
+        "detector” in Brink's documentation."
     )
 
     def __init__(self, params: UrbanErrorsParams) -> None:

@@ -148,13 +148,15 @@ class UrbanInjected(JudgedByRequirements):
     params_type: ClassVar[type[Any]] = UrbanInjectedParams
     errors_problem: ClassVar[str] = "urban-errors@1"
     terms_of_changes: ClassVar[str] = (
-        "reported: what the detector tells the driving system, true or not; of other road users it knows nothing "
-        "else. Metres: where the driving system takes it to be, by the reported box"
+        "reported: what the search makes the detector report, the only thing that the driving system learns of "
+        "other road users. Real ones are never reported, unless a made-up box happens to lie on one: pictures of a "
+        "pair show what is there. Metres: where the driving system takes the reported thing to be, by its box"
     )
 
     about_component: ClassVar[str] = (
         "The detector's errors are injected: results show what would happen if a detector erred like this, not that "
-        "yours does. Whether it does is checked with that detector: urban-camera@1, docs/how-to/set-a-requirement.md."
+        "yours does. Whether it does is checked with that detector, on urban-camera@1: see “Set a requirement for a "
+        "detector” in Brink's documentation."
     )
 
     def __init__(self, params: UrbanInjectedParams) -> None:
@@ -212,6 +214,7 @@ class UrbanInjected(JudgedByRequirements):
         return words_of_changes(
             old, new, changed, min((t for t in times if t is not None), default=None),
             ended_at_step=min(self._ended_at_step(one) for one in (safe, unsafe)),
+            unsafe_ended_at_step=_last_step(unsafe),
         )  # fmt: skip
 
     def _ended_at_step(self, one: SimulatedSolution) -> float:
@@ -255,6 +258,12 @@ class UrbanInjected(JudgedByRequirements):
             effective=np.concatenate([vectors[0], effective]),
             idle=() if any(delivered) else ("behaviour",),
         )
+
+
+def _last_step(one: SimulatedSolution) -> float | None:
+    """Return the perception step at which a drive ended; None if that was not recorded."""
+    ended_at_s = ((one.result or {}).get("features") or {}).get("ended_at_s")
+    return ended_at_s / b.PERCEPTION_STEP_S if isinstance(ended_at_s, int | float) else None
 
 
 def scenario_of(values: Mapping[str, Any]) -> dict[str, Json]:

@@ -13,6 +13,8 @@ from brink.sim.replay.scene import PERSON, EpisodeScene, ReplayError, count_wron
 from brink.sim.replay.story import (
     Judged,
     Story,
+    margin_name,
+    measured_words,
     perturbation_words,
     report_word,
     reported,
@@ -215,7 +217,7 @@ class FramePainter:
 
     def _with_verdict(self, image: Image.Image, sample: int) -> Image.Image:
         """Frame an image in red from the first violation of any requirement on, and name those so far."""
-        so_far = [one.words for one in self.story.violations if sample >= one.sample]
+        so_far = [one.words for one in self.story.violations if sample >= one.shown]
         if so_far:
             unit = self.layout.unit
             draw = ImageDraw.Draw(image)
@@ -286,7 +288,9 @@ class _Panel:
         unit, left = self._unit, self._left
         middle = (left + self._right) / 2
         draw.text((left, self._top), "speed", fill=MUTED, font=self._small)
-        draw.text((middle, self._top), self._story.title, fill=MUTED, font=self._small)
+        gap = self._story.title == "front-gap"
+        name = "front gap" if gap else margin_name(self._story.title)
+        draw.text((middle, self._top), name, fill=MUTED, font=self._small)
         draw.text((left, self._top + 52 * unit), "plan", fill=MUTED, font=self._small)
         draw.text((middle, self._top + 52 * unit), "traffic light", fill=MUTED, font=self._small)
         line = self._top + round(100 * unit)
@@ -317,13 +321,12 @@ class _Panel:
         middle = (self._left + self._right) / 2
         value = float(self._trace.robustness[self._story.requirement][sample])
         top = self._top + 14 * self._unit
-        finite = np.isfinite(value)
-        text = with_unit(value, self._story.requirement) if finite else "not applicable"
+        finite = bool(np.isfinite(value))
+        text, note = measured_words(self._story.requirement, value) if finite else ("not applicable", "")
         colour = VIOLATION if value < 0 else INK
-        draw.text((middle, top), text, fill=colour, font=self._number if finite else self._word)
-        word = "violated" if value < 0 else ("to spare" if finite else "")
+        draw.text((middle, top), text, fill=colour, font=self._number if note else self._word)
         draw.text(
-            (middle, top + 21 * self._unit), word, fill=colour if value < 0 else MUTED, font=self._small
+            (middle, top + 21 * self._unit), note, fill=colour if value < 0 else MUTED, font=self._small
         )
 
     def _draw_plan(self, draw: ImageDraw.ImageDraw, mode: str) -> None:
@@ -420,7 +423,7 @@ class _TimeBar:
         below = np.any([np.asarray(series) < 0 for series in self._trace.robustness.values()], axis=0)
         for violated, first, last in runs(below.tolist()):
             if violated:
-                self._draw_run(draw, first, last, rows[2], VIOLATION)
+                self._draw_run(draw, self._shown_from(first), last, rows[2], VIOLATION)
         self._draw_axis(draw, self._top + 46 * unit)
 
     def draw(self, frame: Image.Image, sample: int) -> None:
@@ -433,6 +436,10 @@ class _TimeBar:
         draw.polygon(
             (x - 5 * unit, tip - 3 * unit, x + 5 * unit, tip - 3 * unit, x, tip + 4 * unit), fill=INK
         )
+
+    def _shown_from(self, sample: int) -> int:
+        """Return the sample that shows a violation that begins at a sample."""
+        return next((one.shown for one in self._story.violations if one.sample == sample), sample)
 
     def _x_px(self, time_s: float) -> float:
         return self._left + (time_s - self._start_s) / self._span_s * (self._right - self._left)

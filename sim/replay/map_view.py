@@ -12,19 +12,24 @@ from PIL import Image, ImageDraw
 
 from brink.sim.replay.scene import (
     GHOSTS,
+    PARKED,
     SHAPES,
     SIGHTED,
     EpisodeScene,
     Flags,
     FrontGap,
     Points,
+    astray_words,
+    found_at,
     front_gap,
     gap_words,
+    ghost_words,
     has_errors,
     is_car,
+    is_there,
     label_index,
     map_centres,
-    nothing_there,
+    may_report_ghosts,
     obstacle_outline,
     shared_area,
     surface_style,
@@ -199,16 +204,23 @@ class ObstacleStyle(NamedTuple):
         colour: Colour of their dashed outlines and captions.
         there: Captions of those that lie where a road user is, by label.
         nothing_there: Captions of those that do not, by label.
-        any_kind: Whether a road user or parked car of any kind counts, not only one of the same kind nearby.
+        says_what_is_there: Whether captions say what else is at the place, parked cars included; otherwise obstacles
+            are ghosts or not.
     """
 
     colour: Rgb
     there: tuple[str, ...]
     nothing_there: tuple[str, ...]
-    any_kind: bool
+    says_what_is_there: bool
 
 
-BY_KIND: Final = ObstacleStyle(GHOST, SIGHTED, GHOSTS, any_kind=False)
+BY_KIND: Final = ObstacleStyle(GHOST, SIGHTED, GHOSTS, says_what_is_there=False)
+_INSTEAD: Final = {
+    "vehicle": "a vehicle is there",
+    "pedestrian": "a person is there",
+    PARKED: "a parked car is there",
+}
+"""What is said of an obstacle at the place of something else."""
 
 
 class MapView:
@@ -410,18 +422,33 @@ class MapView:
             label = label_index(float(perceived.rows[row, 1]))
             corners = self._viewport.to_px(obstacle_outline(self._scene, row)) - corner
             draw_dashed(draw, corners, style.colour, dash=1.2 * line, gap=0.9 * line, width=2 * SUPERSAMPLING)
-            ghost = bool(self._scene.obstacles.ghost[row])
-            if style.any_kind:
-                ghost = nothing_there(self._scene, sample, row)
+            ghost, caption = self._caption(sample, row, label)
             if ghost:
                 for one, other in ((0, 2), (1, 3)):
                     diagonal = np.vstack([corners[one], corners[other]])
                     draw.line(diagonal.ravel().tolist(), fill=style.colour, width=SUPERSAMPLING)
-            if not ghost and has_errors(self._scene.trace):
-                continue  # what is perceived where it is needs no words
-            captions = style.nothing_there if ghost else style.there
-            anchor = float(corners[:, 0].mean()), float(corners[:, 1].min())
-            labels.append(Label(_reduced(anchor, -0.85), captions[label], style.colour, _around(corners)))
+            if caption:
+                anchor = float(corners[:, 0].mean()), float(corners[:, 1].min())
+                labels.append(Label(_reduced(anchor, -0.85), caption, style.colour, _around(corners)))
+
+    def _caption(self, sample: int, row: int, label: int) -> tuple[bool, str]:
+        """Return whether a perceived obstacle is crossed out, and its caption; empty if it needs none."""
+        scene, style = self._scene, self._style
+        # What is perceived where it is needs no words if most of what is reported is true.
+        there = "" if has_errors(scene.trace) else style.there[label]
+        if scene.obstacles.astray[row]:
+            return False, astray_words(scene.trace, label)
+        if not may_report_ghosts(scene.trace):
+            return False, there
+        if not style.says_what_is_there:
+            is_ghost = bool(scene.obstacles.ghost[row])
+            return is_ghost, ghost_words(scene.trace, label) if is_ghost else there
+        found = found_at(scene, sample, row)
+        if is_there(label, found):
+            return False, there
+        if found:
+            return True, f"{style.there[label]}, {_INSTEAD[found[0]]}"
+        return True, style.nothing_there[label]
 
     def _draw_gap(
         self, draw: ImageDraw.ImageDraw, gap: FrontGap, corner: Points, labels: list[Label]
@@ -449,6 +476,7 @@ class MapView:
     def _write_beside(self, draw: ImageDraw.ImageDraw, labels: list[Label], hidden: list[Rect]) -> None:
         """Write each label as close to what it names as is possible without hiding anything."""
         placed: list[Rect] = []
+        written: list[Label] = []
         for label in labels:
             half = draw.textlength(label.text, font=self._font) / 2 + 3, self._font.size * 0.62
             options = _places(label.named, half, self._size)
@@ -456,8 +484,12 @@ class MapView:
                 continue  # off the map
             best = min(options, key=lambda rect: _cost(rect, placed, hidden))
             placed.append(best)
-            _draw_leader(draw, best, label)
-            middle = (best[0] + best[2]) / 2, (best[1] + best[3]) / 2
+            written.append(label)
+        for place, label in zip(placed, written, strict=True):
+            _draw_leader(draw, place, label)
+        # After the lines, none of which strikes through a text then.
+        for place, label in zip(placed, written, strict=True):
+            middle = (place[0] + place[2]) / 2, (place[1] + place[3]) / 2
             draw.text(
                 middle, label.text, fill=label.colour, font=self._font, anchor="mm", stroke_width=2,
                 stroke_fill=PAPER,

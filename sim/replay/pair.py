@@ -17,16 +17,18 @@ from brink.sim.replay.scene import (
     FrontGap,
     Points,
     ReplayError,
+    found_at,
     front_gap,
     gap_to,
-    gap_words,
+    is_injected,
+    is_there,
     label_index,
     map_centres,
     obstacles_on,
     plain_name,
     spec_part,
 )
-from brink.sim.replay.story import Judged, Story, story_of, unit_of
+from brink.sim.replay.story import Judged, Story, measured_words, story_of, unit_of
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import FloatArray, Trace
 
@@ -40,8 +42,8 @@ _FOLLOW_UP_S: Final = 5.0
 _LEAST_WINDOW_S: Final = 12.0
 _LOOK_BACK_S: Final = 1.5
 """How long before the moment the vehicle ahead may have been seen for the last time: a collision hides it."""
-_NO_VEHICLE_M: Final = 48.0
-"""A greater margin of the front gap means that no vehicle is ahead."""
+_EVERY: Final = 5
+"""Of so many samples, one is looked at to say whether what is reported is there."""
 _ABSENT_PX: Final = 800.0
 """A box that is reported in one drive alone differs as much as two boxes at opposite sides of the image."""
 _ALMOST: Final = 0.999
@@ -239,23 +241,81 @@ def state_words(side: Side, story: Story, time_s: float) -> str:
     return ", ".join(words)
 
 
-def limit_words(requirement: str) -> str:
-    """Return the limit of a requirement, such as ``1.5 m needed``; empty if its margin alone is known."""
-    return f"{REQUIRED_GAP_M:g} m needed" if plain_name(requirement) == "front-gap" else ""
-
-
 def _margin_words(title: str, value: float) -> str:
-    """Return a robustness as what was measured, or else as the margin to the limit."""
-    name = title.replace("-", " ")
-    if limit_words(title):
-        if value > _NO_VEHICLE_M:
-            return "no vehicle ahead"
-        return f"{name} {gap_words(value + REQUIRED_GAP_M)} ({limit_words(title)})"
+    """Return what was measured and how that compares with what is required, or else the margin to the limit."""
+    if plain_name(title) == "front-gap":
+        gap, note = measured_words(title, value)
+        return f"front gap {gap}, {note}" if note else gap
     shown = next(
         (text for digits in range(1, _MOST_DIGITS) if float(text := f"{abs(value):.{digits}f}") > 0), "just"
     )
     margin = shown if shown == "just" else f"{shown} {unit_of(title)}".strip()
-    return f"{name}: {margin} {'too little' if value < 0 else 'to spare'}"
+    return f"{title.replace('-', ' ')}: {margin} {'too little' if value < 0 else 'to spare'}"
+
+
+def reality_words(story: PairStory) -> str:
+    """Say in sentences whether what is reported is there, and whether the vehicle ahead is reported.
+
+    Both up to the moment. What detectors report without errors that were made up is not judged.
+    """
+    said = [*_about_lead(story), *_about_reports(story)]
+    return " ".join(f"{words[:1].upper()}{words[1:]}." for words in said)
+
+
+def _about_lead(story: PairStory) -> list[str]:
+    if story.target is None or not story.target.vehicle:
+        return []
+    found = []
+    for _, side, _ in story.parts:
+        scene, flags = EpisodeScene.of(side.trace), []
+        for sample in _until(side.trace, story.moment_s):
+            gap = front_gap(side.trace, sample)
+            if gap is not None:
+                flags.append(bool(obstacles_on(scene, sample, gap.actor)))
+        found.append(_how_much(flags))
+    safe, unsafe = found
+    if safe == unsafe or not safe:
+        drives = "in both drives" if safe else "in the unsafe drive"
+        return [f"{drives}, the vehicle ahead is {unsafe}"] if unsafe else []
+    return [f"the vehicle ahead is {safe} in the safe drive, {unsafe or 'absent'} in the unsafe one"]
+
+
+def _about_reports(story: PairStory) -> list[str]:
+    if not all(is_injected(side.trace) for _, side, _ in story.parts):
+        return []
+    flags: dict[int, list[bool]] = {}
+    for _, side, _ in story.parts:
+        scene, perceived = EpisodeScene.of(side.trace), side.trace.perceived
+        for sample in _until(side.trace, story.moment_s)[::_EVERY]:
+            for row in range(perceived.first[sample], perceived.first[sample + 1]):
+                label = label_index(float(perceived.rows[row, 1]))
+                flags.setdefault(label, []).append(is_there(label, found_at(scene, sample, row)))
+    return [_there(LABELS[label], sum(there) / len(there)) for label, there in sorted(flags.items())]
+
+
+def _there(label: str, share: float) -> str:
+    """Say for which share of the time something is where it is reported."""
+    who = f"no {label}" if share == 0 else f"a {label}"
+    return f"{who} is where one is reported{_part(share)}"
+
+
+def _how_much(flags: list[bool]) -> str:
+    """Return for how much of the time something is reported; empty if it is never there."""
+    if not flags:
+        return ""
+    share = sum(flags) / len(flags)
+    return {0.0: "never reported", 1.0: "always reported"}.get(share, f"reported{_part(share)}")
+
+
+def _part(share: float) -> str:
+    """Return a share of the time in words; empty for none and for all."""
+    return "" if share in (0, 1) else f" {min(0.99, max(0.01, share)):.0%} of the time"
+
+
+def _until(trace: Trace, time_s: float) -> list[int]:
+    """Return the samples of a drive up to a time."""
+    samples: list[int] = np.flatnonzero(np.asarray(trace.time_s, dtype=np.float64) <= time_s + 1e-3).tolist()
+    return samples
 
 
 def middles(story: PairStory, time_s: float, turn_rad: float) -> list[Points]:

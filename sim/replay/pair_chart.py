@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from brink.sim.replay.pair import SAFE, Interval, PairStory, limit_words
+from brink.sim.replay.pair import SAFE, Interval, PairStory
 from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
-from brink.sim.replay.story import report_word, reported, runs, unit_of
+from brink.sim.replay.story import margin_name, report_word, reported, runs, unit_of
 from brink.sim.replay.style import (
     GHOST,
     INK,
@@ -34,6 +34,7 @@ from brink.sim.replay.style import (
     readable_on,
 )
 from brink.sim.replay.timeline import DPI, GREATEST_ROBUSTNESS, QUIET, scripts_of, style_axes
+from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import Trace
 
 _LANE: Final = 0.4
@@ -42,9 +43,9 @@ _GAP_PX: Final = 7
 _MOST_SCRIPTS: Final = 3
 _TOP: Final = 1.04
 """Where greater robustness is drawn, in multiples of the greatest one that is not cut."""
-_PANEL_NAME_LETTERS: Final = 16
+_PANEL_NAME_LETTERS: Final = 13
 """Letters that a line of a panel's name may have, so that it fits beside the panel."""
-_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 110, 26, 44
+_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 118, 26, 44
 DIFFERENCE: Final[Rgb] = (253, 238, 214)
 """Shading of the time in which the reports of the drives differ."""
 _HATCH: Final[Rgb] = (222, 160, 172)
@@ -223,7 +224,7 @@ def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval
             own = SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
             for run in row.lanes[lane]:
                 colour = own if row.colour is None else row.colour(run[0])
-                _band(axes, trace, y, run, colour, window)
+                _band(axes, trace, y, run, colour, window, story.moment_s)
             if end_s < story.end_s - 0.5 and end_s < window.end_s - 0.5 and index == len(rows) - 1:
                 axes.text(
                     end_s, y + _LANE / 2, " drive ends", va="center", fontsize=8, color=hexadecimal(MUTED)
@@ -243,7 +244,9 @@ def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval
         label.set_color(hexadecimal(SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE))
 
 
-def _band(axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Interval) -> None:
+def _band(
+    axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Interval, moment_s: float
+) -> None:
     word, first, last = run[0].replace("_", " "), *run[1:]
     start_s = float(trace.time_s[first])
     end_s = float(trace.time_s[min(last + 1, len(trace.time_s) - 1)])
@@ -255,11 +258,14 @@ def _band(axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Int
         [(start_s, end_s - start_s)], (y, _LANE * 0.94), facecolor=hexadecimal(colour), linewidth=0,
         hatch="////" if hidden else None, edgecolor=hexadecimal(_HATCH) if hidden else None,
     )  # fmt: skip
+    # The line of the moment would strike the word through: it is written in the longer part beside it.
+    if start_s < moment_s < end_s:
+        start_s, end_s = max((start_s, moment_s), (moment_s, end_s), key=lambda part: part[1] - part[0])
     if word and end_s - start_s > 0.012 * (window.end_s - window.start_s) * len(word):
         axes.text(
             (start_s + end_s) / 2, y + _LANE * 0.49, word, ha="center", va="center", fontsize=8,
             color=hexadecimal(VIOLATION if hidden else readable_on(colour)),
-            path_effects=[withStroke(linewidth=3, foreground="white")] if hidden else None,
+            path_effects=[withStroke(linewidth=4, foreground="white")] if hidden else None,
         )  # fmt: skip
 
 
@@ -284,10 +290,12 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
         values = np.where(np.isfinite(values), values, 1e3)
         inside = (trace.time_s >= window.start_s) & (trace.time_s <= window.end_s)
         found.append(values[inside])
-        axes.plot(trace.time_s, values, color=hexadecimal(colour), linewidth=2.0, zorder=3)
+        # A sample keeps the lowest robustness until the next one: drawn when it was reached.
+        time_s = np.asarray(trace.time_s, dtype=np.float64) + story.unsafe.lag_s
+        axes.plot(time_s, values, color=hexadecimal(colour), linewidth=2.0, zorder=3)
         if colour == UNSAFE_DRIVE:
             axes.fill_between(
-                trace.time_s, np.minimum(values, 0), 0, color=hexadecimal(VIOLATION), alpha=0.5, linewidth=0
+                time_s, np.minimum(values, 0), 0, color=hexadecimal(VIOLATION), alpha=0.5, linewidth=0
             )
     shown = np.concatenate(found) if found else np.zeros(1)
     least = min(0.0, float(shown.min(initial=0.0)))
@@ -299,17 +307,14 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
     axes.axhspan(least - most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
     axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.1)
     axes.set_ylabel(unit_of(name) or "robustness", fontsize=9)
-    limit = limit_words(name)
-    title = wrap(story.unsafe.title.replace("-", " "), _PANEL_NAME_LETTERS)
-    lines = [*title, "to spare", *([f"({limit})"] if limit else [])]
+    lines = wrap(margin_name(name), _PANEL_NAME_LETTERS)
+    if story.unsafe.title == "front-gap":
+        lines.append(f"(gap − {REQUIRED_GAP_M:g} m)")
     _name_panel(axes, "\n".join(lines))
     if float(shown.max(initial=0.0)) > most * _TOP:
-        unit = unit_of(name)
-        axes.annotate(
-            f"{most * _TOP:.1f}{f' {unit}' if unit else ''} or more", (0, most * _TOP),
-            xycoords=("axes fraction", "data"), xytext=(4, -3), textcoords="offset points", va="top", fontsize=8,
-            color=hexadecimal(MUTED),
-        )  # fmt: skip
+        # Where the lines are cut is a tick: words inside would be struck through by them.
+        ticks = [tick for tick in axes.get_yticks().tolist() if least <= tick < 0.7 * most]
+        axes.set_yticks([*ticks, most * _TOP], [*(f"{tick:g}" for tick in ticks), f"{most * _TOP:.3g}+"])
     axes.annotate(
         "violated", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -4), textcoords="offset points", va="top",
         fontsize=9, color=hexadecimal(VIOLATION),

@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw
 
 from brink.sim.replay.camera_view import FilmView, Reported, SketchView
 from brink.sim.replay.frame import Size
-from brink.sim.replay.map_view import MapView, Marked, ObstacleStyle, Twin, road_heading
+from brink.sim.replay.map_view import DOTS_M, MapView, Marked, ObstacleStyle, Twin, road_heading
 from brink.sim.replay.pair import (
     SAFE,
     DrivePair,
@@ -18,12 +18,14 @@ from brink.sim.replay.pair import (
     middles,
     outcome_words,
     pair_story,
+    reality_words,
     sample_at,
     state_words,
 )
 from brink.sim.replay.pair_chart import DIFFERENCE, PairChart, draw_pair_chart
 from brink.sim.replay.scene import (
     LABELS,
+    PARKED,
     EpisodeScene,
     FrontGap,
     front_gap,
@@ -67,6 +69,11 @@ AHEAD_S: Final = 4.0
 """How much of each car's way after the moment a still image shows."""
 
 _MARGIN: Final = 24
+_MAP_GAP_PX: Final = 16
+_STILL_MAP_WIDTH_PX: Final = (STILL_WIDTH_PX - 2 * _MARGIN - _MAP_GAP_PX) // 2
+_MAP_HEIGHT_PX: Final = 400
+_SAME_CAR_M: Final = 0.3
+"""Cars this close are in the same place: one of them is drawn."""
 _CAMERA_SIZE: Final[Size] = (496, 372)
 _ONE_BOX_PX: Final = 2.0
 """Reports of both drives whose boxes are this close together are drawn as one."""
@@ -74,7 +81,7 @@ _OBSTACLES: Final = ObstacleStyle(
     colour=INK,
     there=tuple(f"reported {label}" for label in LABELS),
     nothing_there=tuple(f"reported {label}, nothing there" for label in LABELS),
-    any_kind=True,
+    says_what_is_there=True,
 )
 """Perceived obstacles in the colour of neither drive."""
 
@@ -140,7 +147,7 @@ class PairPainter:
             left = self._lefts[index]
             image = _draw_map(self.story, self._maps, index, time_s, centres[index], ahead=0)
             frame.paste(image, (left, self._map_y))
-            bad = story.violated and time_s >= float(side.trace.time_s[story.decisive]) - 1e-3
+            bad = story.violated and time_s >= float(side.trace.time_s[story.shown]) - 1e-3
             box = (left, self._map_y, left + self._map_size[0] - 1, self._map_y + self._map_size[1] - 1)
             draw.rectangle(box, outline=VIOLATION if bad else HAIRLINE, width=round((4 if bad else 1) * unit))
             at, font = (left + 98 * unit, self._words_y + 20 * unit), typeface(round(12 * unit))
@@ -232,7 +239,8 @@ def _header(story: PairStory) -> Image.Image:
             else "Different episode seeds: chance differs, too."
         )
     lines = _lines(probe, story.pair.change, 29, INK, room, bold=True)
-    lines += _lines(probe, " ".join(story.pair.findings), 20, INK, room, bold=True)
+    lines += _lines(probe, reality_words(story), 19, INK, room)
+    lines += _lines(probe, " ".join(story.pair.findings), 19, INK, room)
     lines += _lines(probe, " ".join([*about, *story.pair.facts]), 15, MUTED, room)
     image = Image.new("RGB", (STILL_WIDTH_PX, 34 + sum(line.height_px for line in lines)), PAPER)
     _write(ImageDraw.Draw(image), lines, (_MARGIN, 18))
@@ -278,7 +286,7 @@ def _draw_map(
             colour=SAFE_DRIVE if other_name == SAFE else UNSAFE_DRIVE,
         )
         mine = side.trace.ego[sample_at(side.trace, time_s), :2]
-        if float(np.hypot(*(mine - (x_m, y_m)))) < 0.3:
+        if float(np.hypot(*(mine - (x_m, y_m)))) < _SAME_CAR_M:
             twin = None  # the cars are in the same place
     return maps[index].draw(
         sample_at(side.trace, time_s), centre_m=centre_m, twin=twin, ahead=ahead, gap=gap, marked=marked,
@@ -288,9 +296,9 @@ def _draw_map(
 
 def _side_by_side(story: PairStory) -> Image.Image:
     """Return both maps at the moment, each below its verdict."""
-    gap, chip_px = 16, 124
-    wide = (STILL_WIDTH_PX - 2 * _MARGIN - gap) // 2
-    size = wide, 400
+    gap, chip_px = _MAP_GAP_PX, 124
+    wide = _STILL_MAP_WIDTH_PX
+    size = wide, _MAP_HEIGHT_PX
     probe = ImageDraw.Draw(Image.new("RGB", (1, 1)))
     verdicts = [_verdict_lines(probe, story, index, wide - chip_px) for index in (0, 1)]
     words_px = 12 + max(sum(line.height_px for line in lines) for lines in verdicts)
@@ -477,23 +485,62 @@ def _legend(story: PairStory) -> Image.Image:
     draw = ImageDraw.Draw(image)
     font = typeface(14)
     x, y = float(_MARGIN), 18.0
-    entries: list[tuple[str, str]] = [
-        ("ego", "car under test; dots: its next 4 s"),
-        ("twin", "car of the other drive"),
-        ("vehicle", "vehicle"),
-        ("parked", "parked"),
-    ]
-    if any(not is_car(actor) for _, side, _ in story.parts for actor in side.trace.actors):
-        entries.append(("person", "person"))
-    if any(len(side.trace.perceived.rows) for _, side, _ in story.parts):
-        entries.append(("ghost", "reported obstacle; crossed: nothing there"))
-    if story.differing:
-        entries.append(("shading", "reports differ"))
-    for key, words in entries:
+    for key, words in _legend_entries(story):
         _draw_key(draw, key, x, y)
         draw.text((x + 40, y), words, fill=MUTED, font=font, anchor="lm")
         x += 40 + draw.textlength(words, font=font) + 26
     return image
+
+
+def _legend_entries(story: PairStory) -> list[tuple[str, str]]:
+    """Return the keys of what the maps and the chart show, each with its words."""
+    seen = [_in_view(story, index) for index in (0, 1)]
+    dots = f"; dots: its next {AHEAD_S:g} s" if any("dots" in one for one in seen) else ""
+    entries = [("ego", f"car under test{dots}")]
+    entries += [
+        (key, words)
+        for key, words in (
+            ("twin", "car of the other drive"), ("vehicle", "vehicle"), ("parked", "parked"), ("person", "person"),
+            ("ghost", "reported obstacle; crossed: not there"),
+        )
+        if any(key in one for one in seen)
+    ]  # fmt: skip
+    window = story.window()
+    if any(span.start_s < window.end_s and span.end_s > window.start_s for span in story.differing):
+        entries.append(("shading", "reports differ"))
+    return entries
+
+
+def _in_view(story: PairStory, index: int) -> set[str]:
+    """Return which keys of the legend a map at the moment needs."""
+    trace, other = story.parts[index][1].trace, story.parts[1 - index][1].trace
+    turn_rad, sample = _turn_rad(story), sample_at(trace, story.shown_s)
+    centre = middles(story, story.shown_s, turn_rad)[index]
+    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+    turn = np.array([[cosine, sine], [-sine, cosine]])
+    half = np.array([MAP_WIDTH_M / 2, MAP_WIDTH_M / 2 * _MAP_HEIGHT_PX / _STILL_MAP_WIDTH_PX])
+
+    def visible(points: NDArray[np.float64]) -> bool:
+        return bool((np.abs((points - centre) @ turn) < half).all(axis=-1).any())
+
+    found = set()
+    for actor in trace.actors:
+        if visible(np.asarray(actor.motion[sample, :2], np.float64)):
+            found.add("vehicle" if is_car(actor) else "person")
+    if any(s.kind == PARKED and visible(s.points.astype(np.float64)) for s in trace.scene):
+        found.add("parked")
+    rows = trace.perceived.at(sample)
+    if len(rows) and visible(rows[:, 2:4].astype(np.float64)):
+        found.add("ghost")
+    if story.same_road:
+        there = other.ego[sample_at(other, story.shown_s), :2].astype(np.float64)
+        if visible(there) and float(np.hypot(*(there - trace.ego[sample, :2]))) >= _SAME_CAR_M:
+            found.add("twin")
+    last = sample_at(trace, story.shown_s + AHEAD_S)
+    path = np.hypot(*np.diff(trace.ego[sample : last + 1, :2], axis=0).T).sum()
+    if path > trace.ego_size_m[0] / 2 + DOTS_M:
+        found.add("dots")
+    return found
 
 
 def _draw_key(draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
@@ -504,7 +551,7 @@ def _draw_key(draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
     if key in ("ego", "vehicle"):
         draw.rounded_rectangle(box, radius=4, fill=EGO if key == "ego" else VEHICLE)
     elif key == "parked":
-        draw.rectangle(box, fill=FILLS["parked-car"], outline=EDGES["parked-car"])
+        draw.rectangle(box, fill=FILLS[PARKED], outline=EDGES[PARKED])
     elif key == "shading":
         draw.rectangle(box, fill=DIFFERENCE)
     elif key == "person":

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.sim.driving.camera import Camera
 from brink.sim.episode import Json
 from brink.sim.errors import SimulatorError
 from brink.sim.perception_errors import MODE
@@ -42,9 +43,21 @@ PICTURE_COLOURS: Final = {"judged": (64, 222, 128), "found": (255, 52, 52), "reg
 """Colours of lines that are visible on images by day and by night: ground truth, detections, brake regions."""
 
 _MATCH_M: Final = 2.5
-"""A perceived obstacle this close to a road user of its kind is taken to be that road user; any other is a ghost."""
+"""A perceived obstacle this close to a road user of its kind is taken to be that road user."""
+_MATCH_PX: Final = 4.0
+"""Where boxes are placed by what is seen, a place this many pixels off is taken to be the same, too.
+
+A pixel is centimetres close by and metres far away.
+"""
+_GHOST_ERROR: Final = "ghost"
+"""What the names of errors begin with that report what is not there."""
+_LABEL_ERROR: Final = "wrong_label"
+_IN_PLACE: Final = frozenset({"miss", "late", "flicker", "short_range", "too_fast", "speed_noise"})
+"""Errors that hide what is there, or mistake its speed, but report nothing where it is not."""
 _ACTOR_KINDS: Final = ("vehicle", "pedestrian", "vehicle")
 """The kind of road user that an obstacle matches, by label."""
+PARKED: Final = "parked-car"
+"""A kind of surface: a vehicle that is no road user."""
 _MOVING_MPS: Final = 1.0
 """A slower obstacle has no heading of its own."""
 _LEAST_SIDE_M: Final = 0.8
@@ -53,6 +66,7 @@ SKETCHED_FROM_M: Final = 0.4
 SKETCHED_TO_M: Final = 90.0
 """Smallest and greatest distance of objects shown in a sketch of the camera view."""
 
+_CAMERA: Final = Camera()
 _BRAKING_MPS2: Final = -1.0
 _SMOOTHING_S: Final = 2.0
 _GAP_DRAWN_UP_TO_M: Final = 40.0
@@ -86,7 +100,7 @@ _SURFACE_STYLES: Final[Mapping[str, SurfaceStyle]] = {
     "crossing": SurfaceStyle("marking"),
     "stop-line": SurfaceStyle("marking"),
     "building": SurfaceStyle("building", outlined=True, height_m=6.0),
-    "parked-car": SurfaceStyle("parked-car", outlined=True, height_m=1.4),
+    PARKED: SurfaceStyle("parked-car", outlined=True, height_m=1.4),
     "tree": SurfaceStyle("tree", outlined=True, height_m=4.5),
 }
 _UNKNOWN_SURFACE: Final = SurfaceStyle("unknown")
@@ -145,13 +159,16 @@ class Obstacles:
         yaw_rad: Headings: of the motion, or the ego's for an obstacle that hardly moves, shape ``(k,)``.
         length_m: Extents along the headings, shape ``(k,)``.
         width_m: Extents across the headings, shape ``(k,)``.
-        ghost: Whether no road user of that kind is there, shape ``(k,)``.
+        ghost: Whether it is known that no road user of that kind is reported there, shape ``(k,)``.
+        astray: Whether it is no ghost, but no road user of that kind is where it is perceived, shape ``(k,)``: a true
+            one was reported at a wrong place or with a wrong label.
     """
 
     yaw_rad: Points
     length_m: Points
     width_m: Points
     ghost: Flags
+    astray: Flags
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,18 +209,63 @@ def _obstacles(trace: Trace) -> Obstacles:
     samples = np.repeat(np.arange(len(trace.time_s)), np.diff(trace.perceived.first))
     moving = np.hypot(vx_mps, vy_mps) > _MOVING_MPS
     kinds = np.array([_ACTOR_KINDS[label_index(value)] for value in label.tolist()], dtype=np.str_)
+    limit_m = np.full(len(rows), _MATCH_M)
+    if not is_injected(trace):
+        away_m = np.hypot(x_m - trace.ego[samples, 0], y_m - trace.ego[samples, 1])
+        limit_m = np.maximum(limit_m, _MATCH_PX * away_m**2 / (_CAMERA.focal_px * _CAMERA.height_m))
     real = np.zeros(len(rows), dtype=np.bool_)
     for actor in trace.actors:
         there = actor.motion[samples]
         # A comparison with NaN is false: an actor that is absent matches nothing.
-        near = np.hypot(there[:, 0] - x_m, there[:, 1] - y_m) < _MATCH_M
+        near = np.hypot(there[:, 0] - x_m, there[:, 1] - y_m) < limit_m
         real |= near & (kinds == str(actor.kind))
+    ghosts = may_report_ghosts(trace)
     return Obstacles(
         yaw_rad=np.where(moving, np.arctan2(vy_mps, vx_mps), trace.ego[samples, 2]),
         length_m=np.fmax(length_m, _LEAST_SIDE_M),
         width_m=np.fmax(width_m, _LEAST_SIDE_M),
-        ghost=~real,
+        ghost=~real if ghosts else np.zeros_like(real),
+        astray=~real if not ghosts and bool(_errors_of_place(trace)) else np.zeros_like(real),
     )
+
+
+def may_report_ghosts(trace: Trace) -> bool:
+    """Return whether something may be reported that is not there: not by the truth, nor by errors that hide it."""
+    if has_errors(trace):
+        return any(kind.startswith(_GHOST_ERROR) for kind in _error_types(trace))
+    return not _is_true(trace)
+
+
+def astray_words(trace: Trace, label: int) -> str:
+    """Return the caption of an obstacle that is astray, such as ``misplaced vehicle``."""
+    return f"{' or '.join(_errors_of_place(trace)) or 'misplaced'} {LABELS[label]}"
+
+
+def ghost_words(trace: Trace, label: int) -> str:
+    """Return the caption of a ghost; where the errors of the episode do not tell, it may be a true one astray."""
+    doubt = "".join(f" or {word}" for word in _errors_of_place(trace))
+    return f"ghost{doubt} {LABELS[label]}"
+
+
+def _errors_of_place(trace: Trace) -> list[str]:
+    """Return what the errors of an episode may do to what is there: report it misplaced, or mislabelled."""
+    kinds = {kind for kind in _error_types(trace) if not kind.startswith(_GHOST_ERROR)}
+    places = kinds - _IN_PLACE - {_LABEL_ERROR}
+    return [*(["misplaced"] if places else []), *(["mislabelled"] if _LABEL_ERROR in kinds else [])]
+
+
+def _error_types(trace: Trace) -> list[str]:
+    """Return the types of the errors of an episode."""
+    errors = spec_part(trace, "behaviour").get("errors")
+    found = (
+        [one.get("type") for one in errors if isinstance(one, Mapping)] if isinstance(errors, list) else []
+    )
+    return [kind for kind in found if isinstance(kind, str)]
+
+
+def _is_true(trace: Trace) -> bool:
+    """Return whether the reported boxes are the ground truth."""
+    return trace.film is None and spec_part(trace, "behaviour").get("mode") == "oracle"
 
 
 def label_index(label: float) -> int:
@@ -408,21 +470,27 @@ def obstacles_on(scene: EpisodeScene, sample: int, actor: int) -> list[int]:
     return found
 
 
-def nothing_there(scene: EpisodeScene, sample: int, row: int) -> bool:
-    """Return whether neither a road user nor a parked car is where an obstacle is perceived."""
+def found_at(scene: EpisodeScene, sample: int, row: int) -> tuple[str, ...]:
+    """Return what is where an obstacle is perceived: kinds of road users, and `PARKED` for a parked car."""
     trace = scene.trace
     box = obstacle_outline(scene, row)
     middle, reach_m = box.mean(axis=0), float(np.hypot(*(box[0] - box[2])))
-    if any(
-        np.hypot(*(actor.motion[sample, :2] - middle)) < reach_m + actor.length_m
-        and row in obstacles_on(scene, sample, index)
+    found = [
+        str(actor.kind)
         for index, actor in enumerate(trace.actors)
-    ):
-        return False
-    parked = (
-        s.points.astype(np.float64) for s in trace.scene if s.kind == "parked-car" and len(s.points) > 2
-    )
-    return not any(_overlap(box, corners) for corners in parked)
+        if np.hypot(*(actor.motion[sample, :2] - middle)) < reach_m + actor.length_m
+        and row in obstacles_on(scene, sample, index)
+    ]
+    parked = (s.points.astype(np.float64) for s in trace.scene if s.kind == PARKED and len(s.points) > 2)
+    if any(_overlap(box, corners) for corners in parked):
+        found.append(PARKED)
+    return tuple(dict.fromkeys(found))
+
+
+def is_there(label: int, kinds: Sequence[str]) -> bool:
+    """Return whether what is at a place is what a label says; a parked car is a vehicle."""
+    wanted = _ACTOR_KINDS[label]
+    return wanted in kinds or (wanted == "vehicle" and PARKED in kinds)
 
 
 def obstacle_outline(scene: EpisodeScene, row: int) -> Points:

@@ -107,11 +107,12 @@ def _frame_moment(
     unit = painter.layout.unit
     draw = ImageDraw.Draw(strip)
     decisive = moment.sample == painter.story.shown
-    bad = moment.sample in {one.sample for one in painter.story.violations}
+    bad = moment.sample in {one.shown for one in painter.story.violations}
     edge = VIOLATION if bad else (INK if decisive else HAIRLINE)
     line = round((3 if decisive else 1) * unit)
     draw.rectangle((left, top, left + wide, top + high), outline=edge, width=max(1, line))
-    text = f"{float(painter.trace.time_s[moment.sample]):.1f} s"
+    sample_s = float(painter.trace.time_s[moment.sample])
+    text = f"{sample_s if moment.time_s is None else moment.time_s:.1f} s"
     ink = VIOLATION if bad else INK
     draw.text((left, top + high + 5 * unit), text, fill=ink, font=typeface(round(13 * unit), bold=True))
     draw.text(
@@ -187,7 +188,7 @@ def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int,
             continue
         sample = int(np.abs(np.asarray(trace.time_s) - at_s).argmin())
         sheet.paste(view.draw(sample), (left, top))
-        bad = any(sample >= one.sample for one in story.violations)
+        bad = any(sample >= one.shown for one in story.violations)
         draw.rectangle(frame, outline=VIOLATION if bad else HAIRLINE, width=4 if bad else 1)
         draw.text(
             (left + TILE_PX[0] - 8, top + TILE_PX[1] - 8),

@@ -13,12 +13,13 @@ from brink.sim.replay.scene import (
     PERSON,
     ReplayError,
     count_wrong,
+    gap_words,
     has_errors,
     is_injected,
     plain_name,
     spec_part,
 )
-from brink.sim.requirements import CollisionKind
+from brink.sim.requirements import REQUIRED_GAP_M, CollisionKind
 from brink.sim.trace import ACTION, VIOLATED_AT_S, WORDS, Event, Trace
 from brink.sim.urban.detection_errors import errors_from_json
 from brink.sim.verdict import held_words, violated_words
@@ -38,6 +39,8 @@ REQUIREMENT_UNITS: Final = {
 }
 """Units of robustness, by id without version, of the requirements that ship with the project."""
 
+_NO_VEHICLE_M: Final = 48.0
+"""A greater margin of the front gap means that no vehicle is ahead."""
 _MOST_MOMENTS: Final = 6
 _LEAD_UP_S: Final = (1.0, 2.5, 5.0)
 """How long before the decisive moment to look for other moments."""
@@ -51,10 +54,17 @@ Judged: TypeAlias = str | Sequence[str] | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """A sample that is worth drawing, and the reason."""
+    """A sample that is worth drawing, and the reason.
+
+    Attributes:
+        sample: The sample.
+        reason: Why, in a few words.
+        time_s: Exact time of a violation; None if that of the sample is meant.
+    """
 
     sample: int
     reason: str
+    time_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,14 +73,18 @@ class ViolatedHere:
 
     Attributes:
         requirement: Id of the requirement, as the trace records it.
-        sample: Sample of the first violation.
+        sample: Sample whose robustness tells of it: the lowest until the next sample.
+        shown: Sample that shows it: the one whose time reads as its own.
         time_s: Its exact time; of old traces, up to a sample's length too early.
+        lag_s: How long after `sample` that is.
         words: What the ego did and when, such as ``hit a pedestrian at 12.8 s``.
     """
 
     requirement: str
     sample: int
+    shown: int
     time_s: float
+    lag_s: float
     words: str
 
 
@@ -101,8 +115,13 @@ class Story:
     words: str
 
     @property
+    def lag_s(self) -> float:
+        """How long after the sample that tells of it the requirement was violated; 0 without a violation."""
+        return self.violations[0].lag_s if self.violated else 0.0
+
+    @property
     def shown(self) -> int:  # noqa: D102  (see above)
-        return self.violations[0].sample if self.violations else self.decisive
+        return self.violations[0].shown if self.violations else self.decisive
 
 
 def story_of(trace: Trace, requirement: Judged = None) -> Story:
@@ -135,7 +154,7 @@ def story_of(trace: Trace, requirement: Judged = None) -> Story:
         violated=bool(below.size),
         decisive=decisive,
         least=float(series.min()),
-        moments=_moments(trace, decisive, others, violated=bool(below.size)),
+        moments=_moments(trace, decisive, violations[0] if below.size else None, others),
         violations=violations,
         words="; ".join(words),
     )
@@ -152,8 +171,20 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
             what = violated_words(name, None if hit is None else _kind_of(trace, hit))
             time_s = _violated_at_s(trace, name, sample, hit)
             words = f"{what} at {time_s:.1f} s"
-            found.append(ViolatedHere(requirement=name, sample=sample, time_s=time_s, words=words))
+            shown = _reads_as(trace, time_s, sample)
+            found.append(
+                ViolatedHere(
+                    requirement=name, sample=sample, shown=shown, time_s=time_s, words=words,
+                    lag_s=max(0.0, time_s - float(trace.time_s[sample])),
+                )
+            )  # fmt: skip
     return tuple(sorted(found, key=lambda one: (one.requirement != chosen, one.sample)))
+
+
+def _reads_as(trace: Trace, time_s: float, sample: int) -> int:
+    """Return which sample of a violation or after it has a time that reads as a given one; by default the former."""
+    following = range(sample, min(sample + 2, len(trace.time_s)))
+    return next((one for one in following if f"{float(trace.time_s[one]):.1f}" == f"{time_s:.1f}"), sample)
 
 
 def _violated_at_s(trace: Trace, requirement: str, sample: int, hit: Event | None) -> float:
@@ -211,13 +242,27 @@ def _preference(requirement: str) -> int:
 
 
 def _moments(
-    trace: Trace, decisive: int, others: Sequence[ViolatedHere], *, violated: bool
+    trace: Trace, decisive: int, violation: ViolatedHere | None, others: Sequence[ViolatedHere]
 ) -> tuple[Moment, ...]:
-    """Pick the most important moments that are at least a twentieth of the episode apart."""
+    """Pick the most important moments that are at least a twentieth of the episode apart.
+
+    Args:
+        trace: The episode.
+        decisive: Sample of the lowest robustness, which counts without a violation.
+        violation: Of the requirement that the story is about, if it is violated.
+        others: Violations of other requirements.
+    """
     last = len(trace.time_s) - 1
-    candidates = [Moment(sample=decisive, reason="violation" if violated else "closest")]
-    candidates += [Moment(sample=one.sample, reason=one.words.partition(" at ")[0]) for one in others]
-    candidates += _lead_up(trace, others[0].sample if others and not violated else decisive)
+    if violation is None:
+        candidates = [Moment(sample=decisive, reason="closest")]
+        leads_to = others[0].shown if others else decisive
+    else:
+        candidates = [Moment(sample=violation.shown, reason="violation", time_s=violation.time_s)]
+        leads_to = violation.shown
+    candidates += [
+        Moment(sample=one.shown, reason=one.words.partition(" at ")[0], time_s=one.time_s) for one in others
+    ]
+    candidates += _lead_up(trace, leads_to)
     candidates += [Moment(sample=0, reason="start"), Moment(sample=last, reason="end")]
     apart = max(1, min(8, last // 20))
     chosen: list[Moment] = []
@@ -353,6 +398,33 @@ def report_word(trace: Trace) -> str:
         return "wrong"
     oracle = trace.film is None and spec_part(trace, "behaviour").get("mode") == "oracle"
     return "seen" if oracle else "detected"
+
+
+def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
+    """Return what a requirement measured, and how that compares with what it requires.
+
+    Of the front gap that is the gap itself, of any other requirement its margin: its distance from being violated.
+
+    Args:
+        requirement: Its id, with or without version.
+        robustness: Its robustness, finite.
+    """
+    if plain_name(requirement) != "front-gap":
+        return with_unit(robustness, requirement), "violated" if robustness < 0 else "to spare"
+    if robustness > _NO_VEHICLE_M:
+        return "no vehicle ahead", ""
+    required = f"{REQUIRED_GAP_M:g} m"
+    gap = gap_words(robustness + REQUIRED_GAP_M)
+    if robustness >= 0:
+        return gap, f"{required} required"
+    shown = gap.removesuffix(" m")
+    digits = len(shown.partition(".")[2])
+    return gap, f"{REQUIRED_GAP_M - float(shown):.{digits}f} m short of {required}"
+
+
+def margin_name(requirement: str) -> str:
+    """Return what the robustness of a requirement is called, such as ``front gap margin``."""
+    return f"{plain_name(requirement).replace('-', ' ')} margin"
 
 
 def unit_of(requirement: str) -> str:

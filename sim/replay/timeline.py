@@ -12,6 +12,7 @@ from brink.sim.replay.scene import LABELS, PERSON, count_wrong, has_errors
 from brink.sim.replay.story import (
     Judged,
     Story,
+    margin_name,
     notable_events,
     report_word,
     reported,
@@ -126,15 +127,16 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
     shown = np.minimum(np.where(np.isfinite(values), values, most * 2), most * 2)
     axes.axhspan(least - 2 * most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
     axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.2)
-    axes.plot(trace.time_s, shown, color=hexadecimal(INK), linewidth=1.8)
-    axes.fill_between(
-        trace.time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0
-    )
+    # A sample keeps the lowest robustness until the next one: drawn when it was reached.
+    time_s = np.asarray(trace.time_s, dtype=np.float64) + story.lag_s
+    axes.plot(time_s, shown, color=hexadecimal(INK), linewidth=1.8)
+    axes.fill_between(time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0)
     axes.set_ylim(least - 0.22 * (most - least), most * 1.08)
     axes.set_ylabel(unit_of(story.requirement) or "robustness")
     style_axes(axes)
     axes.text(
-        1.008, 0.97, f"{story.title}\nto spare", transform=axes.transAxes, va="top", fontsize=9,
+        1.008, 0.97, margin_name(story.title).replace(" margin", "\nmargin"), transform=axes.transAxes, va="top",
+        fontsize=9,
         color=hexadecimal(INK), linespacing=1.25,
     )  # fmt: skip
     axes.annotate(
@@ -204,11 +206,11 @@ def _band(axes: Axes, trace: Trace, row: int, first: int, last: int, colour: Rgb
 def _mark_events(top: Axes, below: tuple[Axes, ...], trace: Trace, story: Story) -> None:
     """Draw a thin line through all panels for each event, labelled above if there is room."""
     span_s = max(1e-6, float(trace.time_s[-1] - trace.time_s[0]))
-    marks = [(float(trace.time_s[story.decisive]), "violation" if story.violated else "closest", VIOLATION)]
-    if not story.violated:
-        marks = [(marks[0][0], marks[0][1], INK)]
+    marks = [(float(trace.time_s[story.decisive]), "closest", INK)]
+    if story.violated:
+        marks = [(story.violations[0].time_s, "violation", VIOLATION)]
     others = [one for one in story.violations if one.requirement != story.requirement]
-    marks += [(float(trace.time_s[one.sample]), one.words.partition(" at ")[0], VIOLATION) for one in others]
+    marks += [(one.time_s, one.words.partition(" at ")[0], VIOLATION) for one in others]
     marks += [(event.time_s, event.kind, MUTED) for event in notable_events(trace)]
     written: list[tuple[float, float]] = []
     for time_s, word, colour in marks:

@@ -219,8 +219,7 @@ class DetectionError:
 
     def words_with(self, magnitude: str) -> str:
         """Return what is wrong in words, with the magnitude as given and without the onset."""
-        many = self.target in (Target.ONCOMING, Target.CROSSING) or not MAGNITUDES[self.type].has_window
-        return words_of_error(self.type, self.target, magnitude, many=many)
+        return words_of_error(self.type, self.target, magnitude)
 
     @property
     def onset_words(self) -> str:
@@ -234,14 +233,16 @@ class DetectionError:
                 return f"when a pedestrian steps out after {self.onset_s:.1f} s"
 
 
-_SINGLE: Final = {
-    Target.LEAD: "the lead",
-    Target.ONCOMING: "oncoming traffic",
-    Target.CROSSING: "crossing traffic",
-    Target.PEDESTRIAN: "the nearest pedestrian",
-    Target.EVERYBODY: "everybody",
+_SINGLE: Final = {Target.LEAD: "the lead", Target.PEDESTRIAN: "the nearest pedestrian"}
+"""A target that is a single road user in a time window."""
+_KIND: Final = {
+    Target.LEAD: "vehicle going the same way",
+    Target.ONCOMING: "oncoming vehicle",
+    Target.CROSSING: "crossing vehicle",
+    Target.PEDESTRIAN: "pedestrian",
+    Target.EVERYBODY: "road user",
 }
-_KIND: Final = {**_SINGLE, Target.LEAD: "traffic going the same way", Target.PEDESTRIAN: "every pedestrian"}
+"""A target that is all of its kind."""
 _GHOST: Final = {
     Target.LEAD: "a vehicle that is not there",
     Target.ONCOMING: "an oncoming vehicle that is not there",
@@ -249,10 +250,11 @@ _GHOST: Final = {
     Target.PEDESTRIAN: "a person who is not there",
     Target.EVERYBODY: "a vehicle and a person that are not there",
 }
+_NOT: Final = "not "
 _REPORTS: Final[Mapping[ErrorType, tuple[str, str]]] = {
-    ErrorType.MISS: ("not ", "for {much}"),
+    ErrorType.MISS: (_NOT, "for {much}"),
     ErrorType.LATE: ("first ", "{much} late"),
-    ErrorType.FLICKER: ("not ", "{much} of the time"),
+    ErrorType.FLICKER: (_NOT, "{much} of the time"),
     ErrorType.TOO_FAR: ("", "{much} too far away"),
     ErrorType.TOO_NEAR: ("", "{much} too near"),
     ErrorType.LEFT: ("", "{much} too far left"),
@@ -267,18 +269,22 @@ _REPORTS: Final[Mapping[ErrorType, tuple[str, str]]] = {
 """The words before and after "reported" or "reporting"."""
 
 
-def words_of_error(kind: ErrorType, target: Target, magnitude: str, *, many: bool = False) -> str:
+def words_of_error(kind: ErrorType, target: Target, magnitude: str) -> str:
     """Return an error in words, without its onset, such as ``the lead is not reported for 1.3 s``.
+
+    The words say whether it concerns one road user or every one of a kind.
 
     Args:
         kind: What is wrong.
         target: Whose boxes are wrong.
         magnitude: How wrong, with the unit.
-        many: Whether all of the kind are meant, rather than a single one.
     """
     before, after = _REPORTS[kind]
-    who = (_GHOST if kind in GHOSTS else _KIND if many else _SINGLE)[target]
     verb = "are" if kind in GHOSTS and target is Target.EVERYBODY else "is"
+    who = _whose(kind, target)
+    if who is None:
+        every, before = ("no", "") if before == _NOT else ("every", before)
+        who = f"{every} {_KIND[target]}"
     return f"{who} {verb} {before}reported {after.format(much=magnitude)}"
 
 
@@ -291,10 +297,18 @@ def activity_of_error(kind: ErrorType, target: Target | None, magnitude: str) ->
         magnitude: How wrong, with the unit.
     """
     before, after = _REPORTS[kind]
-    names = _GHOST if kind in GHOSTS else _SINGLE if MAGNITUDES[kind].has_window else _KIND
-    anybody = "somebody who is not there" if kind in GHOSTS else "road users"
-    who = anybody if target is None else names[target]
+    if target is None:
+        who: str | None = "somebody who is not there" if kind in GHOSTS else "road users"
+    else:
+        who = _whose(kind, target) or f"{'any' if before == _NOT else 'every'} {_KIND[target]}"
     return f"{before}reporting {who} {after.format(much=magnitude)}"
+
+
+def _whose(kind: ErrorType, target: Target) -> str | None:
+    """Return the single road user or the ghost that an error concerns; None if it is all of a kind."""
+    if kind in GHOSTS:
+        return _GHOST[target]
+    return _SINGLE.get(target) if MAGNITUDES[kind].has_window else None
 
 
 def errors_from_json(document: Mapping[str, Json], duration_s: float) -> tuple[DetectionError, ...]:

@@ -188,7 +188,7 @@ def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
     asked = expect(own.post(f"{API}/campaigns/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
     worker.work(asked["campaign"])
     page.reload()
-    shown(evidence).to_have_text("holds with other seeds (20 of 20 drives)")
+    shown(evidence).to_have_text("confirmed: unsafe in 0/10 and 10/10 drives with other seeds")
     shown(evidence).to_have_attribute("title", re.compile("unsafe drive in 10 of 10\\.$"))
 
 

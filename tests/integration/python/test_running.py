@@ -132,7 +132,8 @@ def test_a_result_shows_itself_in_a_notebook(circle: brink.Result) -> None:
     shown = circle._repr_html_()
     assert "data:image/png;base64," in shown
     assert "edge@1 on function@1" in shown
-    picture = circle.pair(1)
+    picture = circle.pair()
+    assert picture.words == circle.pair(1).words, "without repeats, the first one is as good as any"
     assert set(picture._repr_mimebundle_()) == {"text/plain", "image/png"}
     assert picture.content.startswith(b"\x89PNG")
     assert circle.plot("parameters").axes
@@ -141,7 +142,7 @@ def test_a_result_shows_itself_in_a_notebook(circle: brink.Result) -> None:
 def test_what_is_not_there_is_named(circle: brink.Result) -> None:
     with pytest.raises(InvalidInput, match=r"expected one of map, dbs, fitness, parameters; got 'mpa'"):
         circle.plot("mpa")
-    with pytest.raises(InvalidInput, match=r"expected the place of one of \d+ pairs, from 1; got 0"):
+    with pytest.raises(InvalidInput, match=r"expected the number of one of \d+ pairs, from 1; got 0"):
         circle.pair(0)
     with pytest.raises(InvalidInput, match="expected confirm=10, component=True or minimise=True"):
         circle.check_pairs()

@@ -116,7 +116,7 @@ def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: ht
     FakeWorker(client, judge=refuting).work(again)
     found = finding(client, campaign)
     assert [one["place"] for one in found["best"]] == [2, 3]
-    assert found["best"][0]["evidence"] == "holds with other seeds (20 of 20 drives)"
+    assert found["best"][0]["evidence"] == "confirmed: unsafe in 0/10 and 10/10 drives with other seeds"
     assert "unsafe drive in 10 of 10." in found["best"][0]["shares"]
     assert (found["best"][1]["state"], found["best"][1]["shares"]) == ("not tried", "")
     assert found["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], "places stay"

@@ -95,6 +95,10 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     assert rain["confirmation"]["state"] == "not confirmed"
     assert (view["tried"], view["confirmed"], view["not_confirmed"]) == (2, 1, 1)
     assert "of 2 simulated again with other seeds, 1 confirmed and 1 not confirmed" in view["note"]
+    assert view["chance"] == [
+        "After the search, 4 sides of pairs were simulated again with other seeds; 2 had the other verdict at least "
+        "once"
+    ]
     before, after = (
         [one["seed"] for one in solutions(client, name)] for name in (campaign, asked["campaign"])
     )
@@ -243,8 +247,8 @@ def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx
     assert told["hard_rain"]["outcome"] == "violated the front gap at 16.1 s"
     assert (view["component"], view["scenario"]) == (1, 1)
     assert (
-        "with ground truth in place of the component, the unsafe side of 1 of 2 held the front gap (the component's "
-        "hazard), that of 1 violated the front gap all the same (the scenario's hazard)"
+        "with ground truth in place of the component, in one drive each, the unsafe side of 1 of 2 held the front "
+        "gap (the component's hazard), that of 1 violated the front gap all the same (the scenario's hazard)"
     ) in view["note"]
     before = {one["number"]: one["seed"] for one in solutions(client, campaign)}
     after = solutions(client, asked["campaign"])
@@ -417,8 +421,8 @@ def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Clien
     confirms = [one for one in pairs_of(listening_client, campaign)["follow_ups"] if one["kind"] == "confirm"]
     assert confirms[-1]["budget"] == 22, "both sides of the first pair"
     assert {evidence_words(view, pair) for pair in view.pairs} == {
-        "found once, confirmed 0/10 10/10, component's hazard, 1 of 3 differences is enough",
-        "found once, confirmed 0/10 10/10, scenario's hazard, minimal",
+        "found once, confirmed 0/10 10/10, component's hazard (one seed), 1 of 3 differences is enough",
+        "found once, confirmed 0/10 10/10, scenario's hazard (one seed), minimal",
     }
 
 

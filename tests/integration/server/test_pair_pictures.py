@@ -189,19 +189,14 @@ def test_shares_and_facts_say_what_is_known(disc: tuple[str, list[str]]) -> None
 @pytest.mark.parametrize(
     ("state", "outcome", "words"),
     [
-        (
-            ComponentPart.COMPONENT, "front gap held",
-            "With true perception, this drive keeps the front gap: the component is to blame.",
-        ),
+        (ComponentPart.COMPONENT, "front gap held", "keeps the front gap: the component"),
         (
             ComponentPart.COMPONENT, "front gap held; stood still too long at 14.4 s",
-            "With true perception, this drive keeps the front gap (but stood still too long at 14.4 s): "
-            "the component is to blame.",
+            "keeps the front gap (but stood still too long at 14.4 s): the component",
         ),
         (
             ComponentPart.SCENARIO, "violated the front gap at 5.5 s",
-            "With true perception, this drive is unsafe too (violated the front gap at 5.5 s): "
-            "the scenario is to blame.",
+            "is unsafe too (violated the front gap at 5.5 s): the scenario",
         ),
     ],
 )  # fmt: skip
@@ -211,13 +206,15 @@ def test_the_findings_say_what_is_to_blame(
     pair = view_of(disc).pairs[0]
     assert findings(pair) == []
     known = pair.model_copy(update={"component": ComponentView(state=state, outcome=outcome)})
-    assert findings(known) == [words]
+    assert findings(known) == [
+        f"With true perception and the same seed, this drive {words} is to blame, judged with this one seed."
+    ]
 
 
 @pytest.mark.parametrize(
     ("state", "safe", "unsafe", "words"),
     [
-        (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds a side."),
+        (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds each side."),
         (
             Confirmation.NOT_CONFIRMED, 7, 10,
             "Not confirmed, so chance may decide: with other seeds, the safe side was unsafe in 7 of 10.",

@@ -300,7 +300,8 @@ def test_map_has_a_legend_for_dots_and_rings() -> None:
 
 def test_map_names_the_parameter_that_separates_an_axis() -> None:
     axes = figure_of(figure_embedding, mixed_campaign).axes[0]
-    assert "scenario." in axes.get_xlabel() + axes.get_ylabel() or "behaviour.label" in axes.get_xlabel()
+    assert "mostly behaviour: label" in axes.get_xlabel()
+    assert "mostly scenario: weather" in axes.get_ylabel()
 
 
 def test_fitness_is_scored_with_the_results_known_at_the_time() -> None:

@@ -8,7 +8,17 @@ from brink.search.analysis.pairs import find_pairs
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.errors import TooManyPairs
 from brink.search.pairs import Steps, midpoints
-from brink.search.space import Categorical, Component, Extent, FloatArray, Integer, Real, SearchSpace
+from brink.search.space import (
+    BoolArray,
+    Categorical,
+    Component,
+    Extent,
+    FloatArray,
+    IntArray,
+    Integer,
+    Real,
+    SearchSpace,
+)
 from brink.search.testing import example_spaces
 
 SPACE = SearchSpace(
@@ -85,6 +95,27 @@ def test_a_solution_with_both_verdicts_is_on_neither_side() -> None:
     archive = archive_of((BASE, False), (BASE, True), (changed(gap=51.0), True), (changed(gap=49.0), False))
     found = find_pairs(archive, SPACE, eps=0.02, d_th=0.0)
     assert (found.chancy, [(p.safe.number, p.unsafe.number) for p in found.pairs]) == (1, [(13, 12)])
+
+
+def test_solutions_that_differ_in_nothing_that_had_a_part_are_no_pair() -> None:
+    archive = archive_of((BASE, False), (changed(gap=52.0), True), (changed(cars=3.0), True))
+    cars_alone = np.array([False, True, False, False, False])
+
+    def had_part(places: IntArray) -> BoolArray:
+        return np.tile(cars_alone, (len(places), 1))
+
+    found = find_pairs(archive, SPACE, eps=0.02, d_th=0.0, had_part=had_part)
+    assert [(pair.safe.number, pair.unsafe.number) for pair in found.pairs] == [(10, 12)]
+    assert (found.tight, found.without_part) == (1, 1)
+
+
+def test_a_difference_may_have_had_a_part_in_one_drive_alone() -> None:
+    archive = archive_of((BASE, False), (changed(gap=52.0), True))
+    part = {0: False, 1: True}
+    found = find_pairs(
+        archive, SPACE, eps=0.02, d_th=0.0, had_part=lambda places: np.array([[part[int(at)]] * 5 for at in places])
+    )  # fmt: skip
+    assert (found.tight, found.without_part) == (1, 0)
 
 
 def test_pairs_in_one_verdict_alone_do_not_exist() -> None:

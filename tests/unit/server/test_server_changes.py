@@ -56,7 +56,10 @@ def drive(
         "unit": "m",
         "violated_at_s": violated_at_s,
     }
-    result = {"features": {"delivered_steps": delivered}, "verdicts": {"front-gap@1": verdict}}
+    result = {
+        "features": {"delivered_steps": delivered, "ended_at_s": end_step / 10},
+        "verdicts": {"front-gap@1": verdict},
+    }
     return SimulatedSolution(vectors=vectors, activity=activity_of(URBAN, vectors, result), result=result)
 
 
@@ -83,13 +86,17 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
         ),
         (
             report("person", 7, 189), report("person", 80, 249),
-            "no person is reported before 7.1 s; in the safe drive one is, from 0.7 to 18.9 s",
+            "no person is reported; in the safe drive, one is from 0.7 to 18.9 s",
+        ),
+        (
+            report("person", 7, 189), report("person", 73, 249),
+            "a person is reported only after the violation, from 7.3 s instead of 0.7 s",
         ),
         (
             report("person", 100, 200), report("person", 41, 200),
-            "a person is reported from 4.1 to 20.0 s; in the safe drive none before 10.0 s",
+            "a person is reported from 4.1 to 20.0 s; in the safe drive, only from 10.0 s",
         ),
-        (NONE, report("person", 41, 60), "a person is reported from 4.1 to 6.0 s; in the safe drive none"),
+        (NONE, report("person", 41, 60), "a person is reported from 4.1 to 6.0 s; in the safe drive, no person is"),
         (
             report("person", 41, 200), report("person", 41, 250),
             "the reported person moves more slowly through the image",
@@ -211,32 +218,32 @@ def test_of_two_equal_labels_the_earlier_report_is_the_first() -> None:
         (
             (report("person", 20, 250), report("person", 65, 250)),
             (report("person", 20, 250), report("person", 75, 250)),
-            "no second person is reported before 7.1 s; in the safe drive one is, from 6.5 to 25.0 s",
+            "no second person is reported; in the safe drive, one is from 6.5 to 25.0 s",
         ),
         (
             (report("person", 20, 250), report("person", 75, 250)),
             (report("person", 20, 250), report("person", 65, 250)),
-            "a second person is reported from 6.5 to 25.0 s; in the safe drive not before 7.5 s",
+            "a second person is reported from 6.5 to 25.0 s; in the safe drive, only from 7.5 s",
         ),
         (
             (report("person", 73, 250), report("person", 90, 250)),
             (report("person", 73, 250), report("person", 65, 250)),
-            "a second person is reported from 6.5 to 25.0 s; in the safe drive not before 9.0 s",
+            "a second person is reported from 6.5 to 25.0 s; in the safe drive, only from 9.0 s",
         ),
         (
             (report("person", 20, 250), NONE),
             (report("person", 20, 250), report("person", 65, 250)),
-            "a second person is reported from 6.5 to 25.0 s; in the safe drive not at all",
+            "a second person is reported from 6.5 to 25.0 s; in the safe drive, no second person is",
         ),
         (
             (report("person", 73, 250), report("person", 65, 250)),
             (report("person", 73, 250), report("person", 75, 250)),
-            "no person is reported before 7.1 s; in the safe drive one is, from 6.5 to 25.0 s",
+            "no person is reported up to the violation; in the safe drive, one is from 6.5 to 25.0 s",
         ),
         (
             (report("vehicle", 20, 250), report("person", 65, 250)),
             (report("vehicle", 20, 250), report("person", 75, 250)),
-            "no person is reported before 7.1 s; in the safe drive one is, from 6.5 to 25.0 s",
+            "no person is reported; in the safe drive, one is from 6.5 to 25.0 s",
         ),
     ],
 )  # fmt: skip

@@ -336,7 +336,7 @@ LONGER = {**MISS, "severity": 1.5 / 8.0}
         (LONGER, MISS, "the lead is not reported for 1.3 s instead of 1.5 s"),
         (
             {**MISS, "target": "oncoming"}, {**LONGER, "target": "oncoming"},
-            "oncoming traffic is not reported for 1.5 s instead of 1.3 s",
+            "no oncoming vehicle is reported for 1.5 s instead of 1.3 s",
         ),
         (FAR, {**FAR, "severity": 0.25}, "the lead is reported 25% instead of 20% too far away"),
         (
@@ -345,11 +345,11 @@ LONGER = {**MISS, "severity": 1.5 / 8.0}
         ),
         (
             {**MISS, "type": "short_range", "severity": 0.5}, {**MISS, "type": "short_range", "severity": 0.75},
-            "traffic going the same way is reported only within 15 m instead of 30 m",
+            "every vehicle going the same way is reported only within 15 m instead of 30 m",
         ),
         (
             {**MISS, "type": "late"}, {**LONGER, "type": "late"},
-            "traffic going the same way is first reported 1.5 s instead of 1.3 s late",
+            "every vehicle going the same way is first reported 1.5 s instead of 1.3 s late",
         ),
         (
             MISS, {**LONGER, "onset_s": 4.5},
@@ -457,10 +457,12 @@ def test_without_a_type_severities_have_no_scale(choices: dict[str, str]) -> Non
     [
         ("miss", "lead", "not reporting the lead for 1.3 s"),
         ("miss", None, "not reporting road users for 1.3 s"),
+        ("miss", "oncoming", "not reporting any oncoming vehicle for 1.3 s"),
+        ("flicker", "everybody", "not reporting any road user 1.3 s of the time"),
         ("late", "pedestrian", "first reporting every pedestrian 1.3 s late"),
-        ("short_range", "lead", "reporting traffic going the same way only within 1.3 s"),
+        ("short_range", "lead", "reporting every vehicle going the same way only within 1.3 s"),
         ("wrong_label", "pedestrian", "reporting the nearest pedestrian with the wrong label for 1.3 s"),
-        ("too_far", "oncoming", "reporting oncoming traffic 1.3 s too far away"),
+        ("too_far", "oncoming", "reporting every oncoming vehicle 1.3 s too far away"),
         ("ghost_on_road", "pedestrian", "reporting a person who is not there on the road for 1.3 s"),
         (
             "ghost_in_image", "crossing",

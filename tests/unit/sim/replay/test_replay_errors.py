@@ -6,9 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from brink.sim.episode import EpisodeSpec
+from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.replay import render
-from brink.sim.replay.scene import count_wrong, has_errors, is_injected, wrong_boxes
+from brink.sim.replay.scene import (
+    EpisodeScene,
+    astray_words,
+    count_wrong,
+    ghost_words,
+    has_errors,
+    is_injected,
+    wrong_boxes,
+)
 from brink.sim.replay.story import error_words, report_word, scenario_words
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDriveErrors
@@ -40,6 +48,42 @@ def test_only_what_is_wrong_is_shown_as_reported(trace: Trace) -> None:
     assert np.flatnonzero(counts).tolist() == list(range(10, 25))
     assert set(counts.tolist()) == {0, 1}
     assert [len(wrong_boxes(trace, sample)) for sample in (5, 12, 30)] == [0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("errors", "ghosts", "astray", "caption"),
+    [
+        ([], False, False, ""),
+        (["miss"], False, False, ""),
+        (["late"], False, False, ""),
+        (["too_far"], False, True, "misplaced vehicle"),
+        (["wrong_label"], False, True, "mislabelled vehicle"),
+        (["too_far", "wrong_label"], False, True, "misplaced or mislabelled vehicle"),
+        (["ghost_on_road"], True, False, "ghost vehicle"),
+        (["miss", "ghost_on_road"], True, False, "ghost vehicle"),
+        (["too_far", "ghost_on_road"], True, False, "ghost or misplaced vehicle"),
+    ],
+)
+def test_only_errors_that_report_what_is_not_there_make_ghosts(
+    errors: list[str], ghosts: bool, astray: bool, caption: str
+) -> None:
+    found: list[Json] = []
+    for kind in errors:
+        error: JsonObject = {"type": kind, "target": "lead", "magnitude": 1.0 if kind == "too_far" else 3.0}
+        if kind != "late":
+            error |= {"onset": "time", "onset_s": 1.0}
+        if kind == "too_far":
+            error["duration_s"] = 3.0
+        found.append(error)
+    behaviour: JsonObject = {"mode": "errors", "errors": found}
+    recorded = BrinkDriveErrors().run(replace(SPEC, behaviour=behaviour), record=True).trace
+    assert recorded is not None
+    scene = EpisodeScene.of(Trace.from_bytes(recorded))
+    assert bool(scene.obstacles.ghost.any()) is ghosts
+    assert bool(scene.obstacles.astray.any()) is astray
+    if caption:
+        words = ghost_words if ghosts else astray_words
+        assert words(scene.trace, 0) == caption
 
 
 def test_the_title_names_the_error(trace: Trace) -> None:

@@ -12,7 +12,7 @@ from PIL import ImageDraw
 from support.traces import filmed, make_trace, ragged
 
 from brink.sim.replay import DrivePair, ReplayError, Side, render_pair
-from brink.sim.replay.pair import SAFE, middles, outcome_words, pair_story, state_words
+from brink.sim.replay.pair import SAFE, middles, outcome_words, pair_story, reality_words, state_words
 from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, chip_words, pair_still
 from brink.sim.replay.scene import gap_words
 from brink.sim.replay.style import OTHER_VIOLATED, SAFE_DRIVE, UNSAFE_DRIVE, VIOLATION
@@ -121,9 +121,25 @@ def test_the_outcome_names_every_violated_requirement() -> None:
 def test_a_drive_that_ended_says_so() -> None:
     pair = a_pair()
     story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=until(pair.unsafe.trace, 190))))
-    assert state_words(story.pair.unsafe, story.unsafe, 18.9).endswith(" m (1.5 m needed)")
+    assert state_words(story.pair.unsafe, story.unsafe, 18.9).endswith(
+        "front gap 0.9 m, 0.6 m short of 1.5 m"
+    )
     assert state_words(story.pair.unsafe, story.unsafe, 19.5) == "ended at 18.9 s"
     assert story.end_s == pytest.approx(19.9, abs=1e-3)
+
+
+def test_the_picture_says_what_of_the_reports_is_true() -> None:
+    pair = a_pair()
+    ghost, true = perceiving(pair.unsafe.trace, 1.0, 9.5, 25.0), perceiving(pair.unsafe.trace, 0.0, 0.0, 0.0)
+    both = replace(pair, safe=Side(number=7, trace=ghost), unsafe=Side(number=9, trace=ghost))
+    assert reality_words(pair_story(both)) == (
+        "In both drives, the vehicle ahead is never reported. No person is where one is reported."
+    )
+    one = replace(pair, safe=Side(number=7, trace=true), unsafe=Side(number=9, trace=ghost))
+    assert reality_words(pair_story(one)) == (
+        "The vehicle ahead is always reported in the safe drive, never reported in the unsafe one. A vehicle is "
+        "where one is reported. No person is where one is reported."
+    )
 
 
 def test_both_maps_show_the_same_place_until_the_cars_are_far_apart() -> None:

@@ -13,16 +13,18 @@ from brink.sim.replay.frame import FramePainter
 from brink.sim.replay.scene import (
     EpisodeScene,
     closest_points,
+    found_at,
     front_gap,
+    is_there,
     map_centres,
     outline,
     pictures_shown,
     surface_style,
 )
 from brink.sim.replay.sheets import still
-from brink.sim.replay.story import event_caption, scenario_words, story_of, with_unit
+from brink.sim.replay.story import event_caption, measured_words, scenario_words, story_of, with_unit
 from brink.sim.replay.style import EDGES, FILLS, VIOLATION, dashes
-from brink.sim.trace import ACTION, PERCEIVED_COLUMNS, Event, Trace
+from brink.sim.trace import ACTION, PERCEIVED_COLUMNS, Event, Surface, Trace
 
 metres = st.floats(-50, 50)
 sides = st.floats(0.5, 10)
@@ -49,6 +51,53 @@ def test_perceived_obstacle_is_a_ghost_unless_a_road_user_of_its_kind_is_near() 
     ]
     ghosts = EpisodeScene.of(perceiving(trace, *rows)).obstacles.ghost
     assert ghosts.tolist() == [False, True, True, False, False], "an unknown label counts as a vehicle"
+
+
+def test_a_reported_person_is_not_there_where_a_parked_car_is() -> None:
+    trace = make_trace()
+    size = (0.0, 0.0, 0.6, 0.6)
+    parked = Surface(
+        kind="parked-car", points=np.array([(30, 30), (34, 30), (34, 32), (30, 32)], np.float32), closed=True,
+        width_m=0.0,
+    )  # fmt: skip
+    there = replace(
+        perceiving(trace, (1.0, 1.0, 31.0, 31.0, *size), (2.0, 1.0, 60.0, 60.0, *size)), scene=(parked,)
+    )
+    scene = EpisodeScene.of(there)
+    rows = range(there.perceived.first[10], there.perceived.first[11])
+    assert [found_at(scene, 10, row) for row in rows] == [("parked-car",), ()]
+    assert (is_there(0, ("parked-car",)), is_there(1, ("parked-car",))) == (True, False)
+    assert (is_there(0, ("pedestrian",)), is_there(1, ("pedestrian",))) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("requirement", "robustness", "expected"),
+    [
+        ("front-gap@1", -0.31, ("1.2 m", "0.3 m short of 1.5 m")),
+        ("front-gap@1", -0.02, ("1.48 m", "0.02 m short of 1.5 m")),
+        ("front-gap", 13.2, ("14.7 m", "1.5 m required")),
+        ("front-gap", 48.5, ("no vehicle ahead", "")),
+        ("lane-keeping@1", -0.31, ("−0.3 m", "violated")),
+        ("lane-keeping@1", 0.5, ("+0.5 m", "to spare")),
+    ],
+)
+def test_the_front_gap_is_a_distance_and_everything_else_a_margin(
+    requirement: str, robustness: float, expected: tuple[str, str]
+) -> None:
+    assert measured_words(requirement, robustness) == expected
+
+
+@pytest.mark.parametrize(("after_s", "shown"), [(0.0, 0), (0.02, 0), (0.08, 1)])
+def test_a_violation_is_shown_at_the_sample_whose_time_reads_the_same(after_s: float, shown: int) -> None:
+    trace = make_trace()
+    sample = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
+    exact_s = float(trace.time_s[sample]) + after_s
+    timed = replace(trace, about={**trace.about, "violated_at_s": {"front-gap@1": exact_s}})
+    story = story_of(timed)
+    assert (story.decisive, story.shown) == (sample, sample + shown)
+    assert f"{float(trace.time_s[story.shown]):.1f}" == f"{exact_s:.1f}"
+    [moment] = [one for one in story.moments if one.reason == "violation"]
+    assert (moment.sample, moment.time_s) == (story.shown, exact_s)
 
 
 def test_absent_road_user_makes_no_obstacle_real() -> None:
