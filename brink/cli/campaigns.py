@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.live import CampaignDisplay, spark
+from brink.api.live import CampaignDisplay, spark, waits_words
 from brink.cli.options import (
     AsJson,
     CampaignFile,
@@ -144,11 +144,11 @@ def waiting_words(progress: Progress, server: str) -> str:
     """
     if progress.status is not CampaignStatus.RUNNING or not progress.queued or progress.leased:
         return ""
+    kinds = " and ".join(progress.waits_for.values()) or "one"
     if not progress.workers:
-        return f"waiting: no worker is connected; start one with: {program()} worker --server {server}"
+        return f"waiting: no worker is connected; start {kinds} with: {program()} worker --server {server}"
     if sum(progress.unrunnable.values()) == progress.queued:
-        needs = ", ".join(progress.unrunnable)
-        return f"waiting: no connected worker provides {needs}; start one that does, with its plug-ins and extras"
+        return f"waiting: no connected worker provides {', '.join(progress.unrunnable)}; start {kinds}"
     return ""
 
 
@@ -279,8 +279,8 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"jobs: {progress.queued} queued, {progress.leased} leased, {progress.quarantined} quarantined; "
         f"live workers: {workers}"
     )
-    for needs, count in progress.unrunnable.items():
-        screen.print(f"{count} jobs need {needs}, which no live worker provides", style="yellow")
+    for words in waits_words(progress):
+        screen.print(words, soft_wrap=True, style="yellow")
     for job in quarantined[:ERRORS_SHOWN]:
         error = (job.last_error or "").strip().splitlines()
         screen.print(

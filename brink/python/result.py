@@ -472,10 +472,10 @@ async def _ended(api: Api, campaign: str, *, waits: bool) -> None:
         if progress.status is not CampaignStatus.RUNNING:
             raise CampaignUnfinished(f"campaign {campaign} is {progress.status}: {progress.status_reason}")
         if progress.workers and progress.unrunnable and not progress.leased and not waits:
-            needs = ", ".join(progress.unrunnable)
             raise CampaignUnfinished(
-                f"campaign {campaign} needs {needs}, which no worker of this machine provides: install its extra, "
-                "name its plug-in in BRINK_PLUGINS, or, for a function, ask the result that brink.search() returned"
+                f"campaign {campaign} waits for {' and '.join(progress.waits_for.values())}, and no worker of this "
+                "machine is one: install the extra, name the plug-in in BRINK_PLUGINS, or, for a function, ask the "
+                "result that brink.search() returned"
             )
         await asyncio.sleep(FOLLOW_UP_POLL_S)
 

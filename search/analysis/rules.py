@@ -17,9 +17,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from brink.extras import install_command
 from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.archive import Archive
-from brink.search.errors import MissingExtra, install_command
+from brink.search.errors import MissingExtra
 from brink.search.fitness import wilson_interval
 from brink.search.parameters import Categorical, Integer, Parameter
 from brink.search.space import BoolArray, FloatArray, SearchSpace

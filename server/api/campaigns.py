@@ -65,6 +65,7 @@ from brink.server.llm.store import list_calls
 from brink.server.queue.job_store import count_unfinished, queued_needs
 from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
+from brink.sim.catalogue import worker_for
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 
@@ -296,6 +297,7 @@ def read_progress(
     standing = read_campaign_progress(connection, campaign, workers=len(live))
     capabilities = set().union(*live.values())
     waiting = queued_needs(connection, campaign.id) if standing.queued else {}
+    unrunnable = {needs: count for needs, count in waiting.items() if needs not in capabilities}
     failed, failure = (
         view_store.read_failures(connection, campaign.id, campaign.generation)
         if standing.quarantined
@@ -309,7 +311,7 @@ def read_progress(
         reported_failed=failed, failure=failure, quarantined=standing.quarantined, queued=standing.queued,
         leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
         cached=standing.cached, remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
-        unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
+        unrunnable=unrunnable, waits_for={needs: worker_for(needs) for needs in unrunnable},
         digest=archive.digest if archive is not None else None,
         looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
         looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),

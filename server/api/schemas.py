@@ -139,6 +139,9 @@ class Progress(View):
         dict[str, int],
         Field(description="Number of queued jobs that no live worker can run, by required capability."),
     ]
+    waits_for: Annotated[
+        dict[str, str], Field(description="What kind of worker each of these capabilities needs, in words.")
+    ] = {}
     looks_for_boundary: Annotated[
         bool,
         Field(
@@ -512,6 +515,9 @@ class JobCounts(View):
             description="Number of queued jobs in unpaused campaigns that no live worker can run, by capability."
         ),
     ]
+    waits_for: Annotated[
+        dict[str, str], Field(description="What kind of worker each of these capabilities needs, in words.")
+    ] = {}
 
 
 class WorkerView(View):

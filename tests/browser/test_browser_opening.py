@@ -227,7 +227,7 @@ def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something
 def test_what_nobody_can_simulate_shows_no_empty_map(site: Served, browse: Browse) -> None:
     campaign = submit(site.client, ball(name="idle", problem=NOBODYS))
     page = browse(f"#/campaigns/{campaign}")
-    shown(page.get_by_text("cannot run on any live worker")).to_be_visible()
+    shown(page.get_by_text("a worker with the plug-in that provides nobody-has-it@1")).to_be_visible()
     shown(page.get_by_role("region", name="Map")).to_be_hidden()
     shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()
 

@@ -61,7 +61,7 @@ def test_quarantined_jobs_are_retried_together(
 
 def test_a_job_that_nobody_can_run_says_what_it_needs(site: Served, browse: Browse) -> None:
     page = browse("#/jobs?status=queued")
-    shown(page.get_by_text("which no live worker provides").first).to_be_visible()
+    shown(page.get_by_text("with the plug-in that provides nobody-has-it@1").first).to_be_visible()
     shown(page.locator("table.jobs tbody tr").first).to_contain_text("nobody-has-it@1")
 
 

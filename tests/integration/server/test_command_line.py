@@ -26,6 +26,7 @@ from brink.cli import campaigns, commands, perturbations
 from brink.cli.commands import app
 from brink.cli.main import main
 from brink.cli.options import database_option
+from brink.extras import install_command
 from brink.server.db import engine
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow
@@ -484,8 +485,7 @@ def test_bad_contact_sheet_option_fails_before_work(brink: Command, arguments: l
 def test_contact_sheet_names_missing_opencv(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(perturbations, "find_spec", lambda name: None)
     assert brink("perturbations", "show", "--out", "s.png").line == (
-        "brink: drawing images needs OpenCV; install it with: "
-        ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
+        f"brink: drawing images needs OpenCV; install it with: {install_command('vision')}"
     )
     assert brink("perturbations", "list").status == 0
 
