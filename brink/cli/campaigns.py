@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.live import CampaignDisplay, spark, waits_words
+from brink.api.live import CampaignDisplay, failures_of, spark, waits_words
 from brink.cli.options import (
     AsJson,
     CampaignFile,
@@ -51,6 +51,8 @@ from brink.server.states import CampaignStatus
 POLL_S = 0.5
 ERRORS_SHOWN = 5
 SOLUTIONS_SHOWN = 5
+MOST_LISTED = 200
+"""Campaigns that the coordinator lists at once."""
 ALL_GENERATIONS = 10**9
 """Cursor beyond the last generation of every campaign, for progress without its series of generations."""
 RETRY_PAGE = 1000
@@ -190,7 +192,11 @@ def status(
     """  # fmt: skip
     if campaign is not None and (tags or search):
         raise InvalidInput.at("--tag" if tags else "--search", "expected it without ID: it lists campaigns")
-    asked = {"limit": 200, **({"tag": tags} if tags else {}), **({"search": search} if search else {})}
+    asked = {
+        "limit": MOST_LISTED,
+        **({"tag": tags} if tags else {}),
+        **({"search": search} if search else {}),
+    }
     place = place_option(server, database)
 
     async def work(api: Api) -> None:
@@ -247,6 +253,9 @@ async def _list_campaigns(api: Api, asked: dict[str, Any], place: str, *, follow
         console().print(none if len(asked) == 1 else "no such campaign")
         return
     console().print(table)
+    if found["next"]:
+        hint = "the newest ones; narrow the list with --search WORDS or --tag TAG"
+        console().print(f"{asked['limit']} of {found['total']:,} campaigns, {hint}", soft_wrap=True)
     if not follow_ups and (hidden := sum(found["follow_ups"])):
         noun = "follow-up" if hidden == 1 else "follow-ups"
         console().print(
@@ -265,7 +274,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         screen.print(f"notes: {progress.notes}", soft_wrap=True)
     screen.print(
         f"{progress.simulations} of {progress.budget} simulations in {progress.elapsed_s:.0f} s, "
-        f"{progress.unsafe} unsafe, {progress.failed} failed, {progress.measured} measured on data, "
+        f"{progress.unsafe} unsafe, {failures_of(progress)} failed, {progress.measured} measured on data, "
         f"generation {progress.generation}"
     )
     if progress.looks_for_pairs:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.follow_ups import continue_follow_up, follow_up_requests
+from brink.api.live import failures_of
 from brink.api.results import (
     TRACE_TIMEOUT_S,
     FetchedArchive,
@@ -100,7 +101,7 @@ class CampaignResult:
     @property
     def failed(self) -> int:
         """Solutions whose simulations failed: they are neither safe nor unsafe."""
-        return self._progress.failed
+        return failures_of(self._progress)
 
     @property
     def digest(self) -> str | None:

@@ -702,6 +702,7 @@ def test_status_hides_follow_ups_and_lists_them_below_their_campaign_on_demand(
     listed = brink("status", *at).out
     assert (searched in listed, again in listed) == (True, False)
     assert "without 1 follow-up; list them with: brink status --all" in listed
+    assert f"which has {searched} (searched); list" in brink("status", "zzzz", *at).line
     lines = brink("status", "--all", *at).out.splitlines()
     above, below = (
         next(place for place, line in enumerate(lines) if one in line) for one in (searched, again)
@@ -713,3 +714,18 @@ def test_status_hides_follow_ups_and_lists_them_below_their_campaign_on_demand(
         searched,
         again,
     }
+
+
+@on_sqlite
+def test_status_says_of_how_many_campaigns_it_lists_the_newest(
+    brink: Command, database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with coordinator(database_url) as client:
+        for name in ("first", "second", "third"):
+            submit(client, ball(name=name))
+    at = ("--database", database_url)
+    assert "of 3 campaigns" not in brink("status", *at).out
+    monkeypatch.setattr(campaigns, "MOST_LISTED", 2)
+    listed = brink("status", *at).out
+    assert ("first" in listed, "third" in listed) == (False, True)
+    assert "2 of 3 campaigns, the newest ones; narrow the list with --search WORDS or --tag TAG" in listed

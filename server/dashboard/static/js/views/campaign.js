@@ -2,7 +2,7 @@
 
 import { download, isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
-import { clause, plural, when } from "../format.js";
+import { clause, plural, sentence, when } from "../format.js";
 import { go, link } from "../router.js";
 import { badge, callout, sure, waitsFor, workerCommand } from "../parts/elements.js";
 import { steering } from "./campaigns.js";
@@ -99,7 +99,7 @@ export async function show(main, context, { parts, query }) {
       read.status_reason && callout(read.status === "failed" ? "bad" : "warn", read.status_reason),
       read.status === "running" && read.workers === 0 && callout("warn", "No worker is running. ", waits, "Start one: ", workerCommand()),
       read.status === "running" && read.workers > 0 && waits && callout("warn", "No live worker can run all jobs: ", waits),
-      read.quarantined > 0 && callout("warn", `${plural(read.quarantined, "job")} in quarantine. `, h("a", { href: link("jobs", { status: "quarantined", campaign: id }) }, "Inspect and retry")),
+      read.quarantined > 0 && callout("warn", `${plural(read.quarantined, "job")} in quarantine. `, h("a", { href: link("jobs", { status: "quarantined", campaign: id }) }, "Inspect and retry"), read.failure && ` First error: ${sentence(read.failure)}`),
     ];
   }
 
