@@ -255,6 +255,12 @@ def facts_table(rows: Sequence[tuple[str, *tuple[Text, ...]]]) -> Table:
     return facts
 
 
+def earlier_words(progress: Progress | ExperimentProgress) -> str:
+    """Return that a result is not from now: when it was found, if known, and that nothing was simulated."""
+    at = getattr(progress, "finished_at", None)
+    return f"finished earlier{f', on {at:%Y-%m-%d at %H:%M} UTC' if at else ''}; nothing was simulated"
+
+
 def waits_words(progress: Progress) -> list[str]:
     """Return which queued jobs wait for a worker that can run them, a line for each kind of worker."""
     return [

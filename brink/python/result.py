@@ -60,7 +60,14 @@ class CampaignUnfinished(ServerError):
 
 
 class CampaignResult:
-    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence."""
+    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence.
+
+    Attributes:
+        finding: What was found, in a sentence.
+        note: That the result is of an earlier run, and when that finished; empty for a new run.
+    """
+
+    note: str = ""
 
     def __init__(self, connection: Connection, progress: Progress, body: CampaignBody, finding: str) -> None:
         self._connection = connection
@@ -114,7 +121,8 @@ class CampaignResult:
         return self._body
 
     def __repr__(self) -> str:
-        return f"<result of campaign {self.id}, {self.name}: {self.finding}>"
+        note = f" ({self.note})" if self.note else ""
+        return f"<result of campaign {self.id}, {self.name}: {self.finding}{note}>"
 
 
 class AsyncResult(CampaignResult):
@@ -283,6 +291,7 @@ class Result(CampaignResult):
     def __init__(self, result: AsyncResult) -> None:
         super().__init__(result._connection, result._progress, result._body, result.finding)
         self._async = result
+        self.note = result.note
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return all evaluated solutions as a data frame, one row each.
@@ -426,7 +435,8 @@ class Result(CampaignResult):
         share = f"{self.unsafe / self.evaluated:.0%}" if self.evaluated else "–"
         facts = (
             f"campaign {self.id} · {self._body.algorithm.id} on {self._body.problem.id} · "
-            f"{self.simulations:,} simulations, {share} unsafe, {self.failed:,} failed · {self.status.value}"
+            f"{self.simulations:,} simulations, {share} unsafe, {self.failed:,} failed · "
+            f"{self.note or self.status.value}"
         )
         name, finding, facts = map(html.escape, (self.name, self.finding, facts))
         return f'<h4>{name}</h4><p><b>{finding}</b></p><p style="opacity:0.7">{facts}</p>'

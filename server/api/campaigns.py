@@ -319,7 +319,7 @@ def read_progress(
         leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
         cached=standing.cached, remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
         unrunnable=unrunnable, waits_for={needs: worker_for(needs) for needs in unrunnable},
-        digest=archive.digest if archive is not None else None,
+        digest=archive.digest if archive is not None else None, finished_at=campaign.finished_at,
         looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
         looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),
         looks_for_tolerances=searches_for_tolerances(campaign.body.algorithm.id),

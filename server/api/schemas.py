@@ -169,6 +169,7 @@ class Progress(View):
     ]
     trouble_s: Annotated[float, Field(description="How long the database has rejected writes, in seconds.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
+    finished_at: datetime | None = None
     tags: list[str] = []
     notes: str = ""
     t_b: float
