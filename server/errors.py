@@ -59,7 +59,9 @@ def field_name(pointer: str) -> str:
     if not pointer.startswith("/"):
         return pointer
     parts = [part.replace("~1", "/").replace("~0", "~") for part in pointer.split("/")[1:] if part]
-    if parts[:1] == ["query"]:
+    if parts == ["path", "campaign_id"]:  # messages about a campaign name it
+        return ""
+    if parts[:1] in (["query"], ["path"]):
         parts = parts[1:]
     return "".join(f"[{part}]" if part.isdecimal() else f".{part}" for part in parts).removeprefix(".")
 

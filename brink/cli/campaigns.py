@@ -344,6 +344,14 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
     """Print the boundary; after a search for pairs, which does not look for it, first where these are."""
     screen = console()
     found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
+    if not found.evaluated:
+        screen.print(f"no solution has been evaluated yet: the campaign is {found.status}, {_done(found)}")
+        return
+    if found.looks_for_tolerances:
+        command = f"{program()} tolerance {found.id}{place}"
+        words = f"this campaign estimated tolerances, not a boundary; show them with: {command}"
+        screen.print(words, soft_wrap=True)
+        return
     if found.looks_for_pairs:
         screen.print(where_pairs_are(found, place), soft_wrap=True)
     screen.print(
@@ -351,9 +359,14 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
     )
     if found.looks_for_pairs and not any(cell.dbs for cell in boundary.grid):
         return
-    screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
+    if boundary.solutions:
+        screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
     screen.print(grid_table(boundary.grid))
     screen.print(boundary.note, style="dim")
+
+
+def _done(progress: Progress) -> str:
+    return f"{progress.simulations} of {progress.budget} simulations"
 
 
 def where_pairs_are(progress: Progress, place: str, *, options: str = "", do: str = "show them") -> str:

@@ -725,6 +725,9 @@ def test_status_says_of_how_many_campaigns_it_lists_the_newest(
             submit(client, ball(name=name))
     at = ("--database", database_url)
     assert "of 3 campaigns" not in brink("status", *at).out
+    (first, *_) = json.loads(brink("status", *at, "--json").out)["campaigns"]
+    shown = brink("results", first["id"], *at).out.strip()
+    assert shown == "no solution has been evaluated yet: the campaign is running, 0 of 60 simulations"
     monkeypatch.setattr(campaigns, "MOST_LISTED", 2)
     listed = brink("status", *at).out
     assert ("first" in listed, "third" in listed) == (False, True)
