@@ -59,8 +59,3 @@ class TooManyPairs(SearchError):
 
 class MissingExtra(SearchError):
     """An optional dependency is not installed."""
-
-
-def install_command(extra: str) -> str:
-    """Return the command that installs an optional part of Brink."""
-    return f"pip install -c constraints.txt -e '.[{extra}]'"

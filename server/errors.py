@@ -46,8 +46,24 @@ class FieldError:
 
     def __str__(self) -> str:
         hint = f" (did you mean {self.nearest!r}?)" if self.nearest else ""
-        place = self.place or self.pointer
+        place = self.place or field_name(self.pointer)
         return f"{place}: {self.message}{hint}" if place else f"{self.message}{hint}"
+
+
+def field_name(pointer: str) -> str:
+    """Return the name of a field as in a campaign file, such as ``problem.params.requirement``.
+
+    Args:
+        pointer: JSON pointer to the field, or what was given elsewhere, such as the name of an option.
+    """
+    if not pointer.startswith("/"):
+        return pointer
+    parts = [part.replace("~1", "/").replace("~0", "~") for part in pointer.split("/")[1:] if part]
+    if parts == ["path", "campaign_id"]:  # messages about a campaign name it
+        return ""
+    if parts[:1] in (["query"], ["path"]):
+        parts = parts[1:]
+    return "".join(f"[{part}]" if part.isdecimal() else f".{part}" for part in parts).removeprefix(".")
 
 
 class InvalidInput(ServerError):

@@ -13,16 +13,30 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Final, Protocol, cast
 
+from brink.extras import has_extra
 from brink.sim.episode import EpisodeResult, EpisodeSpec
-from brink.sim.errors import InvalidEpisode, PluginMissing
+from brink.sim.errors import ExtraMissing, InvalidEpisode, PluginMissing
 from brink.sim.requirements import Requirement
 
 SIMULATORS = "brink.simulators"
 REQUIREMENTS = "brink.requirements"
+FUNCTION_PREFIX = "function-"
+"""Beginning of the ids of simulators that call a Python function."""
 PLUGINS_VARIABLE = "BRINK_PLUGINS"
 """Environment variable with a comma-separated list of modules to import for the plug-ins that they register."""
+
+EXTRAS: Final[Mapping[str, str]] = {
+    "brink-aeb@1": "vision",
+    "brink-dataset@1": "vision",
+    "brink-drive-camera@1": "vision",
+    "brink-encounter-camera@1": "vision",
+    "gymnasium@1": "gymnasium",
+    "highway-env@1": "highway",
+    "sumo@1": "sumo",
+}
+"""The optional extra that each of Brink's own simulators needs, if any."""
 
 _registered: dict[str, dict[str, Callable[..., object]]] = {}
 
@@ -112,10 +126,13 @@ def load_plugin(group: str, plugin_id: str) -> object:
 
     Raises:
         KeyError: No plug-in has this id.
+        ExtraMissing: It is a simulator whose extra is not installed.
     """
     import_plugin_modules()
     if plugin_id in _registered.get(group, {}):
         return _registered[group][plugin_id]
+    if group == SIMULATORS and plugin_id in EXTRAS and not has_extra(EXTRAS[plugin_id]):
+        raise ExtraMissing(f"{plugin_id} needs the extra {EXTRAS[plugin_id]}, which is not installed")
     return _entry_points(group)[plugin_id].load()
 
 
@@ -149,6 +166,21 @@ def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Cal
 def simulator_ids() -> tuple[str, ...]:
     """Return the ids of all registered simulators, sorted."""
     return plugin_ids(SIMULATORS)
+
+
+def worker_for(simulator_id: str) -> str:
+    """Return in words what kind of worker can run a simulator, such as "a worker with the extra sumo (sumo@1)".
+
+    Args:
+        simulator_id: Id of the simulator, which need not be known here.
+    """
+    if simulator_id in EXTRAS:
+        return f"a worker with the extra {EXTRAS[simulator_id]} ({simulator_id})"
+    if simulator_id.startswith(FUNCTION_PREFIX):
+        return f"the Python program that called brink.search() ({simulator_id})"
+    if simulator_id in _entry_points(SIMULATORS):
+        return f"a worker ({simulator_id})"
+    return f"a worker with the plug-in that provides {simulator_id}"
 
 
 def make_simulator(simulator_id: str) -> Simulator:

@@ -21,7 +21,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from brink.sim.catalogue import SIMULATORS, Simulator, load_plugin, make_simulator, simulator_ids
+from brink.sim.catalogue import EXTRAS, SIMULATORS, Simulator, load_plugin, make_simulator, simulator_ids
 from brink.sim.episode import EpisodeSpec, JsonObject
 from brink.sim.errors import ExtraMissing, InvalidEpisode, SimulationCrashed
 from brink.worker.child_protocol import (
@@ -126,22 +126,23 @@ def _private_bytes() -> int | None:
 
 
 def import_simulators() -> Hello:
-    """Import every registered simulator and return which of them can be used.
-
-    Those whose extra is not installed are not mentioned: most workers have few extras.
-    """
+    """Import every registered simulator and return which of them can be used."""
     simulators: list[str] = []
+    lacking: dict[str, str] = {}
     left_out: dict[str, str] = {}
     for simulator_id in simulator_ids():
         try:
             load_plugin(SIMULATORS, simulator_id)
         except ExtraMissing as error:
-            log.info("%s", error)
+            if simulator_id in EXTRAS:
+                lacking[simulator_id] = EXTRAS[simulator_id]
+            else:
+                left_out[simulator_id] = str(error)
         except Exception as error:  # noqa: BLE001  (a plug-in may raise anything; the reason goes to the parent)
             left_out[simulator_id] = _one_line(error)
         else:
             simulators.append(simulator_id)
-    return Hello(simulators=tuple(simulators), left_out=left_out)
+    return Hello(simulators=tuple(simulators), lacking=lacking, left_out=left_out)
 
 
 def serve(requests: int, replies: int) -> None:

@@ -52,10 +52,12 @@ class Hello(ChildMessage):
 
     Attributes:
         simulators: Ids of the simulators that were imported.
+        lacking: The extra that each of those that are not installed needs, by id.
         left_out: Why each of the others could not be imported, by id.
     """
 
     simulators: tuple[str, ...]
+    lacking: dict[str, str]
     left_out: dict[str, str]
 
 

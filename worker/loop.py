@@ -14,6 +14,7 @@ from random import Random
 from typing import Final
 
 from brink import __version__
+from brink.extras import install_command
 from brink.worker.backoff import Backoff, Outage
 from brink.worker.client import CoordinatorClient
 from brink.worker.errors import (
@@ -131,6 +132,12 @@ class Worker:
             self._process.close()
             return 1
         log.info("working for %s", self._client.server, extra={"simulators": ",".join(hello.simulators)})
+        if hello.lacking:
+            extras = sorted(set(hello.lacking.values()))
+            log.info(
+                "cannot run %s; to change that: %s", ", ".join(hello.lacking), install_command(*extras),
+                extra={"extras": ",".join(extras)},
+            )  # fmt: skip
         return self._work(hello.simulators)
 
     def _work(self, capabilities: tuple[str, ...]) -> int:

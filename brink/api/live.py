@@ -202,8 +202,7 @@ class CampaignDisplay(LiveDisplay):
         if failures_of(progress):
             rows.append(("failed", failures_words(progress), ""))
         # Before the first worker connects, every job is unrunnable: nothing worth reporting.
-        for needs, count in progress.unrunnable.items() if progress.workers else ():
-            rows.append(("waiting", f"{count} jobs need {needs}, which no worker provides", ""))
+        rows += [("waiting", words, "") for words in waits_words(progress)] if progress.workers else []
         if progress.asking:
             rows.append(("seeds", progress.asking, ""))
         if progress.trouble:
@@ -254,6 +253,20 @@ def facts_table(rows: Sequence[tuple[str, *tuple[Text, ...]]]) -> Table:
     for column in facts.columns:
         column.no_wrap, column.overflow = True, "ellipsis"
     return facts
+
+
+def earlier_words(progress: Progress | ExperimentProgress) -> str:
+    """Return that a result is not from now: when it was found, if known, and that nothing was simulated."""
+    at = getattr(progress, "finished_at", None)
+    return f"finished earlier{f', on {at:%Y-%m-%d at %H:%M} UTC' if at else ''}; nothing was simulated"
+
+
+def waits_words(progress: Progress) -> list[str]:
+    """Return which queued jobs wait for a worker that can run them, a line for each kind of worker."""
+    return [
+        f"{count:,} {'job waits' if count == 1 else 'jobs wait'} for {progress.waits_for.get(needs, needs)}"
+        for needs, count in progress.unrunnable.items()
+    ]
 
 
 def failures_of(progress: Progress) -> int:

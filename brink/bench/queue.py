@@ -33,6 +33,7 @@ from brink.bench.processes import (
     running_workers,
 )
 from brink.bench.servers import DURABLE_POSTGRES, NoRedis, find_redis, temporary_postgres, temporary_redis
+from brink.extras import install_command
 from brink.server.db.engine import open_engines
 from brink.server.db.models import JobRow
 from brink.server.states import JobStatus
@@ -56,7 +57,6 @@ SETTINGS = {
 }
 """Settings that make each system durable."""
 _TIMEOUT_S = 180.0
-_INSTALL = "pip install 'brink-boundary[bench]'"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,8 +233,8 @@ def _measure_other(queue: "_OtherQueue", plan: _Plan, _: int) -> _Measured:
 def _missing() -> dict[str, str]:
     """Return why the other systems cannot be measured; empty if they can."""
     reasons = {
-        PROCRASTINATE: "" if find_spec("procrastinate") else _INSTALL,
-        CELERY: "" if find_spec("celery") else _INSTALL,
+        PROCRASTINATE: "" if find_spec("procrastinate") else install_command("bench"),
+        CELERY: "" if find_spec("celery") else install_command("bench"),
     }
     if not reasons[CELERY]:
         try:

@@ -491,8 +491,8 @@ def queue(
 ) -> None:
     """Measure queue throughput and pick-up times, compared with Celery on Redis and procrastinate on Postgres.
 
-    All queues run durably: acknowledged jobs survive a power cut. The other queues need pip install
-    'brink-boundary[bench]' and an installed redis-server; Postgres is started in a temporary folder. Use --quick for
+    All queues run durably: acknowledged jobs survive a power cut. The other queues need the extra `bench`
+    and an installed redis-server; Postgres is started in a temporary folder. Use --quick for
     a short measurement.
 
     Example: brink bench queue
@@ -751,7 +751,7 @@ def dashboard(
 ) -> None:
     """Measure the dashboard in headless Chromium: first view, polling, dragging the map, memory over a simulated day.
 
-    Needs pip install 'brink-boundary[dev]' and Chromium, for example from apt-get install chromium.
+    Needs the extra `dev` and Chromium, for example from apt-get install chromium.
 
     Example: brink bench dashboard --polls 500
     """

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.live import CampaignDisplay, spark
+from brink.api.live import CampaignDisplay, failures_of, spark, waits_words
 from brink.cli.options import (
     AsJson,
     CampaignFile,
@@ -51,6 +51,8 @@ from brink.server.states import CampaignStatus
 POLL_S = 0.5
 ERRORS_SHOWN = 5
 SOLUTIONS_SHOWN = 5
+MOST_LISTED = 200
+"""Campaigns that the coordinator lists at once."""
 ALL_GENERATIONS = 10**9
 """Cursor beyond the last generation of every campaign, for progress without its series of generations."""
 RETRY_PAGE = 1000
@@ -144,11 +146,11 @@ def waiting_words(progress: Progress, server: str) -> str:
     """
     if progress.status is not CampaignStatus.RUNNING or not progress.queued or progress.leased:
         return ""
+    kinds = " and ".join(progress.waits_for.values()) or "one"
     if not progress.workers:
-        return f"waiting: no worker is connected; start one with: {program()} worker --server {server}"
+        return f"waiting: no worker is connected; start {kinds} with: {program()} worker --server {server}"
     if sum(progress.unrunnable.values()) == progress.queued:
-        needs = ", ".join(progress.unrunnable)
-        return f"waiting: no connected worker provides {needs}; start one that does, with its plug-ins and extras"
+        return f"waiting: no connected worker provides {', '.join(progress.unrunnable)}; start {kinds}"
     return ""
 
 
@@ -190,7 +192,11 @@ def status(
     """  # fmt: skip
     if campaign is not None and (tags or search):
         raise InvalidInput.at("--tag" if tags else "--search", "expected it without ID: it lists campaigns")
-    asked = {"limit": 200, **({"tag": tags} if tags else {}), **({"search": search} if search else {})}
+    asked = {
+        "limit": MOST_LISTED,
+        **({"tag": tags} if tags else {}),
+        **({"search": search} if search else {}),
+    }
     place = place_option(server, database)
 
     async def work(api: Api) -> None:
@@ -247,6 +253,9 @@ async def _list_campaigns(api: Api, asked: dict[str, Any], place: str, *, follow
         console().print(none if len(asked) == 1 else "no such campaign")
         return
     console().print(table)
+    if found["next"]:
+        hint = "the newest ones; narrow the list with --search WORDS or --tag TAG"
+        console().print(f"{asked['limit']} of {found['total']:,} campaigns, {hint}", soft_wrap=True)
     if not follow_ups and (hidden := sum(found["follow_ups"])):
         noun = "follow-up" if hidden == 1 else "follow-ups"
         console().print(
@@ -265,7 +274,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         screen.print(f"notes: {progress.notes}", soft_wrap=True)
     screen.print(
         f"{progress.simulations} of {progress.budget} simulations in {progress.elapsed_s:.0f} s, "
-        f"{progress.unsafe} unsafe, {progress.failed} failed, {progress.measured} measured on data, "
+        f"{progress.unsafe} unsafe, {failures_of(progress)} failed, {progress.measured} measured on data, "
         f"generation {progress.generation}"
     )
     if progress.looks_for_pairs:
@@ -279,8 +288,8 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"jobs: {progress.queued} queued, {progress.leased} leased, {progress.quarantined} quarantined; "
         f"live workers: {workers}"
     )
-    for needs, count in progress.unrunnable.items():
-        screen.print(f"{count} jobs need {needs}, which no live worker provides", style="yellow")
+    for words in waits_words(progress):
+        screen.print(words, soft_wrap=True, style="yellow")
     for job in quarantined[:ERRORS_SHOWN]:
         error = (job.last_error or "").strip().splitlines()
         screen.print(
@@ -335,6 +344,14 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
     """Print the boundary; after a search for pairs, which does not look for it, first where these are."""
     screen = console()
     found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
+    if not found.evaluated:
+        screen.print(f"no solution has been evaluated yet: the campaign is {found.status}, {_done(found)}")
+        return
+    if found.looks_for_tolerances:
+        command = f"{program()} tolerance {found.id}{place}"
+        words = f"this campaign estimated tolerances, not a boundary; show them with: {command}"
+        screen.print(words, soft_wrap=True)
+        return
     if found.looks_for_pairs:
         screen.print(where_pairs_are(found, place), soft_wrap=True)
     screen.print(
@@ -342,9 +359,14 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
     )
     if found.looks_for_pairs and not any(cell.dbs for cell in boundary.grid):
         return
-    screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
+    if boundary.solutions:
+        screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
     screen.print(grid_table(boundary.grid))
     screen.print(boundary.note, style="dim")
+
+
+def _done(progress: Progress) -> str:
+    return f"{progress.simulations} of {progress.budget} simulations"
 
 
 def where_pairs_are(progress: Progress, place: str, *, options: str = "", do: str = "show them") -> str:

@@ -4,6 +4,7 @@
 most commands only talk to a server and should not wait for numpy, scipy and a web server to load.
 """
 
+import difflib
 import logging
 import os
 import sys
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Final
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.models import DefaultPlaceholder
 
 from brink import __version__
 from brink.worker.log import LogLevel, configure_logging, environment_format
@@ -84,7 +86,25 @@ class PlainCommand(TyperCommand):
         return super().parse_args(ctx, args)
 
 
-class LazyGroup(TyperGroup):
+MOST_NAMED = 12
+"""Commands of a group that an error names; of a larger one, only the nearest."""
+
+
+class HelpfulGroup(TyperGroup):
+    """A command group whose error for an unknown command says which one may have been meant."""
+
+    def resolve_command(self, ctx: Any, args: Any) -> Any:
+        """Return the command that the arguments begin with, and its arguments."""
+        name, known = args[0], self.list_commands(ctx)
+        if self.get_command(ctx, name) is None and not name.startswith("-"):
+            close = difflib.get_close_matches(name, known, n=1)
+            meant = f"did you mean {close[0]!r}? " if close else ""
+            expected = "" if len(known) > MOST_NAMED else f"expected one of {', '.join(known)}; "
+            ctx.fail(f"no command {name!r}; {meant}{expected}see {ctx.command_path} --help")
+        return super().resolve_command(ctx, args)
+
+
+class LazyGroup(HelpfulGroup):
     """A command group that imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -113,11 +133,13 @@ def load(name: str, target: str) -> Any:
         target: The ``module:attribute`` that defines it: a function or a `typer.Typer`.
     """
     module, _, attribute = target.partition(":")
-    found = getattr(import_module(module), attribute)
+    found: Any = getattr(import_module(module), attribute)
     if not isinstance(found, typer.Typer):
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
         single.command(name, cls=PlainCommand)(found)
         found = single
+    elif isinstance(vars(found.info)["cls"], DefaultPlaceholder):
+        found.info.cls = HelpfulGroup
     found.rich_markup_mode = None  # square brackets in help and errors are no markup
     command = typer.main.get_command(found)
     command.name = name

@@ -33,9 +33,10 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
+from brink.extras import install_command
 from brink.report.component import DetectionCounts, count_detections, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
-from brink.search.errors import MissingExtra, TooManyPairs, install_command
+from brink.search.errors import MissingExtra, TooManyPairs
 from brink.server.api.boundary_table import (
     FORMATS,
     MEANINGS,

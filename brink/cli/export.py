@@ -15,7 +15,8 @@ from brink.api.results import TRACE_TIMEOUT_S, fetch_requirements, fetch_trace, 
 from brink.cli.database import export as export_campaign
 from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, with_api
 from brink.exchange.exportable import EXPORTED, MODULES, EgoControl, check_exportable
-from brink.search.errors import MissingExtra, install_command
+from brink.extras import install_command
+from brink.search.errors import MissingExtra
 from brink.server.api.schemas import CampaignView, SolutionView
 from brink.server.errors import InvalidInput
 from brink.sim.trace import Trace

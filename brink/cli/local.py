@@ -16,7 +16,7 @@ import httpx
 from rich.console import Console
 
 from brink.api.client import TIMEOUT, Api, CoordinatorError
-from brink.api.live import CampaignDisplay
+from brink.api.live import CampaignDisplay, earlier_words
 from brink.cli.options import database_option, database_place, naming_ids, program, settings_with
 from brink.server.api.schemas import ExperimentProgress, Progress
 from brink.server.errors import Conflict, Unavailable
@@ -291,7 +291,8 @@ async def _start(workload: Workload[ProgressT], options: RunOptions, session: Se
             "continue it with --resume, or start another with --new"
         )
     if found.status is CampaignStatus.FINISHED:
-        session.screen.print(f"{workload.noun} {found.id} of this file has finished; --new starts another")
+        words = f"{workload.noun} {found.id} of this file {earlier_words(found)}; --new starts another"
+        session.screen.print(words, soft_wrap=True)
     else:
         await workload.resume(session.api, found)
         session.screen.print(f"{workload.noun} {found.id}: continuing at {done}")

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from brink.cli.options import Database, LogFormatOption, LogLevelOption, console, settings_with
-from brink.search.errors import install_command
+from brink.extras import install_command
 from brink.server.runtime.coordinator import CoordinatorServer, allow_many_open_files, listen, url_of
 from brink.server.runtime.database import prepare_database, shown_url
 from brink.server.settings import Settings

@@ -207,8 +207,12 @@ async def naming_ids(api: Api, place: str, option: str, work: Callable[[], Await
 
 async def _some_ids(api: Api, noun: str) -> str:
     """Return the newest campaigns or experiments of a coordinator, in words."""
-    page = await api.get(f"/{noun}", {"limit": IDS_SHOWN + 1})
-    found = [f"{one['id']} ({one['name']})" for one in page[noun]]
+    if noun == "campaigns":  # without follow-ups, as `brink status` lists them
+        listed = await api.get("/overview", {"limit": IDS_SHOWN + 1, "follow_ups": "hidden"})
+        found = [f"{one} ({name})" for one, name in zip(listed["id"], listed["name"], strict=True)]
+    else:
+        page = await api.get(f"/{noun}", {"limit": IDS_SHOWN + 1})
+        found = [f"{one['id']} ({one['name']})" for one in page[noun]]
     if not found:
         return "which has none"
     more = ", …" if len(found) > IDS_SHOWN else ""

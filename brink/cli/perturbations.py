@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from brink.cli.options import AsJson, console, plain_table, print_json
+from brink.extras import install_command
 from brink.server.errors import FieldError, InvalidInput, nearest
 from brink.sim.perturbations.catalogue import CATALOGUE, Gene, VisionMissing
 
@@ -78,10 +79,7 @@ def show(
     if image is not None and not image.is_file():
         raise InvalidInput.at("--image", f"{image}: {'not a file' if image.exists() else 'no such file'}")
     if find_spec("cv2") is None:
-        raise VisionMissing(
-            "drawing images needs OpenCV; install it with: "
-            ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
-        )
+        raise VisionMissing(f"drawing images needs OpenCV; install it with: {install_command('vision')}")
     # Imported here: it loads OpenCV, which is optional.
     from brink.sim.perturbations.pictures import contact_sheet, draw_street, read_picture, write_picture
 

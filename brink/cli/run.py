@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from brink.api.client import Api
-from brink.api.live import Steps
+from brink.api.live import Steps, failures_of
 from brink.api.results import fetch_archive
 from brink.cli.campaigns import grid_table, solution_table, within_budget
 from brink.cli.draw import write_results
@@ -246,7 +246,7 @@ def _summary(
         "simulations": progress.simulations,
         "evaluated": progress.evaluated,
         "unsafe": progress.unsafe,
-        "failed": progress.failed,
+        "failed": failures_of(progress),
         "outcomes": report.outcomes.model_dump(mode="json", exclude={"number", "group"}),
         "elapsed_s": progress.elapsed_s,
         "t_b": DEFAULT_T_B,
@@ -282,7 +282,7 @@ def _print_summary(
     screen.print()
     words = (
         f": {progress.simulations} simulations{beyond} in {progress.elapsed_s:.0f} s, {share:.0%} unsafe, "
-        f"{progress.failed} failed"
+        f"{failures_of(progress)} failed"
     )
     screen.print(Text.assemble((body.name, "bold"), words))
     if report.outcomes.words:

@@ -124,10 +124,6 @@ def _embed(inputs: CampaignFigures) -> _Map:
     else:
         embedding = embedded(archive)
         points, explained = np.asarray(embedding.points), embedding.explained
-        extent = np.ptp(points, axis=0)
-        if extent[1] > extent[0]:
-            # The canvas is wider than it is high. A quarter turn preserves all distances.
-            points = np.column_stack([points[:, 1], -points[:, 0]])
         meanings = axis_meanings(inputs.space, archive.vectors, points)
     distinct = distinct_boundary(archive, inputs.t_b, inputs.d_th)
     near = np.flatnonzero(archive.fitness <= inputs.t_b)

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from brink.extras import install_command
 from brink.search.archive import Archive
-from brink.search.errors import MissingExtra, install_command
+from brink.search.errors import MissingExtra
 from brink.search.parameters import Categorical
 from brink.search.space import BoolArray, SearchSpace
 

@@ -5,11 +5,14 @@ import contextlib
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from rich.console import Console
+
 from brink.api.client import Api, CoordinatorError
+from brink.api.live import earlier_words
 from brink.python.campaign import CampaignLike, body_of
 from brink.python.client import check_finished, settings_of
 from brink.python.connection import LocalDatabase, local_workers, wait_for
-from brink.python.display import Display, display_of
+from brink.python.display import Display, display_of, in_notebook
 from brink.python.result import AsyncResult, Result
 from brink.server.api.schemas import CampaignList, CampaignView, Progress
 from brink.server.campaigns.body import CampaignBody
@@ -103,25 +106,30 @@ async def run_body(
     """
     settings = settings_of(database)
     async with local_workers(settings, workers, environment) as (api, processes):
-        campaign = await _start(api, body, statuses)
+        campaign, earlier = await _start(api, body, statuses)
         try:
             with display_of(progress) as display:
-                check(await _watch(api, campaign, display, processes))
+                check(found := await _watch(api, campaign, display, processes))
         except asyncio.CancelledError:
             await asyncio.shield(_pause(api, campaign))
             raise
-    return await AsyncResult.fetch(LocalDatabase(settings), campaign)
+    result = await AsyncResult.fetch(LocalDatabase(settings), campaign)
+    if earlier:
+        result.note = earlier_words(found)
+        if progress and not in_notebook():  # a notebook shows the result, which says so itself
+            Console(stderr=True, highlight=False).print(f"{result.name}: {result.note}", soft_wrap=True)
+    return result
 
 
-async def _start(api: Api, body: CampaignBody, statuses: tuple[CampaignStatus, ...]) -> str:
-    """Return the id of the campaign to watch: an earlier run, or a new one."""
+async def _start(api: Api, body: CampaignBody, statuses: tuple[CampaignStatus, ...]) -> tuple[str, bool]:
+    """Return the id of the campaign to watch, an earlier run or a new one, and whether it had finished before."""
     if statuses:
         params = {"document_hash": body.document_hash(), "status": list(statuses), "limit": 1}
         for found in (await api.read(CampaignList, "/campaigns", params)).campaigns:
             if found.status is CampaignStatus.PAUSED:
                 await api.post(f"/campaigns/{found.id}/resume")
-            return found.id
-    return (await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))).id
+            return found.id, found.status is CampaignStatus.FINISHED
+    return (await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))).id, False
 
 
 async def _watch(api: Api, campaign: str, display: Display, processes: WorkerProcesses) -> Progress:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.follow_ups import continue_follow_up, follow_up_requests
+from brink.api.live import failures_of
 from brink.api.results import (
     TRACE_TIMEOUT_S,
     FetchedArchive,
@@ -59,7 +60,14 @@ class CampaignUnfinished(ServerError):
 
 
 class CampaignResult:
-    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence."""
+    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence.
+
+    Attributes:
+        finding: What was found, in a sentence.
+        note: That the result is of an earlier run, and when that finished; empty for a new run.
+    """
+
+    note: str = ""
 
     def __init__(self, connection: Connection, progress: Progress, body: CampaignBody, finding: str) -> None:
         self._connection = connection
@@ -100,7 +108,7 @@ class CampaignResult:
     @property
     def failed(self) -> int:
         """Solutions whose simulations failed: they are neither safe nor unsafe."""
-        return self._progress.failed
+        return failures_of(self._progress)
 
     @property
     def digest(self) -> str | None:
@@ -113,7 +121,8 @@ class CampaignResult:
         return self._body
 
     def __repr__(self) -> str:
-        return f"<result of campaign {self.id}, {self.name}: {self.finding}>"
+        note = f" ({self.note})" if self.note else ""
+        return f"<result of campaign {self.id}, {self.name}: {self.finding}{note}>"
 
 
 class AsyncResult(CampaignResult):
@@ -284,6 +293,7 @@ class Result(CampaignResult):
     def __init__(self, result: AsyncResult) -> None:
         super().__init__(result._connection, result._progress, result._body, result.finding)
         self._async = result
+        self.note = result.note
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return all evaluated solutions as a data frame, one row each.
@@ -427,7 +437,8 @@ class Result(CampaignResult):
         share = f"{self.unsafe / self.evaluated:.0%}" if self.evaluated else "–"
         facts = (
             f"campaign {self.id} · {self._body.algorithm.id} on {self._body.problem.id} · "
-            f"{self.simulations:,} simulations, {share} unsafe, {self.failed:,} failed · {self.status.value}"
+            f"{self.simulations:,} simulations, {share} unsafe, {self.failed:,} failed · "
+            f"{self.note or self.status.value}"
         )
         name, finding, facts = map(html.escape, (self.name, self.finding, facts))
         return f'<h4>{name}</h4><p><b>{finding}</b></p><p style="opacity:0.7">{facts}</p>'
@@ -474,10 +485,10 @@ async def _ended(api: Api, campaign: str, *, waits: bool) -> None:
         if progress.status is not CampaignStatus.RUNNING:
             raise CampaignUnfinished(f"campaign {campaign} is {progress.status}: {progress.status_reason}")
         if progress.workers and progress.unrunnable and not progress.leased and not waits:
-            needs = ", ".join(progress.unrunnable)
             raise CampaignUnfinished(
-                f"campaign {campaign} needs {needs}, which no worker of this machine provides: install its extra, "
-                "name its plug-in in BRINK_PLUGINS, or, for a function, ask the result that brink.search() returned"
+                f"campaign {campaign} waits for {' and '.join(progress.waits_for.values())}, and no worker of this "
+                "machine is one: install the extra, name the plug-in in BRINK_PLUGINS, or, for a function, ask the "
+                "result that brink.search() returned"
             )
         await asyncio.sleep(FOLLOW_UP_POLL_S)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from brink.api.client import Api, CoordinatorError
+from brink.api.live import failures_of
 from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
 from brink.report.comparison import compared_archives
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
@@ -137,7 +138,8 @@ class Facts:
     def left_out(self) -> int:
         """Simulations whose generation is not complete: their results count nowhere else."""
         return max(
-            self.progress.simulations - self.evaluated - self.progress.failed - self.progress.measured, 0
+            self.progress.simulations - self.evaluated - failures_of(self.progress) - self.progress.measured,
+            0,
         )
 
     @property

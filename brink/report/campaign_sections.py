@@ -422,18 +422,26 @@ def _rules(facts: Facts) -> list[str]:
         return []
     overall = rules.inside / rules.solutions
     told = [
-        f"{', '.join(rule.conditions)}: {rule.inside} of {rule.solutions} unsafe "
+        f"{', '.join(map(_readable, rule.conditions))}: {rule.inside} of {rule.solutions} unsafe "
         f"({rule.share:.0%}, interval {rule.low:.0%} to {rule.high:.0%})."
         for rule in rules.rules[:MOST_RULES]
         if rule.conditions and rule.low > overall
     ]
-    if told:
-        told.append(
-            f"Overall, {overall:.0%} were unsafe. The rules are from a small decision tree, and their shares are "
-            "those of the solutions that it was fitted to, so they may be too high. On others, it tells safe "
-            f"from unsafe with a balanced accuracy of {rules.balanced:.0%} (guessing: 50%)."
-        )
-    return told
+    if not told:
+        return []
+    return [
+        f"On drives that they were not fitted to, these rules tell safe from unsafe with a balanced accuracy of "
+        f"{rules.balanced:.0%} (guessing: 50%).",
+        *told,
+        f"Overall, {overall:.0%} were unsafe. The rules are from a small decision tree, and their shares are those "
+        "of the solutions that it was fitted to, so they may be too high.",
+    ]
+
+
+def _readable(condition: str) -> str:
+    """Return a condition on a parameter with its name in words."""
+    name, rest = condition.split(" ", 1)
+    return f"{name.replace('.', ' ').replace('_', ' ')} {rest}"
 
 
 def outcomes_section(facts: Facts) -> Section | None:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from brink.api.live import failures_of
 from brink.report.campaign_facts import LISTED, RANDOM, Facts
 from brink.report.violations import by_frequency
 from brink.search.analysis.dependence import ParameterColumn
@@ -215,10 +216,8 @@ def uncertainties(facts: Facts) -> list[str]:
             )
     if isinstance(facts.pairs, PairsView) and facts.pairs.caveat:
         told.append(facts.pairs.caveat)
-    if facts.progress.failed:
-        told.append(
-            f"{count(facts.progress.failed, 'simulation')} failed; they count as neither safe nor unsafe."
-        )
+    if failed := failures_of(facts.progress):
+        told.append(f"{count(failed, 'simulation')} failed; they count as neither safe nor unsafe.")
     if not facts.computed:
         chosen = (
             "Parameters are drawn evenly, which traffic does not do"
@@ -366,11 +365,12 @@ def _random(facts: Facts) -> str:
 
 def _failures(facts: Facts) -> str:
     progress = facts.progress
-    if not progress.failed and not progress.quarantined:
+    failed = failures_of(progress)
+    if not failed and not progress.quarantined:
         return f"None of {count(progress.simulations, 'simulation')} failed."
     waiting = f"; {progress.quarantined:,} wait in quarantine" if progress.quarantined else ""
     return (
-        f"{progress.failed:,} of {count(progress.simulations, 'simulation')} failed and have no verdict{waiting}. "
+        f"{failed:,} of {count(progress.simulations, 'simulation')} failed and have no verdict{waiting}. "
         "What fails may be unsafe, too."
     )
 

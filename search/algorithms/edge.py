@@ -25,6 +25,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from brink.extras import install_command
 from brink.search.algorithm import Candidate, Evaluation, Known, Scored
 from brink.search.algorithms.ledger import (
     BoundaryConfig,
@@ -208,7 +209,7 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
 
     def _min_budget(self, space: SearchSpace, config: EdgeConfig) -> int:
         if not is_available():
-            raise ConfigError("id", f"edge@1 needs scikit-learn: pip install 'brink-boundary[{EXTRA}]'")
+            raise ConfigError("id", f"edge@1 needs scikit-learn: {install_command(EXTRA)}")
         try:
             _varied(space, config)
         except SpaceError as error:

@@ -22,7 +22,8 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from brink.search.errors import MissingExtra, install_command
+from brink.extras import install_command
+from brink.search.errors import MissingExtra
 from brink.search.features import FeatureArray, Features
 from brink.search.space import BoolArray, FloatArray, IntArray, frozen_array
 

@@ -17,17 +17,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from brink.extras import install_command
 from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.archive import Archive
-from brink.search.errors import MissingExtra, install_command
+from brink.search.errors import MissingExtra
 from brink.search.fitness import wilson_interval
 from brink.search.parameters import Categorical, Integer, Parameter
 from brink.search.space import BoolArray, FloatArray, SearchSpace
 
 DEPTH: Final = 4
 FOLDS: Final = 5
-USELESS: Final = 0.55
-"""Balanced accuracy up to which rules are useless; guessing gives .50."""
+USELESS: Final = 0.65
+"""Balanced accuracy up to which rules are no finding; guessing gives .50."""
 LEAST_LEAF: Final = 15
 """Minimum number of solutions per rule."""
 
@@ -315,9 +316,9 @@ def trust(one: Rules) -> str:
     if one.accuracy is None:
         return "Too few solutions to cross-validate the rules."
     useful = one.balanced is not None and one.balanced > USELESS
-    verdict = "" if useful else " **They say almost nothing about scenarios that they were not trained on.**"
+    verdict = "" if useful else " **They say little about scenarios that they were not fitted to.**"
     return (
-        f"Cross-validated over {one.folds} folds of unseen scenarios, the rules are right for {one.accuracy:.1%} "
-        f"(standard deviation {one.accuracy_sd:.1%}); always predicting the majority is right for {one.usual:.1%}. "
-        f"The balanced accuracy is {one.balanced:.2f}; guessing gives .50.{verdict}"
+        f"On scenarios that they were not fitted to, the rules have a balanced accuracy of {one.balanced:.0%}; "
+        f"guessing gives 50%.{verdict} They are right for {one.accuracy:.1%} (standard deviation "
+        f"{one.accuracy_sd:.1%} over {one.folds} folds); always predicting the majority is right for {one.usual:.1%}."
     )

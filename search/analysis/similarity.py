@@ -51,7 +51,7 @@ class Projection:
         exact_points: int = EXACT_POINTS,
         landmarks: int = LANDMARKS,
     ) -> Self:
-        """Fit a map to solutions; each axis points towards its most distant landmark.
+        """Fit a map to solutions, wider than it is high; each axis points towards its most distant landmark.
 
         Args:
             metric: Distance between complete solutions.
@@ -75,6 +75,8 @@ class Projection:
         scale = np.divide(axes, np.sqrt(values), out=np.zeros_like(axes), where=values > 0)
         centre = squared.mean(axis=0)
         points = -0.5 * (squared - centre) @ scale
+        wide = np.argsort(-np.ptp(points, axis=0), kind="stable")
+        points, scale = points[:, wide], scale[:, wide]
         furthest = points[np.abs(points).argmax(axis=0), [0, 1]]
         explained = float(values.sum() / total) if total > 0 else 1.0
         return cls(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from typing import Any, Final, TypeAlias
 
-from brink.search.errors import install_command
+from brink.extras import install_command
 from brink.search.parameters import Categorical, Integer
 from brink.search.space import SearchSpace
 from brink.server.api.schemas import Boundary, SolutionView

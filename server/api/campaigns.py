@@ -55,7 +55,14 @@ from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.found import Found, found_so_far
-from brink.server.dashboard.overview import FollowUpListing, Outline, list_outlines, with_follow_ups
+from brink.server.dashboard.overview import (
+    Chosen,
+    FollowUpListing,
+    Outline,
+    count_campaigns,
+    list_outlines,
+    with_follow_ups,
+)
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
 from brink.server.documents import MAX_FILE_BYTES, parse_yaml
@@ -65,6 +72,7 @@ from brink.server.llm.store import list_calls
 from brink.server.queue.job_store import count_unfinished, queued_needs
 from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
+from brink.sim.catalogue import worker_for
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 
@@ -296,6 +304,7 @@ def read_progress(
     standing = read_campaign_progress(connection, campaign, workers=len(live))
     capabilities = set().union(*live.values())
     waiting = queued_needs(connection, campaign.id) if standing.queued else {}
+    unrunnable = {needs: count for needs, count in waiting.items() if needs not in capabilities}
     failed, failure = (
         view_store.read_failures(connection, campaign.id, campaign.generation)
         if standing.quarantined
@@ -309,8 +318,8 @@ def read_progress(
         reported_failed=failed, failure=failure, quarantined=standing.quarantined, queued=standing.queued,
         leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
         cached=standing.cached, remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
-        unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
-        digest=archive.digest if archive is not None else None,
+        unrunnable=unrunnable, waits_for={needs: worker_for(needs) for needs in unrunnable},
+        digest=archive.digest if archive is not None else None, finished_at=campaign.finished_at,
         looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
         looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),
         looks_for_tolerances=searches_for_tolerances(campaign.body.algorithm.id),
@@ -396,7 +405,8 @@ class Overview(View):
     trouble: Annotated[
         str | None, Field(description="Why the database currently rejects writes, if it does.")
     ]
-    next: Annotated[str | None, Field(description="Pass as `cursor` to get the next page.")]
+    total: Annotated[int, Field(description="Number of campaigns that match, on all pages.")] = 0
+    next: Annotated[str | None, Field(description="Pass as `cursor` to get the next page.")] = None
 
 
 @overview_router.get("/overview", responses=NOT_MODIFIED)
@@ -417,30 +427,27 @@ async def get_overview(
     """Return a summary of campaigns, newest first. Supports conditional requests with ETag."""
     before = read_cursor(cursor)
     trouble = services.queue.writer.trouble
+    chosen = Chosen(
+        statuses=tuple(status or ()), named=name, experiment=experiment, tags=tag or (), search=search,
+        follow_ups=follow_ups is FollowUpListing.LISTED,
+    )  # fmt: skip
 
     def look(connection: Connection) -> tuple[str, Overview | None]:
-        outlines = list_outlines(
-            connection,
-            limit=limit,
-            before=before,
-            statuses=tuple(status or ()),
-            named=name,
-            experiment=experiment,
-            tags=tag or (),
-            search=search,
-            follow_ups=follow_ups is FollowUpListing.LISTED,
-        )
+        outlines = list_outlines(connection, limit=limit, before=before, chosen=chosen)
         following = next_cursor(outlines, limit)
+        all_here = before is None and following is None
+        total = len(outlines) if all_here else count_campaigns(connection, chosen)
         if follow_ups is not FollowUpListing.LISTED:
             shown = unfold or () if follow_ups is FollowUpListing.HIDDEN else None
             outlines = with_follow_ups(connection, outlines, shown)
         found = services.figures.found.of(outlines)
         states = [(*_outline_state(connection, one), found.get(one.id)) for one in outlines]
         workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
-        etag = etag_of(states, workers, following, trouble.reason if trouble else None)
+        etag = etag_of(states, workers, following, total, trouble.reason if trouble else None)
         if matches(request, etag):
             return etag, None
-        return etag, _overview(services, connection, outlines, found, following, len(workers))
+        overview = _overview(services, connection, outlines, found, len(workers))
+        return etag, overview.model_copy(update={"next": following, "total": total})
 
     etag, overview = await read(services.engines, look)
     if overview is None:
@@ -461,7 +468,6 @@ def _overview(
     connection: Connection,
     outlines: list[Outline],
     known: Mapping[str, Found | None],
-    following: str | None,
     workers: int,
 ) -> Overview:
     standings = [
@@ -496,7 +502,6 @@ def _overview(
         open_follow_ups=[one.follow_ups.open for one in outlines],
         workers=workers,
         trouble=trouble.reason if trouble else None,
-        next=following,
     )
 
 

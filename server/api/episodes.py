@@ -25,6 +25,7 @@ from brink.server.db.engine import read
 from brink.server.errors import Conflict, NotFound, NoWorker
 from brink.server.queue.workers import can_run
 from brink.server.states import JobStatus
+from brink.sim.catalogue import worker_for
 from brink.sim.errors import SimulatorError
 from brink.sim.replay import render_bytes
 from brink.sim.trace import Trace
@@ -184,7 +185,7 @@ async def trace_of(
                 other = await read(services.engines, lambda c: other_simulator(c, campaign))
                 raise NoWorker(
                     f"solution {number}: no live worker can run {found.needs} to make the trace; "
-                    f"{other or 'start one and try again'}",
+                    f"{other or f'start {worker_for(found.needs)} and try again'}",
                     retry_after_s=NO_WORKER_RETRY_S,
                 )
             if found.job is None:

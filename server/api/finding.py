@@ -370,7 +370,7 @@ async def _follow_up_words(services: Context, of_id: str, kind: FollowUpKind, ca
         found = await services.archives.get(of)
         stored = await read(services.engines, lambda c: read_follow_ups(c, of.id))
         own = next(one for one in stored if one.campaign.id == campaign.id)
-        return repeats_view(of.id, of.body.name, own, found).words
+        return repeats_view(of, own, found).words
     counts = f"{campaign.unsafe:,} of {campaign.evaluated:,} drives"
     if kind is FollowUpKind.COMPONENT:
         return f"with ground truth in place of the component, {counts} were unsafe all the same"

@@ -107,7 +107,8 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
     problem = (await services.archives.get(campaign)).plan.problem
     if not isinstance(problem, ReportsViolations):
         raise NotFound(
-            f"campaign {campaign.id}: problem {campaign.body.problem.id} does not support reporting violations"
+            f"campaign {campaign.id}: violations are sorted into types only where other traffic causes them, as for "
+            f"npc-actions@1, not for {campaign.body.problem.id}; see what it found with: brink report {campaign.id}"
         )
     return await read(services.engines, lambda connection: read_violations(connection, campaign.id, problem))
 

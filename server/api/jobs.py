@@ -20,6 +20,7 @@ from brink.server.errors import NotFound
 from brink.server.queue.job_store import count_jobs, list_jobs
 from brink.server.queue.workers import list_workers, live_capabilities
 from brink.server.states import CampaignStatus, JobKind, JobStatus
+from brink.sim.catalogue import worker_for
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
@@ -157,5 +158,5 @@ def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
         jobs=[one.jobs for one in counts],
         campaigns={one.campaign: one.name for one in counts},
         paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.campaign_status in ENDED}),
-        unrunnable=dict(unrunnable),
+        unrunnable=dict(unrunnable), waits_for={needs: worker_for(needs) for needs in unrunnable},
     )  # fmt: skip

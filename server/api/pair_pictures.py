@@ -6,13 +6,13 @@ from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection
 
 from brink.server.api.context import Context, Services
-from brink.server.api.episodes import UNREADABLE, Number, Wait, trace_of
-from brink.server.api.responses import COMPUTING, computing
+from brink.server.api.episodes import NOT_YET, UNREADABLE, Number, Wait, trace_of
+from brink.server.api.responses import computing
 from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.traces import trace_status
 from brink.server.db.engine import read
-from brink.server.errors import Conflict, NotFound, NoWorker
+from brink.server.errors import Conflict, NotFound
 from brink.server.queue.workers import can_run
 from brink.sim.replay import DrivePair, Side, render_pair_maps
 from brink.sim.trace import Trace
@@ -29,7 +29,7 @@ KEPT: Final = 64
     responses={
         200: {"content": {"image/png": {}}},
         204: {"description": "There is no picture: no trace that can be drawn is kept or can be recorded."},
-        **COMPUTING,
+        **NOT_YET,
     },
 )
 async def get_pair_picture(
@@ -51,7 +51,7 @@ async def get_pair_picture(
         return Response(status_code=204)
     try:
         documents = [await trace_of(services, campaign, number, request, wait_s) for number in numbers]
-    except (NotFound, Conflict, NoWorker):
+    except (NotFound, Conflict):
         return Response(status_code=204)
     kept = [document for document in documents if document is not None]
     if len(kept) < len(numbers):
@@ -77,12 +77,13 @@ async def get_pair_picture(
 async def _can_draw(services: Context, campaign: Campaign, numbers: tuple[int, int], *, record: bool) -> bool:
     """Return whether both traces are kept or may be recorded; request those that are missing, all at once."""
 
-    def missing(connection: Connection) -> list[tuple[int, bool]]:
-        """Return the numbers without a trace, and whether each can be recorded."""
+    def missing(connection: Connection) -> list[tuple[int, str | None, bool]]:
+        """Return the numbers without a trace, what recording each needs, and whether a live worker has that."""
         found = [(number, trace_status(connection, campaign.id, number)) for number in numbers]
         return [
             (
                 number,
+                one.needs,
                 one.needs is not None and can_run(connection, one.needs, services.settings.worker_seen_s),
             )
             for number, one in found
@@ -90,8 +91,9 @@ async def _can_draw(services: Context, campaign: Campaign, numbers: tuple[int, i
         ]
 
     absent = await read(services.engines, missing)
-    if absent and not (record and campaign.status in ENDED and all(possible for _, possible in absent)):
+    if absent and not (record and campaign.status in ENDED and all(needs for _, needs, _ in absent)):
         return False
-    for number, _ in absent:
-        await services.campaigns.request_trace(campaign.id, number)
+    if all(possible for *_, possible in absent):  # otherwise `trace_of` says what is missing
+        for number, *_ in absent:
+            await services.campaigns.request_trace(campaign.id, number)
     return True

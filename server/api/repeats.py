@@ -13,7 +13,10 @@ from brink.server.api.responses import set_created
 from brink.server.api.schemas import MAX_NUMBER, View
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.pairs import searches_for_pairs
+from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.repeats import MOST, StoredRepeats, read_repeats
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.documents import Body
 from brink.server.states import CampaignStatus
@@ -160,15 +163,14 @@ async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
     if not stored:
         return []
     found = await services.archives.get(campaign)
-    return [repeats_view(campaign.id, campaign.body.name, one, found) for one in stored]
+    return [repeats_view(campaign, one, found) for one in stored]
 
 
-def repeats_view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
+def repeats_view(campaign: Campaign, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
     """Return what repeats show.
 
     Args:
-        of: Id of the campaign whose solutions are repeated.
-        name: Its name.
+        campaign: The campaign whose solutions are repeated.
         stored: The repeats.
         read_archive: Its archive.
     """
@@ -198,7 +200,7 @@ def repeats_view(of: str, name: str, stored: StoredRepeats, read_archive: ReadAr
     evaluated, unsafe = int(tallies.evaluated.sum()), int(tallies.unsafe.sum())
     counts = Counter(conclusions)
     view = RepeatsView(
-        campaign=stored.campaign.id, of=of, name=name, status=stored.campaign.status,
+        campaign=stored.campaign.id, of=campaign.id, name=campaign.body.name, status=stored.campaign.status,
         status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
         t_b=stored.t_b, d_th=stored.d_th,
         p_th=near.p_th, simulations=stored.campaign.completed, budget=stored.campaign.body.budget.simulations,
@@ -206,7 +208,10 @@ def repeats_view(of: str, name: str, stored: StoredRepeats, read_archive: ReadAr
         near=counts[Conclusion.NEAR], inconclusive=counts[Conclusion.INCONCLUSIVE],
         evaluated=evaluated, unsafe=unsafe, pooled=_pooled(unsafe, evaluated, near.z), words="", solutions=solutions,
     )  # fmt: skip
-    return view.model_copy(update={"words": _in_words(view, simulations_to_clear(near.p_th, near.z))})
+    searched = campaign.body.algorithm.id
+    rated = stored.boundary or (looks_for_boundary(searched) and not searches_for_pairs(searched))
+    to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
+    return view.model_copy(update={"words": _in_words(view, to_clear)})
 
 
 def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None:
@@ -216,12 +221,13 @@ def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None
     return float(low), float(high)
 
 
-def _in_words(view: RepeatsView, to_clear: int) -> str:
+def _in_words(view: RepeatsView, to_clear: int | None) -> str:
     """Return what repeats show: the share of all simulations with its interval, and what is known of each solution.
 
     Args:
         view: The repeats.
-        to_clear: Simulations, all safe, that put the interval of a solution below p_th.
+        to_clear: Simulations, all safe, that put the interval of a solution below p_th; None for solutions of
+            a search that has nothing to do with p_th.
     """
     count, reason = len(view.solutions), f" ({view.status_reason})" if view.status_reason else ""
     what = f"{count} boundary solutions" if view.boundary else f"{count} selected solutions"
@@ -239,15 +245,27 @@ def _in_words(view: RepeatsView, to_clear: int) -> str:
     )
     if view.status is not CampaignStatus.FINISHED:
         return f"{what}, not yet simulated again {view.repeats} times: {share} so far; {view.status}{reason}"
+    again = f"{what}, with other seeds, {drives} times each: {share}."
+    if to_clear is None:
+        return f"{again} {_by_verdict(view)}"
     known = [
         (view.near, "near p_th"), (view.below, "below it"), (view.above, "above it"),
         (view.inconclusive, f"inconclusive with {drives} simulations each"),
     ]  # fmt: skip
     told = ", ".join(f"{number} {words}" for number, words in known)
-    rest = f", with other seeds, {drives} times each: {share}. By solution, p_th = {view.p_th:g}: {told}."
+    rest = f" By solution, p_th = {view.p_th:g}: {told}."
     if each[0] < to_clear and view.inconclusive:
         rest += f" Even a solution that is never unsafe takes {to_clear} to fall below p_th."
-    return what + rest
+    return again + rest
+
+
+def _by_verdict(view: RepeatsView) -> str:
+    """Return how many solutions were always safe, always unsafe, or both."""
+    simulated = [one for one in view.solutions if one.evaluated]
+    unsafe = sum(one.unsafe == one.evaluated for one in simulated)
+    safe = sum(one.unsafe == 0 for one in simulated)
+    both = len(simulated) - unsafe - safe
+    return f"By solution: {unsafe} always unsafe, {safe} always safe, {both} with both verdicts."
 
 
 def _around(read_archive: ReadArchive, index: int) -> tuple[float, float, float]:

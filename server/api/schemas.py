@@ -139,6 +139,9 @@ class Progress(View):
         dict[str, int],
         Field(description="Number of queued jobs that no live worker can run, by required capability."),
     ]
+    waits_for: Annotated[
+        dict[str, str], Field(description="What kind of worker each of these capabilities needs, in words.")
+    ] = {}
     looks_for_boundary: Annotated[
         bool,
         Field(
@@ -166,6 +169,7 @@ class Progress(View):
     ]
     trouble_s: Annotated[float, Field(description="How long the database has rejected writes, in seconds.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
+    finished_at: datetime | None = None
     tags: list[str] = []
     notes: str = ""
     t_b: float
@@ -512,6 +516,9 @@ class JobCounts(View):
             description="Number of queued jobs in unpaused campaigns that no live worker can run, by capability."
         ),
     ]
+    waits_for: Annotated[
+        dict[str, str], Field(description="What kind of worker each of these capabilities needs, in words.")
+    ] = {}
 
 
 class WorkerView(View):

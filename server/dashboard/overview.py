@@ -8,7 +8,7 @@ from enum import StrEnum
 from threading import Lock
 from typing import Any, Final
 
-from sqlalchemy import Connection, Select, and_, case, func, select
+from sqlalchemy import ColumnElement, Connection, Select, and_, case, func, select
 
 from brink.server.campaigns.store import ENDED, labelled, read_tags
 from brink.server.db.models import CampaignRow, ExperimentCampaignRow, GenerationRow, RepeatsRow
@@ -85,17 +85,47 @@ class Outline:
         return self.evaluated + self.measured + self.failed
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chosen:
+    """Which campaigns are listed.
+
+    Attributes:
+        statuses: Only campaigns in one of these states; all if empty.
+        named: Only campaigns whose name contains this or whose id begins with it, ignoring case.
+        experiment: Only campaigns of this experiment.
+        tags: Only campaigns with all of these tags.
+        search: Only campaigns with all of these words in name, notes or tags, or whose id begins with this; case does
+            not matter.
+        follow_ups: Whether to list follow-ups, too.
+    """
+
+    statuses: Sequence[CampaignStatus] = ()
+    named: str = ""
+    experiment: str | None = None
+    tags: Sequence[str] = ()
+    search: str = ""
+    follow_ups: bool = True
+
+    def conditions(self) -> list[ColumnElement[bool]]:
+        """Return the conditions of a query."""
+        row = CampaignRow
+        found = list(labelled(self.tags, ""))
+        if self.statuses:
+            found.append(row.status.in_(self.statuses))
+        if self.named:
+            inside = func.lower(row.name).contains(self.named.lower(), autoescape=True)
+            found.append(inside | row.id.startswith(self.named.lower(), autoescape=True))
+        if self.experiment is not None:
+            found.append(ExperimentCampaignRow.experiment_id == self.experiment)
+        if not self.follow_ups:
+            found.append(RepeatsRow.campaign_id.is_(None))
+        if words := labelled((), self.search):
+            found.append(and_(*words) | row.id.startswith(self.search.strip().lower(), autoescape=True))
+        return found
+
+
 def list_outlines(
-    connection: Connection,
-    *,
-    limit: int,
-    before: tuple[datetime, str] | None = None,
-    statuses: Sequence[CampaignStatus] = (),
-    named: str = "",
-    experiment: str | None = None,
-    tags: Sequence[str] = (),
-    search: str = "",
-    follow_ups: bool = True,
+    connection: Connection, *, limit: int, before: tuple[datetime, str] | None, chosen: Chosen
 ) -> list[Outline]:
     """Return campaigns, newest first.
 
@@ -103,29 +133,17 @@ def list_outlines(
         connection: Read connection on one snapshot.
         limit: Maximum number of campaigns.
         before: Creation time and id of a campaign; only older ones are returned.
-        statuses: Only campaigns in one of these states; all if empty.
-        named: Only campaigns whose name contains this or whose id begins with it, ignoring case.
-        experiment: Only campaigns of this experiment.
-        tags: Only campaigns with all of these tags.
-        search: Only campaigns with all of these words in name, notes or tags, or whose id begins with this; case does
-            not matter.
-        follow_ups: Whether to return follow-ups, too.
+        chosen: Which campaigns.
     """
-    row = CampaignRow
-    query = _with_columns(newest_first(row.__table__, limit=limit, before=before))
-    if statuses:
-        query = query.where(row.status.in_(statuses))
-    if named:
-        inside = func.lower(row.name).contains(named.lower(), autoescape=True)
-        query = query.where(inside | row.id.startswith(named.lower(), autoescape=True))
-    if experiment is not None:
-        query = query.where(ExperimentCampaignRow.experiment_id == experiment)
-    if not follow_ups:
-        query = query.where(RepeatsRow.campaign_id.is_(None))
-    words = labelled((), search)
-    if words:
-        query = query.where(and_(*words) | row.id.startswith(search.strip().lower(), autoescape=True))
-    return _outlines(connection, query.where(*labelled(tags, "")))
+    query = _with_columns(newest_first(CampaignRow.__table__, limit=limit, before=before))
+    return _outlines(connection, query.where(*chosen.conditions()))
+
+
+def count_campaigns(connection: Connection, chosen: Chosen) -> int:
+    """Return how many campaigns match."""
+    query = _joined(select(func.count()).select_from(CampaignRow.__table__))
+    count: int = connection.execute(query.where(*chosen.conditions())).scalar_one()
+    return count
 
 
 def with_follow_ups(
@@ -156,15 +174,22 @@ def with_follow_ups(
 def _with_columns(page: Select[Any]) -> Select[Any]:
     """Return a query of campaigns that selects what `_outlines` reads."""
     row = CampaignRow
-    return page.with_only_columns(
+    wanted = page.with_only_columns(
         row.id, row.name, row.document["problem"]["id"].as_string().label("problem"),
         row.document["algorithm"]["id"].as_string().label("algorithm"), row.seed, row.status, row.status_reason,
         row.sequence, row.budget, row.generation, row.evaluated, row.unsafe, row.failed, row.measured,
         row.created_at, row.finished_at, ExperimentCampaignRow.experiment_id.label("experiment"),
         RepeatsRow.of_id.label("repeats_of"), RepeatsRow.repeats,
-    ).outerjoin_from(
+    )  # fmt: skip
+    return _joined(wanted)
+
+
+def _joined(query: Select[Any]) -> Select[Any]:
+    """Return a query of campaigns joined with their experiments and with what they repeat."""
+    row = CampaignRow
+    return query.outerjoin_from(
         row.__table__, ExperimentCampaignRow.__table__, ExperimentCampaignRow.campaign_id == row.id
-    ).outerjoin(RepeatsRow.__table__, RepeatsRow.campaign_id == row.id)  # fmt: skip
+    ).outerjoin(RepeatsRow.__table__, RepeatsRow.campaign_id == row.id)
 
 
 def _outlines(connection: Connection, query: Select[Any]) -> list[Outline]:

@@ -17,6 +17,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError
 from sqlalchemy.pool import ConnectionPoolEntry
 
+from brink.extras import install_command
 from brink.server.errors import DatabaseError
 
 T = TypeVar("T")
@@ -105,7 +106,7 @@ def open_engines(database: str) -> Engines:
             hide_parameters=True,
         )  # fmt: skip
     except ModuleNotFoundError:
-        raise DatabaseError("Postgres needs its driver: pip install 'brink-boundary[postgres]'") from None
+        raise DatabaseError(f"Postgres needs its driver: {install_command('postgres')}") from None
     return Engines(writer=writer, reader=reader)
 
 

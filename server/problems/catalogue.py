@@ -12,8 +12,9 @@ from typing import Any, Final, Literal, cast, get_type_hints
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
 
+from brink.extras import install_command
 from brink.search.algorithm import Algorithm
-from brink.search.errors import ConfigError, UnsupportedSpace, install_command
+from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest

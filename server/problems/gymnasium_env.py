@@ -11,7 +11,8 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from brink.search.errors import ConfigError, install_command
+from brink.extras import install_command
+from brink.search.errors import ConfigError
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import check_settings, setting
 from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace

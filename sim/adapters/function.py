@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import cloudpickle
 
-from brink.sim.catalogue import SIMULATORS, register
+from brink.sim.catalogue import FUNCTION_PREFIX, SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
 from brink.sim.errors import InvalidEpisode
 from brink.sim.provenance import provenance, versions_with
@@ -35,7 +35,7 @@ _DIGITS: Final = 16
 
 def simulator_of(digest: str) -> str:
     """Return the id of the simulator that calls the function with this digest."""
-    return f"function-{digest[:_DIGITS] or 'unknown'}@1"
+    return f"{FUNCTION_PREFIX}{digest[:_DIGITS] or 'unknown'}@1"
 
 
 def digest_of(function: Callable[..., Any]) -> str:
@@ -67,7 +67,7 @@ def write_function(function: Callable[..., Any], folder: Path) -> tuple[Path, st
         TypeError: It cannot be pickled.
     """
     digest = digest_of(function)
-    path = folder / f"function-{digest[:_DIGITS]}.pickle"
+    path = folder / f"{FUNCTION_PREFIX}{digest[:_DIGITS]}.pickle"
     folder.mkdir(parents=True, exist_ok=True)
     path.write_bytes(
         cloudpickle.dumps({"path": sys.path, "digest": digest, "call": cloudpickle.dumps(function)})
@@ -181,4 +181,6 @@ def _words(error: Exception, function: Callable[..., Any], values: Mapping[str, 
 
 if FILE_VARIABLE in os.environ:  # in a worker that `brink.search` started
     _FILE = Path(os.environ[FILE_VARIABLE])
-    register(SIMULATORS, simulator_of(_FILE.stem.removeprefix("function-")), lambda: FunctionSimulator(_FILE))
+    register(
+        SIMULATORS, simulator_of(_FILE.stem.removeprefix(FUNCTION_PREFIX)), lambda: FunctionSimulator(_FILE)
+    )

@@ -35,6 +35,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
+from brink.extras import install_command
 from brink.sim.catalogue import load_plugin, plugin_ids
 from brink.sim.episode import nearest
 from brink.sim.errors import InvalidEpisode
@@ -408,9 +409,7 @@ class _OnnxNetwork:
 
 class _TorchNetwork:
     def __init__(self, file: Path) -> None:
-        torch = _import(
-            "torch", "torchscript", "the torch extra (pip install -c constraints.txt -e '.[torch]')"
-        )
+        torch = _import("torch", "torchscript", f"the torch extra ({install_command('torch')})")
         self._torch = torch
         torch.set_num_threads(1)
         extra = {"config.txt": ""}  # written by Ultralytics into its TorchScript files

@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 
+from brink.extras import install_command
 from brink.sim.episode import Json, JsonObject
 from brink.sim.perturbations.catalogue import (
     Frame,
@@ -229,8 +230,7 @@ def _transform(name: str) -> Transform:
         if error.name != "cv2":
             raise
         raise VisionMissing(
-            "perturbing images needs OpenCV; install it with: "
-            ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
+            f"perturbing images needs OpenCV; install it with: {install_command('vision')}"
         ) from None
     return TRANSFORMS[name]
 

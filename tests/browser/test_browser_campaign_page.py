@@ -178,7 +178,7 @@ def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, browse: Browse
     campaign = submit(site.client, ball(name="steered", problem=NOBODYS))
     page = browse(f"#/campaigns/{campaign}")
     state = page.locator(".head .badge")
-    shown(page.get_by_text("cannot run on any live worker")).to_be_visible()
+    shown(page.get_by_text("a worker with the plug-in that provides nobody-has-it@1")).to_be_visible()
     for button, then in (
         ("Pause steered", "paused"),
         ("Resume steered", "running"),

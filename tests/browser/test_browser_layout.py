@@ -1,9 +1,12 @@
 """Wide and narrow, light and dark."""
 
+import io
 import re
 
+import numpy as np
 import pytest
-from playwright.sync_api import Page
+from PIL import Image
+from playwright.sync_api import Locator, Page
 from playwright.sync_api import expect as shown
 
 from browser.served import Served, unsafe_one
@@ -25,6 +28,23 @@ def test_no_view_scrolls_sideways_on_a_phone(site: Served, views: list[View], br
         if page.evaluate("document.scrollingElement.scrollWidth") > PHONE_PX:
             found[view.name] = page.evaluate(OVERHANGING, PHONE_PX)
     assert not found
+
+
+def right_edge(region: Locator) -> float:
+    """Return how bright the last column of pixels is, in the middle of its range."""
+    with Image.open(io.BytesIO(region.screenshot())) as picture:
+        return float(np.median(np.asarray(picture.convert("L"))[:, -1]))
+
+
+def test_a_table_whose_columns_are_cut_off_has_a_shadow_there(site: Served, visit: Visits) -> None:
+    page = visit(site.url, f"#/campaigns/{site.ball}", theme="light")
+    table = page.get_by_role("region", name="Table of boundary solutions")
+    shown(table).to_be_visible()
+    whole = right_edge(table)
+    page.set_viewport_size({"width": PHONE_PX, "height": 844})
+    cut = right_edge(table)
+    table.evaluate("region => { region.scrollLeft = region.scrollWidth; }")
+    assert (whole - cut > 30, right_edge(table)) == (True, whole)
 
 
 def ground(page: Page) -> str:

@@ -15,6 +15,7 @@ from support.urban_pairs import SAFE, UNSAFE, judged
 from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.canvas import picture
+from browser.console import Console
 from browser.served import API, NOBODYS, Served, origin
 from browser.visits import Browse, Visits
 
@@ -151,8 +152,9 @@ def filmed(job: LeasedJob) -> Completed | JobFailed:
 
 
 def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
-    own: httpx.Client, visit: Visits
+    own: httpx.Client, visit: Visits, console: Console
 ) -> None:
+    console.expect_status(503)
     body = {
         "name": "pictured", "problem": {"id": "urban-injected@1"}, "budget": {"simulations": 2},
         "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}, "execution": {"keep_traces": 0},
@@ -164,6 +166,11 @@ def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
     shown(page.get_by_role("region", name="Map")).to_be_visible()
     best = page.get_by_role("region", name="Best pairs")
     shown(best).to_be_hidden()
+    own.post(f"{API}/workers/{worker.id}/drain")
+    page.reload()
+    shown(best).to_contain_text("a worker must simulate them again")
+    shown(best).to_contain_text(f"brink worker --server {origin(own)}")
+    worker = FakeWorker(own, id="second", capabilities=(URBAN,), judge=filmed)
     recorded = 0
 
     def record() -> bool:
@@ -190,6 +197,9 @@ def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
     page.reload()
     shown(evidence).to_have_text("confirmed: unsafe in 0/10 and 10/10 drives with other seeds")
     shown(evidence).to_have_attribute("title", re.compile("unsafe drive in 10 of 10\\.$"))
+    again = page.get_by_role("region", name="Repeats")
+    shown(again).to_contain_text("By solution: 1 always unsafe, 1 always safe, 0 with both verdicts.")
+    shown(again).not_to_contain_text("p_th")
 
 
 def colours(canvas: Locator) -> int:
@@ -227,7 +237,7 @@ def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something
 def test_what_nobody_can_simulate_shows_no_empty_map(site: Served, browse: Browse) -> None:
     campaign = submit(site.client, ball(name="idle", problem=NOBODYS))
     page = browse(f"#/campaigns/{campaign}")
-    shown(page.get_by_text("cannot run on any live worker")).to_be_visible()
+    shown(page.get_by_text("a worker with the plug-in that provides nobody-has-it@1")).to_be_visible()
     shown(page.get_by_role("region", name="Map")).to_be_hidden()
     shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()
 

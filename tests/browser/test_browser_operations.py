@@ -31,6 +31,8 @@ def test_quarantined_job_is_retried_and_done(
 ) -> None:
     campaign, job = unlucky
     page = visit(origin(own), f"#/campaigns/{campaign}")
+    shown(page.get_by_text("First error: ")).to_contain_text("Crashed: the engine gave up.")
+    shown(page.get_by_role("region", name="Finding")).to_contain_text("Failed3")
     page.get_by_text("3 jobs in quarantine.").get_by_role("link", name="Inspect and retry").click()
     row = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=str(job), exact=True))
     row.locator("summary").filter(has_text="the engine gave up").click()
@@ -61,7 +63,7 @@ def test_quarantined_jobs_are_retried_together(
 
 def test_a_job_that_nobody_can_run_says_what_it_needs(site: Served, browse: Browse) -> None:
     page = browse("#/jobs?status=queued")
-    shown(page.get_by_text("which no live worker provides").first).to_be_visible()
+    shown(page.get_by_text("with the plug-in that provides nobody-has-it@1").first).to_be_visible()
     shown(page.locator("table.jobs tbody tr").first).to_contain_text("nobody-has-it@1")
 
 

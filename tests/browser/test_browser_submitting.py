@@ -100,9 +100,7 @@ def test_a_campaign_file_is_pasted_and_submitted(site: Served, browse: Browse, c
     page.get_by_label("Campaign file").fill(FILE.replace("random@1", "randm@1"))
     console.expect_status(422)
     page.get_by_role("button", name="Submit campaign").click()
-    shown(page.get_by_role("alert").filter(has_text="Did you mean random@1?")).to_contain_text(
-        "/algorithm/id"
-    )
+    shown(page.get_by_role("alert").filter(has_text="Did you mean random@1?")).to_contain_text("algorithm.id")
     page.get_by_label("Campaign file").fill(FILE)
     page.get_by_role("button", name="Submit campaign").click()
     shown(page.get_by_role("heading", name="from a file")).to_be_visible()

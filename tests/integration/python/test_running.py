@@ -4,6 +4,7 @@ import asyncio
 import inspect
 import re
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,8 @@ def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> No
     assert set(pairs["confirmation"]) <= {"confirmed", "not confirmed"}
     stored = brink.connect(database="brink.db").campaign(result.id).result()
     with pytest.raises(
-        CampaignUnfinished, match=r"which no worker of this machine provides.*brink.search\(\)"
+        CampaignUnfinished,
+        match=r"waits for the Python program .*no worker of this machine is one.*brink.search\(\)",
     ):
         stored.check_pairs(confirm=11)
 
@@ -233,11 +235,21 @@ def test_a_bool_is_no_robustness(folder: Path) -> None:
         )
 
 
-def test_a_finished_campaign_is_returned_and_not_run_again(folder: Path) -> None:
+def test_a_finished_campaign_is_returned_and_not_run_again(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     first = brink.run(HILLS, progress=False)
-    again = brink.run(HILLS.document(), progress=False)
+    again = brink.run(HILLS.document())
+    said = f"finished earlier, on {datetime.now(UTC):%Y-%m-%d} at "
+    assert again.note.startswith(said)
+    assert again.note.endswith(" UTC; nothing was simulated")
+    for shown in (repr(again), again._repr_html_(), capsys.readouterr().err):
+        assert again.note in shown
+    assert first.note == ""
+    assert "earlier" not in repr(first)
     another = brink.run(HILLS, progress=False, resume=False)
     assert first.id == again.id != another.id
+    assert another.note == ""
     assert first.digest == another.digest
     listed = brink.connect(database="brink.db").campaigns("finished")
     assert {first.id, another.id} <= {campaign.id for campaign in listed}

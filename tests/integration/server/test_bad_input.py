@@ -11,6 +11,7 @@ from support.databases import Databases
 from support.problems import small_problems
 
 from brink.server.db.engine import Engines, open_engines
+from brink.server.errors import field_name
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +97,7 @@ def test_answer_points_at_the_wrong_field(
     assert error["pointer"] == pointer
     assert message in error["message"]
     assert error["nearest"] == nearest
-    assert pointer in answer.json()["detail"]
+    assert answer.json()["detail"].startswith(f"{field_name(pointer)}: "), "as in the file"
     assert row_counts(engines) == before
 
 

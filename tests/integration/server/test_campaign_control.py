@@ -339,7 +339,11 @@ def test_progress_counts_jobs_that_no_worker_can_run(client: httpx.Client) -> No
     campaign = submit(client, body)
     submit(client, ball())
     FakeWorker(client).lease()
-    assert progress(client, campaign)["unrunnable"] == {"nobody-has-it@1": 20}
+    found = progress(client, campaign)
+    assert found["unrunnable"] == {"nobody-has-it@1": 20}
+    assert found["waits_for"] == {
+        "nobody-has-it@1": "a worker with the plug-in that provides nobody-has-it@1"
+    }
 
 
 def test_etag_changes_with_the_progress_of_a_running_campaign(client: httpx.Client) -> None:

@@ -26,6 +26,7 @@ from brink.cli import campaigns, commands, perturbations
 from brink.cli.commands import app
 from brink.cli.main import main
 from brink.cli.options import database_option
+from brink.extras import install_command
 from brink.server.db import engine
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow
@@ -484,8 +485,7 @@ def test_bad_contact_sheet_option_fails_before_work(brink: Command, arguments: l
 def test_contact_sheet_names_missing_opencv(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(perturbations, "find_spec", lambda name: None)
     assert brink("perturbations", "show", "--out", "s.png").line == (
-        "brink: drawing images needs OpenCV; install it with: "
-        ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
+        f"brink: drawing images needs OpenCV; install it with: {install_command('vision')}"
     )
     assert brink("perturbations", "list").status == 0
 
@@ -702,6 +702,7 @@ def test_status_hides_follow_ups_and_lists_them_below_their_campaign_on_demand(
     listed = brink("status", *at).out
     assert (searched in listed, again in listed) == (True, False)
     assert "without 1 follow-up; list them with: brink status --all" in listed
+    assert f"which has {searched} (searched); list" in brink("status", "zzzz", *at).line
     lines = brink("status", "--all", *at).out.splitlines()
     above, below = (
         next(place for place, line in enumerate(lines) if one in line) for one in (searched, again)
@@ -713,3 +714,21 @@ def test_status_hides_follow_ups_and_lists_them_below_their_campaign_on_demand(
         searched,
         again,
     }
+
+
+@on_sqlite
+def test_status_says_of_how_many_campaigns_it_lists_the_newest(
+    brink: Command, database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with coordinator(database_url) as client:
+        for name in ("first", "second", "third"):
+            submit(client, ball(name=name))
+    at = ("--database", database_url)
+    assert "of 3 campaigns" not in brink("status", *at).out
+    (first, *_) = json.loads(brink("status", *at, "--json").out)["campaigns"]
+    shown = brink("results", first["id"], *at).out.strip()
+    assert shown == "no solution has been evaluated yet: the campaign is running, 0 of 60 simulations"
+    monkeypatch.setattr(campaigns, "MOST_LISTED", 2)
+    listed = brink("status", *at).out
+    assert ("first" in listed, "third" in listed) == (False, True)
+    assert "2 of 3 campaigns, the newest ones; narrow the list with --search WORDS or --tag TAG" in listed

@@ -117,7 +117,7 @@ def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     }
     campaign = submit(client, body)
     detail = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"), 404)["detail"]
-    assert "mtq@1 does not support reporting violations" in detail
+    assert "as for npc-actions@1, not for mtq@1; see what it found with: brink report" in detail
 
 
 def test_command_line_names_them(

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from worker_harness import ROOT, TIMEOUT_S, FakeCoordinator, Fault, use_faulty_simulator, worker_program
 
+from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.wire import (
     Completed,
     HeartbeatReply,
@@ -53,6 +54,20 @@ def test_after_a_signal_the_program_finishes_the_running_episode_and_exits_with_
         assert program.wait(TIMEOUT_S) == 0
     # If the job was granted but had not begun, it was released.
     assert (coordinator.jobs[job].outcome is not None) or coordinator.queued() == [job]
+
+
+def test_a_program_says_which_simulators_it_cannot_run(
+    coordinator: FakeCoordinator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text("import sys\nsys.modules['libsumo'] = None\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (site, ROOT))))
+    monkeypatch.delenv(PLUGINS_VARIABLE)
+    with worker_program(coordinator.url) as program:
+        _read_until(program, "cannot run sumo@1; to change that: ")
+        program.terminate()
+        assert program.wait(TIMEOUT_S) == 0
 
 
 def test_an_idle_program_exits_with_0_at_once(coordinator: FakeCoordinator) -> None:

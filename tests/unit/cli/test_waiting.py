@@ -9,9 +9,11 @@ import pytest
 from support.progress import PROGRESS
 
 from brink.api.client import Api
+from brink.api.live import waits_words
 from brink.cli import campaigns
 from brink.cli.campaigns import follow, waiting_words
 from brink.server.api.schemas import Progress
+from brink.sim.catalogue import worker_for
 
 SERVER = "http://c:8700"
 
@@ -26,8 +28,23 @@ def words(**changes: Any) -> str:
 
 def test_waiting_names_the_command_that_starts_a_worker() -> None:
     assert words() == ("waiting: no worker is connected; start one with: brink worker --server http://c:8700")
-    needed = words(workers=2, unrunnable={"carla@1": 60})
-    assert needed.startswith("waiting: no connected worker provides carla@1; ")
+
+
+SUMO = {"unrunnable": {"sumo@1": 60}, "waits_for": {"sumo@1": worker_for("sumo@1")}}
+
+
+def test_waiting_names_the_missing_extra_or_plug_in() -> None:
+    assert words(**SUMO) == (
+        "waiting: no worker is connected; start a worker with the extra sumo (sumo@1) with: "
+        "brink worker --server http://c:8700"
+    )
+    assert words(workers=2, **SUMO) == (
+        "waiting: no connected worker provides sumo@1; start a worker with the extra sumo (sumo@1)"
+    )
+    assert worker_for("carla@1") == "a worker with the plug-in that provides carla@1"
+    assert worker_for("brink-drive@2") == "a worker (brink-drive@2)"
+    one = Progress.model_validate(stands(**SUMO, workers=2))
+    assert waits_words(one) == ["60 jobs wait for a worker with the extra sumo (sumo@1)"]
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,6 @@ def test_a_rejected_request_lists_every_wrong_field() -> None:
     with pytest.raises(CoordinatorError) as caught:
         read(DbsCell, answer)
     assert str(caught.value).splitlines() == [
-        "/seed: expected a number",
-        "/bugdet: unknown field (did you mean 'budget'?)",
+        "seed: expected a number",
+        "bugdet: unknown field (did you mean 'budget'?)",
     ]

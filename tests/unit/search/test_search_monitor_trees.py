@@ -113,7 +113,7 @@ def test_missing_scikit_learn_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert default_model(unsafe) is Model.TREES
     monkeypatch.setattr(boosted_trees, "find_spec", lambda name: None)
     with pytest.raises(
-        MissingExtra, match=r"scikit-learn, which is not installed: pip install .*\[analysis\]"
+        MissingExtra, match=r"scikit-learn, which is not installed: .* -m pip install .*\[analysis\]"
     ):
         Monitor.fitted(BOXES, rows, unsafe, threshold=0.3, model=Model.TREES)
     assert default_model(unsafe) is Model.NEIGHBOURS

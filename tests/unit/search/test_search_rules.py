@@ -118,6 +118,8 @@ def test_scenarios_are_never_in_both_training_and_test_set() -> None:
     rules = region_rules(every, space, coin[which], "coins", seed=1)
     assert rules.balanced is not None
     assert rules.balanced < 0.65
+    said = f"a balanced accuracy of {rules.balanced:.0%}; guessing gives 50%. **They say little"
+    assert said in rules_markdown([rules])
 
 
 def test_regions_of_all_or_no_solutions_are_rejected() -> None:

@@ -189,9 +189,7 @@ def test_a_missing_extra_is_named_with_its_command(monkeypatch: pytest.MonkeyPat
     with pytest.raises(InvalidInput) as refused:
         check_extra(HIGHWAY)
     (error,) = refused.value.errors
-    assert (
-        "highway-perception@1 needs the highway extra, which is not installed: pip install" in error.message
-    )
+    assert "highway-perception@1 needs the highway extra, which is not installed: " in error.message
     assert "[highway]" in error.message
 
 

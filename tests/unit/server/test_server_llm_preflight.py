@@ -199,7 +199,7 @@ def test_a_model_whose_replies_are_unusable(endpoint: Endpoint) -> None:
     assert not report.works
     assert [one.accepted for one in report.modes] == [True, False, True, True]
     assert "expected one JSON object" in str(report.modes[0].trouble)
-    assert "/solutions/0/participants: missing" in str(report.modes[2].trouble)
+    assert "solutions[0].participants: missing" in str(report.modes[2].trouble)
 
 
 @pytest.mark.parametrize(

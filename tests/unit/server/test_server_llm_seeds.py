@@ -172,7 +172,7 @@ CASES = {
     ),
     "the same again in the repair": Case(
         (says(reply_text([*items(2), item(ds_m=500)])), says(reply_text(items(2)))), (LLM, LLM), ("ok", "invalid"),
-        "2 of 4 usable, 0 after repair (repair invalid: /solutions/0: the same as a solution that was accepted", 2, 2,
+        "2 of 4 usable, 0 after repair (repair invalid: solutions[0]: the same as a solution that was accepted", 2, 2,
     ),
     "no JSON, then some": Case(
         (says("I would rather talk about cars."), TWO_MORE), (REPAIRED, REPAIRED), ("invalid", "ok"),

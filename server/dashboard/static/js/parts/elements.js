@@ -2,7 +2,7 @@
 
 import { currentToken } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { figure } from "../format.js";
+import { figure, plural } from "../format.js";
 import { rewrite } from "../router.js";
 
 /** Return a badge: a state as a word, with a dot of its colour. */
@@ -51,7 +51,17 @@ export function command(words) {
 
 /** Return the command that starts a worker for this coordinator. */
 export function workerCommand() {
-  return command("brink worker");
+  return command(`brink worker --server ${location.origin}`);
+}
+
+/**
+ * Return which queued jobs wait for which kind of worker, in words.
+ *
+ * @param {object} read ``unrunnable`` and ``waits_for`` of a campaign or of all jobs.
+ */
+export function waitsFor(read) {
+  const each = Object.entries(read.unrunnable).map(([needs, jobs]) => `${plural(jobs, "job")} ${jobs === 1 ? "waits" : "wait"} for ${read.waits_for[needs]}`);
+  return each.length ? `${each.join("; ")}. ` : "";
 }
 
 /** Ask for confirmation of something that cannot be undone; resolves to whether it was given. */

@@ -2,9 +2,9 @@
 
 import { download, isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
-import { clause, plural, when } from "../format.js";
+import { clause, plural, sentence, when } from "../format.js";
 import { go, link } from "../router.js";
-import { badge, callout, sure, workerCommand } from "../parts/elements.js";
+import { badge, callout, sure, waitsFor, workerCommand } from "../parts/elements.js";
 import { steering } from "./campaigns.js";
 import { aboutCard, boundaryCard, dependenceCard, findings, settingsCard } from "./campaign/cards.js";
 import { convergenceCards, Generations } from "./campaign/convergence.js";
@@ -93,13 +93,13 @@ export async function show(main, context, { parts, query }) {
   }
 
   function warnings(read) {
-    const unrunnable = Object.entries(read.unrunnable);
+    const waits = waitsFor(read);
     return [
       read.trouble && callout("bad", `The database currently rejects writes: ${clause(read.trouble)}. No acknowledged result is lost.`),
       read.status_reason && callout(read.status === "failed" ? "bad" : "warn", read.status_reason),
-      read.status === "running" && read.workers === 0 && callout("warn", "No worker is running. Start one: ", workerCommand()),
-      read.status === "running" && read.workers > 0 && unrunnable.map(([needs, jobs]) => callout("warn", `${plural(jobs, "job")} cannot run on any live worker: ${jobs === 1 ? "it needs" : "they need"} ${needs}.`)),
-      read.quarantined > 0 && callout("warn", `${plural(read.quarantined, "job")} in quarantine. `, h("a", { href: link("jobs", { status: "quarantined", campaign: id }) }, "Inspect and retry")),
+      read.status === "running" && read.workers === 0 && callout("warn", "No worker is running. ", waits, "Start one: ", workerCommand()),
+      read.status === "running" && read.workers > 0 && waits && callout("warn", "No live worker can run all jobs: ", waits),
+      read.quarantined > 0 && callout("warn", `${plural(read.quarantined, "job")} in quarantine. `, h("a", { href: link("jobs", { status: "quarantined", campaign: id }) }, "Inspect and retry"), read.failure && ` First error: ${sentence(read.failure)}`),
     ];
   }
 

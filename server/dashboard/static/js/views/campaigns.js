@@ -103,7 +103,7 @@ export async function show(main, context, { query }) {
     attribute(older, "href", read.next && link("campaigns", { ...Object.fromEntries(place().query), cursor: read.next }));
     older.hidden = !read.next;
     newest.hidden = !place().query.get("cursor");
-    text(said, found ? `${count(rows.length)} shown` : "");
+    text(said, found ? shownOf(rows.filter((row) => !row.nested).length, read.total) : "");
     const running = rows.filter((row) => row.status === "running").length;
     const told = `${read.trouble} ${running > 0 && read.workers === 0}`;
     if (notes.dataset.told === told) return; // keeps selection and focus
@@ -115,6 +115,11 @@ export async function show(main, context, { query }) {
 }
 
 const HIDDEN = { 3: "wide-only", 4: "wide-only", 6: "found", 7: "wide-only" };
+
+/** Return how many campaigns are listed, and of how many if there are more. */
+function shownOf(listed, total) {
+  return listed < total ? `${count(listed)} of ${count(total)} shown` : `${count(listed)} shown`;
+}
 
 /** Return the values of a list in the query of an address. */
 function listOf(query, name) {

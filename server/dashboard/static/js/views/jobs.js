@@ -5,7 +5,7 @@ import { toast } from "../context.js";
 import { h, keyed, replace, text } from "../dom.js";
 import { ago, count, plural, when } from "../format.js";
 import { link, rewrite } from "../router.js";
-import { callout, segments, sure, workerCommand } from "../parts/elements.js";
+import { callout, segments, sure, waitsFor, workerCommand } from "../parts/elements.js";
 
 const STATUSES = ["quarantined", "leased", "queued"];
 const WORDS = { quarantined: "In quarantine", leased: "Leased", queued: "Queued" };
@@ -194,13 +194,13 @@ function pageOf(context, choose, retry, retryAll) {
 }
 
 function notice(place, counts) {
+  const waits = waitsFor(counts);
   const waiting = counts.paused.map((id) => [id, howMany(counts, "queued", id)]);
   const told = JSON.stringify([counts.unrunnable, waiting]);
   if (place.dataset.told === told) return;
   place.dataset.told = told;
   replace(place,
-    Object.entries(counts.unrunnable).map(([needs, jobs]) => callout("warn",
-      `${plural(jobs, "queued job")} ${jobs === 1 ? "needs" : "need"} `, h("code", null, needs), ", which no live worker provides. Start one that does: ", workerCommand())),
+    waits && callout("warn", "No live worker can run all jobs: ", waits, "Start one: ", workerCommand()),
     waiting.map(([id, jobs]) => callout("", h("a", { href: link("campaigns", id) }, counts.campaigns[id]),
       ` is paused: ${plural(jobs, "queued job")} ${jobs === 1 ? "waits" : "wait"} until it is resumed.`)));
 }

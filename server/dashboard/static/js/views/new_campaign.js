@@ -117,7 +117,7 @@ export async function show(main, context, { query }) {
         return false;
       }
       const rest = mode === "form" ? form.complain(error.errors) : error.errors;
-      const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, one.pointer), one.pointer && ": ", one.nearest ? sentence(one.message) : one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
+      const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, fieldName(one.pointer)), one.pointer && ": ", one.nearest ? sentence(one.message) : one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
       replace(trouble, callout("bad", words.length ? h("ul.plain", null, words) : "Some fields are invalid; see the messages next to them."));
       return false;
     } finally {
@@ -290,4 +290,10 @@ function plugin(part, title, known, first, told = () => {}) {
     fields: () => [...fields, { pointer: `/${part}/id`, node: select, focus: () => select.focus(), complain: (message) => { text(wrong, message); wrong.hidden = !message; } }],
     read, fill, suggest, follow,
   };
+}
+
+/** Return the name of a field as in a campaign file, from its JSON pointer. */
+function fieldName(pointer) {
+  const parts = pointer.split("/").slice(1).map((part) => part.replaceAll("~1", "/").replaceAll("~0", "~"));
+  return parts.map((part) => (/^\d+$/.test(part) ? `[${part}]` : `.${part}`)).join("").replace(/^\./, "");
 }

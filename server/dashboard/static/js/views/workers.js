@@ -4,7 +4,7 @@ import { serverNow } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
 import { ago, count, plural, rate } from "../format.js";
 import { link } from "../router.js";
-import { badge, callout, facts, sure, workerCommand } from "../parts/elements.js";
+import { badge, callout, facts, sure, waitsFor, workerCommand } from "../parts/elements.js";
 
 const COLUMNS = ["Worker", "State", "Jobs", "Rate", "Done", "Failed", "Last seen", "Can run", "Version"];
 const ACTIONS = "Actions";
@@ -34,7 +34,7 @@ export async function show(main, context) {
   let workers = null;
   let held = new Map();
   let names = {};
-  let unmet = [];
+  let unmet = "";
 
   /** Ask a worker to finish what it holds, and to exit. */
   async function drain(row) {
@@ -55,7 +55,7 @@ export async function show(main, context) {
   }, { busy: (read) => read.jobs.length > 0 });
   context.watch("jobs/counts", (read) => {
     names = read.campaigns;
-    unmet = Object.entries(read.unrunnable);
+    unmet = waitsFor(read);
     draw();
   }, { busy: (read) => read.status.length > 0 });
   const ticking = setInterval(() => !document.hidden && draw(), 1_000);
@@ -101,9 +101,8 @@ function note(place, rows, live, unmet) {
   if (place.dataset.told === told) return;
   place.dataset.told = told;
   replace(place,
-    rows.length > 0 && live.length === 0 && callout("warn", "No worker is running. Start one: ", workerCommand()),
-    live.length > 0 && unmet.map(([needs, jobs]) => callout("warn", `${plural(jobs, "queued job")} ${jobs === 1 ? "needs" : "need"} `,
-      h("code", null, needs), ", which no live worker provides. ", h("a", { href: link("jobs", { status: "queued" }) }, "Show them"))));
+    rows.length > 0 && live.length === 0 && callout("warn", "No worker is running. ", unmet, "Start one: ", workerCommand()),
+    live.length > 0 && unmet && callout("warn", "No live worker can run all jobs: ", unmet, h("a", { href: link("jobs", { status: "queued" }) }, "Show them")));
 }
 
 function workerRow(first, drain) {

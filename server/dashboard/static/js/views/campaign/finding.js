@@ -5,7 +5,7 @@ import { attribute, h, keyed, replace, text } from "../../dom.js";
 import { count, percent, rate, sentence, span } from "../../format.js";
 import { loadOnNews, whenMade } from "../../polling.js";
 import { link } from "../../router.js";
-import { badge, command, facts, meter, requirementBadge } from "../../parts/elements.js";
+import { badge, callout, command, facts, meter, requirementBadge, workerCommand } from "../../parts/elements.js";
 import { follower } from "../pair/follow_ups.js";
 
 const FOLLOW_MS = 3_000;
@@ -62,6 +62,7 @@ export function finding(context, id, found, changed) {
     const known = read?.pairs ?? null; // null if there are too many to tell
     const evaluated = progress.evaluated + progress.reported;
     const unsafe = progress.unsafe + progress.reported_unsafe;
+    const failed = progress.failed + progress.reported_failed;
     bar.update(progress.simulations / progress.budget, ended);
     figures.update({
       ...(progress.looks_for_pairs && known !== null ? { Pairs: count(known) } : {}),
@@ -71,7 +72,7 @@ export function finding(context, id, found, changed) {
       Safe: evaluated ? count(evaluated - unsafe) : "–",
       Simulations: `${count(progress.simulations)} of ${count(progress.budget)}`,
       ...(ended ? { Took: span(progress.elapsed_s) } : { "Time left": span(progress.remaining_s), Rate: rate(progress.rate_per_s), Workers: count(progress.workers) }),
-      ...(progress.failed ? { Failed: count(progress.failed) } : {}),
+      ...(failed ? { Failed: count(failed) } : {}),
       ...(progress.cached ? { "From the cache": count(progress.cached) } : {}),
       ...(progress.measured ? { Measured: count(progress.measured) } : {}),
       ...(progress.quarantined ? { "In quarantine": count(progress.quarantined) } : {}),
@@ -91,8 +92,9 @@ export function finding(context, id, found, changed) {
 function bestPairs(context, id) {
   const row = h("div.best-pairs");
   const meaning = h("span");
+  const missing = h("div", { role: "status", hidden: true });
   const card = h("section.card", { "aria-label": "Best pairs", hidden: true }, h("h2", null, "Best pairs"),
-    h("p.hint", null, "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one. ", meaning), row);
+    h("p.hint", null, "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one. ", meaning), missing, row);
 
   function pair(one) {
     const sides = ["safe", "unsafe"].map((side) => {
@@ -114,9 +116,10 @@ function bestPairs(context, id) {
 
   async function show(node, one, sides) {
     const path = `campaigns/${id}/pairs/${one.safe}-${one.unsafe}`;
+    const passes = (error) => error.noWorker && waits();
     try {
       for (const { side, canvas } of sides) {
-        const picture = await whenMade(`${path}/${side}.png`, { ...context.retrying, as: "blob", passes: () => false });
+        const picture = await whenMade(`${path}/${side}.png`, { ...context.retrying, away: () => {}, as: "blob", passes });
         if (!picture.size) return; // nothing of it can be drawn
         const drawn = await createImageBitmap(picture);
         canvas.getContext("2d").drawImage(drawn, 0, 0, canvas.width, canvas.height);
@@ -128,6 +131,14 @@ function bestPairs(context, id) {
     }
     node.hidden = false;
     card.hidden = false;
+    missing.hidden = true;
+  }
+
+  /** Say that the pictures wait for a worker; they appear by themselves once one has simulated the drives. */
+  function waits() {
+    if (!missing.firstChild) replace(missing, callout("", "The drives were not recorded, so a worker must simulate them again before they can be shown. Start one: ", workerCommand()));
+    card.hidden = missing.hidden = false;
+    return true;
   }
 
   card.update = (read) => {

@@ -1,0 +1,51 @@
+"""What simulators need which extra, and the command that installs it."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from brink import extras
+from brink.extras import MODULES, install_command
+from brink.sim.catalogue import EXTRAS
+
+ROOT = Path(__file__).parents[3]
+WITHOUT = """
+import importlib.util, sys
+absent = set(sys.argv[1].split(","))
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *more: None if name in absent else found(name, *more)
+sys.modules.update(dict.fromkeys(absent))
+from brink.worker.child import import_simulators
+hello = import_simulators()
+print(sorted(hello.lacking.items()), hello.left_out)
+"""
+
+
+def test_exactly_the_simulators_of_the_missing_extras_cannot_run() -> None:
+    absent = ",".join(module for modules in MODULES.values() for module in modules)
+    command = [sys.executable, "-c", WITHOUT, absent]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip().splitlines()[-1] == f"{sorted(EXTRAS.items())} {{}}"
+
+
+def test_the_extras_of_simulators_exist() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert {*EXTRAS.values()} == {*MODULES} <= {*project["optional-dependencies"]}
+
+
+def test_the_command_uses_the_interpreter_and_the_checkout(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys, "executable", str(ROOT / ".venv" / "bin" / "python"))
+    monkeypatch.chdir(ROOT)
+    within = ".venv/bin/python -m pip install -c constraints.txt -e '.[sumo,vision]'"
+    assert install_command("sumo", "vision") == within
+    monkeypatch.chdir(tmp_path)
+    assert install_command("sumo") == (
+        f"{ROOT}/.venv/bin/python -m pip install -c {ROOT}/constraints.txt -e '{ROOT}[sumo]'"
+    )
+    monkeypatch.setattr(extras, "__file__", str(tmp_path / "site-packages" / "brink" / "extras.py"))
+    assert install_command("sumo") == f"{ROOT}/.venv/bin/python -m pip install 'brink-boundary[sumo]'"
