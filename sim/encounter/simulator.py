@@ -11,6 +11,7 @@ from typing import ClassVar, Final
 from brink.sim.bullet.engine import EngineError, bullet_versions, discard_engine, process_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import DrivingSystem
 from brink.sim.driving.system import ModularDriving
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.encounter.witness import EncounterWitness
@@ -55,6 +56,10 @@ class BrinkEncounter:
         """Return the detector of an episode, or None if the driving system receives the ground truth."""
         return None
 
+    def _driving(self, spec: EpisodeSpec, world: EncounterWorld) -> DrivingSystem:
+        """Return the driving system of an episode, new."""
+        return ModularDriving(world.route, camera=self._camera)
+
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
 
@@ -95,7 +100,7 @@ class BrinkEncounter:
         witness = EncounterWitness(world, recorder)
         outcome = run_loop(
             world,
-            ModularDriving(world.route, camera=self._camera),
+            self._driving(spec, world),
             DetectorBehaviour(mode=BehaviourMode.ORACLE),
             requirements,
             engine=engine,
