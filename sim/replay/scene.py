@@ -255,11 +255,12 @@ def _errors_of_place(trace: Trace) -> list[str]:
 
 
 def _error_types(trace: Trace) -> list[str]:
-    """Return the types of the errors of an episode."""
-    errors = spec_part(trace, "behaviour").get("errors")
-    found = (
-        [one.get("type") for one in errors if isinstance(one, Mapping)] if isinstance(errors, list) else []
-    )
+    """Return the types of the errors of an episode, of which some simulators have one alone."""
+    behaviour = spec_part(trace, "behaviour")
+    errors = behaviour.get("errors", [behaviour.get("error")])
+    if not isinstance(errors, list):
+        return []
+    found = [one.get("type") for one in errors if isinstance(one, Mapping)]
     return [kind for kind in found if isinstance(kind, str)]
 
 
