@@ -45,7 +45,7 @@ PICTURE_COLOURS: Final = {"judged": (64, 222, 128), "found": (255, 52, 52), "reg
 _MATCH_M: Final = 2.5
 """A perceived obstacle this close to a road user of its kind is taken to be that road user."""
 _MATCH_PX: Final = 4.0
-"""Where boxes are placed by what is seen, a place this many pixels off is taken to be the same, too.
+"""Where boxes are placed by what is seen, a place that is nearer or farther by this many pixels is the same, too.
 
 A pixel is centimetres close by and metres far away.
 """
@@ -210,14 +210,19 @@ def _obstacles(trace: Trace) -> Obstacles:
     moving = np.hypot(vx_mps, vy_mps) > _MOVING_MPS
     kinds = np.array([_ACTOR_KINDS[label_index(value)] for value in label.tolist()], dtype=np.str_)
     limit_m = np.full(len(rows), _MATCH_M)
+    from_ego = x_m - trace.ego[samples, 0], y_m - trace.ego[samples, 1]
     if not is_injected(trace):
-        away_m = np.hypot(x_m - trace.ego[samples, 0], y_m - trace.ego[samples, 1])
+        away_m = np.hypot(*from_ego)
         limit_m = np.maximum(limit_m, _MATCH_PX * away_m**2 / (_CAMERA.focal_px * _CAMERA.height_m))
+    sight_rad = np.arctan2(from_ego[1], from_ego[0])
+    cos_sight, sin_sight = np.cos(sight_rad), np.sin(sight_rad)
     real = np.zeros(len(rows), dtype=np.bool_)
     for actor in trace.actors:
         there = actor.motion[samples]
         # A comparison with NaN is false: an actor that is absent matches nothing.
-        near = np.hypot(there[:, 0] - x_m, there[:, 1] - y_m) < limit_m
+        dx, dy = there[:, 0] - x_m, there[:, 1] - y_m
+        along_m, across_m = dx * cos_sight + dy * sin_sight, dy * cos_sight - dx * sin_sight
+        near = np.hypot(along_m / limit_m, across_m / _MATCH_M) < 1.0
         real |= near & (kinds == str(actor.kind))
     ghosts = may_report_ghosts(trace)
     return Obstacles(
