@@ -4,6 +4,7 @@
 """
 
 import gc
+import logging
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,6 +78,18 @@ def pytest_configure_node(node: WorkerController) -> None:
 def pytest_unconfigure() -> None:
     """Stop the Postgres of this run."""
     shared_postgres.stop()
+
+
+@pytest.fixture(autouse=True)
+def _loggers_of_commands() -> Iterator[None]:
+    """Remove the log handlers of a command that a test runs in this process: they write to its captured output.
+
+    Once that output is closed, each message of a later test would be a complaint in the output of its commands.
+    """
+    yield
+    root = logging.getLogger()
+    for handler in [one for one in root.handlers if type(one) is logging.StreamHandler]:
+        root.removeHandler(handler)
 
 
 @pytest.fixture(scope="session")
