@@ -42,6 +42,11 @@ def did_you_mean(word: object, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(names) or 'none'}"
 
 
+def name_in_words(name: str) -> str:
+    """Return a parameter's full name in words: ``behaviour: error 1 type`` for ``behaviour.error_1.type``."""
+    return name.replace(".", ": ", 1).replace(".", " ").replace("_", " ")
+
+
 def check_name(what: str, name: object) -> None:
     """Check that a name can be used in paths, column names and messages.
 

@@ -183,6 +183,19 @@ def worker_for(simulator_id: str) -> str:
     return f"a worker with the plug-in that provides {simulator_id}"
 
 
+def start_words(simulator_id: str, server: str, program: str = "brink") -> str:
+    """Return in words how to start what can run a simulator.
+
+    Args:
+        simulator_id: Id of the simulator, which need not be known here.
+        server: Address of the coordinator.
+        program: How to call Brink.
+    """
+    if simulator_id.startswith(FUNCTION_PREFIX):
+        return f"run {worker_for(simulator_id)} again"
+    return f"start {worker_for(simulator_id)} with: {program} worker --server {server}"
+
+
 def make_simulator(simulator_id: str) -> Simulator:
     """Return a new simulator.
 

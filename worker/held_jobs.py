@@ -191,9 +191,9 @@ class HeldJobs:
     def finish(
         self, job: LeasedJob, outcome: Completed | JobFailed, *, wall_s: float, size_bytes: int
     ) -> bool:
-        """Store the outcome of a job until the coordinator acknowledges it. Return whether the worker stops.
+        """Store the outcome of a job until the coordinator acknowledges it. Return whether the worker is stopping.
 
-        A worker that stops later finishes the next episode, which has begun already.
+        A worker that is told to stop after this still finishes the next episode, which has already begun.
 
         Args:
             job: A job in the simulation process.

@@ -310,7 +310,7 @@ class Runner:
         return self._process.pending > 0
 
     def _receive(self) -> bool:
-        """Wait for one outcome. Return False if it was the last one: the worker stops, or the process was killed."""
+        """Wait for one outcome. Return False if it was the last: the worker stops, or the process was killed."""
         try:
             finished = self._process.receive()
         except EpisodeAbandoned as abandoned:

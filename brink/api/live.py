@@ -256,8 +256,8 @@ def facts_table(rows: Sequence[tuple[str, *tuple[Text, ...]]]) -> Table:
 
 
 def earlier_words(progress: Progress | ExperimentProgress) -> str:
-    """Return that a result is not from now: when it was found, if known, and that nothing was simulated."""
-    at = getattr(progress, "finished_at", None)
+    """Say that a result is of an earlier run: when that finished, if known, and that nothing was simulated."""
+    at = progress.finished_at if isinstance(progress, Progress) else None
     return f"finished earlier{f', on {at:%Y-%m-%d at %H:%M} UTC' if at else ''}; nothing was simulated"
 
 

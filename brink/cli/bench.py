@@ -491,9 +491,9 @@ def queue(
 ) -> None:
     """Measure queue throughput and pick-up times, compared with Celery on Redis and procrastinate on Postgres.
 
-    All queues run durably: acknowledged jobs survive a power cut. The other queues need the extra `bench`
-    and an installed redis-server; Postgres is started in a temporary folder. Use --quick for
-    a short measurement.
+    All queues run durably: acknowledged jobs survive a power cut. The other queues need the extra
+    `bench` and an installed redis-server; Postgres is started in a temporary folder. Use --quick for a short
+    measurement.
 
     Example: brink bench queue
     """

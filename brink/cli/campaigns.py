@@ -47,6 +47,7 @@ from brink.server.api.schemas import (
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, read_campaign_file
 from brink.server.errors import InvalidInput
 from brink.server.states import CampaignStatus
+from brink.sim.catalogue import start_words
 
 POLL_S = 0.5
 ERRORS_SHOWN = 5
@@ -146,11 +147,12 @@ def waiting_words(progress: Progress, server: str) -> str:
     """
     if progress.status is not CampaignStatus.RUNNING or not progress.queued or progress.leased:
         return ""
-    kinds = " and ".join(progress.waits_for.values()) or "one"
+    todo = "; ".join(start_words(needs, server, program()) for needs in progress.unrunnable)
     if not progress.workers:
-        return f"waiting: no worker is connected; start {kinds} with: {program()} worker --server {server}"
+        todo = todo or f"start one with: {program()} worker --server {server}"
+        return f"waiting: no worker is connected; {todo}"
     if sum(progress.unrunnable.values()) == progress.queued:
-        return f"waiting: no connected worker provides {', '.join(progress.unrunnable)}; start {kinds}"
+        return f"waiting: no connected worker provides {', '.join(progress.unrunnable)}; {todo}"
     return ""
 
 

@@ -39,8 +39,8 @@ from brink.server.campaigns.detector_check import CheckResult
 from brink.server.errors import InvalidInput
 from brink.sim.urban.detection_files import CameraModel, read_coco, read_csv
 
-ERRORS_SHOWN: Final = 30
-"""Errors shown at the end of a run, each under every condition."""
+ROWS_SHOWN: Final = 30
+"""Most rows of the table at the end of a run."""
 MOST_CONDITIONS: Final = 4
 """Conditions beside which their tolerances fit."""
 
@@ -378,7 +378,7 @@ def show_tolerance(screen: Console, view: ToleranceView, *, briefly: bool = Fals
     if briefly and len(view.conditions) <= MOST_CONDITIONS:
         _show_matrix(screen, view)
     else:
-        cells = view.cells[: ERRORS_SHOWN if briefly else None]
+        cells = view.cells[: ROWS_SHOWN if briefly else None]
         screen.print(KEY, soft_wrap=True, style="dim")
         screen.print(tolerance_table(cells))
         _show_rest(screen, len(view.cells) - len(cells))
@@ -416,13 +416,13 @@ def _show_matrix(screen: Console, view: ToleranceView) -> None:
     for cell in view.cells:
         rows.setdefault(tuple(cell.choices.values()), {})[cell.condition] = cell
     table = plain_table("error", *view.conditions)
-    for cells in list(rows.values())[:ERRORS_SHOWN]:
+    for cells in list(rows.values())[:ROWS_SHOWN]:
         table.add_row(
             next(iter(cells.values())).error,
             *(" ".join(tolerated_words(cells[one])) if one in cells else "–" for one in view.conditions),
         )
     screen.print(table)
-    _show_rest(screen, len(rows) - ERRORS_SHOWN)
+    _show_rest(screen, len(rows) - ROWS_SHOWN)
 
 
 def _show_rest(screen: Console, rows: int) -> None:

@@ -26,7 +26,7 @@ from brink.plots.style import (
     set_panel_title,
     style_axes,
 )
-from brink.search.parameters import Categorical, Number, Parameter
+from brink.search.parameters import Categorical, Number, Parameter, name_in_words
 from brink.search.space import BoolArray, FloatArray
 
 PLANE_HEIGHT_PX: Final = 860
@@ -216,10 +216,9 @@ def _active(inputs: CampaignFigures, pair: PairFigure) -> BoolArray:
 
 def _plot_row(axes: Axes, place: int, name: str, parameter: Parameter, values: list[float]) -> None:
     """Plot both values of a parameter on its range."""
-    plain = name.replace("_", " ").replace(".", ": ", 1)
     axes.annotate(
-        plain, (0, place), xytext=(-16, 0), textcoords="offset points", ha="right", va="center", fontsize=LABEL_PT,
-        color=INK,
+        name_in_words(name), (0, place), xytext=(-16, 0), textcoords="offset points", ha="right", va="center",
+        fontsize=LABEL_PT, color=INK,
     )  # fmt: skip
     axes.plot([0, 1], [place, place], color=HAIRLINE, linewidth=5, solid_capstyle="round", zorder=1)
     if isinstance(parameter, Categorical):

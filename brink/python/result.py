@@ -249,12 +249,12 @@ class AsyncResult(CampaignResult):
             view = await read_all_pairs(api, self.id)
             if isinstance(view, TooManyPairs):
                 raise view
-            best = view.pairs[0] if view.pairs else None
-            chosen = best if place is None else find_pair(view, place)
+            if place is None and not view.pairs:
+                raise InvalidInput.at("pair", f"expected a campaign with pairs; {view.note}")
+            chosen = view.pairs[0] if place is None else find_pair(view, place)
             if chosen is None:
-                asked = "the best pair" if place is None else str(place)
                 raise InvalidInput.at(
-                    "place", f"expected the number of one of {len(view.pairs)} pairs, from 1; got {asked}"
+                    "place", f"expected the number of one of {len(view.pairs)} pairs, from 1; got {place}"
                 )
             with _scratch(film) as path:
                 await write_pair(api, view, chosen, path, workers=self._connection.has_workers)

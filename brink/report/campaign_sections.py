@@ -22,6 +22,7 @@ from brink.report.violations import by_frequency
 from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
+from brink.search.parameters import name_in_words
 from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
 from brink.server.api.tolerance import Finding, ToleranceView
 from brink.server.problems.changes import as_sentence
@@ -441,7 +442,7 @@ def _rules(facts: Facts) -> list[str]:
 def _readable(condition: str) -> str:
     """Return a condition on a parameter with its name in words."""
     name, rest = condition.split(" ", 1)
-    return f"{name.replace('.', ' ').replace('_', ' ')} {rest}"
+    return f"{name_in_words(name)} {rest}"
 
 
 def outcomes_section(facts: Facts) -> Section | None:

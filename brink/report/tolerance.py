@@ -87,8 +87,8 @@ def tolerated_words(cell: CellView) -> tuple[str, str]:
     if not cell.basis:
         return "unknown", ""
     if found.finding is Finding.THROUGHOUT:
-        most = cell.curve.severity[-1] if cell.curve.magnitude is None else cell.curve.magnitude[-1]
-        return f"no limit to {most:.{0 if most >= 20 else 1}f}{unit}", ""
+        grossest = None if cell.curve.magnitude is None else cell.curve.magnitude[-1]
+        return f"no limit to {_amount(grossest, cell.curve.severity[-1])}{unit}", ""
     value = _amount(found.value.magnitude, found.value.severity)
     return (value if value == _BEYOND else f"{value}{unit}"), f"[{interval}]"
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.archive import Archive
+from brink.search.parameters import name_in_words
 from brink.search.space import (
     BoolArray,
     Categorical,
@@ -210,8 +211,7 @@ class AxisMeaning:
     def text(self) -> str:
         """The meaning in words, such as ``mostly scenario: weather (explains 81% of this axis)``."""
         how = "mostly" if self.explained >= 0.5 else "partly"
-        name = self.name.replace(".", ": ", 1).replace(".", " ").replace("_", " ")
-        return f"{how} {name} (explains {self.explained:.0%} of this axis)"
+        return f"{how} {name_in_words(self.name)} (explains {self.explained:.0%} of this axis)"
 
 
 def axis_meanings(

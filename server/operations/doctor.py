@@ -26,7 +26,7 @@ from brink.server.queue import job_store
 from brink.server.queue.workers import list_workers
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus, JobStatus
-from brink.sim.catalogue import worker_for
+from brink.sim.catalogue import start_words
 
 SKEW_S: Final = 2.0
 """Tolerated difference between the database's clock and this machine's."""
@@ -141,7 +141,7 @@ def _workers(connection: Connection, settings: Settings) -> Iterator[Finding]:
     if not lacking:
         yield Finding("workers", State.FINE, found)
     for needs, count in sorted(lacking.items()):
-        advice = f"start {worker_for(needs)}: brink worker --server URL"
+        advice = start_words(needs, "URL")
         unrunnable = f"{count} queued jobs need {needs}, which no live worker offers"
         yield Finding("workers", State.WRONG, f"{found}; {unrunnable}", advice)
 

@@ -195,7 +195,7 @@ class _Reports:
         return f"the {'first' if first else 'second'} reported {label}"
 
     def _vanished(self) -> str:
-        """Say that what the safe drive reports is not reported in the unsafe one, or only after its violation."""
+        """Say that what is reported in the safe drive is not in the unsafe one, or only after its violation."""
         label, seconds = self._old["label"], _seconds(self._old)
         second = "second " if self._reports_other(self._others[1], label, self._end_step) else ""
         ended = self._unsafe_ended_at_step

@@ -9,8 +9,8 @@ The regulation covers motorways: vehicles ahead, cutting in and cutting out. Her
 or will be, in the ego's way, and the ego comes closer than the distance within which the careful driver can stop
 short of it (Shalev-Shwartz, Shammah, Shashua, "On a formal model of safe and scalable self-driving cars", 2017,
 definition 1, with the regulation's figures). A vehicle will be in the way if it goes on moving sideways as it does,
-once it has left the middle of its lane by more than 0.375 m (the regulation's wandering zone); people are taken at
-their word at once.
+once it has left the middle of its lane by more than 0.375 m (the regulation's wandering zone); a person counts as
+soon as they move towards the ego's way.
 """
 
 import math
@@ -52,12 +52,14 @@ HEADWAY_S: Final = 2.0
 SIGHT_M: Final = 100.0
 """How far the driver sees."""
 HORIZON_S: Final = 4.0
-"""How far the driver looks ahead in time."""
+"""How far ahead in time the driver predicts what others do."""
 CALM_S: Final = 0.5
 """How long a risk must be over before the driver lets go of the brake."""
 ALERT_S: Final = 2.0
-"""How long the driver's foot stays at the brake after that."""
-STANDS_BELOW_MPS: Final = 0.3
+"""For how long after braking the driver reacts to another risk without delay."""
+_KEEPS_COURSE_MPS: Final = 0.05
+"""Below this speed across the way, a road user keeps its course."""
+_EQUALLY_FAST_MPS: Final = 1e-6
 
 
 class Driver(StrEnum):
@@ -86,8 +88,9 @@ REACTIONS: Final[Mapping[Driver, Reactions]] = {
     Driver.CAREFUL: Reactions(judging_s=0.4, delay_s=0.75, build_up_s=BUILD_UP_S),
     Driver.IDEAL: Reactions(judging_s=0.0, delay_s=0.0, build_up_s=0.0),
 }
-_LATE_S: Final = 0.4 + 0.75 + 0.5 * BUILD_UP_S
-"""For how long the careful driver's speed is as good as unbraked."""
+_CAREFUL: Final = REACTIONS[Driver.CAREFUL]
+_UNBRAKED_S: Final = _CAREFUL.judging_s + _CAREFUL.delay_s + 0.5 * _CAREFUL.build_up_s
+"""The careful driver stops as if driving on for this long and then braking in full."""
 
 
 def stopping_distance_m(speed_mps: float, other_mps: float = 0.0) -> float:
@@ -98,10 +101,10 @@ def stopping_distance_m(speed_mps: float, other_mps: float = 0.0) -> float:
         other_mps: The other's speed along the driver's way; the other may brake as hard as the driver does. Negative
             if it comes the other way.
     """
-    own_m = speed_mps * _LATE_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2)
+    own_m = speed_mps * _UNBRAKED_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2)
     if other_mps >= 0.0:
         return STANDSTILL_M + max(0.0, own_m - other_mps * other_mps / (2.0 * BRAKING_MPS2))
-    return STANDSTILL_M + own_m - other_mps * (_LATE_S + speed_mps / BRAKING_MPS2)
+    return STANDSTILL_M + own_m - other_mps * (_UNBRAKED_S + speed_mps / BRAKING_MPS2)
 
 
 class Sight(NamedTuple):
@@ -150,10 +153,10 @@ def is_risk(sight: Sight, speed_mps: float, car: tuple[float, float]) -> bool:
 
 
 def _meets(sight: Sight, speed_mps: float, length_m: float, enters_s: float, leaves_s: float) -> bool:
-    """Return whether driver and road user would be in the same place while it is in the driver's way."""
+    """Return whether the driver would meet a road user while it is in the driver's way."""
     ahead_m, behind_m = sight.gap_m - STANDSTILL_M, sight.gap_m + sight.length_m + length_m
     closing_mps = speed_mps - sight.along_mps
-    if abs(closing_mps) < 1e-6:
+    if abs(closing_mps) < _EQUALLY_FAST_MPS:
         return ahead_m <= 0.0 <= behind_m
     times = sorted((ahead_m / closing_mps, behind_m / closing_mps))
     return times[0] <= leaves_s and times[1] >= enters_s
@@ -171,7 +174,7 @@ class ReferenceDriving:
         self._world = world
         self._reactions = REACTIONS[driver]
         self._alone = ModularDriving(world.route)
-        self._offsets: dict[str, tuple[float, float]] = {}
+        self._course_m: dict[str, float] = {}
         self._risk_since_s: float | None = None
         self._risk_until_s = -math.inf
         self._braking_since_s: float | None = None
@@ -232,12 +235,12 @@ class ReferenceDriving:
             return None
         line = self._world.route.line
         station_m, offset_m = line.project(user.x_m, user.y_m, ego.station_m)
+        if station_m < ego.station_m:
+            return None
         turn = user.yaw_rad - line.pose_at(station_m)[2]
         cos_turn, sin_turn = math.cos(turn), math.sin(turn)
         half_along_m = 0.5 * (abs(cos_turn) * user.length_m + abs(sin_turn) * user.width_m)
         half_across_m = 0.5 * (abs(cos_turn) * user.width_m + abs(sin_turn) * user.length_m)
-        if station_m < ego.station_m:
-            return None
         across_mps = user.speed_mps * sin_turn
         side = 1.0 if offset_m >= ego.offset_m else -1.0
         return Sight(
@@ -253,10 +256,9 @@ class ReferenceDriving:
 
     def _strayed(self, user: ScriptedUser, offset_m: float, across_mps: float) -> float:
         """Return how far a road user has moved across the way since it last kept its course."""
-        if abs(across_mps) < 0.05:
-            self._offsets[user.name] = (offset_m, 0.0)
-        begun_m = self._offsets.setdefault(user.name, (offset_m, 0.0))[0]
-        return abs(offset_m - begun_m)
+        if abs(across_mps) < _KEEPS_COURSE_MPS:
+            self._course_m[user.name] = offset_m
+        return abs(offset_m - self._course_m.setdefault(user.name, offset_m))
 
     def _brake(self, time_s: float, risk: bool) -> float:
         """Return the deceleration that the driver demands, 0 for none."""

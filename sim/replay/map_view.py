@@ -434,7 +434,7 @@ class MapView:
     def _caption(self, sample: int, row: int, label: int) -> tuple[bool, str]:
         """Return whether a perceived obstacle is crossed out, and its caption; empty if it needs none."""
         scene, style = self._scene, self._style
-        # What is perceived where it is needs no words if most of what is reported is true.
+        # Where most reports are true, an obstacle that is perceived where it really is needs no caption.
         there = "" if has_errors(scene.trace) else style.there[label]
         if scene.obstacles.astray[row]:
             return False, astray_words(scene.trace, label)

@@ -43,7 +43,7 @@ _LEAST_WINDOW_S: Final = 12.0
 _LOOK_BACK_S: Final = 1.5
 """How long before the moment the vehicle ahead may have been seen for the last time: a collision hides it."""
 _EVERY: Final = 5
-"""Of so many samples, one is looked at to say whether what is reported is there."""
+"""One in this many samples is checked for whether something is where it is reported."""
 _ABSENT_PX: Final = 800.0
 """A box that is reported in one drive alone differs as much as two boxes at opposite sides of the image."""
 _ALMOST: Final = 0.999

@@ -136,8 +136,7 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
     style_axes(axes)
     axes.text(
         1.008, 0.97, margin_name(story.title).replace(" margin", "\nmargin"), transform=axes.transAxes, va="top",
-        fontsize=9,
-        color=hexadecimal(INK), linespacing=1.25,
+        fontsize=9, color=hexadecimal(INK), linespacing=1.25,
     )  # fmt: skip
     axes.annotate(
         "violated below", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -3), textcoords="offset points",

@@ -161,6 +161,12 @@ def test_a_function_with_chance_gets_the_seed_of_the_episode(folder: Path) -> No
     assert 0.003 < noise.std() < 0.03
 
 
+def test_without_a_pair_there_is_none_to_draw(folder: Path) -> None:
+    flat = brink.search(lambda x: 1.0, {"x": (0.0, 1.0)}, simulations=20, workers=1, progress=False)
+    with pytest.raises(InvalidInput, match=r"expected a campaign with pairs; .*no pair"):
+        flat.pair()
+
+
 def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> None:
     def noisy(x: float, y: float, seed: int) -> float:
         return x - y + np.random.default_rng(seed).normal(0, 0.02)

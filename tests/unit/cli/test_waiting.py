@@ -39,7 +39,12 @@ def test_waiting_names_the_missing_extra_or_plug_in() -> None:
         "brink worker --server http://c:8700"
     )
     assert words(workers=2, **SUMO) == (
-        "waiting: no connected worker provides sumo@1; start a worker with the extra sumo (sumo@1)"
+        "waiting: no connected worker provides sumo@1; start a worker with the extra sumo (sumo@1) "
+        "with: brink worker --server http://c:8700"
+    )
+    function = words(unrunnable={"function-1a2b@1": 3})
+    assert function == (
+        "waiting: no worker is connected; run the Python program that called brink.search() (function-1a2b@1) again"
     )
     assert worker_for("carla@1") == "a worker with the plug-in that provides carla@1"
     assert worker_for("brink-drive@2") == "a worker (brink-drive@2)"

@@ -366,13 +366,15 @@ def test_the_clearance_is_the_distance_between_outlines(numbers: list[float]) ->
 WITHOUT_EXTRAS = """
 import importlib.util, sys
 found = importlib.util.find_spec
-importlib.util.find_spec = lambda name, *more: None if name in ("highway_env", "gymnasium") else found(name, *more)
+extras = ("highway_env", "gymnasium", "libsumo")
+importlib.util.find_spec = lambda name, *more: None if name in extras else found(name, *more)
 from brink.server.problems.catalogue import describe_problems
 from brink.worker.child import import_simulators
-print({"highway-perception@1", "gymnasium@1"} <= {problem["id"] for problem in describe_problems()})
+listed = {problem["id"] for problem in describe_problems()}
+print({"highway-perception@1", "gymnasium@1", "sumo-drivers@1"} <= listed)
 hello = import_simulators()
 print(sorted(hello.lacking), hello.left_out, "brink-drive@2" in hello.simulators)
-print({"highway_env", "gymnasium", "pygame"} & sys.modules.keys())
+print({"highway_env", "gymnasium", "pygame", "libsumo"} & sys.modules.keys())
 """
 
 
@@ -380,4 +382,8 @@ def test_without_the_extras_problems_are_listed_and_workers_say_which_simulators
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_EXTRAS], capture_output=True, text=True, check=True, timeout=60
     )
-    assert done.stdout.split("\n")[:3] == ["True", "['gymnasium@1', 'highway-env@1'] {} True", "set()"]
+    assert done.stdout.split("\n")[:3] == [
+        "True",
+        "['gymnasium@1', 'highway-env@1', 'sumo@1'] {} True",
+        "set()",
+    ]

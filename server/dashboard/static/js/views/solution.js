@@ -93,7 +93,7 @@ function head({ campaign, solution, judged, verdict, next }) {
   return [
     h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns"), " / ", h("a", { href: link("campaigns", id) }, body.name)),
     h("div.head", null, h("h1", null, `Solution ${number}`), verdict,
-      isEvaluated(solution) && h("span.figure", null, `${judged ? spaced(plainId(judged)) : "robustness"} ${withUnit(robustness, found?.[judged]?.unit)}`),
+      isEvaluated(solution) && h("span.figure", null, `${judged ? `${spaced(plainId(judged))} margin` : "robustness"} ${withUnit(robustness, found?.[judged]?.unit)}`),
       h("nav.actions.push", { "aria-label": "Solutions" },
         number > 0 && h("a.button", { href: link("campaigns", id, "solutions", number - 1) }, "Previous"),
         next !== undefined && h("a.button", { href: link("campaigns", id, "solutions", next) }, "Next"),

@@ -36,7 +36,7 @@ export function overTime(player, episodes, differing) {
   const cursor = h("i.time-cursor", { "aria-hidden": "true" });
   let width_px = 0;
   const sheet = canvas({
-    label: `Both drives over time: ${groups.map(({ name }) => name).join(", ")}${requirement ? `, ${spaced(plainId(requirement))} to spare` : ""}`,
+    label: `Both drives over time: ${groups.map(({ name }) => name).join(", ")}${requirement ? `, ${spaced(plainId(requirement))} margin` : ""}`,
     ratio: 1, least: height_px, most: height_px, signal: player.signal, recolour: colours.renew, draw,
   });
   sheet.append(cursor);
@@ -120,7 +120,7 @@ export function overTime(player, episodes, differing) {
     pen.font = FONT;
     pen.textBaseline = "middle";
     pen.textAlign = "left";
-    pen.fillText(`${spaced(plainId(requirement)).replaceAll("-", " ")} to spare${unit ? `, ${unit}` : ""}`, 0, top + NAME_PX / 2);
+    pen.fillText(`${spaced(plainId(requirement)).replaceAll("-", " ")} margin${unit ? `, ${unit}` : ""}`, 0, top + NAME_PX / 2);
     pen.textAlign = "right";
     for (const value of [0, most]) {
       pen.strokeStyle = value === 0 ? colours.violation : colours.line;

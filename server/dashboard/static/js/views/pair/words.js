@@ -27,12 +27,12 @@ export function evidenceWords(pair, { computed, rule }) {
 }
 
 const COMPONENT = {
-  component: ({ outcome }) => `With ground truth in place of the component, the unsafe drive: ${outcome}. The hazard is the component's.`,
-  scenario: ({ outcome }) => `With ground truth in place of the component, the unsafe drive: ${outcome}. The scenario alone is to blame.`,
+  component: ({ outcome }) => `With ground truth in place of the component, the unsafe drive: ${outcome}. The hazard is the component's, judged with this one seed.`,
+  scenario: ({ outcome }) => `With ground truth in place of the component, the unsafe drive: ${outcome}. The scenario alone is to blame, judged with this one seed.`,
   failed: () => "The unsafe drive has no verdict with ground truth in place of the component.",
   pending: () => "The unsafe drive is being simulated with ground truth in place of the component.",
 };
-const PARTS = { component: "component's hazard", scenario: "scenario's hazard" };
+const PARTS = { component: "component's hazard (one seed)", scenario: "scenario's hazard (one seed)" };
 
 /** Return short words for a list: whose hazard it is, and how many differences matter; empty where that was not tried. */
 export function findings(pair) {

@@ -187,7 +187,7 @@ export function state(player) {
     };
     if (hasLight) shown["Traffic light"] = data.lights[sample] || "none";
     const value = story && data.robustness[story.requirement][sample];
-    if (story) shown[spaced(plainId(story.requirement))] = margin(value, data.units[story.requirement]);
+    if (story) shown[`${spaced(plainId(story.requirement))} margin`] = margin(value, data.units[story.requirement]);
     node.update(shown);
     node.classList.toggle("violated", value !== null && value < 0);
   });
