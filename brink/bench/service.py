@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from statistics import median
@@ -22,7 +23,7 @@ import httpx
 
 from brink.api.client import TIMEOUT, Api
 from brink.bench.measurement import children_of, cpu_seconds
-from brink.server.campaigns.body import CampaignBody, parse_body
+from brink.server.campaigns.body import CampaignBody, PluginChoice, parse_body
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
 from brink.server.runtime.database import prepare_database
 from brink.server.settings import Settings
@@ -33,6 +34,7 @@ START_TIMEOUT_S = 60.0
 POLL_INTERVAL_S = 0.5
 """About that of `brink run`; the duration of a run is measured by the coordinator."""
 TARGET_SHARE = 0.93
+URBAN = PluginChoice(id="urban-injected@1", params={})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,24 +74,28 @@ class _Run:
     episode_s: float
 
 
-def measure_service(workers: int, algorithm: str, *, episodes: int = 240, repeats: int = 3) -> ServiceRate:
+def measure_service(
+    workers: int, algorithm: str, *, problem: PluginChoice = URBAN, episodes: int = 240, repeats: int = 3
+) -> ServiceRate:
     """Measure throughput and CPU time of the service and of the bare loop.
 
     Args:
         workers: Number of processes that simulate.
         algorithm: Id of the algorithm that proposes the episodes.
+        problem: The problem whose episodes are simulated.
         episodes: Simulations per run.
         repeats: Runs of each kind.
     """
+    body = partial(_body, problem, algorithm)
     runs: list[tuple[int, _Run, float, float]] = []
     with tempfile.TemporaryDirectory(prefix="brink-bench-") as name, _bare_pool(workers) as pool:
         folder = Path(name)
         database, log_file = f"sqlite:///{folder}/bench.db", folder / "worker.log"
         with embedded_service(database, log_file, workers) as (url, processes):
-            asyncio.run(_run_campaign(url, processes, _body(algorithm, 40, seed=1)))
+            asyncio.run(_run_campaign(url, processes, body(40, seed=1)))
             for repeat in range(repeats):
-                body = _body(algorithm, episodes, seed=100 + repeat)
-                run, specs = asyncio.run(_run_campaign(url, processes, body))
+                campaign = _run_campaign(url, processes, body(episodes, seed=100 + repeat))
+                run, specs = asyncio.run(campaign)
                 runs.append((len(specs), run, *_run_bare(pool, specs)))
     return ServiceRate(
         workers=workers,
@@ -130,12 +136,12 @@ def embedded_service(database: str, log_file: Path, workers: int) -> Iterator[tu
         coordinator.stop()
 
 
-def _body(algorithm: str, episodes: int, *, seed: int) -> CampaignBody:
+def _body(problem: PluginChoice, algorithm: str, episodes: int, *, seed: int) -> CampaignBody:
     params = {"generation_size": episodes} if algorithm == "random@1" else {}
     return parse_body(
         {
             "name": "bench",
-            "problem": {"id": "urban-injected@1"},
+            "problem": problem.model_dump(),
             "algorithm": {"id": algorithm, "params": params},
             "budget": {"simulations": max(episodes, 100) if algorithm == "mlcshe@1" else episodes},
             "seed": seed,

@@ -342,6 +342,12 @@ def monitor_accuracy(
 
 @bench.command()
 def sim(
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            help="Campaign file: measure only the service, with the file's problem and random search."
+        ),
+    ] = None,
     episodes: Annotated[int, typer.Option(min=20, help="Episodes per run.")] = 240,
     repeats: Annotated[
         int, typer.Option(min=1, help="Number of runs of the service, and of the bare loop.")
@@ -350,20 +356,23 @@ def sim(
 ) -> None:
     """Measure the CPU time of an episode, and the throughput of the whole service with 1 and 2 workers.
 
-    Example: brink bench sim
+    Example: brink bench sim --campaign examples/sumo.yaml
     """
-    from brink.bench.service import TARGET_SHARE, measure_service
+    from brink.bench.service import TARGET_SHARE, URBAN, measure_service
     from brink.bench.urban import measure_costs
 
+    problem = URBAN if campaign is None else read_campaign_file(campaign).problem
     rates = []
     with Steps(
         console(stderr=True), "measuring CPU time and memory of episodes; takes some minutes"
     ) as steps:
-        kinds = list(measure_costs())
-        for algorithm in ("random@1", "mlcshe@1"):
+        kinds = list(measure_costs()) if campaign is None else []
+        for algorithm in ("random@1", "mlcshe@1") if campaign is None else ("random@1",):
             for workers in (1, 2):
                 steps.show(f"{algorithm} with {workers} workers against a bare loop")
-                rates.append(measure_service(workers, algorithm, episodes=episodes, repeats=repeats))
+                rates.append(
+                    measure_service(workers, algorithm, problem=problem, episodes=episodes, repeats=repeats)
+                )
     costs = _table(
         ("what", "value", "", "target", ""),
         ((kind.what, f"{kind.value:.1f}", kind.unit, _bound(kind.most), _met(kind.met)) for kind in kinds),
@@ -384,7 +393,7 @@ def sim(
         "dim",
     )
     document = {"episodes": [fields(kind) for kind in kinds], "service": [fields(rate) for rate in rates]}
-    _conclude(document, costs, service, note, as_json=as_json)
+    _conclude(document, *([costs] if kinds else []), service, note, as_json=as_json)
 
 
 @bench.command()
