@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
-from brink.sim.encounter.reference import BrinkEncounterReference, Driver, Sight, is_risk, stopping_distance_m
+from brink.sim.encounter.reference import Driver, Sight, is_risk, stopping_distance_m
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.specification import Kind
 from brink.sim.episode import EpisodeResult, EpisodeSpec
@@ -19,7 +19,7 @@ CAR = (4.5, 1.8)
 
 def with_driver(spec: EpisodeSpec, driver: Driver) -> EpisodeSpec:
     behaviour = {"mode": "reference", "driver": driver.value}
-    return replace(spec, simulator=BrinkEncounterReference.id, behaviour=behaviour)
+    return replace(spec, behaviour=behaviour)
 
 
 def encounter(*road_users: Any, seed: int = 1) -> EpisodeSpec:
@@ -60,7 +60,7 @@ def test_a_vehicle_beside_is_a_risk_once_it_has_left_its_course() -> None:
 
 @pytest.mark.parametrize("driver", Driver)
 def test_nobody_is_hit_on_an_empty_road_nor_behind_a_standing_car(driver: Driver) -> None:
-    simulator = BrinkEncounterReference()
+    simulator = BrinkEncounter()
     empty = simulator.run(with_driver(encounter(), driver))
     assert not collides(empty)
     assert empty.verdicts["progress@1"].robustness > 0.0
@@ -71,7 +71,7 @@ def test_nobody_is_hit_on_an_empty_road_nor_behind_a_standing_car(driver: Driver
 
 @pytest.mark.parametrize(("s_m", "hits"), [(12.0, True), (18.0, True), (24.0, False), (60.0, False)])
 def test_who_steps_out_close_ahead_is_hit_by_the_careful_driver_alone(s_m: float, hits: bool) -> None:
-    simulator = BrinkEncounterReference()
+    simulator = BrinkEncounter()
     person = road_user("pedestrian", s_m=s_m, d_m=-3.5, heading_rad=1.57, speed_mps=1.6)
     results = {driver: simulator.run(with_driver(encounter(person), driver)) for driver in Driver}
     assert {driver: collides(result) for driver, result in results.items()} == {
@@ -81,11 +81,11 @@ def test_who_steps_out_close_ahead_is_hit_by_the_careful_driver_alone(s_m: float
 
 def test_reference_drivers_cope_where_the_driving_system_does() -> None:
     rng = np.random.default_rng(0)
-    system, simulator = BrinkEncounter(), BrinkEncounterReference()
+    simulator = BrinkEncounter()
     safe, hit = 0, dict.fromkeys(Driver, 0)
     for seed in range(40):
         spec = PROBLEM.episode(PROBLEM.space.sample(rng), 1000 + seed)
-        if any(verdict.robustness < 0.0 for verdict in system.run(spec).verdicts.values()):
+        if any(verdict.robustness < 0.0 for verdict in simulator.run(spec).verdicts.values()):
             continue
         safe += 1
         for driver in Driver:
@@ -98,12 +98,12 @@ def test_reference_drivers_cope_where_the_driving_system_does() -> None:
 def test_equal_specifications_give_equal_results() -> None:
     person = road_user("pedestrian", s_m=40.0, d_m=-3.5, heading_rad=1.57, speed_mps=1.2)
     spec = with_driver(encounter(person), Driver.CAREFUL)
-    first, second = BrinkEncounterReference().run(spec), BrinkEncounterReference().run(spec)
+    first, second = BrinkEncounter().run(spec), BrinkEncounter().run(spec)
     assert (first.verdicts, first.features) == (second.verdicts, second.features)
 
 
-@pytest.mark.parametrize("behaviour", [{"mode": "oracle"}, {"mode": "reference", "driver": "reckless"}])
+@pytest.mark.parametrize("behaviour", [{"mode": "detector"}, {"mode": "reference", "driver": "reckless"}])
 def test_other_behaviours_are_refused(behaviour: dict[str, Any]) -> None:
-    spec = replace(encounter(), simulator=BrinkEncounterReference.id, behaviour=behaviour)
+    spec = replace(encounter(), behaviour=behaviour)
     with pytest.raises(InvalidEpisode, match="behaviour"):
-        BrinkEncounterReference().run(spec)
+        BrinkEncounter().run(spec)
