@@ -24,7 +24,7 @@ from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.api.context import Context, Services
-from brink.server.api.findings import combinations_view, violation_types, violations_words
+from brink.server.api.findings import combinations_view, violations_words
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView, PairView
 from brink.server.api.pairs import follow_up_view, pairs_view
 from brink.server.api.repeats import DEFAULT_REPEATS, repeats_view
@@ -355,7 +355,7 @@ async def _special_words(services: Context, known: _Known) -> str:
     problem = found.plan.problem
     if isinstance(problem, ReportsViolations):
         violations = await read(services.engines, lambda c: read_violations(c, campaign.id, problem))
-        return violations_words(await asyncio.to_thread(violation_types, violations))
+        return violations_words(violations)
     try:
         slots_of(problem.space)
     except UnsupportedSpace:

@@ -14,6 +14,7 @@ from pydantic import Field
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
 from brink.search.archive import Archive
@@ -235,11 +236,25 @@ def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, 
     fields: dict[str, Any] = {"outcome": outcome.words(), "kind": outcome.kind}
     if outcome.episode is not None:
         fields["requirements"] = list(outcome.episode.deciding)
+        avoidable = _avoidable(stored)
         fields["violated"] = [
-            ViolatedView(requirement=one.requirement, time_s=one.time_s, words=one.words, decides=one.decides)
+            ViolatedView(
+                requirement=one.requirement, time_s=one.time_s, words=one.words, decides=one.decides,
+                avoidable=avoidable.get(one.requirement),
+            )
             for one in outcome.episode.violated
-        ]
+        ]  # fmt: skip
     return fields
+
+
+def _avoidable(stored: Mapping[str, Any]) -> Mapping[str, Avoidable | None]:
+    """Return who would have avoided the violations of an episode, by requirement; a worker may have sent anything."""
+    reported = (stored.get("features") or {}).get("violations")
+    return {
+        str(one.get("requirement")): avoidable_of(one)
+        for one in (reported if isinstance(reported, list) else [])
+        if isinstance(one, Mapping)
+    }
 
 
 def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:

@@ -61,9 +61,60 @@ def test_every_unsafe_solution_has_a_violation_with_a_type(client: httpx.Client,
     for kind in found["types"]:
         assert kind["first"] == min(kind["numbers"])
         assert 1 <= kind["instances"] <= kind["solutions"] == len(kind["numbers"])
-    assert [kind["first"] for kind in found["types"]] == sorted(kind["first"] for kind in found["types"])
     types_only = expect(client.get(f"{path}/violations", params={"types_only": True}))
     assert types_only == {**found, "violations": []}
+
+
+BEST = ["careful", "ideal", "no"]
+
+
+def test_types_begin_with_what_a_careful_driver_would_have_avoided(
+    client: httpx.Client, campaign: str
+) -> None:
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
+    types = found["types"]
+    assert {kind["avoidable"] for kind in types} > {"careful"}
+    order = [(kind["avoidable"] == "no", kind["avoidable"], -kind["solutions"], kind["first"]) for kind in types]
+    assert order == sorted(order)
+    for kind in types:
+        its = [one for one in found["violations"] if one["type"] == kind["type"]]
+        assert kind["avoidable_by"] == {by: sum(one["avoidable"] == by for one in its) for by in BEST}
+        assert kind["avoidable"] == next(by for by in BEST if kind["avoidable_by"][by])
+        assert kind["example"] == min(one["number"] for one in its if one["avoidable"] == kind["avoidable"])
+        faults = {one["at_fault"] for one in its}
+        assert kind["at_fault"] == (faults.pop() if len(faults) == 1 else None)
+    avoided = [one for one in found["violations"] if one["avoidable"] == "careful"]
+    numbers, solutions = ({one["number"] for one in some} for some in (avoided, found["violations"]))
+    assert found["words"] == (
+        f"a careful driver would have avoided {sum(kind['avoidable'] == 'careful' for kind in types)} of "
+        f"{len(types)} types of violations, in {len(numbers)} of {len(solutions)} solutions with violations"
+    )
+    assert "Regulation No. 157, Annex 3" in found["explanation"]
+
+
+def test_violations_can_be_filtered_by_who_would_have_avoided_them(
+    client: httpx.Client, campaign: str
+) -> None:
+    path = f"/api/v1/campaigns/{campaign}/violations"
+    found = expect(client.get(path))
+    for by in BEST:
+        chosen = expect(client.get(path, params={"avoidable": by}))
+        assert chosen["violations"] == [one for one in found["violations"] if one["avoidable"] == by]
+        assert {kind["type"] for kind in chosen["types"]} == {one["type"] for one in chosen["violations"]}
+        assert all(kind["avoidable"] == by for kind in chosen["types"])
+        assert chosen["words"] == found["words"]
+    expect(client.get(path, params={"avoidable": "nobody"}), 422)
+
+
+def test_a_solution_says_who_would_have_avoided_each_of_its_violations(
+    client: httpx.Client, campaign: str
+) -> None:
+    path = f"/api/v1/campaigns/{campaign}"
+    found = expect(client.get(f"{path}/violations"))["violations"]
+    for number in {one["number"] for one in found}:
+        solution = expect(client.get(f"{path}/solutions/{number}"))
+        told = {one["requirement"]: one["avoidable"] for one in solution["violated"]}
+        assert told == {one["requirement"]: one["avoidable"] for one in found if one["number"] == number}
 
 
 def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaign: str) -> None:
@@ -147,5 +198,7 @@ def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_pat
     assert json.loads(document.read_text()) == found
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert [row["type"] for row in rows] == [one["type"] for one in found["violations"]]
+    assert [row["avoidable"] for row in rows] == [one["avoidable"] for one in found["violations"]]
+    assert [row["at_fault"] == "True" for row in rows] == [one["at_fault"] for one in found["violations"]]
     assert {row["place"] for row in rows} <= {"straight", "curve", "junction", "crossing"}
     assert draw_types(Violations.model_validate(found), tmp_path).stat().st_size > 5_000
