@@ -465,8 +465,6 @@ def _story(trace: Trace, judged: Sequence[str]) -> StoryView | None:
     """Return what the episode is about: a requirement that the campaign judges, or the first that is violated."""
     try:
         story = story_of(trace, judged or None)
-        if not judged and not story.violated and story.violations:
-            story = story_of(trace, story.violations[0].requirement)
     except ReplayError:
         # The trace does not record the requirements that the campaign judges.
         return _story(trace, ()) if judged else None
