@@ -34,7 +34,7 @@ from brink.report.combinations import claim_words, draw_chains, tally_words
 from brink.report.figures import Drawing
 from brink.report.violations import draw_gallery
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
-from brink.search.analysis.avoidable import Avoidable, by_words
+from brink.search.analysis.avoidable import Avoidable
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
@@ -323,9 +323,7 @@ def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOW
     table = plain_table("avoidable by", *numbers, "type of violation", right=numbers)
     for kind in types[:shown]:
         words = Text.assemble(kind.type, (" (named)" if kind.named else "", "dim"))
-        table.add_row(
-            by_words(kind.avoidable), str(kind.solutions), str(kind.instances), str(kind.example), words
-        )
+        table.add_row(kind.avoider, str(kind.solutions), str(kind.instances), str(kind.example), words)
     if types:
         screen.print(table)
         if len(types) > shown:

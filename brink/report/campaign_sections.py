@@ -18,7 +18,6 @@ from brink.report.pair_pictures import findings as pair_findings
 from brink.report.pair_pictures import share_words
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.report.tolerance import KEY, tolerated_words
-from brink.search.analysis.avoidable import by_words
 from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
@@ -304,7 +303,7 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     fault = {True: "ego", False: "others", None: "differs"}
     rows = [
         (
-            by_words(kind.avoidable), f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault],
+            kind.avoider, f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault],
             str(kind.example), kind.type,
         )
         for kind in types[:MOST_ROWS]

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.avoidable import EXPLANATION, Avoidable, avoidable_first
+from brink.search.analysis.avoidable import EXPLANATION, Avoidable, avoidable_first, by_words
 from brink.search.analysis.combinations import (
     Chain,
     Combination,
@@ -162,8 +162,8 @@ def _type_view(kind: ViolationType) -> TypeView:
         type=kind.words, solutions=len(numbers), instances=kind.instances, first=numbers[0],
         example=min(one.number for one in violations if one.avoidable is kind.avoidable), numbers=numbers,
         named=sum(violation.name is not None for violation in violations),
-        avoidable=kind.avoidable, avoidable_by={one: counts[one] for one in Avoidable},
-        at_fault=faults.pop() if len(faults) == 1 else None,
+        avoidable=kind.avoidable, avoider=by_words(kind.avoidable),
+        avoidable_by={one: counts[one] for one in Avoidable}, at_fault=faults.pop() if len(faults) == 1 else None,
     )  # fmt: skip
 
 

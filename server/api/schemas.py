@@ -190,6 +190,12 @@ class ViolatedView(View):
     words: Annotated[str, Field(description="What the ego did, such as `hit a pedestrian`.")]
     decides: Annotated[bool, Field(description="Whether the campaign's verdict depends on it.")]
     avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)] = None
+    avoidable_words: Annotated[
+        str,
+        Field(
+            description="The same in words, such as `avoidable by a careful driver`; empty if not measured."
+        ),
+    ] = ""
 
 
 class ActivityView(View):
@@ -370,6 +376,7 @@ class TypeView(View):
         Avoidable | None,
         Field(description="The best of what its violations are; null if that was measured for none of them."),
     ]
+    avoider: Annotated[str, Field(description="The same in words, such as `careful driver`.")]
     avoidable_by: Annotated[
         dict[Avoidable, int],
         Field(

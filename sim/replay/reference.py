@@ -16,8 +16,8 @@ from brink.sim.replay.scene import gap_to, plain_name, spec_part
 from brink.sim.replay.story import Judged, ViolatedHere, judged_requirements, runs, story_of
 from brink.sim.trace import AVOIDABLE, Trace
 
-DRIVERS: Final[Mapping[str, str]] = {"careful": "a careful driver", "ideal": "an ideal driver"}
-"""What the reference drivers are called, by name in specifications."""
+_ARTICLES: Final[Mapping[str, str]] = {"careful": "A", "ideal": "An"}
+"""Articles of the reference drivers, which are named as in specifications."""
 _NOTES: Final[Mapping[str, str]] = {
     "careful": "avoidable by a careful driver",
     "ideal": "avoidable only by braking at once",
@@ -63,20 +63,25 @@ class Comparison:
     """The system's drive with a violation, and that of a reference driver who avoids it.
 
     Attributes:
-        requirement: The violated requirement that the pictures are about.
-        driver: Name of the driver in specifications.
+        about: The violation that the pictures are about.
+        driver: The driver, as in specifications.
         violations: What the system violated of what was asked for, by time.
         driven: What the driver does instead, such as ``brakes at 11.9 s and stops 3.1 m short``.
         brakes_at_s: When the driver begins to brake; None if the driver drives on.
         reference: The driver's drive.
     """
 
-    requirement: str
+    about: ViolatedHere
     driver: str
     violations: tuple[ViolatedHere, ...]
     driven: str
     brakes_at_s: float | None
     reference: Trace
+
+    @property
+    def name(self) -> str:
+        """What the driver is called, such as ``careful driver``."""
+        return f"{self.driver} driver"
 
     @property
     def system(self) -> str:
@@ -86,8 +91,7 @@ class Comparison:
     @property
     def sentences(self) -> tuple[str, str]:
         """What the system did, and what the driver does instead, in a sentence each."""
-        who = DRIVERS[self.driver]
-        return f"The system {self.system}.", f"{who[0].upper()}{who[1:]} {self.driven}."
+        return f"The system {self.system}.", f"{_ARTICLES[self.driver]} {self.name} {self.driven}."
 
     @property
     def explanation(self) -> str:
@@ -100,14 +104,13 @@ class Comparison:
         Args:
             trace: The system's drive.
         """
-        who = f"{self.driver} driver"
-        brakes = () if self.brakes_at_s is None else (Mark(self.brakes_at_s, f"{who} brakes"),)
+        brakes = () if self.brakes_at_s is None else (Mark(self.brakes_at_s, f"{self.name} brakes"),)
         return DrivePair(
             safe=Side(
-                trace=self.reference, name=self.driver, car=who, chip=self.driver.upper(), outcome=self.driven
+                trace=self.reference, name=self.driver, car=self.name, chip=self.driver.upper(), outcome=self.driven
             ),
             unsafe=Side(trace=trace, name="system", car="system", chip="SYSTEM", outcome=self.system),
-            change="\n".join(self.sentences), facts=(self.explanation,), requirement=self.requirement,
+            change="\n".join(self.sentences), facts=(self.explanation,), requirement=self.about.requirement,
             unsafe_first=True, about_reports=False, marks=brakes,
         )  # fmt: skip
 
@@ -146,12 +149,12 @@ def comparison_of(trace: Trace, requirement: Judged = None) -> Comparison | None
     found = story_of(trace, requirement).violations
     asked = sorted((one for one in found if one.requirement in names), key=lambda one: one.time_s)
     avoided = [one for one in asked if avoidable_by(trace, one.requirement) == driver]
-    if driver not in DRIVERS or not avoided:
+    if driver not in _ARTICLES or not avoided:
         return None
     about = _about(avoided)
     driven = _Driven.of(trace, about, reference)
     return Comparison(
-        requirement=about.requirement, driver=driver, violations=tuple(asked), driven=driven.words,
+        about=about, driver=driver, violations=tuple(asked), driven=driven.words,
         brakes_at_s=driven.brakes_at_s, reference=reference,
     )  # fmt: skip
 

@@ -74,7 +74,9 @@ def test_types_begin_with_what_a_careful_driver_would_have_avoided(
     found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
     types = found["types"]
     assert {kind["avoidable"] for kind in types} > {"careful"}
-    order = [(kind["avoidable"] == "no", kind["avoidable"], -kind["solutions"], kind["first"]) for kind in types]
+    order = [
+        (kind["avoidable"] == "no", kind["avoidable"], -kind["solutions"], kind["first"]) for kind in types
+    ]
     assert order == sorted(order)
     for kind in types:
         its = [one for one in found["violations"] if one["type"] == kind["type"]]
