@@ -15,6 +15,7 @@ from brink.sim.replay.scene import (
     PARKED,
     SHAPES,
     SIGHTED,
+    TOUCHES_M,
     EpisodeScene,
     Flags,
     FrontGap,
@@ -474,7 +475,8 @@ class MapView:
             draw.line(stroke.ravel().tolist(), fill=colour, width=round(1.5 * SUPERSAMPLING))
         x, y = ends.mean(axis=0).tolist()
         below = y + 1.7 * self._viewport.px_per_m
-        text = f"gap {gap_words(gap.gap_m)}" if gap.required else f"{gap.gap_m:.1f} m away"
+        away = f"{gap.gap_m:.1f} m away" if gap.gap_m >= TOUCHES_M else "touches"
+        text = f"gap {gap_words(gap.gap_m)}" if gap.required else away
         labels.append(Label(_reduced((x, below), 0.6), text, colour, _around(ends)))
 
     def _bodies(self, sample: int, corner: Points) -> list[Rect]:

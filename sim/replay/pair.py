@@ -14,6 +14,7 @@ import numpy as np
 
 from brink.sim.replay.scene import (
     LABELS,
+    TOUCHES_M,
     EpisodeScene,
     FrontGap,
     Points,
@@ -38,8 +39,6 @@ SAFE, UNSAFE = "safe", "unsafe"
 _SAME_PX: Final = 0.5
 """Boxes whose sides are this close are the same."""
 _SAME_PLACE_M: Final = 0.05
-TOUCHES_M: Final = 0.05
-"""Bodies this close are said to touch."""
 _LEAD_UP_S: Final = 3.0
 _FOLLOW_UP_S: Final = 5.0
 _LEAST_WINDOW_S: Final = 12.0

@@ -50,6 +50,8 @@ _PANEL_NAME_LETTERS: Final = 13
 """Letters that a line of a panel's name may have, so that it fits beside the panel."""
 _ROW_NAME_LETTERS: Final = 10
 """Letters of the name of a row that fit beside it."""
+_CROWDED: Final = 0.55
+"""Share of a panel's height above which a word beside it would hide its name."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 118, 26, 44
 DIFFERENCE: Final[Rgb] = (253, 238, 214)
 """Shading of the time in which the reports of the drives differ."""
@@ -355,8 +357,11 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
         # Where the lines are cut is a tick: words inside would be struck through by them.
         ticks = [tick for tick in axes.get_yticks().tolist() if least <= tick < 0.7 * most]
         axes.set_yticks([*ticks, most * _TOP], [*(f"{tick:g}" for tick in ticks), f"{most * _TOP:.3g}+"])
+    low, high = axes.get_ylim()
+    crowded = -low / (high - low) > _CROWDED  # the name of the panel is where the line is
     axes.annotate(
-        "violated", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -4), textcoords="offset points", va="top",
+        "violated", (1, 0), xycoords="axes fraction" if crowded else ("axes fraction", "data"),
+        xytext=(6, 2 if crowded else -4), textcoords="offset points", va="bottom" if crowded else "top",
         fontsize=9, color=hexadecimal(VIOLATION),
     )  # fmt: skip
 

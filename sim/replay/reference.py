@@ -11,8 +11,8 @@ from typing import Final, Self
 
 import numpy as np
 
-from brink.sim.replay.pair import TOUCHES_M, DrivePair, Mark, Side, counterpart_of, sample_at
-from brink.sim.replay.scene import gap_to, plain_name, spec_part
+from brink.sim.replay.pair import DrivePair, Mark, Side, counterpart_of, sample_at
+from brink.sim.replay.scene import TOUCHES_M, gap_to, is_car, plain_name, spec_part
 from brink.sim.replay.story import Judged, ViolatedHere, judged_requirements, runs, story_of
 from brink.sim.trace import AVOIDABLE, Trace
 
@@ -39,7 +39,6 @@ _LEADS_TO_S: Final = 3.0
 _STANDS_MPS: Final = 0.3
 _CREEPS_MPS: Final = 2.0
 """Below this speed, a driver who goes on a little after having braked has not left off."""
-_BRAKES_MPS2: Final = -1.0
 _INSTEAD: Final[Mapping[str, str]] = {
     "front-gap": "keeps the front gap",
     "no-collision": "hits nothing",
@@ -190,13 +189,11 @@ class _Driven:
         begins = _brakes_from(reference, since, sample_at(reference, about.time_s) if slow is None else slow)
         until = sample_at(reference, about.time_s + _AFTERWARDS_S)
         actor = counterpart_of(trace, story_of(trace, about.requirement))
-        outcome = (
-            _INSTEAD.get(plain_name(about.requirement), "does not")
-            if actor is None
-            else _distance_words(
-                reference, actor, range(since if begins is None else max(begins, since), until + 1)
-            )
-        )
+        if actor is None:
+            outcome = _INSTEAD.get(plain_name(about.requirement), "does not")
+        else:
+            first = since if begins is None else max(begins, since)
+            outcome = _distance_words(reference, actor, first, until)
         if begins is None:
             return cls(f"drives on and {outcome}", None)
         brakes_at_s = float(reference.time_s[begins])
@@ -217,23 +214,40 @@ def _slow_from(trace: Trace, time_s: float) -> int | None:
 
 def _brakes_from(trace: Trace, first: int, last: int) -> int | None:
     """Return when the last braking begins that goes on at, or begins in, a span of samples; None if there is none."""
-    brakes = [
-        mode == _STOP or accel_mps2 < _BRAKES_MPS2
-        for mode, accel_mps2 in zip(trace.plan_mode, trace.ego[:, 4].tolist(), strict=True)
+    found = [
+        begins
+        for mode, begins, ends in runs(trace.plan_mode)
+        if mode == _STOP and begins <= last and ends >= first
     ]
-    found = [begins for braking, begins, ends in runs(brakes) if braking and begins <= last and ends >= first]
     return found[-1] if found else None
 
 
-def _distance_words(trace: Trace, actor: int, samples: range) -> str:
-    """Return how close a driver comes to a road user, such as ``stops 3.1 m short``."""
+def _distance_words(trace: Trace, actor: int, first: int, until: int) -> str:
+    """Return how close a driver comes to a road user, such as ``stops 3.1 m short``.
+
+    No requirement is violated when others hit a standing car: the words say so.
+
+    Args:
+        trace: The driver's drive.
+        actor: The road user.
+        first: Sample from which on it matters.
+        until: Sample up to which the distance matters.
+    """
+    samples = range(first, len(trace.time_s))
     gaps = {sample: gap.gap_m for sample in samples if (gap := gap_to(trace, sample, actor)) is not None}
-    if not gaps:
-        return "does not meet it"
     standing = {sample: gap_m for sample, gap_m in gaps.items() if trace.ego[sample, 3] < _STANDS_MPS}
-    nearest = min(standing or gaps, key=lambda sample: gaps[sample])
-    away = f"{gaps[nearest]:.1f} m" if gaps[nearest] >= TOUCHES_M else "just"
-    if standing:
+    hit = next((sample for sample, gap_m in standing.items() if gap_m < TOUCHES_M), None)
+    if hit is not None:
+        what = "vehicle" if is_car(trace.actors[actor]) else "pedestrian"
+        return f"stands when the {what} hits it at {float(trace.time_s[hit]):.1f} s"
+    soon = [sample for sample in standing if sample <= until] or [
+        sample for sample in gaps if sample <= until
+    ]
+    if not soon:
+        return "does not meet it"
+    nearest = min(soon, key=lambda sample: gaps[sample])
+    away = f"{gaps[nearest]:.1f} m"
+    if nearest in standing:
         return f"stops {away} short" if _is_ahead(trace, actor, nearest) else f"stops, {away} clear"
     return f"stays {away} clear"
 

@@ -79,6 +79,8 @@ _GAP_TOLERANCE_M: Final = 0.75
 _MOST_DIGITS: Final = 4
 STANDING_MARGIN_M: Final = 0.0
 """Robustness of `front-gap@2` while the ego stands and would otherwise violate it."""
+TOUCHES_M: Final = 0.05
+"""Bodies this close are said to touch."""
 _TIED_M: Final = 0.02
 """Distances this close count as equal."""
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+from PIL import Image
 from rich.console import Console
 from support.api import expect, listening_coordinator, progress, submit
 from support.databases import Databases
@@ -20,6 +21,7 @@ from brink.cli.commands import app
 from brink.cli.findings import draw_types, write_violations
 from brink.search.analysis.violations import RULES_VERSION
 from brink.server.api.schemas import Progress, Violations
+from brink.sim.replay.pair_view import STILL_WIDTH_PX
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",
@@ -117,6 +119,77 @@ def test_a_solution_says_who_would_have_avoided_each_of_its_violations(
         solution = expect(client.get(f"{path}/solutions/{number}"))
         told = {one["requirement"]: one["avoidable"] for one in solution["violated"]}
         assert told == {one["requirement"]: one["avoidable"] for one in found if one["number"] == number}
+
+
+def recorded(client: httpx.Client, path: str) -> httpx.Response:
+    """Return what needs a trace, which a worker records meanwhile."""
+    if client.get(path, params={"wait_s": 0}).status_code == 202:
+        traffic_worker(client).report_all()
+    return client.get(path, params={"wait_s": 0})
+
+
+def example(found: dict[str, Any], avoidable: str) -> int:
+    """Return the first solution whose violations are all avoidable by one driver, or by none."""
+    by_number: dict[int, set[str]] = {}
+    for one in found["violations"]:
+        by_number.setdefault(one["number"], set()).add(one["avoidable"])
+    return next(number for number, kinds in sorted(by_number.items()) if kinds == {avoidable})
+
+
+def test_an_episode_has_the_drive_of_the_careful_driver_who_avoids_its_violation(
+    client: httpx.Client, campaign: str
+) -> None:
+    path = f"/api/v1/campaigns/{campaign}"
+    number = example(expect(client.get(f"{path}/violations")), "careful")
+    violated = expect(client.get(f"{path}/solutions/{number}"))["violated"]
+    episode = expect(recorded(client, f"{path}/solutions/{number}/episode"))
+    reference = episode["reference"]
+    assert (reference["driver"], reference["name"]) == ("careful", "careful driver")
+    system, instead = reference["sentences"]
+    assert system.startswith(f"The system {violated[0]['words']}")
+    assert instead.startswith("A careful driver ")
+    assert pytest.approx(reference["moment_s"]) in [one["time_s"] for one in violated]
+    drive = reference["drive"]
+    assert drive["reference"] is None
+    assert [one["name"] for one in drive["actors"]] == [one["name"] for one in episode["actors"]]
+    assert len(drive["time_s"]) == len(drive["ego"]["x_m"])
+    assert not drive["story"]["violated"]
+    picture = Image.open(io.BytesIO(recorded(client, f"{path}/solutions/{number}/replay.png").content))
+    assert picture.width == STILL_WIDTH_PX, "both drives are side by side"
+    sides = {
+        side: expect_picture(recorded(client, f"{path}/solutions/{number}/compared/{side}.png"))
+        for side in ("system", "reference")
+    }
+    assert sides["system"] != sides["reference"]
+
+
+def expect_picture(response: httpx.Response) -> bytes:
+    assert (response.status_code, response.headers["content-type"]) == (200, "image/png")
+    return response.content
+
+
+def test_an_episode_whose_violation_nobody_avoids_is_shown_alone(client: httpx.Client, campaign: str) -> None:
+    path = f"/api/v1/campaigns/{campaign}"
+    number = example(expect(client.get(f"{path}/violations")), "no")
+    assert expect(recorded(client, f"{path}/solutions/{number}/episode"))["reference"] is None
+    assert recorded(client, f"{path}/solutions/{number}/compared/system.png").status_code == 204
+    picture = Image.open(io.BytesIO(recorded(client, f"{path}/solutions/{number}/replay.png").content))
+    assert picture.width != STILL_WIDTH_PX
+
+
+def test_the_finding_begins_with_what_a_careful_driver_would_have_avoided(
+    client: httpx.Client, campaign: str
+) -> None:
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
+    told = expect(client.get(f"/api/v1/campaigns/{campaign}/finding"))
+    assert told["words"] == f"{found['words'][0].upper()}{found['words'][1:]}."
+    careful = {one["number"]: one for one in found["violations"] if one["avoidable"] == "careful"}
+    assert 1 <= len(told["avoidable"]) <= 2
+    assert told["avoidable"][0]["type"] == found["types"][0]["type"]
+    for one in told["avoidable"]:
+        assert one["number"] in careful
+        assert one["words"].endswith(" s")
+    assert told["explanation"] == found["explanation"]
 
 
 def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaign: str) -> None:
