@@ -65,7 +65,8 @@ class Comparison:
         about: The violation that the pictures are about.
         driver: The driver, as in specifications.
         violations: What the system violated of what was asked for, by time.
-        driven: What the driver does instead, such as ``brakes at 11.9 s and stops 3.1 m short``.
+        driven: What the driver does instead, such as ``brakes at 11.9 s and stops 3.1 m short``, and what the driver
+            violates.
         brakes_at_s: When the driver begins to brake; None if the driver drives on.
         reference: The driver's drive.
     """
@@ -152,9 +153,10 @@ def comparison_of(trace: Trace, requirement: Judged = None) -> Comparison | None
         return None
     about = _about(avoided)
     driven = _Driven.of(trace, about, reference)
+    also = "; ".join(one.words for one in story_of(reference, about.requirement).violations)
     return Comparison(
-        about=about, driver=driver, violations=tuple(asked), driven=driven.words,
-        brakes_at_s=driven.brakes_at_s, reference=reference,
+        about=about, driver=driver, violations=tuple(asked), brakes_at_s=driven.brakes_at_s, reference=reference,
+        driven=f"{driven.words} ({also})" if also else driven.words,
     )  # fmt: skip
 
 

@@ -106,6 +106,14 @@ def test_a_standing_driver_who_is_hit_is_said_to_be_hit() -> None:
     assert found.driven.startswith("brakes at 3.5 s and stands when the pedestrian hits it at ")
 
 
+def test_what_the_driver_violates_in_turn_is_said() -> None:
+    reference = driven(stops_at_m=50.0)
+    near = np.where(reference.time_s >= 9.0 - 1e-4, -0.2, 3.0).astype(np.float32)
+    reference = replace(reference, robustness={**reference.robustness, "front-gap@2": near})
+    found = compared(hits_a_person(), reference)
+    assert found.driven.endswith(" m short (violated the front gap at 9.0 s)")
+
+
 def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
     system = hits_a_person(gap_too=True)
     found = compared(system, driven(stops_at_m=50.0), ("no-collision@1", "front-gap@2"))
