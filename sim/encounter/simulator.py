@@ -204,7 +204,8 @@ class BrinkEncounter:
         shown = min(avoided_by.values(), key=list(Driver).index, default=Driver.CAREFUL)
         violated: dict[str, Json] = {driver.value: one.violated_at_s for driver, one in drives.items()}
         violations: list[Json] = [
-            {**one, "avoidable": avoided_by.get(str(one["requirement"]), NOBODY)} for one in drive.violations
+            {**one, "avoidable": str(avoided_by.get(str(one["requirement"]), NOBODY))}
+            for one in drive.violations
         ]
         result = drive.result
         return replace(
