@@ -30,6 +30,8 @@ SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter
 ORACLES: Final = (
     "no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
 )  # fmt: skip
+_BY_GAP: Final = ("any", "no-collision@1", "front-gap@1")
+"""Values of `violation` that the gap between the ego and the nearest road user says something about."""
 ROAD_USERS: Final = "road_users"
 LIT: Final = "crossroad"
 _SYSTEM: Final = (
@@ -54,8 +56,9 @@ class NpcActionsParams:
         choices=("any", *ORACLES),
     )
     criticality: str = setting(
-        "gap", help="Measure of criticality: the smallest gap to a road user, or the lowest robustness.",
-        choices=("gap", "robustness"),
+        "auto", choices=("auto", "gap", "robustness"),
+        help="Measure of criticality: the smallest gap to a road user, or the lowest robustness; auto takes the gap "
+        "for collisions, front gaps and any violation.",
     )  # fmt: skip
     sight: str = setting(
         "oracle",
@@ -111,6 +114,21 @@ class NpcActions:
         self.requirements = ORACLES if params.violation == "any" else (params.violation,)
         self.extra = "vision"
         self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
+
+    @property
+    def by_gap(self) -> bool:
+        """Whether criticality is the smallest gap to a road user, not the robustness."""
+        if self.params.criticality == "auto":
+            return self.params.violation in _BY_GAP
+        return self.params.criticality == "gap"
+
+    def wrong_criticality(self) -> tuple[str, str] | None:
+        """Return the parameter that makes criticality say nothing about the requirement, and a message; or None."""
+        if not self.by_gap or self.params.violation in _BY_GAP:
+            return None
+        return "criticality", (
+            f"expected auto or robustness: the gap to road users says nothing about {self.params.violation}"
+        )
 
     def with_truth(self) -> "NpcActions | None":
         """Return the problem with ground truth in place of a detector; None if it has no detector."""
@@ -206,7 +224,7 @@ class NpcActions:
         """Return the verdict, in the unit of its requirement, and all objectives."""
         robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
         objectives = dict(outcome.objectives)
-        if self.params.criticality == "robustness":
+        if not self.by_gap:
             objectives["criticality_m"] = robustness
         return Scored(
             unsafe=robustness < 0,
