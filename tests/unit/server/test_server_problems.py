@@ -227,6 +227,17 @@ def test_any_violation_counts_or_only_the_chosen_one() -> None:
     assert NPC.violations(outcome()) == []
 
 
+@pytest.mark.parametrize(
+    ("violation", "by_gap"),
+    [("any", True), ("no-collision@1", True), ("front-gap@2", True)]
+    + [(name, False) for name in ("lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")],
+)
+def test_criticality_follows_the_requirement(violation: str, by_gap: bool) -> None:
+    near = NpcActions(NpcActionsParams(violation=violation)).evaluation(outcome(progress=-3.0))
+    assert isinstance(near, Scored)
+    assert near.objectives["criticality_m"] == (0.7 if by_gap else near.robustness)
+
+
 def test_an_evaluation_names_the_kinds_of_violations() -> None:
     violations = [violation(), violation("front-gap@2", collision=None)]
     hit = outcome(no_collision=-1.0, front_gap=-0.2).model_copy(
