@@ -26,6 +26,11 @@ TRACE_VERSION = 1
 
 VIOLATED_AT_S: Final = "violated_at_s"
 """Entry of a trace's description: the exact time of each violated requirement's first violation."""
+AVOIDABLE: Final = "avoidable"
+"""Entry of a trace's description: who would have avoided the first violation of each requirement.
+
+``careful`` for the careful reference driver, ``ideal`` for the ideal one alone, ``no`` for neither.
+"""
 WORDS: Final = "words"
 """Entry of a trace's description: the scenario in words and, after a semicolon, the behaviour.
 

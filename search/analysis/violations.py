@@ -5,8 +5,8 @@ words; violations with equal signatures have the same type. The authors of muMOE
 cause; these rules are automatic, and coarser in some places and finer in others. Circumstances are stored, so types
 can be recomputed when the rules change (`RULES_VERSION`), and a person can override a type.
 
-Whether a reference driver would have avoided a violation is measured by the simulator (`Avoidable`). Whether the ego
-was at fault is decided by a rule of thumb.
+Whether a reference driver would have avoided a violation is measured by the simulator
+(`brink.search.analysis.avoidable`). Whether the ego was at fault is decided by a rule of thumb.
 
 Distinct instances of a type are clusters of scaled circumstances, found with DBSCAN.
 
@@ -18,11 +18,11 @@ import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
-from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
 
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
 from brink.search.space import FloatArray, IntArray
 
 RULES_VERSION: Final = 3
@@ -58,39 +58,6 @@ _SPEED_MPS, _TURN_RAD, _WAY_M = 3.0, 0.5, 10.0
 """Differences in circumstances that count as one unit of distance."""
 
 log = logging.getLogger(__name__)
-
-
-class Avoidable(StrEnum):
-    """Who would have avoided a violation, best first: what a careful driver avoids, a system should avoid."""
-
-    CAREFUL = "careful"
-    """The careful driver of UN Regulation No. 157."""
-    IDEAL = "ideal"
-    """Only a driver who brakes at once."""
-    NO = "no"
-    """Neither."""
-
-    @property
-    def words(self) -> str:
-        """What is said of such a violation."""
-        return _AVOIDABLE[self]
-
-
-_AVOIDABLE: Final = {
-    Avoidable.CAREFUL: "avoidable by a careful driver",
-    Avoidable.IDEAL: "avoidable only by braking at once",
-    Avoidable.NO: "not avoidable by braking",
-}
-
-
-def avoidable_of(violation: Mapping[str, Any]) -> Avoidable | None:
-    """Return who would have avoided a violation; None if that was not measured.
-
-    Args:
-        violation: Its circumstances, as reported by the encounter simulators.
-    """
-    found = violation.get("avoidable")
-    return next((one for one in Avoidable if one == found), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,17 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from brink.search.analysis.avoidable import Avoidable
 from brink.server.campaigns.body import CampaignBody
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, OutcomeKind, SolutionVerdict
 
 MAX_NUMBER = 2**53
 """Largest job or solution number that is looked up; every JSON parser reads it exactly."""
+AVOIDABLE = (
+    "Who would have avoided it: a careful driver (UN Regulation No. 157, Annex 3), only an ideal one who brakes at "
+    "once, or neither (no); null if that was not measured."
+)
 
 
 class View(BaseModel):
@@ -184,6 +189,13 @@ class ViolatedView(View):
     time_s: Annotated[float | None, Field(description="Simulated time of the first violation, if recorded.")]
     words: Annotated[str, Field(description="What the ego did, such as `hit a pedestrian`.")]
     decides: Annotated[bool, Field(description="Whether the campaign's verdict depends on it.")]
+    avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)] = None
+    avoidable_words: Annotated[
+        str,
+        Field(
+            description="The same in words, such as `avoidable by a careful driver`; empty if not measured."
+        ),
+    ] = ""
 
 
 class ActivityView(View):
@@ -331,6 +343,10 @@ class ViolationView(View):
     time_s: float
     type: str
     name: Annotated[str | None, Field(description="Name that a person gave it.")]
+    avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)]
+    at_fault: Annotated[
+        bool, Field(description="Whether the ego vehicle was at fault by a rule of thumb; see `avoidable`.")
+    ]
     signature: Annotated[
         dict[str, str], Field(description="Features that the rules derive from its circumstances.")
     ]
@@ -345,11 +361,33 @@ class TypeView(View):
     type: str
     solutions: Annotated[int, Field(description="Number of solutions with a violation of this type.")]
     instances: Annotated[int, Field(description="Distinct instances: clusters of similar circumstances.")]
-    first: Annotated[int, Field(description="Number of the first solution.")]
+    first: Annotated[
+        int, Field(description="Number of the first solution, in which the type was discovered.")
+    ]
+    example: Annotated[
+        int,
+        Field(
+            description="Number of the first solution with a violation that is `avoidable` as the type is."
+        ),
+    ]
     numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
     named: Annotated[int, Field(description="Number of its violations that a person named.")]
+    avoidable: Annotated[
+        Avoidable | None,
+        Field(description="The best of what its violations are; null if that was measured for none of them."),
+    ]
+    avoider: Annotated[str, Field(description="The same in words, such as `careful driver`.")]
+    avoidable_by: Annotated[
+        dict[Avoidable, int],
+        Field(
+            description="Number of its violations by who would have avoided them, where that was measured."
+        ),
+    ]
     at_fault: Annotated[
-        bool | None, Field(description="Whether the ego vehicle was at fault; null if its violations differ.")
+        bool | None,
+        Field(
+            description="Whether the ego vehicle was at fault by a rule of thumb; null if its violations differ."
+        ),
     ]
 
 
@@ -357,8 +395,15 @@ class Violations(View):
     """The violations of a campaign."""
 
     rules_version: int
-    words: Annotated[str, Field(description="The finding in a sentence.")]
-    types: Annotated[list[TypeView], Field(description="In order of discovery.")]
+    words: Annotated[str, Field(description="The finding in a sentence, about all violations.")]
+    explanation: Annotated[str, Field(description="Who the reference drivers are, in sentences.")]
+    types: Annotated[
+        list[TypeView],
+        Field(
+            description="First those that a careful driver would have avoided, then those that take braking at once, "
+            "then the rest; each by frequency. `first` tells the order of discovery."
+        ),
+    ]
     violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from brink.search.algorithm import Evaluation, Niche, Scored
 from brink.search.algorithms.multi_objective import CRITICALITY
-from brink.search.analysis.violations import Avoidable, avoidable_of, kinds_of, niche_of
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
+from brink.search.analysis.violations import kinds_of, niche_of
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import SearchSpace

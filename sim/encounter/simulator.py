@@ -25,7 +25,7 @@ from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, chec
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.trace import Trace
+from brink.sim.trace import AVOIDABLE, Trace
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
@@ -203,18 +203,20 @@ class BrinkEncounter:
                 break
         shown = min(avoided_by.values(), key=list(Driver).index, default=Driver.CAREFUL)
         violated: dict[str, Json] = {driver.value: one.violated_at_s for driver, one in drives.items()}
+        avoidable: dict[str, Json] = {name: str(avoided_by.get(name, NOBODY)) for name in moments}
         violations: list[Json] = [
-            {**one, "avoidable": str(avoided_by.get(str(one["requirement"]), NOBODY))}
-            for one in drive.violations
+            {**one, AVOIDABLE: avoidable[str(one["requirement"])]} for one in drive.violations
         ]
         result = drive.result
+        trace = drive.trace
+        if trace is not None:
+            about = {**trace.about, AVOIDABLE: avoidable}
+            trace = replace(trace, reference=drives[shown].trace, about=about)
         return replace(
             result,
             features={**result.features, "violations": violations, "reference": violated},
             provenance={**result.provenance, "reference_cpu_s": time.process_time() - began_s},
-            trace=None
-            if drive.trace is None
-            else replace(drive.trace, reference=drives[shown].trace).to_bytes(),
+            trace=None if trace is None else trace.to_bytes(),
         )
 
 
