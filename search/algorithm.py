@@ -333,7 +333,7 @@ class WarmStarts(Protocol):
 
 
 class Origin(StrEnum):
-    """The source of a solution."""
+    """The source of a solution. Stored states refer to their order: new ones come last."""
 
     RANDOM = "random"
     HEURISTIC = "heuristic"
@@ -341,6 +341,8 @@ class Origin(StrEnum):
     CROSSOVER = "crossover"
     LLM = "llm"
     LLM_REPAIR = "llm_repair"
+    IMMIGRANT = "immigrant"
+    """A random solution in place of children that were known already."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

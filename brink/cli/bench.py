@@ -200,8 +200,9 @@ def mumoea(
 ) -> None:
     """Compare muMOEA with its ablations, MOSAT, NSGA-II and random search, at equal budgets.
 
-    The full comparison takes hours. Completed searches are kept in the folder, so the same command continues after
-    an interruption.
+    Two methods get their seeds from a stand-in for a language model, which answers with hand-written patterns: no
+    trained model is used. The full comparison takes hours. Completed searches are kept in the folder, so the same
+    command continues after an interruption.
 
     Example: brink bench mumoea --seeds 5 --simulations 2000
     """

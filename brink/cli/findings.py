@@ -42,6 +42,7 @@ from brink.server.api.schemas import Combinations, SolutionPage, StepTally, Viol
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
+from brink.server.problems.npc_actions import NpcActions
 
 CHAINS_SHOWN: Final = 10
 CHAINS_DRAWN: Final = 3
@@ -411,9 +412,10 @@ def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path)
     # matplotlib takes half a second to load: only commands that draw wait for it.
     from brink.plots.campaign import figure_fronts
 
+    problem = fetched.plan.problem
     figure = figure_fronts(
-        fetched.body.name, fetched.plan.problem.space, fetched.archive.vectors, fetched.generations,
-        criticality, fetched.plan.config,
+        fetched.body.name, problem.space, fetched.archive.vectors, fetched.generations,
+        criticality, fetched.plan.config, by_gap=not isinstance(problem, NpcActions) or problem.by_gap,
     )  # fmt: skip
     path = folder / "fronts.png"
     figure.savefig(path)

@@ -134,7 +134,7 @@ def niche_of(violation: Mapping[str, Any]) -> tuple[str, ...] | None:
     """
     try:
         found = signature_of(violation)
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError) as error:
         log.warning("ignored invalid circumstances: %r", error)
         return None
     return found.sector, found.other, found.ego, found.place

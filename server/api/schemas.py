@@ -477,16 +477,19 @@ class Combinations(View):
 
 
 class LlmCall(View):
-    """A call to a language model."""
+    """A call to a language model: one prompt, with all HTTP requests that it took."""
 
     request: Annotated[int, Field(description="Number of the request for seeds.")]
     turn: Annotated[int, Field(description="0 for the first prompt, 1 for the repair prompt.")]
-    outcome: str
+    outcome: Annotated[
+        str,
+        Field(
+            description="sent, ok, truncated, invalid, declined, refused, unavailable, over_budget or circuit_open."
+        ),
+    ]
     mode: Annotated[str, Field(description="How structured output was requested.")]
     prompt_hash: str
-    calls: Annotated[
-        int, Field(description="HTTP requests that the endpoint processed or may have processed.")
-    ]
+    calls: Annotated[int, Field(description="HTTP requests sent, whatever became of them.")]
     prompt_tokens: int | None
     completion_tokens: int | None
     estimated: Annotated[
@@ -494,7 +497,7 @@ class LlmCall(View):
     ]
     cost: Annotated[float | None, Field(description="Null if no prices are configured.")]
     latency_s: float
-    error: str | None
+    error: Annotated[str | None, Field(description="What went wrong, in words; null if nothing did.")]
     reply: Annotated[
         str | None, Field(description="Raw body of the reply with the API key removed, if requested.")
     ]
@@ -504,7 +507,10 @@ class LlmCalls(View):
     """Language-model calls of a campaign."""
 
     calls: Annotated[list[LlmCall], Field(description="In the order in which they were made.")]
-    total_calls: int
+    total_calls: Annotated[int, Field(description="HTTP requests sent, whatever became of them.")]
+    max_calls: Annotated[
+        int | None, Field(description="How many may be sent; null without a language model.")
+    ]
     total_tokens: int
     estimated_tokens: int
     cost: Annotated[float | None, Field(description="Total cost; null if the cost of any call is unknown.")]

@@ -33,6 +33,7 @@ from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import (
+    ChecksCriticality,
     ChecksInputs,
     InProcessProblem,
     MeasuresOnData,
@@ -180,6 +181,7 @@ def make_checked_plan(body: CampaignBody) -> Plan:
         raise InvalidInput(
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
+    _check_criticality(plan)
     _check_seeder(plan)
     if body.start_from is not None and not isinstance(plan.algorithm, WarmStarts):
         able = ", ".join(one for one in plugin_ids(ALGORITHMS) if isinstance(make_algorithm(one), WarmStarts))
@@ -208,6 +210,21 @@ def check_repeatable(plan: Plan) -> None:
     if ignores_seeds(plan.problem):
         message = f"{plan.body.problem.id} is computed, not simulated: other seeds give the same verdicts"
         raise InvalidInput.at("/repeats", message)
+
+
+def _check_criticality(plan: Plan) -> None:
+    """Check that an algorithm that minimises criticality is led towards violations of the requirement by it.
+
+    Stored campaigns need not pass this: older versions accepted what is rejected here.
+
+    Raises:
+        InvalidInput: It is not.
+    """
+    if not isinstance(plan.config, MultiObjectiveConfig) or not isinstance(plan.problem, ChecksCriticality):
+        return
+    if (wrong := plan.problem.wrong_criticality()) is not None:
+        name, message = wrong
+        raise InvalidInput.at(f"/problem/params/{name}", message)
 
 
 def _check_seeder(plan: Plan) -> None:

@@ -42,6 +42,8 @@ FORMER: Final = {"front-gap@1": "front-gap@2"}
 """Requirements that campaigns may name besides, and the present ones, of which results of old campaigns have none."""
 UNAVOIDABLE_M: Final = 250.0
 """Criticality of a violation that does not count: behind everything that has no violation."""
+_BY_GAP: Final = ("any", "no-collision@1", "front-gap@2", *FORMER)
+"""Values of `violation` that the gap between the ego and the nearest road user says something about."""
 ROAD_USERS: Final = "road_users"
 LIT: Final = "crossroad"
 _SYSTEM: Final = (
@@ -71,8 +73,9 @@ class NpcActionsParams:
         choices=("all", "avoidable"),
     )
     criticality: str = setting(
-        "gap", help="Measure of criticality: the smallest gap to a road user, or the lowest robustness.",
-        choices=("gap", "robustness"),
+        "auto", choices=("auto", "gap", "robustness"),
+        help="Measure of criticality: the smallest gap to a road user, or the lowest robustness; auto takes the gap "
+        "for collisions, front gaps and any violation.",
     )  # fmt: skip
     sight: str = setting(
         "oracle",
@@ -134,6 +137,21 @@ class NpcActions:
         self.requirements = ORACLES if params.violation == "any" else (params.violation,)
         self.extra = "vision"
         self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
+
+    @property
+    def by_gap(self) -> bool:
+        """Whether criticality is the smallest gap to a road user, not the robustness."""
+        if self.params.criticality == "auto":
+            return self.params.violation in _BY_GAP
+        return self.params.criticality == "gap"
+
+    def wrong_criticality(self) -> tuple[str, str] | None:
+        """Return the parameter that makes criticality say nothing about the requirement, and a message; or None."""
+        if not self.by_gap or self.params.violation in _BY_GAP:
+            return None
+        return "criticality", (
+            f"expected auto or robustness: the gap to road users says nothing about {self.params.violation}"
+        )
 
     def with_truth(self) -> "NpcActions | None":
         """Return the problem with ground truth in place of a detector; None if it has no detector."""
@@ -235,7 +253,7 @@ class NpcActions:
         robustness = min(self._robustness(outcome, name) for name in self.requirements)
         violations = self.violations(outcome)
         objectives = dict(outcome.objectives)
-        if self.params.criticality == "robustness":
+        if not self.by_gap:
             objectives[CRITICALITY] = robustness
         counted = violations
         if self.params.count == "avoidable":
