@@ -11,11 +11,10 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from support.circumstances import violation
 
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
 from brink.search.analysis.violations import (
     SECTORS,
-    Avoidable,
     FoundViolation,
-    avoidable_of,
     by_type,
     dbscan,
     instances,
