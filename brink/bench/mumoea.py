@@ -231,7 +231,7 @@ def run_search(task: Task) -> SearchRun:
         if seeds is None:
             return run
         spent = seeds.spent
-        return replace(run, calls=spent.calls, tokens=spent.tokens, waited_s=seeds.waited_s)
+        return replace(run, calls=spent.requests, tokens=spent.tokens, waited_s=seeds.waited_s)
 
 
 @contextmanager

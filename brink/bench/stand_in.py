@@ -26,7 +26,7 @@ from brink.search.space import SearchSpace
 from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.participants import RoadLimits
 from brink.search.traffic.variation import TrafficGenome, hostile_solution, prolonged
-from brink.server.llm.calls import CallKey, Spent, StoredCall, spent_on, tokens_of
+from brink.server.llm.calls import Breaker, CallKey, Spent, StoredCall, spent_on, tokens_of
 from brink.server.llm.client import LlmClient
 from brink.server.llm.replies import to_text
 from brink.server.llm.seeds import ask
@@ -122,6 +122,10 @@ class _Calls:
     def spent(self) -> Spent:
         """Return the totals of all calls."""
         return spent_on(self._calls.values())
+
+    def breaker(self) -> Breaker:
+        """Return a circuit breaker that never opens: the stand-in is there while it is asked."""
+        return Breaker()
 
 
 class StandInSeeds:

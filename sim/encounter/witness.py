@@ -146,7 +146,7 @@ class _OtherThen(NamedTuple):
     """A road user in a control step.
 
     Attributes:
-        index: Its place among the road users.
+        place: Its place among the road users.
         body: Its footprint.
         action: What its script has it do.
         speed_mps: Its speed.
@@ -155,7 +155,7 @@ class _OtherThen(NamedTuple):
         in_way_s: For how long it has been in the ego's way.
     """
 
-    index: int
+    place: int
     body: Rectangle
     action: str
     speed_mps: float
@@ -295,7 +295,7 @@ class EncounterWitness:
             self._in_way_since_s[index],
         )
         return _OtherThen(
-            index=index,
+            place=index,
             body=make_rectangle(user),
             action=user.stretch.action,
             speed_mps=user.speed_mps,
@@ -317,8 +317,8 @@ class EncounterWitness:
         size = self._world.ego
         ego = Rectangle(sample.x_m, sample.y_m, sample.yaw_rad, 0.5 * size.length_m, 0.5 * size.width_m)
         return {
-            "index": other.index + 1,
-            "kind": self._world.road_users[other.index].kind.value,
+            "index": other.place + 1,
+            "kind": self._world.road_users[other.place].kind.value,
             "action": other.action,
             "gap_m": signed_gap_m(ego, other.body),
             "bearing_rad": bearing_rad(ego, other.body),
