@@ -95,21 +95,22 @@ _UNBRAKED_S: Final = _CAREFUL.judging_s + _CAREFUL.delay_s + 0.5 * _CAREFUL.buil
 """The careful driver stops as if driving on for this long and then braking in full."""
 
 
-def avoids(requirement: str, violated_at_s: float, verdicts: Mapping[str, Verdict]) -> bool:
-    """Return whether a reference driver avoided a violation, and a collision, until `AFTERWARDS_S` after it.
+def avoids(
+    requirement: str, violated_at_s: float, verdicts: Mapping[str, Verdict], contact_at_s: float | None
+) -> bool:
+    """Return whether a reference driver avoided a violation, and any contact, until `AFTERWARDS_S` after it.
+
+    A driver who has stopped and is then driven into has not avoided the violation.
 
     Args:
         requirement: What the driving system violated.
         violated_at_s: When it did.
         verdicts: Verdicts on the driver's drive, by requirement.
+        contact_at_s: When another road user first touched the driver's car, even while it stood; None if none did.
     """
+    moments = [verdicts[name].violated_at_s for name in (requirement, COLLISION) if name in verdicts]
     until_s = violated_at_s + AFTERWARDS_S
-    moments = [
-        verdict.violated_at_s
-        for name, verdict in verdicts.items()
-        if name in (requirement, COLLISION) and verdict.violated_at_s is not None
-    ]
-    return all(moment_s > until_s for moment_s in moments)
+    return all(moment_s is None or moment_s > until_s for moment_s in (*moments, contact_at_s))
 
 
 def stopping_distance_m(speed_mps: float, other_mps: float = 0.0) -> float:

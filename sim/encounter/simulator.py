@@ -43,17 +43,22 @@ class _Drive:
     Attributes:
         result: Its result, without the trace.
         violations: Circumstances of its violations.
+        contact_at_s: When another road user first touched the ego, even a standing one; None if none did.
         trace: Its trace, if it was recorded.
     """
 
     result: EpisodeResult
     violations: Sequence[JsonObject]
+    contact_at_s: float | None
     trace: Trace | None
 
     @property
-    def violated_at_s(self) -> JsonObject:
-        """When each violated requirement was first violated."""
-        return {name: one.violated_at_s for name, one in self.result.verdicts.items() if one.violated}
+    def facts(self) -> JsonObject:
+        """When each violated requirement was first violated, and when another road user touched the ego."""
+        violated: JsonObject = {
+            name: one.violated_at_s for name, one in self.result.verdicts.items() if one.violated
+        }
+        return {"violated_at_s": violated, "contact_at_s": self.contact_at_s}
 
 
 class BrinkEncounter:
@@ -174,7 +179,9 @@ class BrinkEncounter:
             provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
         )
         trace = None if recorder is None else recorder.trace(trace_header(spec, verdicts, versions))
-        return _Drive(result=result, violations=witness.violations, trace=trace)
+        return _Drive(
+            result=result, violations=witness.violations, contact_at_s=witness.contact_at_s, trace=trace
+        )
 
     def _compared(
         self, spec: EpisodeSpec, scenario: EncounterScenario, drive: _Drive, *, record: bool
@@ -195,14 +202,15 @@ class BrinkEncounter:
         drives: dict[Driver, _Drive] = {}
         for driver in Driver:
             its = _with_driver(spec, driver, max(moments.values()) + AFTERWARDS_S)
-            drives[driver] = self._drive(its, scenario, record=record)
+            drives[driver] = its_drive = self._drive(its, scenario, record=record)
+            verdicts, contact_at_s = its_drive.result.verdicts, its_drive.contact_at_s
             for name, moment_s in moments.items():
-                if name not in avoided_by and avoids(name, moment_s, drives[driver].result.verdicts):
+                if name not in avoided_by and avoids(name, moment_s, verdicts, contact_at_s):
                     avoided_by[name] = driver
             if len(avoided_by) == len(moments):
                 break
         shown = min(avoided_by.values(), key=list(Driver).index, default=Driver.CAREFUL)
-        violated: dict[str, Json] = {driver.value: one.violated_at_s for driver, one in drives.items()}
+        reference: dict[str, Json] = {driver.value: one.facts for driver, one in drives.items()}
         avoidable: dict[str, Json] = {name: str(avoided_by.get(name, NOBODY)) for name in moments}
         violations: list[Json] = [
             {**one, AVOIDABLE: avoidable[str(one["requirement"])]} for one in drive.violations
@@ -214,7 +222,7 @@ class BrinkEncounter:
             trace = replace(trace, reference=drives[shown].trace, about=about)
         return replace(
             result,
-            features={**result.features, "violations": violations, "reference": violated},
+            features={**result.features, "violations": violations, "reference": reference},
             provenance={**result.provenance, "reference_cpu_s": time.process_time() - began_s},
             trace=None if trace is None else trace.to_bytes(),
         )

@@ -170,6 +170,12 @@ class EncounterWitness:
     Args:
         world: The world.
         recorder: Records the road users' actions, if given.
+
+    Attributes:
+        gaps_m: Smallest gap of each road user to the ego so far; infinite before the first.
+        contact_at_s: When a road user first touched the ego, even one that drives into a standing ego, in which it
+            collides with nobody; None if none has.
+        violations: Circumstances of each violation so far.
     """
 
     def __init__(self, world: EncounterWorld, recorder: Recorder | None = None) -> None:
@@ -184,6 +190,7 @@ class EncounterWitness:
         self._sample: WorldSample | None = None
         self._mode = ""
         self._closest: tuple[_Moment, _OtherThen] | None = None
+        self.contact_at_s: float | None = None
         self._seen: set[str] = set()
         self.violations: list[JsonObject] = []
 
@@ -208,6 +215,8 @@ class EncounterWitness:
             if self._recorder is not None and (action := user.stretch.action) != self._actions[index]:
                 self._actions[index] = action
                 self._recorder.event(sample.time_s, ACTION, f"{user.name}:{action}")
+        if closest_m < 0.0 and self.contact_at_s is None:
+            self.contact_at_s = sample.time_s
         if closest is not None:
             self._closest = self._moment(sample), self._other(closest, sample)
 

@@ -186,8 +186,10 @@ def test_a_violation_says_who_would_have_avoided_it() -> None:
     assert isinstance(before, list)
     assert {key: value for key, value in hit.items() if key != "avoidable"} in before
     assert list(reference) == ["careful", "ideal"]
-    assert "no-collision@1" in facts(reference["careful"])
-    assert "no-collision@1" not in facts(reference["ideal"])
+    careful, ideal = facts(reference["careful"]), facts(reference["ideal"])
+    assert "no-collision@1" in facts(careful["violated_at_s"])
+    assert careful["contact_at_s"] == facts(careful["violated_at_s"])["no-collision@1"]
+    assert ideal == {"violated_at_s": {}, "contact_at_s": None}
     assert float(str(compared.provenance["reference_cpu_s"])) > 0.0
     assert compared.trace is not None
     trace = Trace.from_bytes(compared.trace)
@@ -207,21 +209,23 @@ def test_a_drive_without_a_violation_is_not_driven_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("moments", "avoided"),
+    ("moments", "contact_at_s", "avoided"),
     [
-        ({}, True),
-        ({"front-gap@2": 9.0}, False),
-        ({"front-gap@2": 15.1}, True),
-        ({"no-collision@1": 4.0}, False),
-        ({"progress@1": 4.0}, True),
+        ({}, None, True),
+        ({"front-gap@2": 9.0}, None, False),
+        ({"front-gap@2": 15.1}, None, True),
+        ({"no-collision@1": 4.0}, 4.0, False),
+        ({"progress@1": 4.0}, None, True),
+        ({}, 14.0, False),
+        ({}, 15.1, True),
     ],
 )
-def test_what_counts_as_avoided(moments: dict[str, float], avoided: bool) -> None:
+def test_what_counts_as_avoided(moments: dict[str, float], contact_at_s: float | None, avoided: bool) -> None:
     verdicts = {
         name: Verdict(robustness=-1.0 if name in moments else 1.0, unit="m", violated_at_s=moments.get(name))
         for name in ("front-gap@2", "no-collision@1", "progress@1")
     }
-    assert avoids("front-gap@2", 10.0, verdicts) is avoided
+    assert avoids("front-gap@2", 10.0, verdicts, contact_at_s) is avoided
 
 
 @pytest.mark.parametrize(("candidates", "most"), [(12, 2), pytest.param(80, 4, marks=pytest.mark.long)])
