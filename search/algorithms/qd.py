@@ -5,8 +5,9 @@ ego and what both were doing. Each niche keeps its best solution, by rank, then 
 elites, crossings of two, hand-written patterns, and random solutions. Kinds of behaviour are thus collected rather
 than optimised away: what is best in one niche never displaces another niche's elite.
 
-Parents are elites of the best rank, and now and then of the next one: near misses. Most changes apply to the
-participant that came closest to the ego, since changes of others mostly change nothing.
+Parents are elites of the best rank, and now and then of the next one: near misses. Rare behaviour is preferred: an
+elite's chance falls with the number of solutions that were in its niche. Otherwise one easily repeated mechanism,
+which varies over many niches, would get most of the budget.
 
 Several generations may be in flight. A problem that names no niches is searched at random.
 
@@ -14,7 +15,7 @@ Source: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Final, assert_never
@@ -23,13 +24,13 @@ import numpy as np
 
 from brink.search.algorithm import Candidate, Evaluation, Niche, Origin, Scored
 from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState, stored_rows
-from brink.search.algorithms.multi_objective import Child, gap_objective, stored_origins
+from brink.search.algorithms.multi_objective import Child, stored_origins
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
 from brink.search.settings import setting
 from brink.search.space import FloatArray, SearchSpace
 from brink.search.streams import Stream, generator
-from brink.search.traffic.participants import MAX_PARTICIPANTS, Participant, Solution
+from brink.search.traffic.participants import Participant, Solution
 from brink.search.traffic.variation import (
     TrafficGenome,
     crossed_uniformly,
@@ -56,7 +57,7 @@ class Operator(StrEnum):
     PATTERN = "pattern"
     """Hand-written patterns with random numbers."""
     SMALL = "small"
-    """Some numbers of one participant of an elite change a little."""
+    """Some numbers of all participants of an elite change a little."""
     MAJOR = "major"
     """One participant of an elite starts elsewhere and acts differently."""
     EDIT = "edit"
@@ -90,7 +91,7 @@ class QdConfig(BoundaryConfig):
     share_random: float = setting(0.1, help="Share of random solutions.", ge=0, le=1)
     share_pattern: float = setting(0.0, help="Share of hand-written hostile patterns.", ge=0, le=1)
     share_small: float = setting(
-        0.3, help="Share of elites with one participant changed a little.", ge=0, le=1
+        0.3, help="Share of elites with all participants changed a little.", ge=0, le=1
     )
     share_major: float = setting(0.2, help="Share of elites with one participant changed a lot.", ge=0, le=1)
     share_edit: float = setting(
@@ -115,16 +116,18 @@ class Elite:
     Attributes:
         niche: Name, rank and value.
         number: Number of the solution.
-        participant: Position of its participant that came closest to the ego.
+        hits: Number of solutions that were in the niche so far.
     """
 
     niche: Niche
     number: int
-    participant: int
+    hits: int
 
-    def better_than(self, other: "Elite | None") -> bool:
-        """Return whether this elite is better than one of the same niche, or than none."""
-        return other is None or (self.niche.rank, self.niche.value) < (other.niche.rank, other.niche.value)
+    def after(self, niche: Niche, number: int) -> "Elite":
+        """Return the elite after one more solution was in the niche: this one, unless the other is better."""
+        better = (niche.rank, niche.value) < (self.niche.rank, self.niche.value)
+        hits = self.hits + 1
+        return Elite(niche=niche, number=number, hits=hits) if better else replace(self, hits=hits)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -179,9 +182,7 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
         return _planned(state)
 
     def _content(self, state: QdState) -> tuple[dict[str, Any], dict[str, Any]]:
-        columns = [
-            (elite.niche.rank, elite.niche.value, elite.number, elite.participant) for elite in state.elites
-        ]
+        columns = [(elite.niche.rank, elite.niche.value, elite.number, elite.hits) for elite in state.elites]
         return (
             {
                 "niches": [list(elite.niche.name) for elite in state.elites],
@@ -214,18 +215,20 @@ def with_elites(
         evaluation = evaluations[candidate.number]
         if not isinstance(evaluation, Scored):
             continue
-        participant = _closest_participant(evaluation)
-        for niche in evaluation.niches:
-            elite = Elite(niche=niche, number=candidate.number, participant=participant)
-            if elite.better_than(best.get(niche.name)):
-                best[niche.name] = elite
+        for niche in _best_by_name(evaluation.niches):
+            known = best.get(niche.name)
+            best[niche.name] = (
+                Elite(niche=niche, number=candidate.number, hits=1)
+                if known is None
+                else known.after(niche, candidate.number)
+            )
     return tuple(best.values())
 
 
-def _closest_participant(evaluation: Scored) -> int:
-    """Return the position of the participant that came closest to the ego; 0 if gaps were not measured."""
-    gaps = [evaluation.objectives.get(gap_objective(p), np.inf) for p in range(1, MAX_PARTICIPANTS + 1)]
-    return int(np.argmin(gaps))
+def _best_by_name(niches: Sequence[Niche]) -> Iterable[Niche]:
+    """Return the niches of a solution, those of equal name only once."""
+    ranked = sorted(niches, key=lambda niche: (niche.rank, niche.value), reverse=True)
+    return {niche.name: niche for niche in ranked}.values()
 
 
 def _planned(state: QdState) -> QdState:
@@ -287,12 +290,12 @@ class _Breeding:
         """Return a variant of an elite's participants."""
         genome = self._genome
         solution = genome.solution(self._row(parent))
-        place = min(parent.participant, len(solution) - 1)
         match operator:
             case Operator.SMALL:
-                return _with(solution, place, small_change(solution[place], rng))
+                return tuple(small_change(one, rng) for one in solution)
             case Operator.MAJOR:
-                return _with(solution, place, major_change(solution[place], rng))
+                place = int(rng.integers(len(solution)))
+                return (*solution[:place], major_change(solution[place], rng), *solution[place + 1 :])
             case Operator.EDIT:
                 return mutated_randomly(solution, self._newcomer(rng), genome.max_participants, rng)
             case Operator.CROSSOVER:
@@ -312,7 +315,8 @@ class _Breeding:
     def _parent(self, rng: np.random.Generator) -> Elite:
         near = self._near and rng.random() < self._state.config.near
         parents = self._near if near else self._leading
-        return parents[int(rng.integers(len(parents)))]
+        rarity = np.array([1.0 / elite.hits for elite in parents])
+        return parents[int(rng.choice(len(parents), p=rarity / rarity.sum()))]
 
     def _row(self, elite: Elite) -> FloatArray:
         archive = self._state.archive
@@ -330,10 +334,6 @@ def parents_of(elites: Sequence[Elite]) -> tuple[list[Elite], list[Elite]]:
     return leading, second[: math.ceil(_NEAR_SHARE * len(second))]
 
 
-def _with(solution: Solution, place: int, participant: Participant) -> Solution:
-    return (*solution[:place], participant, *solution[place + 1 :])
-
-
 def _stored_elites(ledger: Ledger, document: Document) -> tuple[Elite, ...]:
     """Return the elites that `Qd._content` stored.
 
@@ -345,11 +345,11 @@ def _stored_elites(ledger: Ledger, document: Document) -> tuple[Elite, ...]:
         raise DocumentError(f"niches: expected the names of {len(columns)} niches, got {names!r:.80}")
     archived = set(ledger.archive.numbers.tolist())
     elites = []
-    for name, (rank, value, number, participant) in zip(names, columns.tolist(), strict=True):
+    for name, (rank, value, number, hits) in zip(names, columns.tolist(), strict=True):
         if not isinstance(name, list) or not all(isinstance(word, str) for word in name):
             raise DocumentError(f"niches: expected lists of words, got {name!r:.80}")
         if number not in archived:
             raise DocumentError(f"elites: expected numbers of archived solutions, got {number!r}")
         niche = Niche(name=tuple(name), rank=int(rank), value=value)
-        elites.append(Elite(niche=niche, number=int(number), participant=int(participant)))
+        elites.append(Elite(niche=niche, number=int(number), hits=int(hits)))
     return tuple(elites)
