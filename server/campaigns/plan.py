@@ -20,6 +20,7 @@ from brink.search.algorithm import (
 )
 from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
+from brink.search.algorithms.qd import QdConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.algorithms.tolerance import ToleranceConfig
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
@@ -315,7 +316,8 @@ def looks_for_boundary(algorithm_id: str) -> bool:
     except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
     return not issubclass(
-        algorithm.config_type, MultiObjectiveConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig
+        algorithm.config_type,
+        MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig,
     )
 
 
