@@ -1,9 +1,9 @@
-"""Comparison of muMOEA with its ablations and with MOSAT, NSGA-II and random search, at equal budgets.
+"""Comparison of muMOEA with its ablations and with MAP-Elites, MOSAT, NSGA-II and random search, at equal budgets.
 
 All methods run on the same road with the same seeds, without a coordinator. Completed searches are stored. Two
 methods take their seeds over the path of language models, from a stand-in that answers with hand-written patterns: no
 trained model is part of this comparison (`brink.bench.stand_in`). Source of the measures: Tian et al., Tables 3 and 4
-and Fig. 2b.
+and Fig. 2b; types that reference drivers avoid are Brink's.
 """
 
 import csv
@@ -14,10 +14,11 @@ import json
 import math
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,20 +26,24 @@ import numpy as np
 
 from brink.bench.measurement import Progress, Row, at_least
 from brink.bench.stand_in import StandInSeeds, serving
-from brink.bench.trials import code_fingerprint, process_pool, run_record, single_threaded
-from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Origin, Scored, Seeded, ask_all
+from brink.bench.trials import code_fingerprint, process_pool, single_threaded
+from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Origin, Seeded, ask_all
 from brink.search.algorithms.multi_objective import Child
 from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
 from brink.search.algorithms.nsga2 import Mosat, Nsga2
+from brink.search.algorithms.qd import Qd
 from brink.search.algorithms.random_search import RandomSearch
 from brink.search.analysis.statistics import compared
-from brink.search.analysis.violations import kinds_of
+from brink.search.analysis.violations import STANDS_MPS, Avoidable, avoidable_of, kinds_of
 from brink.search.streams import episode_seed
 from brink.search.traffic.motion import Distance, Rollouts, encounter_distances, positions
 from brink.search.traffic.participants import MAX_PARTICIPANTS
 from brink.search.traffic.variation import TrafficGenome
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
+from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.errors import SimulatorError
+from brink.worker.child_protocol import completed_document
+from brink.worker.wire import Completed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,16 +53,19 @@ ALWAYS: Final = "differential seeds always"
 STAND_IN: Final = "stand-in for a language model"
 STAND_IN_ALWAYS: Final = f"{STAND_IN}, always"
 NO_MODEL: Final = "no trained model: hand-written patterns over the path of a language model"
+MAP_ELITES: Final = "MAP-Elites"
 CODE: Final = (
     "bench/stand_in.py", "search", "server/campaigns/violations.py", "server/llm", "server/problems", "sim/bullet",
     "sim/driving", "sim/encounter", "sim/requirements.py", "sim/urban", "sim/world",
 )  # fmt: skip
 """Code that determines what a search finds; searches stored by other versions of the code are not used."""
 MIN_TYPES: Final = 8
-LOWER_IS_BETTER: Final = ("per_violation", "first", "last_type")
+LOWER_IS_BETTER: Final = ("per_violation", "first", "last_type", "standing_share")
 LABELS: Final[Mapping[str, str]] = {
     "types": "types of violations",
-    "fault_types": "types with the ego at fault",
+    "careful_types": "types that a careful driver avoids",
+    "ideal_types": "types that an ideal driver avoids",
+    "standing_share": "share of violations with a standing ego",
     "per_violation": "solutions per violation",
     "first": "simulations to the first violation",
     "last_type": "simulations to the last new type",
@@ -87,6 +95,13 @@ class OnlyMutants(Mumoea):
         return []
 
 
+AVOIDABLE: Final[Mapping[str, tuple[Algorithm, Any]]] = {
+    MAP_ELITES: (Qd(), Qd.config_type()),
+    "muMOEA, avoidable": (Mumoea(), MumoeaConfig()),
+    "MOSAT, avoidable": (Mosat(), Mosat.config_type()),
+    "NSGA-II, avoidable": (Nsga2(), Nsga2.config_type()),
+}
+"""Methods that search for violations that a careful driver avoids; random search finds the same in any case."""
 METHODS: Final[Mapping[str, tuple[Algorithm, Any]]] = {
     ADAPTIVE: (Mumoea(), MumoeaConfig()),
     "without differential seeds": (Mumoea(), MumoeaConfig(differential="never")),
@@ -98,6 +113,7 @@ METHODS: Final[Mapping[str, tuple[Algorithm, Any]]] = {
     _MOSAT: (Mosat(), Mosat.config_type()),
     "NSGA-II": (Nsga2(), Nsga2.config_type()),
     "random search": (RandomSearch(), RandomSearch.config_type()),
+    **AVOIDABLE,
 }
 """The methods and their configurations: the defaults, except for the change that the name states."""
 
@@ -125,6 +141,10 @@ class Found:
         """Types of the solution's violations, in words."""
         return set(kinds_of(self.violations))
 
+    def types_avoided_by(self, drivers: Collection[Avoidable]) -> set[str]:
+        """Return the types of the solution's violations that one of the given drivers would have avoided."""
+        return set(kinds_of(one for one in self.violations if avoidable_of(one) in drivers))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchRun:
@@ -138,6 +158,8 @@ class SearchRun:
         origins: Number of solutions by origin, if the method records origins.
         found: Solutions that violate a requirement, in the order of simulation.
         cpu_s: CPU time of the search and its simulations.
+        simulations_cpu_s: CPU time of the simulations, including drives of reference drivers.
+        reference_cpu_s: CPU time of the drives of reference drivers.
         calls: Calls to the stand-in for a language model.
         tokens: Tokens of these calls, estimated from numbers of characters.
         waited_s: Wall-clock time that these calls took.
@@ -150,6 +172,8 @@ class SearchRun:
     origins: dict[str, int]
     found: list[Found]
     cpu_s: float
+    simulations_cpu_s: float = 0.0
+    reference_cpu_s: float = 0.0
     calls: int = 0
     tokens: int = 0
     waited_s: float = 0.0
@@ -205,7 +229,7 @@ def run_or_read(task: Task) -> SearchRun:
 
 def run_search(task: Task) -> SearchRun:
     """Run a search in this process."""
-    problem = NpcActions(task.params)
+    problem = _problem(task)
     algorithm, config = METHODS[task.method]
     began_s = time.process_time()
     with _seeds(problem, config, task.seed) as seeds:
@@ -218,15 +242,22 @@ def run_search(task: Task) -> SearchRun:
                 assert seeds is not None
                 state = algorithm.seeded(state, seeds.proposals(request))
                 continue
-            for origin in getattr(state, "queue_origins", ()):
-                run.origins[origin.value] = run.origins.get(origin.value, 0) + 1
             state, _ = ask_all(algorithm, state)
-            answers: dict[int, Evaluation] = {}
-            for candidate in state.pending:
-                answers[candidate.number] = _evaluate(problem, task.seed, candidate, run.found, began_s)
-            failed = sum(isinstance(answer, Failed) for answer in answers.values())
-            run = replace(run, simulations=run.simulations + len(answers), failed=run.failed + failed)
-            state = algorithm.tell(state, answers)
+            # Origins of all candidates in flight, of which the pending ones come first.
+            for origin in getattr(state, "queue_origins", ())[: len(state.pending)]:
+                run.origins[origin.value] = run.origins.get(origin.value, 0) + 1
+            simulated = {
+                candidate.number: _simulate(problem, task.seed, candidate, run.found, began_s)
+                for candidate in state.pending
+            }
+            run = replace(
+                run,
+                simulations=run.simulations + len(simulated),
+                failed=run.failed + sum(isinstance(one.evaluation, Failed) for one in simulated.values()),
+                simulations_cpu_s=run.simulations_cpu_s + sum(one.cpu_s for one in simulated.values()),
+                reference_cpu_s=run.reference_cpu_s + sum(one.reference_cpu_s for one in simulated.values()),
+            )
+            state = algorithm.tell(state, {number: one.evaluation for number, one in simulated.items()})
         run = replace(run, cpu_s=time.process_time() - began_s)
         if seeds is None:
             return run
@@ -244,15 +275,43 @@ def _seeds(problem: NpcActions, config: Any, seed: int) -> Iterator[StandInSeeds
         yield StandInSeeds(problem, endpoint, seed)
 
 
-def _evaluate(
+def _problem(task: Task) -> NpcActions:
+    return NpcActions(replace(task.params, count="avoidable") if task.method in AVOIDABLE else task.params)
+
+
+@cache
+def _simulator(simulator_id: str) -> Simulator:
+    return make_simulator(simulator_id)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Simulated:
+    """A simulated candidate.
+
+    Attributes:
+        evaluation: What the search is told.
+        cpu_s: CPU time; 0 if the simulation failed.
+        reference_cpu_s: That of the drives of reference drivers among it.
+    """
+
+    evaluation: Evaluation
+    cpu_s: float = 0.0
+    reference_cpu_s: float = 0.0
+
+
+def _simulate(
     problem: NpcActions, seed: int, candidate: Candidate, found: list[Found], began_s: float
-) -> Evaluation:
+) -> _Simulated:
     """Simulate a candidate; append it to ``found`` if it violates a requirement."""
+    spec = problem.episode(candidate.vectors, episode_seed(seed, candidate.number))
+    before_s = time.process_time()
     try:
-        record = run_record(problem.episode(candidate.vectors, episode_seed(seed, candidate.number)))
+        result = _simulator(spec.simulator).run(spec)
     except SimulatorError as error:
-        return Failed(reason=str(error))
-    listed = record.features["violations"]
+        return _Simulated(evaluation=Failed(reason=str(error)))
+    after_s = time.process_time()
+    outcome = Completed.model_validate(completed_document(result))
+    listed = outcome.features["violations"]
     violations = [dict(one) for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
     if violations:
         participants = problem.participants(candidate.vectors)
@@ -262,14 +321,13 @@ def _evaluate(
                 violations=violations,
                 waypoints=problem.waypoints(candidate.vectors),
                 positions=[positions(one, problem.road).tolist() for one in participants],
-                cpu_s=time.process_time() - began_s,
+                cpu_s=after_s - began_s,
             )
         )
-    return Scored(
-        unsafe=record.unsafe,
-        robustness=min(record.robustness.values()),
-        objectives=record.objectives,
-        kinds=kinds_of(violations),
+    return _Simulated(
+        evaluation=problem.evaluation(outcome),
+        cpu_s=after_s - before_s,
+        reference_cpu_s=float(str(outcome.provenance.get("reference_cpu_s", 0.0))),
     )
 
 
@@ -279,7 +337,9 @@ class Measures:
 
     Attributes:
         types: Number of distinct types of violations.
-        fault_types: Number of types in which the ego is at fault.
+        careful_types: Number of types with a violation that the careful driver avoids.
+        ideal_types: Number of types with a violation that the careful or the ideal driver avoids.
+        standing_share: Share of violations that happen while the ego stands; NaN without any.
         per_violation: Simulations per violating solution; the whole budget if there is none.
         first: Simulations up to and including the first violation; the whole budget if there is none.
         last_type: Simulations up to and including the first solution of the last new type.
@@ -289,7 +349,9 @@ class Measures:
     """
 
     types: int
-    fault_types: int
+    careful_types: int
+    ideal_types: int
+    standing_share: float
     per_violation: float
     first: int
     last_type: int
@@ -302,7 +364,9 @@ class Measures:
         firsts = run.first_of_each_type()
         return cls(
             types=len(firsts),
-            fault_types=sum(", at fault" in name for name in firsts),
+            careful_types=_avoided_types(run, (Avoidable.CAREFUL,)),
+            ideal_types=_avoided_types(run, (Avoidable.CAREFUL, Avoidable.IDEAL)),
+            standing_share=_standing_share(run),
             per_violation=run.simulations / max(1, len(run.found)),
             first=run.found[0].number + 1 if run.found else run.simulations,
             last_type=max((found.number + 1 for found in firsts.values()), default=run.simulations),
@@ -311,6 +375,19 @@ class Measures:
                 [found.waypoints for found in firsts.values()], Distance.PAPER
             ),
         )
+
+
+def _avoided_types(run: SearchRun, drivers: Collection[Avoidable]) -> int:
+    return len(set().union(*(solution.types_avoided_by(drivers) for solution in run.found)))
+
+
+def _standing_share(run: SearchRun) -> float:
+    standing = [
+        abs(violation["ego"]["speed_mps"]) < STANDS_MPS
+        for solution in run.found
+        for violation in solution.violations
+    ]
+    return float(np.mean(standing)) if standing else math.nan
 
 
 def _mean_distance(solutions: Sequence[list[list[list[float]]]], measure: Distance) -> float:
@@ -421,7 +498,8 @@ class Comparison:
         what = "types of violations that all searches found together"
         variety = at_least(what, len(types), MIN_TYPES, "types.csv, types.png")
         return [
-            *_summary(measures), *_of_stand_ins(runs), *_of_overlaps(overlaps), *_tests(measures), variety,
+            *_summary(measures), *_reference_costs(by_method), *_of_stand_ins(runs), *_of_overlaps(overlaps),
+            *_tests(measures), variety,
         ]  # fmt: skip
 
     def _run(self) -> list[SearchRun]:
@@ -436,7 +514,7 @@ class Comparison:
     def _write_runs(self, runs: Sequence[SearchRun]) -> None:
         names = [field.name for field in fields(Measures)]
         header = ["method", "seed", "simulations", "failed", *names, *(f"from {origin}" for origin in Origin)]
-        header += ["cpu_s", "seeds by", "calls", "tokens", "waited_s"]
+        header += ["cpu_s", "simulations_cpu_s", "reference_cpu_s", "seeds by", "calls", "tokens", "waited_s"]
         rows = []
         for run in runs:
             measures = Measures.of(run)
@@ -445,6 +523,8 @@ class Comparison:
                 + [run.origins.get(origin, 0) for origin in Origin]
                 + [
                     run.cpu_s,
+                    run.simulations_cpu_s,
+                    run.reference_cpu_s,
                     "stand-in, no trained model" if run.calls else "",
                     run.calls,
                     run.tokens,
@@ -590,14 +670,38 @@ def _of_overlaps(overlaps: Sequence[Overlap]) -> list[Row]:
     ]  # fmt: skip
 
 
+def _reference_costs(by_method: Mapping[str, Sequence[SearchRun]]) -> list[Row]:
+    """Return the share of simulation time that drives of reference drivers take, for every method."""
+    rows = []
+    for method, runs in by_method.items():
+        reference_s, cpu_s = (
+            sum(run.reference_cpu_s for run in runs),
+            sum(run.simulations_cpu_s for run in runs),
+        )
+        rows.append(
+            Row(
+                what=f"share of simulation time for reference drivers, {method}",
+                value=reference_s / cpu_s if cpu_s else math.nan, target="", met=None,
+                note=f"{reference_s:.0f} of {cpu_s:.0f} s of CPU time",
+            )
+        )  # fmt: skip
+    return rows
+
+
 def _tests(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
-    """Return A12 and p-value of muMOEA, and of its variant `always`, against each of the other methods."""
+    """Return A12, U and p-value of MAP-Elites, muMOEA and its variant `always` against each of the other methods."""
+    avoidable = ("types", "careful_types", "ideal_types")
+    subjects = {
+        MAP_ELITES: (*avoidable, "standing_share"), ADAPTIVE: tuple(LABELS), ALWAYS: avoidable,
+    }  # fmt: skip
     pairs = [
         (subject, name, method)
-        for subject, names in ((ADAPTIVE, tuple(LABELS)), (ALWAYS, ("types", "fault_types")))
+        for subject, names in subjects.items()
+        if subject in measures
         for name in names
         for method in measures
-        if method != subject and not (subject == ALWAYS and method == ADAPTIVE)
+        # No pair of subjects is tested twice.
+        if method not in list(subjects)[: list(subjects).index(subject) + 1]
     ]
     rows = []
     for subject, name, method in pairs:
@@ -607,7 +711,7 @@ def _tests(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
             rows.append(
                 Row(
                     what=f"A12 {LABELS[name]}: {subject} better than {method}", value=tested.a12, target="", met=None,
-                    note=f"Mann-Whitney p {tested.p_value:.2g}, uncorrected",
+                    note=f"Mann-Whitney U {tested.u:g}, p {tested.p_value:.2g}, uncorrected",
                 )
             )  # fmt: skip
     return rows

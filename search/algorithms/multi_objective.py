@@ -431,13 +431,6 @@ def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Docum
             "expected as many entries in diversity as in population, as many rows in columns as in rows, and two in "
             "bounds"
         )
-    origins = document.header.get("queue_origins")
-    if (
-        not isinstance(origins, list)
-        or not set(origins) <= set(Origin)
-        or len(origins) != len(ledger.pending or ledger.queue)
-    ):
-        raise DocumentError(f"queue_origins: expected one for each queued solution, got {origins!r}")
     return MultiObjectiveState(
         config=config,
         ledger=ledger,
@@ -448,7 +441,23 @@ def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Docum
         ),
         population=tuple(population),
         diversity=frozen_array(diversity),
-        queue_origins=tuple(Origin(origin) for origin in origins),
+        queue_origins=stored_origins(document, len(ledger.pending or ledger.queue)),
         criticality_bounds=Bounds(low=float(bounds[0, 0]), high=float(bounds[0, 1])),
         diversity_bounds=Bounds(low=float(bounds[1, 0]), high=float(bounds[1, 1])),
     )  # fmt: skip
+
+
+def stored_origins(document: Document, count: int) -> tuple[Origin, ...]:
+    """Return the origins of the solutions in flight and in the queue.
+
+    Args:
+        document: A document with ``queue_origins`` in its header.
+        count: Number of these solutions.
+
+    Raises:
+        DocumentError: The origins are missing or corrupt, or there are more or fewer.
+    """
+    origins = document.header.get("queue_origins")
+    if not isinstance(origins, list) or not set(origins) <= set(Origin) or len(origins) != count:
+        raise DocumentError(f"queue_origins: expected one for each of {count} solutions, got {origins!r}")
+    return tuple(Origin(origin) for origin in origins)

@@ -37,7 +37,8 @@ NEIGHBOURS: Final = 3
 REACH: Final = 1.0
 """Maximum distance between neighbours (eps), in scaled circumstances."""
 
-_STANDS_MPS: Final = 0.3
+STANDS_MPS: Final = 0.3
+"""Below this speed, the ego and others stand."""
 _BRAKES_MPS2: Final = -1.5
 _ACCELERATES_MPS2: Final = 1.0
 _TURNS_RADPS: Final = 0.1
@@ -174,7 +175,7 @@ def sector_of(bearing_rad: float) -> str:
 
 
 def _manoeuvre_of_ego(ego: Mapping[str, Any]) -> str:
-    if abs(ego["speed_mps"]) < _STANDS_MPS:
+    if abs(ego["speed_mps"]) < STANDS_MPS:
         return "standing"
     if ego["plan"] in _PASSING:
         return _PASSING[ego["plan"]]
@@ -186,7 +187,7 @@ def _manoeuvre_of_ego(ego: Mapping[str, Any]) -> str:
 
 
 def _manoeuvre_of_other(other: Mapping[str, Any]) -> str:
-    if other["speed_mps"] < _STANDS_MPS:
+    if other["speed_mps"] < STANDS_MPS:
         return "standing"
     action = str(other["action"]).replace("_", " ")
     if other["kind"] == "pedestrian":
@@ -201,7 +202,7 @@ def _at_fault(requirement: str, ego: Mapping[str, Any], other: Mapping[str, Any]
         return other is None
     if other is None or requirement == "lane-keeping@1":
         return True
-    if abs(ego["speed_mps"]) < _STANDS_MPS or sector_of(other["bearing_rad"]).startswith("rear"):
+    if abs(ego["speed_mps"]) < STANDS_MPS or sector_of(other["bearing_rad"]).startswith("rear"):
         return False
     if requirement in _FRONT_GAP:
         return bool(other["in_way_s"] >= _TAILGATES_S)

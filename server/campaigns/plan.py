@@ -20,6 +20,7 @@ from brink.search.algorithm import (
 )
 from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
+from brink.search.algorithms.qd import QdConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.algorithms.tolerance import ToleranceConfig
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
@@ -332,7 +333,8 @@ def looks_for_boundary(algorithm_id: str) -> bool:
     except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
     return not issubclass(
-        algorithm.config_type, MultiObjectiveConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig
+        algorithm.config_type,
+        MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig,
     )
 
 
@@ -395,15 +397,17 @@ def new_solutions(
     Args:
         problem: The campaign's problem.
         candidates: The generation.
-        state: The algorithm's state, which may name the origins of candidates.
+        state: The algorithm's state, which may have the origins of all candidates in flight, `queue_origins`.
         campaign_seed: The campaign's seed.
 
     Raises:
         InvalidInput: The algorithm needs a data set, which the problem does not have.
     """
     solutions = []
-    origins = getattr(state, "queue_origins", None) or [None] * len(candidates)
-    for candidate, origin in zip(candidates, origins, strict=True):
+    # In the order of numbers, beginning with the oldest candidate in flight.
+    origins = dict(enumerate(getattr(state, "queue_origins", ()), state.pending[0].number))
+    for candidate in candidates:
+        origin = origins.get(candidate.number)
         number = candidate.number if candidate.seed_number is None else candidate.seed_number
         seed = episode_seed(campaign_seed, number)
         job = None if isinstance(problem, InProcessProblem) else _job(problem, candidate, seed)
