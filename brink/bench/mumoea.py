@@ -445,7 +445,7 @@ class Overlap:
 
 
 class Comparison:
-    """Comparison of all methods over several seeds, with tables and figures. Stored searches are not run again.
+    """Comparison of methods over several seeds, with tables and figures. Stored searches are not run again.
 
     Args:
         folder: Folder for searches, tables and figures.
@@ -454,6 +454,7 @@ class Comparison:
         simulations: Simulations per search.
         processes: Number of processes.
         progress: Progress callback.
+        methods: Names in `METHODS`; None for all.
     """
 
     def __init__(
@@ -465,22 +466,24 @@ class Comparison:
         simulations: int,
         processes: int,
         progress: Progress,
+        methods: Sequence[str] | None = None,
     ) -> None:
         self._folder = folder
+        self._methods = tuple(METHODS if methods is None else methods)
         self._processes = processes
         self._progress = progress
         runs = folder / f"runs-{_fingerprint(params)}"
         self._tasks = [
             Task(method=method, seed=seed, simulations=simulations, params=params, folder=runs)
             for seed in range(1, seeds + 1)
-            for method in METHODS
+            for method in self._methods
         ]
         self._simulations = simulations
 
     def rows(self) -> list[Row]:
         """Run the missing searches, write tables and figures, and return the figures of the comparison."""
         runs = self._run()
-        by_method = {name: [run for run in runs if run.method == name] for name in METHODS}
+        by_method = {name: [run for run in runs if run.method == name] for name in self._methods}
         measures = {name: [Measures.of(run) for run in found] for name, found in by_method.items()}
         self._write_runs(runs)
         counts = {
@@ -488,8 +491,8 @@ class Comparison:
             for name, found in by_method.items()
         }
         types = sorted({kind for kinds in counts.values() for kind in kinds})
-        self._write("types.csv", ["type", *METHODS], [
-            [kind, *(counts[name].count(kind) for name in METHODS)] for kind in types
+        self._write("types.csv", ["type", *self._methods], [
+            [kind, *(counts[name].count(kind) for name in self._methods)] for kind in types
         ])  # fmt: skip
         overlaps = [Overlap.of(*pair) for pair in itertools.product(by_method.values(), repeat=2)]
         self._write_overlaps(overlaps)
@@ -643,6 +646,8 @@ def _of_stand_ins(runs: Sequence[SearchRun]) -> list[Row]:
     rows = []
     for method in (STAND_IN, STAND_IN_ALWAYS):
         asking = [run for run in runs if run.method == method]
+        if not asking:
+            continue
         for label, values in (
             ("calls", [run.calls for run in asking]),
             ("tokens of calls", [run.tokens for run in asking]),
