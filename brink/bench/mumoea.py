@@ -33,8 +33,9 @@ from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
 from brink.search.algorithms.nsga2 import Mosat, Nsga2
 from brink.search.algorithms.qd import Qd
 from brink.search.algorithms.random_search import RandomSearch
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
 from brink.search.analysis.statistics import compared
-from brink.search.analysis.violations import STANDS_MPS, Avoidable, avoidable_of, kinds_of
+from brink.search.analysis.violations import STANDS_MPS, kinds_of
 from brink.search.streams import episode_seed
 from brink.search.traffic.motion import Distance, Rollouts, encounter_distances, positions
 from brink.search.traffic.participants import MAX_PARTICIPANTS

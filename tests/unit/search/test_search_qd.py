@@ -151,7 +151,7 @@ def test_first_solutions_are_random_and_later_ones_follow_the_shares() -> None:
 
 def only(operator: Operator) -> QdConfig:
     """Return settings that use a single operator."""
-    shares = {f"share_{one}": float(one is operator) for one in Operator}
+    shares: dict[str, Any] = {f"share_{one}": float(one is operator) for one in Operator}
     return replace(SMALL, **shares)
 
 
