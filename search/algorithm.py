@@ -58,6 +58,21 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Niche:
+    """What a candidate did, and how well, for searches that look for the best candidate of each kind of behaviour.
+
+    Attributes:
+        name: The kind of behaviour, in words.
+        rank: The lower the better, whatever the value.
+        value: Minimised among candidates of equal rank.
+    """
+
+    name: tuple[str, ...]
+    rank: int
+    value: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Scored:
     """Evaluation of a simulated candidate.
 
@@ -66,12 +81,14 @@ class Scored:
         robustness: Distance to violation, negative if violated.
         objectives: Values to optimise, all minimised, by name.
         kinds: Kinds of failure that it exposed, for problems that classify them.
+        niches: What it did, for problems that describe that.
     """
 
     unsafe: bool
     robustness: float
     objectives: Mapping[str, float] = field(default_factory=dict)
     kinds: frozenset[str] = frozenset()
+    niches: tuple[Niche, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -316,7 +333,7 @@ class WarmStarts(Protocol):
 
 
 class Origin(StrEnum):
-    """The source of a solution."""
+    """The source of a solution. Stored states refer to their order: new ones come last."""
 
     RANDOM = "random"
     HEURISTIC = "heuristic"
@@ -324,6 +341,8 @@ class Origin(StrEnum):
     CROSSOVER = "crossover"
     LLM = "llm"
     LLM_REPAIR = "llm_repair"
+    IMMIGRANT = "immigrant"
+    """A random solution in place of children that were known already."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.errors import DocumentError
+from brink.search.errors import DocumentError, OtherVersion
 
 _MAGIC = b"brink-document-1\n"
 _HEADER = "header"
@@ -89,10 +89,10 @@ class Document:
         """Return the document itself, after checking its kind and version.
 
         Raises:
-            DocumentError: The kind or the version differs.
+            OtherVersion: The version differs.
+            DocumentError: The kind differs.
         """
         if (self.kind, self.version) != (kind, version):
-            raise DocumentError(
-                f"expected a document of {kind}, version {version}; got {self.kind!r}, version {self.version!r}"
-            )
+            message = f"expected a document of {kind}, version {version}; got {self.kind!r}, version {self.version!r}"
+            raise OtherVersion(message) if self.kind == kind else DocumentError(message)
         return self

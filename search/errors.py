@@ -5,7 +5,8 @@ SearchError
 ├── ConfigError         a setting of an algorithm is invalid
 ├── UnsupportedSpace    the algorithm does not support the search space
 ├── OrderError          ask and tell were called out of order, or with the wrong candidates
-├── DocumentError       a stored document is corrupt, or of an unknown version
+├── DocumentError       a stored document is corrupt, or not the expected one
+│   └── OtherVersion    another version of the algorithm stored it
 ├── TooManyPairs        an archive holds more pairs than are looked at
 └── MissingExtra        an optional dependency is not installed
 """
@@ -42,7 +43,11 @@ class OrderError(SearchError, RuntimeError):
 
 
 class DocumentError(SearchError, ValueError):
-    """A stored document is corrupt, or of an unknown version."""
+    """A stored document is corrupt, or not the expected one."""
+
+
+class OtherVersion(DocumentError):
+    """Another version of the algorithm stored the document, and would continue from it differently."""
 
 
 class TooManyPairs(SearchError):

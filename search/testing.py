@@ -17,6 +17,7 @@ from brink.search.algorithm import (
     Failed,
     Known,
     Measured,
+    Niche,
     Overlapping,
     Question,
     Scored,
@@ -126,7 +127,8 @@ class Run:
 def synthetic_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) -> Evaluate:
     """Return a function that evaluates candidates of any space: unsafe on one side of a random plane.
 
-    Data-set evaluations have the objective ``alpha``; episodes have ``alpha``, ``robustness`` and ``criticality_m``.
+    Data-set evaluations have the objective ``alpha``; episodes have ``alpha``, ``robustness`` and ``criticality_m``,
+    and a niche for each layer of space along the plane.
 
     Args:
         space: Space of the candidates.
@@ -146,7 +148,8 @@ def synthetic_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) 
         if candidate.question is Question.DATASET:
             return Measured(objectives={"alpha": alpha})
         objectives = {"robustness": robustness, "alpha": alpha, "criticality_m": robustness}
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=objectives)
+        niche = Niche(name=(f"layer {round(robustness)}",), rank=int(robustness >= 0), value=abs(robustness))
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=objectives, niches=(niche,))
 
     return evaluate
 

@@ -143,8 +143,8 @@ def _routes() -> list[BaseRoute]:
         jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
         outcomes.router, finding.router, findings.violations_router,
         campaigns.llm_router, analysis.monitors_router, repeats.router,
-        pairs.router, pair_pictures.router, tolerance.router, experiments.router, experiment_pairs.router,
-        service.router,
+        pairs.router, pair_pictures.router, pair_pictures.compared_router, tolerance.router, experiments.router,
+        experiment_pairs.router, service.router,
         campaigns.overview_router, analysis.router,
     ):  # fmt: skip
         api.include_router(router)

@@ -1,4 +1,4 @@
-"""Safety requirements: the protocol, its base class `Margin`, and the seven that ship with Brink.
+"""Safety requirements: the protocol, its base class `Margin`, and the eight that ship with Brink.
 
 A requirement measures robustness over time: a distance to violation in metres, seconds or metres per second, negative
 when violated; zero satisfies. It is created for each episode, observes one `WorldSample` per control step in order of
@@ -244,6 +244,19 @@ class FrontGap(Margin):
     def features(self) -> Mapping[str, Json]:
         """Return the smallest gap in metres; None if there was never a vehicle ahead."""
         return {"smallest_front_gap_m": self._smallest_gap_m}
+
+
+class MovingFrontGap(FrontGap):
+    """`front-gap@2`: as `FrontGap`, but only while the ego moves, at 0.3 m/s or faster.
+
+    Who stands cannot keep others from coming close. Robustness: that of `FrontGap`; 0 where a standing ego would
+    violate it.
+    """
+
+    def robustness_at(self, sample: WorldSample) -> float:
+        """Return the gap minus the required gap, at least 0 while the ego stands; the horizon without a vehicle."""
+        robustness = super().robustness_at(sample)
+        return max(robustness, 0.0) if abs(sample.speed_mps) < STANDS_BELOW_MPS else robustness
 
 
 class NoCollision(Margin):

@@ -10,7 +10,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
@@ -26,6 +26,11 @@ TRACE_VERSION = 1
 
 VIOLATED_AT_S: Final = "violated_at_s"
 """Entry of a trace's description: the exact time of each violated requirement's first violation."""
+AVOIDABLE: Final = "avoidable"
+"""Entry of a trace's description: who would have avoided the first violation of each requirement.
+
+``careful`` for the careful reference driver, ``ideal`` for the ideal one alone, ``no`` for neither.
+"""
 WORDS: Final = "words"
 """Entry of a trace's description: the scenario in words and, after a semicolon, the behaviour.
 
@@ -38,6 +43,7 @@ MAX_SAMPLES: Final = 36_000
 MAX_COORDINATE: Final = 1e5
 """Largest absolute position or time, in m or s."""
 
+_REFERENCE: Final = "reference"
 _PLACES: Final = ("time_s", "ego", "route", "actor.", "scene.")
 
 
@@ -201,6 +207,7 @@ class Trace:
         scene: Static surfaces in drawing order.
         about: Scenario, behaviour and versions, for captions.
         film: Images of a camera in the loop; None without one.
+        reference: What a reference driver did in the system's place; None without one.
     """
 
     time_s: FloatArray
@@ -220,6 +227,7 @@ class Trace:
     scene: tuple[Surface, ...]
     about: Mapping[str, Json]
     film: Film | None = None
+    reference: "Trace | None" = None
 
     def to_bytes(self) -> bytes:
         """Return the trace as a compressed npz archive."""
@@ -256,6 +264,8 @@ class Trace:
         }
         if self.film is not None:
             arrays.update(self.film.arrays())
+        if self.reference is not None:
+            arrays[_REFERENCE] = np.frombuffer(self.reference.to_bytes(), np.uint8)
         arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
@@ -269,6 +279,19 @@ class Trace:
             InvalidEpisode: The document is not a trace, or has an unknown version.
         """
         arrays = _unpack(document)
+        reference = arrays.pop(_REFERENCE, None)
+        trace = cls._parsed(arrays)
+        if reference is None:
+            return trace
+        return replace(trace, reference=cls._parsed(_unpack(reference.tobytes())))
+
+    @classmethod
+    def _parsed(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Return the trace in the arrays of a document, without the one that accompanies it.
+
+        Raises:
+            InvalidEpisode: They are not a trace, or have an unknown version.
+        """
         try:
             header = json.loads(arrays["header"].tobytes())
             version = header["version"]

@@ -193,28 +193,36 @@ def mumoea(
     road: Annotated[
         str, typer.Option(help="Shape of the road: crossroad, straight, right, left.")
     ] = "crossroad",
+    method: Annotated[
+        list[str] | None, typer.Option(help="Compare only this method; may be given several times.")
+    ] = None,
     processes: Processes = 2,
     out: Annotated[Path, typer.Option(help="Folder for tables, figures and runs.")] = RESULTS
     / "bench-mumoea",
     as_json: AsJson = False,
 ) -> None:
-    """Compare muMOEA with its ablations, MOSAT, NSGA-II and random search, at equal budgets.
+    """Compare MAP-Elites, muMOEA with its ablations, MOSAT, NSGA-II and random search, at equal budgets.
 
-    The full comparison takes hours. Completed searches are kept in the folder, so the same command continues after
-    an interruption.
+    Two methods get their seeds from a stand-in for a language model, which answers with hand-written patterns: no
+    trained model is used. The full comparison takes hours. Completed searches are kept in the folder, so the same
+    command continues after an interruption.
 
-    Example: brink bench mumoea --seeds 5 --simulations 2000
+    Example: brink bench mumoea --simulations 600 --method MAP-Elites --method "random search"
     """
-    from brink.bench.mumoea import Comparison
+    from brink.bench.mumoea import METHODS, Comparison
     from brink.server.problems.catalogue import make_params
     from brink.server.problems.npc_actions import NpcActionsParams
 
+    methods = method or list(METHODS)
+    if unknown := [name for name in methods if name not in METHODS]:
+        raise InvalidInput.at("--method", f"expected one of {', '.join(METHODS)}; got {unknown[0]!r}")
     params = make_params(NpcActionsParams, {"road_curve": road}, "/problem/params")
     out.mkdir(parents=True, exist_ok=True)
     with _progress() as progress:
         rows = Comparison(
-            out, params, seeds=seeds, simulations=simulations, processes=processes, progress=progress
-        ).rows()
+            out, params, seeds=seeds, simulations=simulations, processes=processes, progress=progress,
+            methods=methods,
+        ).rows()  # fmt: skip
     _conclude_rows(rows, as_json=as_json)
 
 

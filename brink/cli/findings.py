@@ -32,8 +32,9 @@ from brink.cli.options import (
 from brink.cli.tolerance import fetch_tolerance_findings
 from brink.report.combinations import claim_words, draw_chains, tally_words
 from brink.report.figures import Drawing
-from brink.report.violations import by_frequency, draw_gallery
+from brink.report.violations import draw_gallery
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
+from brink.search.analysis.avoidable import Avoidable
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
@@ -41,6 +42,7 @@ from brink.server.api.schemas import Combinations, SolutionPage, StepTally, Viol
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
+from brink.server.problems.npc_actions import NpcActions
 
 CHAINS_SHOWN: Final = 10
 CHAINS_DRAWN: Final = 3
@@ -243,7 +245,8 @@ def violations(
         print_violations(console(), found, shown)
     else:
         for one in found.violations:
-            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}")
+            avoidable = "" if one.avoidable is None else f"; {one.avoidable.words}"
+            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}{avoidable}")
         if not found.violations:
             print_line("no such violation")
 
@@ -286,7 +289,7 @@ class ViolationFindings:
         return self._found.words
 
     def show(self, screen: Console) -> None:
-        """Print the most common types, and the summary sentence."""
+        """Print the first types, and the summary sentence."""
         print_violations(screen, self._found)
 
     def write(self, folder: Path) -> list[Path]:
@@ -294,7 +297,7 @@ class ViolationFindings:
         return write_violations(self._found, folder)
 
     async def draw(self, drawing: Drawing) -> list[Path]:
-        """Plot types over time and Pareto fronts, and draw a replay of each common type; return the files."""
+        """Plot types over time and Pareto fronts, and draw a replay of each of the first types; return the files."""
         self._missing = drawing.missing
         files = [await asyncio.to_thread(draw_types, self._found, drawing.folder)]
         if isinstance(self._fetched.plan.config, MultiObjectiveConfig):
@@ -304,23 +307,24 @@ class ViolationFindings:
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
         """Return commands to suggest to the user next, each with its purpose."""
-        types = by_frequency(self._found)
+        types = self._found.types
         if not types:
             return []
         hints = [(f"violations {campaign}{database}", "list all types of violations")]
-        if types[0].first not in self._missing:
-            hints.append((f"replay {campaign} {types[0].first} --out violation.mp4{database}", "watch one"))
+        example = types[0].example
+        if example not in self._missing:
+            hints.append((f"replay {campaign} {example} --out violation.mp4{database}", "watch one"))
         return hints
 
 
 def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOWN) -> None:
-    """Print the most common types of violations, and a summary sentence."""
-    types = by_frequency(found)
-    numbers = ("solutions", "distinct", "first")
-    table = plain_table(*numbers, "type of violation", right=numbers)
+    """Print the first types of violations, avoidable ones first, and a summary sentence."""
+    types = found.types
+    numbers = ("solutions", "distinct", "example")
+    table = plain_table("avoidable by", *numbers, "type of violation", right=numbers)
     for kind in types[:shown]:
         words = Text.assemble(kind.type, (" (named)" if kind.named else "", "dim"))
-        table.add_row(str(kind.solutions), str(kind.instances), str(kind.first), words)
+        table.add_row(kind.avoider, str(kind.solutions), str(kind.instances), str(kind.example), words)
     if types:
         screen.print(table)
         if len(types) > shown:
@@ -328,6 +332,8 @@ def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOW
                 f"… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run",
                 style="dim",
             )
+        if any(kind.avoidable for kind in types):
+            screen.print(found.explanation, style="dim")
     screen.print(found.words)
 
 
@@ -337,10 +343,13 @@ def write_violations(found: Violations, folder: Path) -> list[Path]:
     write_json(document, found.model_dump(mode="json"))
     signature = list(found.violations[0].signature) if found.violations else []
     rows = [
-        [one.number, one.time_s, one.type, one.name or "", *(one.signature[name] for name in signature)]
+        [
+            one.number, one.time_s, one.type, one.name or "", one.avoidable or "", one.at_fault,
+            *(one.signature[name] for name in signature),
+        ]
         for one in found.violations
-    ]
-    _write_csv(table, ["number", "time_s", "type", "name", *signature], rows)
+    ]  # fmt: skip
+    _write_csv(table, ["number", "time_s", "type", "name", "avoidable", "at_fault", *signature], rows)
     return [document, table]
 
 
@@ -351,19 +360,18 @@ def _write_csv(file: Path, header: Sequence[str], rows: Sequence[Sequence[Any]])
 
 
 def draw_types(found: Violations, folder: Path) -> Path:
-    """Plot how the number of known types grows with the number of solutions; return the file."""
+    """Plot how the numbers of known types and of avoidable ones grow with the solutions; return the file."""
     # matplotlib takes half a second to load: only commands that draw wait for it.
     from matplotlib.figure import Figure
 
     firsts = sorted(kind.first for kind in found.types)
-    at_fault = sorted(kind.first for kind in found.types if kind.at_fault is True)
+    curves = [(firsts, "#0072b2", "all types")]
+    if any(kind.avoidable for kind in found.types):
+        curves.append((_first_avoidable(found), "#d55e00", "avoidable by a careful driver"))
     last = max((one.number for one in found.violations), default=0)
     figure = Figure(figsize=(6, 3.4), layout="constrained")
     axes = figure.subplots()
-    for numbers, colour, label in (
-        (firsts, "#0072b2", "all types"),
-        (at_fault, "#d55e00", "types with the ego at fault"),
-    ):
+    for numbers, colour, label in curves:
         axes.step(
             [0, *numbers, last], [0, *range(1, len(numbers) + 1), len(numbers)], where="post", color=colour,
             label=label,
@@ -374,6 +382,15 @@ def draw_types(found: Violations, folder: Path) -> Path:
     path = folder / "violation-types.png"
     figure.savefig(path, dpi=120)
     return path
+
+
+def _first_avoidable(found: Violations) -> list[int]:
+    """Return the solutions with which types became known as avoidable by a careful driver, ascending."""
+    firsts: dict[str, int] = {}
+    for one in found.violations:
+        if one.avoidable is Avoidable.CAREFUL:
+            firsts[one.type] = min(one.number, firsts.get(one.type, one.number))
+    return sorted(firsts.values())
 
 
 async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
@@ -395,9 +412,10 @@ def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path)
     # matplotlib takes half a second to load: only commands that draw wait for it.
     from brink.plots.campaign import figure_fronts
 
+    problem = fetched.plan.problem
     figure = figure_fronts(
-        fetched.body.name, fetched.plan.problem.space, fetched.archive.vectors, fetched.generations,
-        criticality, fetched.plan.config,
+        fetched.body.name, problem.space, fetched.archive.vectors, fetched.generations,
+        criticality, fetched.plan.config, by_gap=not isinstance(problem, NpcActions) or problem.by_gap,
     )  # fmt: skip
     path = folder / "fronts.png"
     figure.savefig(path)

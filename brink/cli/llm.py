@@ -39,7 +39,7 @@ ASSUMED_REQUESTS: Final = 5
 
 @llm.command()
 def check(file: CampaignFile, as_json: AsJson = False) -> None:
-    """Check that a campaign file's language model works, and what it supports, with up to three small requests.
+    """Check that a campaign file's language model works, and what it supports, with up to four small prompts.
 
     Example: brink llm check examples/traffic-llm.yaml
     """
@@ -142,9 +142,14 @@ def dry_run(
     if asks_later:
         screen.print(
             f"seeds that do not differ enough are requested again up to {config.rounds} times, one request each; "
-            f"max_calls {settings.max_calls} limits the total",
+            f"max_calls {settings.max_calls} limits the total of all HTTP requests",
             soft_wrap=True,
         )
+    screen.print(
+        f"waiting for the seeds of one request delays the campaign by at most {settings.delay_limit_s:g} s "
+        "(max_delay_s)",
+        soft_wrap=True,
+    )
 
 
 @llm.command()
@@ -157,7 +162,7 @@ def log(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the language model calls of a campaign, with their outcomes and costs.
+    """List the language model calls of a campaign, with what happened to each, HTTP requests and costs.
 
     Example: brink llm log 3f2a --out replies
     """
@@ -180,20 +185,24 @@ def log(
 
 
 def _print_calls(found: LlmCalls) -> None:
-    table = plain_table("request", "turn", "outcome", "tokens", "cost", "seconds", "error")
+    table = plain_table("request", "turn", "outcome", "HTTP requests", "tokens", "cost", "seconds")
     for call in found.calls:
         tokens = "–"
         if call.prompt_tokens is not None and call.completion_tokens is not None:
             estimate = " (estimate)" if call.estimated else ""
             tokens = f"{call.prompt_tokens + call.completion_tokens}{estimate}"
         table.add_row(
-            str(call.request), str(call.turn), call.outcome, tokens, _money(call.cost),
-            f"{call.latency_s:.1f}", call.error or "",
+            str(call.request), str(call.turn), call.outcome, str(call.calls), tokens, _money(call.cost),
+            f"{call.latency_s:.1f}",
         )  # fmt: skip
     screen = console()
     screen.print(table)
+    for call in found.calls:
+        if call.error:
+            screen.print(f"request {call.request}, turn {call.turn}: {call.error}", soft_wrap=True)
+    most = "" if found.max_calls is None else f" of at most {found.max_calls} (max_calls)"
     screen.print(
-        f"{found.total_calls} calls, {found.total_tokens} tokens "
+        f"{found.total_calls} HTTP requests{most}, {found.total_tokens} tokens "
         f"({found.estimated_tokens} of them estimated), cost {_money(found.cost)}"
     )
 

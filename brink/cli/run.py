@@ -60,7 +60,12 @@ def run(
     resume: Resume = False,
     new: New = False,
     out: Annotated[Path, typer.Option(help="Folder for results and figures.")] = RESULTS,
-    pictures: Annotated[bool, typer.Option(help="Draw figures and replays at the end.")] = True,
+    pictures: Annotated[
+        bool,
+        typer.Option(
+            help="Draw figures and replays at the end. Campaigns started without them record no traces."
+        ),
+    ] = True,
     replays: Annotated[
         int, typer.Option(min=0, max=50, help="Number of boundary solutions to replay, best first.")
     ] = 3,
@@ -81,7 +86,7 @@ def run(
         checked, _ = check_submission(body)
         check_extra(checked.plan.problem)
     screen = console(stderr=as_json)
-    workload = CampaignRun(body)
+    workload = CampaignRun(body, pictures=pictures)
     complete = run_to_end(
         workload, options, screen,
         lambda session, progress: _finish(session, progress, body, options, pictures=pictures, replays=replays),
@@ -90,19 +95,31 @@ def run(
 
 
 class CampaignRun:
-    """A campaign to run to its end on this machine."""
+    """A campaign to run to its end on this machine.
+
+    Args:
+        body: The campaign of the file.
+        pictures: Whether pictures are wanted; without them, workers record no traces when the search ends.
+    """
 
     noun = "campaign"
     command = ""
 
-    def __init__(self, body: CampaignBody) -> None:
-        self.body = body
+    def __init__(self, body: CampaignBody, *, pictures: bool) -> None:
+        untraced = body.model_copy(update={"execution": body.execution.model_copy(update={"keep_traces": 0})})
+        self.body = body if pictures else untraced
+        self._hashes = {body.document_hash(), untraced.document_hash()}
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> Progress | None:
-        """Return the latest campaign of the file that has one of these statuses."""
-        params = {"document_hash": self.body.document_hash(), "status": list(statuses), "limit": 1}
-        found = (await api.read(CampaignList, "/campaigns", params)).campaigns
-        return await api.read(Progress, f"/campaigns/{found[0].id}/progress") if found else None
+        """Return the latest campaign of the file, with or without pictures, that has one of these statuses."""
+        found: list[CampaignView] = []
+        for document_hash in self._hashes:
+            params = {"document_hash": document_hash, "status": list(statuses), "limit": 1}
+            found += (await api.read(CampaignList, "/campaigns", params)).campaigns
+        if not found:
+            return None
+        latest = max(found, key=lambda one: one.created_at)
+        return await api.read(Progress, f"/campaigns/{latest.id}/progress")
 
     async def resume(self, api: Api, found: Progress) -> None:
         """Resume the campaign if it is paused."""

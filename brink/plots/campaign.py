@@ -341,6 +341,8 @@ def figure_fronts(
     ends: Sequence[int],
     criticality: FloatArray,
     config: MultiObjectiveConfig,
+    *,
+    by_gap: bool = True,
 ) -> Figure:
     """Plot the Pareto fronts of criticality and diversity after some of the generations.
 
@@ -349,19 +351,22 @@ def figure_fronts(
         space: The search space, which has participants.
         vectors: Solutions of the archive in ascending order of number, shape ``(n, d)``.
         ends: Size of the archive after each generation.
-        criticality: Criticality in m, shape ``(n,)``.
+        criticality: Criticality, shape ``(n,)``.
         config: Settings of the algorithm.
+        by_gap: Whether criticality is the smallest gap to a road user, not the robustness.
     """
     figure = new_figure(
         FRONTS_HEIGHT_PX,
         f"{title}: criticality and diversity",
         "Each line is the Pareto front of all solutions known after a generation: no other solution is closer to a\n"
-        "violation and also farther from the solutions of earlier generations. Left of 0, a collision occurs.",
+        "violation and also farther from the solutions of earlier generations. Left of 0, "
+        f"{'a collision occurs' if by_gap else 'it is violated'}.",
     )
     axes = figure.add_subplot()
     figure.subplots_adjust(left=100 / WIDTH_PX, right=1 - 60 / WIDTH_PX, top=0.82, bottom=0.1)
     style_axes(axes)
-    axes.set_xlabel("criticality: smallest gap to a road user (m)")
+    measure = "smallest gap to a road user (m)" if by_gap else "robustness of the requirement"
+    axes.set_xlabel(f"criticality: {measure}")
     axes.set_ylabel("diversity: distance to recent solutions (m)")
     known = [end for end in ends if end > 0]
     if not known:

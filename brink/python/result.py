@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 
 FOLLOW_UP_POLL_S: Final = 0.5
 _VIOLATION: Final[Mapping[str, type]] = {
-    "number": int, "requirement": str, "time_s": float, "type": str, "name": str, "signature": dict,
-    "circumstances": dict,
+    "number": int, "requirement": str, "time_s": float, "type": str, "name": str, "avoidable": str,
+    "at_fault": bool, "signature": dict, "circumstances": dict,
 }  # fmt: skip
 
 
@@ -361,7 +361,11 @@ class Result(CampaignResult):
         return frame
 
     def violations(self) -> "pd.DataFrame":
-        """Return the violations that the simulator classified as a data frame, or else all unsafe solutions."""
+        """Return the violations that the simulator classified as a data frame, or else all unsafe solutions.
+
+        The column ``avoidable`` says who would have avoided a violation: ``careful``, ``ideal``, ``no``, or None if
+        that was not measured.
+        """
         return wait_for(self._async.violations)
 
     def tolerances(self) -> "pd.DataFrame":

@@ -9,6 +9,7 @@ from brink.api.live import failures_of
 from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
 from brink.report.comparison import compared_archives
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
+from brink.search.algorithms.qd import QdConfig
 from brink.search.analysis.comparison import control_summaries
 from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.analysis.rules import Rules, region_rules
@@ -160,7 +161,7 @@ class Facts:
     @property
     def searched_violations(self) -> bool:
         """Whether the campaign searched for different violations."""
-        return isinstance(self.fetched.plan.config, MultiObjectiveConfig)
+        return isinstance(self.fetched.plan.config, MultiObjectiveConfig | QdConfig)
 
 
 async def fetch_facts(api: Api, campaign: str, show: Show) -> Facts:

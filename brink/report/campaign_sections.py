@@ -18,12 +18,12 @@ from brink.report.pair_pictures import findings as pair_findings
 from brink.report.pair_pictures import share_words
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.report.tolerance import KEY, tolerated_words
-from brink.report.violations import by_frequency
 from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
 from brink.search.parameters import name_in_words
 from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
+from brink.server.api.schemas import TypeView
 from brink.server.api.tolerance import Finding, ToleranceView
 from brink.server.problems.changes import as_sentence
 from brink.server.states import OutcomeKind
@@ -297,36 +297,54 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     found = facts.violations
     if found is None:
         return None
-    types = by_frequency(found)
+    types = found.types
     if not types:
         return Section(title="Violations", paragraphs=["No drive violated a requirement."])
     fault = {True: "ego", False: "others", None: "differs"}
     rows = [
-        (f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault], str(kind.first), kind.type)
+        (
+            kind.avoider, f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault],
+            str(kind.example), kind.type,
+        )
         for kind in types[:MOST_ROWS]
-    ]
+    ]  # fmt: skip
     pictures = [
         picture
         for place, kind in enumerate(types, start=1)
-        if kind.first not in {one.first for one in types[: place - 1]}  # one drive may have several types
-        for picture in album(f"violation-{place}.png", f"Drive {kind.first}: {kind.type}")
+        if kind.example not in {one.example for one in types[: place - 1]}  # one drive may have several types
+        for picture in album(f"violation-{place}.png", f"Drive {kind.example}: {_avoidable_type(kind)}")
     ]
     more = len(types) - len(rows)
+    paragraphs = [f"{found.words[:1].upper()}{found.words[1:]}."]
+    if any(kind.avoidable for kind in types):
+        paragraphs.append(
+            "To tell what the system should have avoided, each violation was driven again by reference drivers among "
+            "the same road users, which follow the same scripts. A violation is avoided if the driver has neither it "
+            f"nor a collision until 5 s afterwards. {found.explanation}"
+        )
+    paragraphs.append(
+        "Violations with the same circumstances are of one type. Who is at fault by the rule follows from who moved "
+        "how; it is no legal judgement."
+    )
     return Section(
         title="Types of violations",
-        paragraphs=[
-            "Violations with the same circumstances are of one type. Who is at fault follows from rules about who "
-            "moved how; it is no legal judgement."
-        ],
+        paragraphs=paragraphs,
         gallery=pictures[:MOST_GALLERY],
         tables=[
             Table(
-                label="Types of violations, most frequent first", rows=rows, right=(0, 1, 3),
-                columns=("drives", "distinct", "at fault", "first drive", "type of violation"),
+                label="Types of violations, avoidable ones first, then by frequency", rows=rows, right=(1, 2, 4),
+                columns=(
+                    "avoidable by", "drives", "distinct", "at fault by the rule", "example", "type of violation",
+                ),
                 more=f"{more:,} more: brink violations {facts.view.id} --shown {len(types)}" if more else "",
             )
         ],
     )  # fmt: skip
+
+
+def _avoidable_type(kind: TypeView) -> str:
+    """Return a type and who would have avoided it."""
+    return kind.type if kind.avoidable is None else f"{kind.type}; {kind.avoidable.words}"
 
 
 def combinations_section(facts: Facts, album: Album) -> Section | None:

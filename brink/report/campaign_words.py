@@ -10,7 +10,6 @@ import numpy as np
 
 from brink.api.live import failures_of
 from brink.report.campaign_facts import LISTED, RANDOM, Facts
-from brink.report.violations import by_frequency
 from brink.search.analysis.dependence import ParameterColumn
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray
@@ -160,8 +159,13 @@ def findings(facts: Facts) -> list[str]:
             told.append(f"Tightest: {' '.join(cell.sentence for cell in limits[:TIGHTEST])}")
         return told
     if facts.violations is not None and facts.violations.types:
-        most = by_frequency(facts.violations)[0]
-        told.append(f"The most frequent type, in {count(most.solutions, noun(facts))}: {most.type}.")
+        most = facts.violations.types[0]
+        which = (
+            "The most frequent type"
+            if most.avoidable is None
+            else f"The most frequent type {most.avoidable.words}"
+        )
+        told.append(f"{which}, in {count(most.solutions, noun(facts))}: {most.type}.")
     pairs = facts.pairs
     if isinstance(pairs, PairsView) and pairs.pairs and facts.finding.of is None:
         if facts.searched_pairs:

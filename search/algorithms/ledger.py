@@ -475,7 +475,7 @@ class LedgerAlgorithm(Generic[C, S]):
         id: Versioned plug-in id.
         summary: One line for catalogues.
         config_type: Type of the settings.
-        layout: Version of the layout of stored states.
+        layout: Version of stored states: of their layout, and of how the search continues from them.
     """
 
     id: str
@@ -569,7 +569,8 @@ class LedgerAlgorithm(Generic[C, S]):
             archive: The archive of the state at that time.
 
         Raises:
-            DocumentError: The document is corrupt, of another algorithm, or of an unknown version.
+            DocumentError: The document is corrupt, or of another algorithm.
+            OtherVersion: Another version of the algorithm stored it.
         """
         ledger = Ledger.load(space, config, document.expect(self.id, self.layout), archive)
         return self._restored(ledger, config, document)

@@ -7,7 +7,7 @@ Survival is that of NSGA-II, over parents and children together. Each algorithm 
 Source: Tian et al., "An LLM-Empowered Adaptive Evolutionary Algorithm for Multi-Component Deep Learning Systems".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self, TypeAlias, TypeVar
 
@@ -21,7 +21,7 @@ from brink.search.pareto import ranks_and_crowding, survivors
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, frozen_array
 from brink.search.streams import Stream, generator
-from brink.search.traffic.motion import encounter_distances
+from brink.search.traffic.motion import Distance, encounter_distances
 from brink.search.traffic.participants import Solution
 from brink.search.traffic.variation import TrafficGenome
 
@@ -30,6 +30,8 @@ CRITICALITY: Final = "criticality_m"
 ORIGINS: Final = tuple(Origin)
 _MAX_FILLS: Final = 30
 """Maximum rounds of random draws to fill a generation that breeding could not fill."""
+_MAX_BREEDINGS: Final = 10
+"""Maximum rounds of breeding in place of children that were known already."""
 
 
 def gap_objective(participant: int) -> str:
@@ -49,6 +51,15 @@ class MultiObjectiveConfig(BoundaryConfig):
         choices=("mean", "min"),
     )  # fmt: skip
     lately: int = setting(5, help="Number of generations that count as recent.", ge=1, le=100)
+    distance: str = setting(
+        "time", choices=tuple(str(measure) for measure in Distance),
+        help="Distance of two trajectories: mean over positions at equal times, or the paper's sum over actions.",
+    )  # fmt: skip
+
+    @property
+    def measure(self) -> Distance:
+        """How the distance of two trajectories is measured."""
+        return Distance(self.distance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -276,7 +287,7 @@ def diversities(
     recent = history.recent(config.lately)
     compared = sorted({*numbers, *recent})
     place = {number: index for index, number in enumerate(compared)}
-    rollouts = genome.roll_out_rows(history.rows[number] for number in compared)
+    rollouts = genome.roll_out_rows((history.rows[number] for number in compared), config.measure)
     distances = encounter_distances(
         rollouts.take([place[number] for number in numbers]), rollouts.take([place[n] for n in recent])
     )
@@ -300,16 +311,29 @@ def random_children(genome: TrafficGenome, count: int, rng: np.random.Generator)
     return [(genome.row(genome.sample(rng), None, rng), Origin.RANDOM) for _ in range(count)]
 
 
+Breeder: TypeAlias = Callable[[int], Sequence[Child]]
+"""Breeds as many further children as it is asked for."""
+
+
 def plan_generation(
-    state: S, children: Sequence[Child], genome: TrafficGenome, rng: np.random.Generator
+    state: S,
+    children: Sequence[Child],
+    genome: TrafficGenome,
+    rng: np.random.Generator,
+    breeders: Sequence[Breeder] = (),
 ) -> S:
     """Return the state with the next generation queued: new children, then random solutions until it is full.
 
+    Children that are known already are skipped, so they cost no simulation. The breeders in turn replace them, each
+    for a few rounds. Random solutions replace what is then still missing; if there is a population that they are
+    added to, their origin is `Origin.IMMIGRANT`.
+
     Args:
         state: A state with an empty queue.
-        children: Children in order of preference; known solutions among them are skipped.
+        children: Children in order of preference.
         genome: Genome of the space.
         rng: Source of all randomness.
+        breeders: Breed children in place of known ones.
     """
     ledger = state.ledger
     wanted = int(min(state.config.population_size, max(0, ledger.left)))
@@ -320,11 +344,16 @@ def plan_generation(
         for row in ledger.unseen([row for row, _ in candidates]):
             chosen.setdefault(row.tobytes(), (row, origins[row.tobytes()]))
 
+    def drawn(count: int) -> list[Child]:
+        origin = Origin.IMMIGRANT if state.population else Origin.RANDOM
+        return [(row, origin) for row, _ in random_children(genome, count, rng)]
+
     take(children)
-    for _ in range(_MAX_FILLS):
-        if len(chosen) >= wanted:
-            break
-        take(random_children(genome, wanted - len(chosen), rng))
+    for breed, rounds in [*((one, _MAX_BREEDINGS) for one in breeders), (drawn, _MAX_FILLS)]:
+        for _ in range(rounds):
+            if len(chosen) >= wanted:
+                break
+            take(breed(wanted - len(chosen)))
     generation = list(chosen.values())[:wanted]
     return replace(
         state,
@@ -402,13 +431,6 @@ def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Docum
             "expected as many entries in diversity as in population, as many rows in columns as in rows, and two in "
             "bounds"
         )
-    origins = document.header.get("queue_origins")
-    if (
-        not isinstance(origins, list)
-        or not set(origins) <= set(Origin)
-        or len(origins) != len(ledger.pending or ledger.queue)
-    ):
-        raise DocumentError(f"queue_origins: expected one for each queued solution, got {origins!r}")
     return MultiObjectiveState(
         config=config,
         ledger=ledger,
@@ -419,7 +441,23 @@ def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Docum
         ),
         population=tuple(population),
         diversity=frozen_array(diversity),
-        queue_origins=tuple(Origin(origin) for origin in origins),
+        queue_origins=stored_origins(document, len(ledger.pending or ledger.queue)),
         criticality_bounds=Bounds(low=float(bounds[0, 0]), high=float(bounds[0, 1])),
         diversity_bounds=Bounds(low=float(bounds[1, 0]), high=float(bounds[1, 1])),
     )  # fmt: skip
+
+
+def stored_origins(document: Document, count: int) -> tuple[Origin, ...]:
+    """Return the origins of the solutions in flight and in the queue.
+
+    Args:
+        document: A document with ``queue_origins`` in its header.
+        count: Number of these solutions.
+
+    Raises:
+        DocumentError: The origins are missing or corrupt, or there are more or fewer.
+    """
+    origins = document.header.get("queue_origins")
+    if not isinstance(origins, list) or not set(origins) <= set(Origin) or len(origins) != count:
+        raise DocumentError(f"queue_origins: expected one for each of {count} solutions, got {origins!r}")
+    return tuple(Origin(origin) for origin in origins)

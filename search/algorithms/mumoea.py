@@ -254,7 +254,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
     id = "mumoea@1"
     summary = "muMOEA: adaptive multi-objective search, seeded by patterns or a language model."
     config_type: type[Any] = MumoeaConfig
-    layout = 2
+    layout = 3
 
     def _min_budget(self, space: SearchSpace, config: MumoeaConfig) -> int:
         TrafficGenome.of(space)
@@ -480,14 +480,15 @@ def different_enough(state: MumoeaState, rows: Sequence[FloatArray], genome: Tra
         return []
     exposed, silent = (numbers[:_COMPARED] for numbers in _known(state))
     numbers = [*exposed, *silent]
-    known = genome.roll_out_rows(state.history.rows[number] for number in numbers)
+    measure = state.config.measure
+    known = genome.roll_out_rows((state.history.rows[number] for number in numbers), measure)
     among = matched_distances(known, known)[np.triu_indices(len(numbers), 1)]
     median_m = float(np.median(among)) if among.size else 0.0
-    proposed = genome.roll_out_rows(rows)
+    proposed = genome.roll_out_rows(rows, measure)
     apart = matched_distances(proposed, known)
     mean_m = apart.mean(axis=1) if numbers else np.full(len(rows), np.inf)
     least_m = apart[:, : len(exposed)].min(axis=1, initial=np.inf)
-    taken = genome.roll_out_rows(row for row, _ in state.taken)
+    taken = genome.roll_out_rows((row for row, _ in state.taken), measure)
     least_m = np.minimum(least_m, matched_distances(proposed, taken).min(axis=1, initial=np.inf))
     between = matched_distances(proposed, proposed)
     enough_m = state.config.least_share * median_m
@@ -517,9 +518,11 @@ def _bred(state: MumoeaState, genome: TrafficGenome, seeds: Sequence[Child] = ()
     children = [*seeds, *breeding.mutants(rng)]
     wanted = state.config.population_size - len(children)
     children += breeding.crossed(max(0, wanted), rng)
-    while len(children) < state.config.population_size:
-        children.append(_major_mutant(state, genome, rng))
-    return plan_generation(state, children, genome, rng)
+
+    def mutants(count: int) -> list[Child]:
+        return [_major_mutant(state, genome, rng) for _ in range(count)]
+
+    return plan_generation(state, children, genome, rng, [mutants])
 
 
 class _Breeding:
@@ -540,8 +543,8 @@ class _Breeding:
         self._solutions = [genome.solution(history.rows[number]) for number in state.population]
         self._gaps = history.gaps[list(state.population)]
         self._novelty = participant_distances(
-            genome.roll_out(self._solutions),
-            genome.roll_out_rows(history.rows[number] for number in history.recent(config.lately)),
+            genome.roll_out(self._solutions, config.measure),
+            genome.roll_out_rows((history.rows[n] for n in history.recent(config.lately)), config.measure),
         )
 
     def mutants(self, rng: np.random.Generator) -> list[Child]:
@@ -579,11 +582,17 @@ class _Breeding:
         return children[:count]
 
     def _children(self, first: int, second: int, rng: np.random.Generator) -> list[Child]:
-        """Return two children: cross the better parent's best participant with a random one of the other parent."""
+        """Return two children: the better parent's best participant crossed with a random one of the other parent's.
+
+        The other participant is of like kind if there is one: on foot, or a vehicle.
+        """
         if self._fitness[second] > self._fitness[first]:
             first, second = second, first
         mother, father = self._solutions[first], self._solutions[second]
-        mine, yours = self._best_participant(first), int(rng.integers(len(father)))
+        mine = self._best_participant(first)
+        # Someone on foot and a vehicle have few actions in common: repair would replace the others.
+        alike = [place for place, one in enumerate(father) if one.on_foot == mother[mine].on_foot]
+        yours = int(rng.choice(alike)) if alike else int(rng.integers(len(father)))
         crossed = crossed_genes(mother[mine], father[yours], rng)
         return [
             self._child(_with(mother, mine, crossed[0]), first, Origin.CROSSOVER, rng),

@@ -1,9 +1,12 @@
 """Violations with their types, and the number of distinct instances of a type.
 
-The rules give a violation a type from the circumstances at the moment it happened. A type is a signature of seven
+The rules give a violation a type from the circumstances at the moment it happened. A type is a signature of six
 words; violations with equal signatures have the same type. The authors of muMOEA assigned types by hand, by root
 cause; these rules are automatic, and coarser in some places and finer in others. Circumstances are stored, so types
 can be recomputed when the rules change (`RULES_VERSION`), and a person can override a type.
+
+Whether a reference driver would have avoided a violation is measured by the simulator
+(`brink.search.analysis.avoidable`). Whether the ego was at fault is decided by a rule of thumb.
 
 Distinct instances of a type are clusters of scaled circumstances, found with DBSCAN.
 
@@ -19,9 +22,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
 from brink.search.space import FloatArray, IntArray
 
-RULES_VERSION: Final = 2
+RULES_VERSION: Final = 3
 NOTHING: Final = "nothing"
 
 SECTORS: Final = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
@@ -33,7 +37,8 @@ NEIGHBOURS: Final = 3
 REACH: Final = 1.0
 """Maximum distance between neighbours (eps), in scaled circumstances."""
 
-_STANDS_MPS: Final = 0.3
+STANDS_MPS: Final = 0.3
+"""Below this speed, the ego and others stand."""
 _BRAKES_MPS2: Final = -1.5
 _ACCELERATES_MPS2: Final = 1.0
 _TURNS_RADPS: Final = 0.1
@@ -43,6 +48,7 @@ _SURPRISE_S: Final = 1.0
 _TAILGATES_S: Final = 1.5
 """Too small a gap is the ego's own fault once the counterpart has been ahead for this long."""
 
+_FRONT_GAP: Final = ("front-gap@1", "front-gap@2")
 _ALONE: Final = ("red-light@1", "speed-limit@1")
 """Requirements that the ego violates on its own, regardless of others nearby."""
 
@@ -66,7 +72,6 @@ class Signature:
         ego: What the ego was doing.
         other: What the counterpart was doing.
         place: The part of the road.
-        at_fault: Whether a good driver would have avoided it: ``at fault`` or ``not at fault``.
     """
 
     requirement: str
@@ -75,7 +80,6 @@ class Signature:
     ego: str
     other: str
     place: str
-    at_fault: str
 
     def __str__(self) -> str:
         who = (
@@ -83,7 +87,7 @@ class Signature:
             if self.counterpart == NOTHING
             else f" with {self.counterpart} at the {self.sector} ({self.other})"
         )
-        return f"{self.requirement.partition('@')[0]}{who}, ego {self.ego}, {self.place}, {self.at_fault}"
+        return f"{self.requirement.partition('@')[0]}{who}, ego {self.ego}, {self.place}"
 
     def to_json(self) -> dict[str, str]:
         """Return the signature as a JSON object."""
@@ -117,8 +121,41 @@ def signature_of(violation: Mapping[str, Any]) -> Signature:
         ego=_manoeuvre_of_ego(ego),
         other=doing,
         place=violation["place"]["element"],
-        at_fault="at fault" if _at_fault(requirement, ego, other if involved else None) else "not at fault",
     )
+
+
+def niche_of(violation: Mapping[str, Any]) -> tuple[str, ...] | None:
+    """Return the niche of a violation or of a closest approach: sector, other's action, ego's manoeuvre, place.
+
+    Args:
+        violation: Its circumstances.
+
+    Returns:
+        The niche; None if a circumstance is missing or malformed.
+    """
+    try:
+        found = signature_of(violation)
+    except (LookupError, TypeError, ValueError) as error:
+        log.warning("ignored invalid circumstances: %r", error)
+        return None
+    return found.sector, found.other, found.ego, found.place
+
+
+def is_at_fault(violation: Mapping[str, Any]) -> bool:
+    """Return whether the ego was at fault by a rule of thumb.
+
+    It is at fault if it moved, was not hit from behind, and had the counterpart in its way for at least a second, or
+    was overtaking or squeezing past.
+
+    Args:
+        violation: Its circumstances, as reported by the encounter simulators.
+
+    Raises:
+        KeyError: A circumstance is missing.
+    """
+    requirement, other = violation["requirement"], violation["other"]
+    involved = other is not None and requirement not in _ALONE
+    return _at_fault(requirement, violation["ego"], other if involved else None)
 
 
 def kinds_of(violations: Iterable[Mapping[str, Any]]) -> frozenset[str]:
@@ -138,7 +175,7 @@ def sector_of(bearing_rad: float) -> str:
 
 
 def _manoeuvre_of_ego(ego: Mapping[str, Any]) -> str:
-    if abs(ego["speed_mps"]) < _STANDS_MPS:
+    if abs(ego["speed_mps"]) < STANDS_MPS:
         return "standing"
     if ego["plan"] in _PASSING:
         return _PASSING[ego["plan"]]
@@ -150,7 +187,7 @@ def _manoeuvre_of_ego(ego: Mapping[str, Any]) -> str:
 
 
 def _manoeuvre_of_other(other: Mapping[str, Any]) -> str:
-    if other["speed_mps"] < _STANDS_MPS:
+    if other["speed_mps"] < STANDS_MPS:
         return "standing"
     action = str(other["action"]).replace("_", " ")
     if other["kind"] == "pedestrian":
@@ -165,9 +202,9 @@ def _at_fault(requirement: str, ego: Mapping[str, Any], other: Mapping[str, Any]
         return other is None
     if other is None or requirement == "lane-keeping@1":
         return True
-    if abs(ego["speed_mps"]) < _STANDS_MPS or sector_of(other["bearing_rad"]).startswith("rear"):
+    if abs(ego["speed_mps"]) < STANDS_MPS or sector_of(other["bearing_rad"]).startswith("rear"):
         return False
-    if requirement == "front-gap@1":
+    if requirement in _FRONT_GAP:
         return bool(other["in_way_s"] >= _TAILGATES_S)
     return ego["plan"] in _PASSING or bool(other["in_way_s"] >= _SURPRISE_S)
 
@@ -193,6 +230,11 @@ class FoundViolation:
         """The type in words."""
         return self.name or str(self.signature)
 
+    @property
+    def avoidable(self) -> Avoidable | None:
+        """Who would have avoided it; None if that was not measured."""
+        return avoidable_of(self.circumstances)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViolationType:
@@ -205,6 +247,12 @@ class ViolationType:
 
     words: str
     violations: tuple[FoundViolation, ...]
+
+    @property
+    def avoidable(self) -> Avoidable | None:
+        """The best of what its violations are; None if that was measured for none of them."""
+        found = {violation.avoidable for violation in self.violations}
+        return next((one for one in Avoidable if one in found), None)
 
     @property
     def instances(self) -> int:

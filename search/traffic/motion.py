@@ -3,21 +3,22 @@
 Each action becomes up to three stretches of constant acceleration; lateral moves are smooth steps. Participants never
 cross the outer edges of the road nor exceed their top speeds; an action that asks for more is cut off.
 
-`trajectory_distances` and `encounter_distances` are the paper's TD and ED. ED averages over all pairs of
-participants, so the ED of a solution to itself is not 0 if it has two or more. Decisions about novelty therefore use
-`matched_distances`, which matches participants one to one.
+`trajectory_distances` and `encounter_distances` are TD and ED: as the paper has them, or of positions at equal times
+(`Distance`). ED averages over all pairs of participants, so the ED of a solution to itself is not 0 if it has two or
+more. Decisions about novelty therefore use `matched_distances`, which matches participants one to one.
 
 Source: Tian et al., diversity of solutions.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
 
-from brink.search.space import FloatArray
+from brink.search.space import BoolArray, FloatArray
 from brink.search.traffic.constraint import KERB_ROOM_M
 from brink.search.traffic.participants import (
     MAX_ACTIONS,
@@ -34,9 +35,23 @@ from brink.search.traffic.participants import (
 UNMATCHED_M: Final = 25.0
 """Distance charged for an unmatched participant: half the paper's start radius of 50 m."""
 
+HORIZON_S: Final = 12.0
+STEP_S: Final = 1.0
+"""Time up to which trajectories are compared, and the time between the positions that are compared."""
+
+_TIMES: Final = round(HORIZON_S / STEP_S) + 1
 _BLOCK_ROWS: Final = 32
 """Solutions compared at a time, to keep temporary arrays small."""
 _INSTANT_S: Final = 1e-9
+
+
+class Distance(StrEnum):
+    """How the distance between two trajectories is measured."""
+
+    TIME = "time"
+    """Mean distance between the positions at the same times, of what is driven within `HORIZON_S`."""
+    PAPER = "paper"
+    """Sum of the distances between the positions at the ends of the actions that both participants have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,13 +83,17 @@ class Stretch:
     @property
     def end(self) -> tuple[float, float, float]:
         """Station, offset and speed at the end."""
-        t = self.lasts_s
-        along_m = (self.speed_mps + 0.5 * self.accel_mps2 * t) * t
+        s_m, d_m = self.position(self.lasts_s)
+        return s_m, d_m, max(0.0, self.speed_mps + self.accel_mps2 * self.lasts_s)
+
+    def position(self, elapsed_s: float) -> tuple[float, float]:
+        """Return station and offset at a time after the start of the stretch."""
+        along_m = (self.speed_mps + 0.5 * self.accel_mps2 * elapsed_s) * elapsed_s
+        left_m = self.aside_m * _smooth(elapsed_s / self.lasts_s)
         cos_yaw, sin_yaw = _direction(self.heading_rad)
         return (
-            self.s_m + along_m * cos_yaw - self.aside_m * sin_yaw,
-            self.d_m + along_m * sin_yaw + self.aside_m * cos_yaw,
-            max(0.0, self.speed_mps + self.accel_mps2 * t),
+            self.s_m + along_m * cos_yaw - left_m * sin_yaw,
+            self.d_m + along_m * sin_yaw + left_m * cos_yaw,
         )
 
 
@@ -230,58 +249,102 @@ def waypoints(participant: Participant, road: RoadLimits) -> FloatArray:
     return ends
 
 
+def positions(participant: Participant, road: RoadLimits) -> FloatArray:
+    """Return a participant's positions every `STEP_S` from the start until `HORIZON_S`.
+
+    After its last action it keeps going, as it does in the simulator.
+
+    Returns:
+        Stations and offsets in m, shape ``(times, 2)``.
+    """
+    stretches = iter(roll_out(participant, road, HORIZON_S))
+    current = next(stretches)
+    found = []
+    for step in range(_TIMES):
+        time_s = step * STEP_S
+        while time_s > current.from_s + current.lasts_s and (following := next(stretches, None)) is not None:
+            current = following
+        found.append(current.position(min(time_s - current.from_s, current.lasts_s)))
+    return np.array(found)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rollouts:
-    """Waypoints of n solutions with up to p participants of up to g actions.
+    """Positions of n solutions with up to p participants at up to g points each.
 
     Attributes:
-        points: Stations and offsets at the ends of actions in m, NaN where there are none, shape ``(n, p, g, 2)``.
-        actions: Numbers of actions, 0 for a missing participant, shape ``(n, p)``.
+        measure: How distances are measured.
+        points: Stations and offsets in m, at the ends of actions or at fixed times, NaN where there are none, shape
+            ``(n, p, g, 2)``.
+        counts: Numbers of points, 0 for a missing participant, shape ``(n, p)``.
     """
 
+    measure: Distance
     points: FloatArray
-    actions: FloatArray
+    counts: FloatArray
 
     @classmethod
-    def of(cls, solutions: Iterable[Solution], count: int, road: RoadLimits) -> "Rollouts":
+    def of(
+        cls, solutions: Iterable[Solution], count: int, road: RoadLimits, measure: Distance = Distance.TIME
+    ) -> "Rollouts":
         """Roll out solutions.
 
         Args:
             solutions: The participants of each solution.
             count: Largest number of participants in a solution (p).
             road: The road they are on.
+            measure: How distances are measured.
         """
-        listed = list(solutions)
-        points = np.full((len(listed), count, MAX_ACTIONS, 2), np.nan)
-        actions = np.zeros((len(listed), count))
-        for row, participants in enumerate(listed):
-            for column, participant in enumerate(participants):
-                ends = waypoints(participant, road)
-                points[row, column, : len(ends)] = ends
-                actions[row, column] = len(ends)
-        return cls(points=points, actions=actions)
+        points_of = positions if measure is Distance.TIME else waypoints
+        listed = [[points_of(participant, road) for participant in solution] for solution in solutions]
+        return cls.of_points(listed, count, measure)
+
+    @classmethod
+    def of_points(
+        cls, solutions: Sequence[Sequence[Any]], count: int, measure: Distance = Distance.TIME
+    ) -> "Rollouts":
+        """Return the roll-outs of solutions whose positions are known.
+
+        Args:
+            solutions: The points of each participant of each solution, each of shape ``(points, 2)``.
+            count: Largest number of participants in a solution (p).
+            measure: How distances are measured.
+        """
+        most = _TIMES if measure is Distance.TIME else MAX_ACTIONS
+        points = np.full((len(solutions), count, most, 2), np.nan)
+        counts = np.zeros((len(solutions), count))
+        for row, participants in enumerate(solutions):
+            for column, known in enumerate(participants):
+                points[row, column, : len(known)] = known
+                counts[row, column] = len(known)
+        return cls(measure=measure, points=points, counts=counts)
 
     def __len__(self) -> int:
         return len(self.points)
 
     def take(self, rows: Any) -> "Rollouts":
         """Return the roll-outs of the given rows."""
-        return Rollouts(points=self.points[rows], actions=self.actions[rows])
+        return Rollouts(measure=self.measure, points=self.points[rows], counts=self.counts[rows])
 
 
-def trajectory_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray, FloatArray]:
-    """Return the distance TD for all pairs of participants, and the number of waypoints that each sum covers.
-
-    TD sums the distances between the waypoints of the actions that both participants have.
-
-    Returns:
-        Distances in m and numbers of waypoints (0 if a participant is missing), both shape ``(n, m, p, q)``.
-    """
+def _summed_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray, FloatArray]:
+    """Return the sum of distances between the points that two participants share, and the number of these points."""
     apart = first.points[:, None, :, None] - second.points[None, :, None, :]
     distances = np.sqrt((apart * apart).sum(axis=-1))
-    return np.nansum(distances, axis=-1), np.minimum(
-        first.actions[:, None, :, None], second.actions[None, :, None, :]
-    )
+    counts = np.minimum(first.counts[:, None, :, None], second.counts[None, :, None, :])
+    return np.nansum(distances, axis=-1), counts
+
+
+def trajectory_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray, BoolArray]:
+    """Return the distance TD for all pairs of participants, and which pairs exist.
+
+    Returns:
+        Distances in m, 0 if a participant is missing, and whether neither is; both of shape ``(n, m, p, q)``.
+    """
+    sums, counts = _summed_distances(first, second)
+    if first.measure is Distance.PAPER:
+        return sums, counts > 0
+    return sums / np.maximum(counts, 1.0), counts > 0
 
 
 def encounter_distances(first: Rollouts, second: Rollouts) -> FloatArray:
@@ -292,8 +355,8 @@ def encounter_distances(first: Rollouts, second: Rollouts) -> FloatArray:
     """
     found = np.empty((len(first), len(second)))
     for rows, columns in _blocks(len(first), len(second)):
-        sums, shared = trajectory_distances(first.take(rows), second.take(columns))
-        found[rows, columns] = sums.sum(axis=(2, 3)) / (shared > 0).sum(axis=(2, 3))
+        distances, paired = trajectory_distances(first.take(rows), second.take(columns))
+        found[rows, columns] = distances.sum(axis=(2, 3)) / paired.sum(axis=(2, 3))
     return found
 
 
@@ -303,11 +366,11 @@ def participant_distances(first: Rollouts, second: Rollouts) -> FloatArray:
     Returns:
         Distances in m, NaN for a missing participant, shape ``(n, p)``.
     """
-    totals, pairs = np.zeros(first.actions.shape), np.zeros(first.actions.shape)
+    totals, pairs = np.zeros(first.counts.shape), np.zeros(first.counts.shape)
     for rows, columns in _blocks(len(first), len(second)):
-        sums, shared = trajectory_distances(first.take(rows), second.take(columns))
-        totals[rows] += sums.sum(axis=(1, 3))
-        pairs[rows] += (shared > 0).sum(axis=(1, 3))
+        distances, paired = trajectory_distances(first.take(rows), second.take(columns))
+        totals[rows] += distances.sum(axis=(1, 3))
+        pairs[rows] += paired.sum(axis=(1, 3))
     return np.where(pairs > 0, totals / np.maximum(pairs, 1.0), np.nan)
 
 
@@ -320,7 +383,7 @@ def _blocks(rows: int, columns: int) -> Iterator[tuple[slice, slice]]:
 def matched_distance(first: Rollouts, second: Rollouts) -> float:
     """Return the distance between two solutions under the best one-to-one matching of their participants.
 
-    The distance of a matched pair is its mean distance per waypoint; an unmatched participant counts `UNMATCHED_M`.
+    The distance of a matched pair is its mean distance per point; an unmatched participant counts `UNMATCHED_M`.
     Identical solutions have the distance 0.
 
     Args:
@@ -332,10 +395,10 @@ def matched_distance(first: Rollouts, second: Rollouts) -> float:
     """
     from scipy.optimize import linear_sum_assignment  # slow to import
 
-    sums, shared = trajectory_distances(first, second)
-    here, there = int((first.actions[0] > 0).sum()), int((second.actions[0] > 0).sum())
-    present = np.ix_(first.actions[0] > 0, second.actions[0] > 0)
-    costs = sums[0, 0][present] / shared[0, 0][present]
+    sums, counts = _summed_distances(first, second)
+    here, there = int((first.counts[0] > 0).sum()), int((second.counts[0] > 0).sum())
+    present = np.ix_(first.counts[0] > 0, second.counts[0] > 0)
+    costs = sums[0, 0][present] / counts[0, 0][present]
     rows, columns = linear_sum_assignment(costs)
     unmatched = max(here, there) - len(rows)
     return float((costs[rows, columns].sum() + UNMATCHED_M * unmatched) / max(here, there))

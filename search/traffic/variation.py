@@ -17,13 +17,12 @@ import numpy as np
 from brink.search.operators import mutated
 from brink.search.space import FloatArray, SearchSpace
 from brink.search.traffic.constraint import Participants, participants_of
-from brink.search.traffic.motion import Rollouts
+from brink.search.traffic.motion import Distance, Rollouts
 from brink.search.traffic.participants import (
     MAGNITUDES,
     MAX_ACTIONS,
     MAX_DURATION_S,
     MAX_SPEEDS_MPS,
-    MIN_ACTIONS,
     MIN_DURATION_S,
     PEDESTRIAN_ACTIONS,
     REACH_M,
@@ -121,13 +120,13 @@ class TrafficGenome:
                 vectors.append(component.repair(mutated(component, inherited, _OTHERS_MUTATE, rng), rng))
         return self.space.join(vectors)
 
-    def roll_out(self, solutions: Iterable[Solution]) -> Rollouts:
-        """Return the waypoints of solutions."""
-        return Rollouts.of(solutions, self.max_participants, self.road)
+    def roll_out(self, solutions: Iterable[Solution], measure: Distance = Distance.TIME) -> Rollouts:
+        """Return the roll-outs of solutions, whose distances are measured in the given way."""
+        return Rollouts.of(solutions, self.max_participants, self.road, measure)
 
-    def roll_out_rows(self, rows: Iterable[FloatArray]) -> Rollouts:
-        """Return the waypoints of the participants in rows of the space."""
-        return self.roll_out(self.solution(row) for row in rows)
+    def roll_out_rows(self, rows: Iterable[FloatArray], measure: Distance = Distance.TIME) -> Rollouts:
+        """Return the roll-outs of the participants in rows of the space."""
+        return self.roll_out((self.solution(row) for row in rows), measure)
 
 
 def random_gene(participant: Participant, rng: np.random.Generator) -> Gene:
@@ -199,19 +198,17 @@ def crossed_genes(
 ) -> tuple[Participant, Participant]:
     """Return two participants with the tails of their actions swapped (single-point crossover).
 
+    The cut is the same in both, so each child has as many actions as one of its parents, and no action is lost.
+
     Args:
         first: A participant with two or more actions.
         second: A participant with two or more actions.
         rng: Source of all randomness.
     """
-    here, there = (int(rng.integers(1, len(one.genes))) for one in (first, second))
-
-    def with_genes(parent: Participant, genes: tuple[Gene, ...]) -> Participant:
-        return replace(parent, genes=genes[:MAX_ACTIONS]) if len(genes) >= MIN_ACTIONS else parent
-
+    cut = int(rng.integers(1, min(len(first.genes), len(second.genes))))
     return (
-        with_genes(first, first.genes[:here] + second.genes[there:]),
-        with_genes(second, second.genes[:there] + first.genes[here:]),
+        replace(first, genes=first.genes[:cut] + second.genes[cut:]),
+        replace(second, genes=second.genes[:cut] + first.genes[cut:]),
     )
 
 

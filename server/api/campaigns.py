@@ -519,16 +519,20 @@ async def get_llm_calls(
     calls = await read(services.engines, lambda connection: list_calls(connection, campaign.id))
     spent = spent_on(calls)
     return LlmCalls(
-        calls=[_llm_call(call, replies=replies) for call in calls], total_calls=spent.calls,
-        total_tokens=spent.tokens, estimated_tokens=spent.estimated_tokens, cost=spent.cost,
-    )  # fmt: skip
+        calls=[_llm_call(call, replies=replies) for call in calls],
+        total_calls=spent.requests,
+        max_calls=None if campaign.body.llm is None else campaign.body.llm.max_calls,
+        total_tokens=spent.tokens,
+        estimated_tokens=spent.estimated_tokens,
+        cost=spent.cost,
+    )
 
 
 def _llm_call(call: StoredCall, *, replies: bool) -> LlmCall:
     usage = call.usage
     return LlmCall(
         request=call.key.request, turn=call.key.turn, outcome=call.outcome,
-        mode=call.mode, prompt_hash=call.prompt_hash, calls=call.calls,
+        mode=call.mode, prompt_hash=call.prompt_hash, calls=call.requests,
         prompt_tokens=None if usage is None else usage.prompt_tokens,
         completion_tokens=None if usage is None else usage.completion_tokens,
         estimated=usage is not None and usage.estimated, cost=call.cost, latency_s=call.latency_s,

@@ -14,6 +14,7 @@ from pydantic import Field
 from brink.server.api.schemas import View
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
+from brink.sim.replay.reference import comparison_of
 from brink.sim.replay.scene import (
     LABELS,
     PERSON_REGION,
@@ -275,6 +276,29 @@ class EpisodeView(View):
     words: EpisodeWords
     camera: PictureCamera
     film: FilmView | None
+    reference: Annotated[
+        "ReferenceView | None",
+        Field(
+            description="What a reference driver does in the system's place; null if none avoids a violation."
+        ),
+    ] = None
+
+
+class ReferenceView(View):
+    """The drive of a reference driver among the same road users, who would have avoided what the system violated."""
+
+    driver: Annotated[str, Field(description="`careful` (UN Regulation No. 157, Annex 3), or `ideal`.")]
+    name: Annotated[str, Field(description="Such as `careful driver`.")]
+    sentences: Annotated[
+        list[str],
+        Field(description="What the system did, and what the driver does instead, in a sentence each."),
+    ]
+    explanation: Annotated[str, Field(description="Who the driver is, in sentences.")]
+    moment_s: Annotated[float, Field(description="Time of the violation that these are about.")]
+    brakes_at_s: Annotated[
+        float | None, Field(description="When the driver begins to brake; null if it drives on.")
+    ]
+    drive: EpisodeView
 
 
 def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
@@ -339,6 +363,26 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
         ),
         camera=_camera(),
         film=None if trace.film is None else _film(trace, trace.film),
+        reference=_reference(trace, judged),
+    )
+
+
+def _reference(trace: Trace, judged: Sequence[str]) -> ReferenceView | None:
+    """Return the drive of the reference driver who avoids a violation of a judged requirement, if there is one."""
+    try:
+        compared = comparison_of(trace, judged or None)
+    except ReplayError:
+        return None  # the trace does not record the requirements that the campaign judges
+    if compared is None:
+        return None
+    return ReferenceView.model_construct(
+        driver=compared.driver,
+        name=compared.name,
+        sentences=list(compared.sentences),
+        explanation=compared.explanation,
+        moment_s=_length(compared.about.time_s),
+        brakes_at_s=None if compared.brakes_at_s is None else _length(compared.brakes_at_s),
+        drive=episode_view(compared.reference, (compared.about.requirement,)),
     )
 
 
@@ -465,8 +509,6 @@ def _story(trace: Trace, judged: Sequence[str]) -> StoryView | None:
     """Return what the episode is about: a requirement that the campaign judges, or the first that is violated."""
     try:
         story = story_of(trace, judged or None)
-        if not judged and not story.violated and story.violations:
-            story = story_of(trace, story.violations[0].requirement)
     except ReplayError:
         # The trace does not record the requirements that the campaign judges.
         return _story(trace, ()) if judged else None

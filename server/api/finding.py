@@ -19,8 +19,10 @@ from sqlalchemy import Connection
 
 from brink.search.algorithm import WarmStarts
 from brink.search.algorithms.tolerance import Tolerance
+from brink.search.analysis.avoidable import EXPLANATION, Avoidable
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.analysis.confirmation import Confirmation
+from brink.search.analysis.violations import FoundViolation
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.api.context import Context, Services
@@ -47,6 +49,8 @@ from brink.server.problems.catalogue import problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
 from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
+from brink.sim.requirements import CollisionKind
+from brink.sim.verdict import violated_words
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])
 
@@ -130,6 +134,14 @@ class BestPair(View):
     ]
 
 
+class AvoidableExample(View):
+    """A violation that a careful driver would have avoided, the first of its type."""
+
+    number: Annotated[int, Field(description="Number of the solution.")]
+    words: Annotated[str, Field(description="What the system did, such as `hit a pedestrian at 12.8 s`.")]
+    type: Annotated[str, Field(description="Its type.")]
+
+
 class FollowedView(View):
     """The campaign that a follow-up asks about."""
 
@@ -165,6 +177,15 @@ class FindingView(View):
         ),
     ]
     rule: Annotated[str, Field(description="What it takes for a pair to hold, in a sentence.")]
+    avoidable: Annotated[
+        list[AvoidableExample],
+        Field(
+            description="Examples of the most frequent types of violations that a careful driver would have avoided."
+        ),
+    ]
+    explanation: Annotated[
+        str, Field(description="Who that driver is, in sentences; empty if there is no example.")
+    ]
     steps: Annotated[list[StepView], Field(description="What to do next, the most useful first.")]
 
 
@@ -175,6 +196,7 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
     found = await services.archives.get(campaign)
     known = await _known(services, campaign, found)
     words, more = await _sentences(services, known)
+    avoidable = await asyncio.to_thread(_avoidable_examples, known.violations)
     of = await read(services.engines, lambda c: _followed(c, campaign))
     view = known.pairs
     if view is not None and view.searched and view.distinct:
@@ -186,8 +208,24 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
         computed=view is not None and view.computed,
         best=[] if view is None else [_best_pair(view, pair) for pair in view.pairs],
         rule="" if view is None else _rule_words(view),
+        avoidable=avoidable, explanation=EXPLANATION if avoidable else "",
         steps=[] if of is not None else _steps(known),
     )  # fmt: skip
+
+
+def _avoidable_examples(found: Sequence[FoundViolation]) -> list[AvoidableExample]:
+    """Return a violation of each of the first types that a careful driver would have avoided, one per solution."""
+    examples: dict[int, AvoidableExample] = {}
+    careful = [one for one in found if one.avoidable is Avoidable.CAREFUL]
+    for kind in violation_types(careful):
+        if len(examples) == BEST:
+            break
+        one = next(one for one in careful if (one.number, one.type) == (kind.example, kind.type))
+        hit = next((each for each in CollisionKind if each == one.circumstances["collision"]), None)
+        did = violated_words(str(one.circumstances["requirement"]), hit)
+        words = f"{did} at {float(one.circumstances['time_s']):.1f} s"
+        examples.setdefault(one.number, AvoidableExample(number=one.number, words=words, type=one.type))
+    return list(examples.values())
 
 
 def _best_pair(view: PairsView, pair: PairView) -> BestPair:
@@ -238,6 +276,7 @@ class _Known:
         outcomes: What its simulations showed.
         reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
         stored: Its follow-ups.
+        violations: Its violations, if its problem reports them.
         pairs: Its first pairs; None if there are too many to tell, or the search was for tolerances.
         too_many: Why there are too many.
         rings: The sides of all its pairs if it searched for them.
@@ -249,6 +288,7 @@ class _Known:
     outcomes: CampaignOutcomes
     reported: tuple[int, int]
     stored: Sequence[StoredRepeats]
+    violations: Sequence[FoundViolation]
     pairs: PairsView | None
     too_many: str
     rings: list[tuple[int, int]]
@@ -268,6 +308,10 @@ class _Known:
 async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _Known:
     stored = await read(services.engines, lambda c: read_follow_ups(c, campaign.id))
     reported = await read(services.engines, lambda c: services.reported.read(c, campaign))
+    problem = found.plan.problem
+    violations: Sequence[FoundViolation] = ()
+    if isinstance(problem, ReportsViolations):
+        violations = await read(services.engines, lambda c: read_violations(c, campaign.id, problem))
     view, too_many, rings = None, "", []
     if not searches_for_tolerances(campaign.body.algorithm.id):
         try:
@@ -281,7 +325,8 @@ async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _
     chosen = await asyncio.to_thread(distinct_boundary, found.archive, DEFAULT_T_B, DEFAULT_D_TH)
     return _Known(
         campaign=campaign, found=found, outcomes=await services.outcomes.get(campaign.id, found),
-        reported=(len(reported.results), reported.unsafe), stored=stored, pairs=view, too_many=too_many, rings=rings,
+        reported=(len(reported.results), reported.unsafe), stored=stored, violations=violations, pairs=view,
+        too_many=too_many, rings=rings,
         boundary=(len(chosen), int(np.count_nonzero(has_evidence(found.archive)[chosen]))),
     )  # fmt: skip
 
@@ -310,7 +355,7 @@ async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
         tolerances = await services.tolerances.get(campaign, found)
         view = await asyncio.to_thread(tolerance_view, campaign, found.plan, tolerances)
         return _so_far(campaign, view.note), [view.caveat]
-    special = await _special_words(services, known)
+    special = await _special_words(known)
     also = [pairs] if known.pairs is not None and known.pairs.distinct else []
     if special:
         return _so_far(campaign, special), [outcomes.sentence(), *also]
@@ -349,13 +394,11 @@ def _so_far(campaign: Campaign, words: str) -> str:
     return f"so far, after {campaign.evaluated:,} of {campaign.budget:,} simulations: {words}"
 
 
-async def _special_words(services: Context, known: _Known) -> str:
+async def _special_words(known: _Known) -> str:
     """Return the sentence about violations or combinations, if the problem is about these."""
-    campaign, found = known.campaign, known.found
-    problem = found.plan.problem
+    found, problem = known.found, known.found.plan.problem
     if isinstance(problem, ReportsViolations):
-        violations = await read(services.engines, lambda c: read_violations(c, campaign.id, problem))
-        return violations_words(await asyncio.to_thread(violation_types, violations))
+        return violations_words(known.violations)
     try:
         slots_of(problem.space)
     except UnsupportedSpace:

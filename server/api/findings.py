@@ -1,12 +1,14 @@
 """Routes of findings besides the boundary: types of violations, hazardous combinations."""
 
 import asyncio
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from brink.search.analysis.avoidable import EXPLANATION, Avoidable, avoidable_first, by_words
 from brink.search.analysis.combinations import (
     Chain,
     Combination,
@@ -17,7 +19,13 @@ from brink.search.analysis.combinations import (
     variants_at,
     verdicts_by_chain,
 )
-from brink.search.analysis.violations import RULES_VERSION, FoundViolation, ViolationType, by_type
+from brink.search.analysis.violations import (
+    RULES_VERSION,
+    FoundViolation,
+    ViolationType,
+    by_type,
+    is_at_fault,
+)
 from brink.search.archive import Archive
 from brink.search.errors import UnsupportedSpace
 from brink.search.parameters import Categorical
@@ -60,15 +68,20 @@ async def get_violations(
     campaign_id: str,
     services: Services,
     types_only: Annotated[bool, Query(description="Return the types only.")] = False,
+    avoidable: Annotated[
+        Avoidable | None,
+        Query(description="Return only violations that this driver would have avoided; `no` for neither."),
+    ] = None,
 ) -> Violations:
-    """Return the violations of a campaign, grouped by type."""
+    """Return the violations of a campaign, grouped by type; those that a careful driver would have avoided first."""
     campaign = await services.campaigns.get(campaign_id)
     found = await _found(services, campaign)
-    types = await asyncio.get_running_loop().run_in_executor(None, violation_types, found)
-    violations = [] if types_only else [_violation_view(one) for one in found]
+    chosen = found if avoidable is None else [one for one in found if one.avoidable is avoidable]
+    types = await asyncio.get_running_loop().run_in_executor(None, violation_types, chosen)
     return Violations(
-        rules_version=RULES_VERSION, words=violations_words(types), types=types, violations=violations
-    )
+        rules_version=RULES_VERSION, words=violations_words(found), explanation=EXPLANATION, types=types,
+        violations=[] if types_only else [_violation_view(one) for one in chosen],
+    )  # fmt: skip
 
 
 @violations_router.put("/{number}/{requirement}/name", status_code=204)
@@ -113,29 +126,44 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
     return await read(services.engines, lambda connection: read_violations(connection, campaign.id, problem))
 
 
-def violation_types(found: list[FoundViolation]) -> list[TypeView]:
-    """Return the types of violations, in order of discovery."""
-    return [_type_view(kind) for kind in by_type(found)]
+def violation_types(found: Sequence[FoundViolation]) -> list[TypeView]:
+    """Return the types of violations: those that a careful driver would have avoided first, then by frequency."""
+    types = [_type_view(kind) for kind in by_type(found)]
+    return sorted(types, key=lambda kind: (avoidable_first(kind.avoidable), -kind.solutions, kind.first))
 
 
-def violations_words(types: Sequence[TypeView]) -> str:
-    """Return a sentence with the number of types of violations and of solutions that have them."""
-    solutions = len({number for kind in types for number in kind.numbers})
-    at_fault = sum(kind.at_fault is True for kind in types)
-    nouns = ("type" if len(types) == 1 else "types", "solution" if solutions == 1 else "solutions")
+def violations_words(found: Sequence[FoundViolation]) -> str:
+    """Return how many types of violations a careful driver would have avoided, of how many, in a sentence."""
+    if not found:
+        return "no violations"
+    types = len({one.type for one in found})
+    solutions = len({one.number for one in found})
+    all_types = f"{types:,} {'type' if types == 1 else 'types'} of violations"
+    all_solutions = f"{solutions:,} {'solution' if solutions == 1 else 'solutions'}"
+    if all(one.avoidable is None for one in found):
+        return f"{all_types} in {all_solutions}; not measured whether a careful driver would have avoided any"
+    careful = [one for one in found if one.avoidable is Avoidable.CAREFUL]
+    if not careful:
+        return f"a careful driver would have avoided none of {all_types}, in {all_solutions}"
+    avoided = len({one.type for one in careful})
+    numbers = len({one.number for one in careful})
     return (
-        f"{len(types)} {nouns[0]} of violations in {solutions} {nouns[1]}; "
-        f"in {at_fault} of the types, the ego vehicle is at fault according to the rules"
+        f"a careful driver would have avoided {avoided:,} of {all_types}, in {numbers:,} of {all_solutions} with "
+        "violations"
     )
 
 
 def _type_view(kind: ViolationType) -> TypeView:
-    numbers = sorted({violation.number for violation in kind.violations})
-    faults = {violation.signature.at_fault for violation in kind.violations}
+    violations = kind.violations
+    numbers = sorted({violation.number for violation in violations})
+    faults = {is_at_fault(violation.circumstances) for violation in violations}
+    counts = Counter(violation.avoidable for violation in violations)
     return TypeView(
-        type=kind.words, solutions=len(numbers), instances=kind.instances, first=numbers[0], numbers=numbers,
-        named=sum(violation.name is not None for violation in kind.violations),
-        at_fault=faults == {"at fault"} if len(faults) == 1 else None,
+        type=kind.words, solutions=len(numbers), instances=kind.instances, first=numbers[0],
+        example=min(one.number for one in violations if one.avoidable is kind.avoidable), numbers=numbers,
+        named=sum(violation.name is not None for violation in violations),
+        avoidable=kind.avoidable, avoider=by_words(kind.avoidable),
+        avoidable_by={one: counts[one] for one in Avoidable}, at_fault=faults.pop() if len(faults) == 1 else None,
     )  # fmt: skip
 
 
@@ -143,6 +171,7 @@ def _violation_view(one: FoundViolation) -> ViolationView:
     return ViolationView(
         number=one.number, requirement=str(one.circumstances["requirement"]),
         time_s=float(one.circumstances["time_s"]), type=one.type, name=one.name,
+        avoidable=one.avoidable, at_fault=is_at_fault(one.circumstances),
         signature=one.signature.to_json(), circumstances=dict(one.circumstances),
     )  # fmt: skip
 

@@ -1,6 +1,10 @@
-"""Route of the pictures of a pair: its two drives from above at the moment that matters."""
+"""Routes of pictures of two drives from above at the moment that matters.
 
-from typing import Annotated, Final, Literal
+They are the drives of a pair, or the system's drive with a violation and that of a reference driver who avoids it.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection
@@ -14,24 +18,28 @@ from brink.server.campaigns.traces import trace_status
 from brink.server.db.engine import read
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue.workers import can_run
-from brink.sim.replay import DrivePair, Side, render_pair_maps
+from brink.sim.replay import DrivePair, ReplayError, Side, render_pair_maps
+from brink.sim.replay.reference import comparison_of
 from brink.sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/pairs", tags=["pairs"])
+compared_router = APIRouter(prefix="/campaigns/{campaign_id}/solutions/{number}", tags=["solutions"])
 
 KEPT: Final = 64
-"""Number of pairs whose pictures are kept in memory."""
+"""Number of pairs of drives whose pictures are kept in memory."""
 
 
-@router.get(
-    "/{safe}-{unsafe}/{side}.png",
-    response_class=Response,
-    responses={
-        200: {"content": {"image/png": {}}},
-        204: {"description": "There is no picture: no trace that can be drawn is kept or can be recorded."},
-        **NOT_YET,
-    },
-)
+_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
+    200: {"content": {"image/png": {}}},
+    204: {"description": "There is no picture: no trace that can be drawn is kept or can be recorded."},
+    **NOT_YET,
+}
+Record = Annotated[
+    bool, Query(description="Whether workers may run drives again whose traces were not kept.")
+]
+
+
+@router.get("/{safe}-{unsafe}/{side}.png", response_class=Response, responses=_RESPONSES)
 async def get_pair_picture(
     campaign_id: str,
     safe: Number,
@@ -40,13 +48,60 @@ async def get_pair_picture(
     request: Request,
     services: Services,
     wait_s: Wait = 20.0,
-    record: Annotated[
-        bool, Query(description="Whether workers may run drives again whose traces were not kept.")
-    ] = True,
+    record: Record = True,
 ) -> Response:
     """Return one drive of a pair from above, with the outline of the other drive's car."""
     campaign = await services.campaigns.get(campaign_id)
     numbers = (safe, unsafe)
+    judged = deciding_requirements(campaign.body)
+
+    def pair_of(traces: Sequence[Trace]) -> DrivePair:
+        sides = [Side(number=number, trace=trace) for number, trace in zip(numbers, traces, strict=True)]
+        return DrivePair(safe=sides[0], unsafe=sides[1], change="", requirement=judged or None)
+
+    documents = await _documents(services, campaign, numbers, request, wait_s, record=record)
+    if isinstance(documents, Response):
+        return documents
+    return await _picture(services, (campaign.id, *numbers), documents, pair_of, second=side == "unsafe")
+
+
+@compared_router.get("/compared/{side}.png", response_class=Response, responses=_RESPONSES)
+async def get_compared_picture(
+    campaign_id: str,
+    number: Number,
+    side: Literal["system", "reference"],
+    request: Request,
+    services: Services,
+    wait_s: Wait = 20.0,
+    record: Record = True,
+) -> Response:
+    """Return the system's drive from above, or that of a reference driver who avoids its violation."""
+    campaign = await services.campaigns.get(campaign_id)
+    judged = deciding_requirements(campaign.body)
+
+    def pair_of(traces: Sequence[Trace]) -> DrivePair:
+        (trace,) = traces
+        compared = comparison_of(trace, judged or None)
+        if compared is None:
+            raise ReplayError("no reference driver avoids a violation of this drive")
+        return compared.pair(trace)
+
+    documents = await _documents(services, campaign, (number,), request, wait_s, record=record)
+    if isinstance(documents, Response):
+        return documents
+    return await _picture(services, (campaign.id, number), documents, pair_of, second=side == "reference")
+
+
+async def _documents(
+    services: Context,
+    campaign: Campaign,
+    numbers: Sequence[int],
+    request: Request,
+    wait_s: float,
+    *,
+    record: bool,
+) -> list[bytes] | Response:
+    """Return the traces of drives, or the response if there are none, or not yet."""
     if not await _can_draw(services, campaign, numbers, record=record):
         return Response(status_code=204)
     try:
@@ -56,26 +111,39 @@ async def get_pair_picture(
     kept = [document for document in documents if document is not None]
     if len(kept) < len(numbers):
         return computing("a worker is running the drives again; try again soon")  # type: ignore[no-any-return]
-    judged = deciding_requirements(campaign.body)
+    return kept
+
+
+async def _picture(
+    services: Context,
+    key: Hashable,
+    documents: Sequence[bytes],
+    pair_of: Callable[[Sequence[Trace]], DrivePair],
+    *,
+    second: bool,
+) -> Response:
+    """Return one of the two pictures of a pair of drives, which are drawn once.
+
+    Args:
+        services: The services of this process.
+        key: What the pictures are kept by.
+        documents: The traces.
+        pair_of: Makes the pair of the traces.
+        second: Whether the second picture is wanted.
+    """
 
     def draw() -> tuple[bytes, bytes]:
-        safe_side, unsafe_side = (
-            Side(number=number, trace=Trace.from_bytes(document))
-            for number, document in zip(numbers, kept, strict=True)
-        )
-        return render_pair_maps(
-            DrivePair(safe=safe_side, unsafe=unsafe_side, change="", requirement=judged or None)
-        )
+        return render_pair_maps(pair_of([Trace.from_bytes(document) for document in documents]))
 
     try:
-        pictures = await services.pair_pictures.get((campaign.id, *numbers), 0, draw)
+        pictures = await services.pair_pictures.get(key, 0, draw)
     except UNREADABLE:
         return Response(status_code=204)
-    return Response(pictures[side == "unsafe"], media_type="image/png")
+    return Response(pictures[second], media_type="image/png")
 
 
-async def _can_draw(services: Context, campaign: Campaign, numbers: tuple[int, int], *, record: bool) -> bool:
-    """Return whether both traces are kept or may be recorded; request those that are missing, all at once."""
+async def _can_draw(services: Context, campaign: Campaign, numbers: Sequence[int], *, record: bool) -> bool:
+    """Return whether the traces are kept or may be recorded; request those that are missing, all at once."""
 
     def missing(connection: Connection) -> list[tuple[int, str | None, bool]]:
         """Return the numbers without a trace, what recording each needs, and whether a live worker has that."""

@@ -5,12 +5,17 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from brink.search.analysis.avoidable import Avoidable
 from brink.server.campaigns.body import CampaignBody
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, OutcomeKind, SolutionVerdict
 
 MAX_NUMBER = 2**53
 """Largest job or solution number that is looked up; every JSON parser reads it exactly."""
+AVOIDABLE = (
+    "Who would have avoided it: a careful driver (UN Regulation No. 157, Annex 3), only an ideal one who brakes at "
+    "once, or neither (no); null if that was not measured."
+)
 
 
 class View(BaseModel):
@@ -184,6 +189,13 @@ class ViolatedView(View):
     time_s: Annotated[float | None, Field(description="Simulated time of the first violation, if recorded.")]
     words: Annotated[str, Field(description="What the ego did, such as `hit a pedestrian`.")]
     decides: Annotated[bool, Field(description="Whether the campaign's verdict depends on it.")]
+    avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)] = None
+    avoidable_words: Annotated[
+        str,
+        Field(
+            description="The same in words, such as `avoidable by a careful driver`; empty if not measured."
+        ),
+    ] = ""
 
 
 class ActivityView(View):
@@ -331,6 +343,10 @@ class ViolationView(View):
     time_s: float
     type: str
     name: Annotated[str | None, Field(description="Name that a person gave it.")]
+    avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)]
+    at_fault: Annotated[
+        bool, Field(description="Whether the ego vehicle was at fault by a rule of thumb; see `avoidable`.")
+    ]
     signature: Annotated[
         dict[str, str], Field(description="Features that the rules derive from its circumstances.")
     ]
@@ -345,11 +361,33 @@ class TypeView(View):
     type: str
     solutions: Annotated[int, Field(description="Number of solutions with a violation of this type.")]
     instances: Annotated[int, Field(description="Distinct instances: clusters of similar circumstances.")]
-    first: Annotated[int, Field(description="Number of the first solution.")]
+    first: Annotated[
+        int, Field(description="Number of the first solution, in which the type was discovered.")
+    ]
+    example: Annotated[
+        int,
+        Field(
+            description="Number of the first solution with a violation that is `avoidable` as the type is."
+        ),
+    ]
     numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
     named: Annotated[int, Field(description="Number of its violations that a person named.")]
+    avoidable: Annotated[
+        Avoidable | None,
+        Field(description="The best of what its violations are; null if that was measured for none of them."),
+    ]
+    avoider: Annotated[str, Field(description="The same in words, such as `careful driver`.")]
+    avoidable_by: Annotated[
+        dict[Avoidable, int],
+        Field(
+            description="Number of its violations by who would have avoided them, where that was measured."
+        ),
+    ]
     at_fault: Annotated[
-        bool | None, Field(description="Whether the ego vehicle was at fault; null if its violations differ.")
+        bool | None,
+        Field(
+            description="Whether the ego vehicle was at fault by a rule of thumb; null if its violations differ."
+        ),
     ]
 
 
@@ -357,8 +395,15 @@ class Violations(View):
     """The violations of a campaign."""
 
     rules_version: int
-    words: Annotated[str, Field(description="The finding in a sentence.")]
-    types: Annotated[list[TypeView], Field(description="In order of discovery.")]
+    words: Annotated[str, Field(description="The finding in a sentence, about all violations.")]
+    explanation: Annotated[str, Field(description="Who the reference drivers are, in sentences.")]
+    types: Annotated[
+        list[TypeView],
+        Field(
+            description="First those that a careful driver would have avoided, then those that take braking at once, "
+            "then the rest; each by frequency. `first` tells the order of discovery."
+        ),
+    ]
     violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
 
 
@@ -432,16 +477,19 @@ class Combinations(View):
 
 
 class LlmCall(View):
-    """A call to a language model."""
+    """A call to a language model: one prompt, with all HTTP requests that it took."""
 
     request: Annotated[int, Field(description="Number of the request for seeds.")]
     turn: Annotated[int, Field(description="0 for the first prompt, 1 for the repair prompt.")]
-    outcome: str
+    outcome: Annotated[
+        str,
+        Field(
+            description="sent, ok, truncated, invalid, declined, refused, unavailable, over_budget or circuit_open."
+        ),
+    ]
     mode: Annotated[str, Field(description="How structured output was requested.")]
     prompt_hash: str
-    calls: Annotated[
-        int, Field(description="HTTP requests that the endpoint processed or may have processed.")
-    ]
+    calls: Annotated[int, Field(description="HTTP requests sent, whatever became of them.")]
     prompt_tokens: int | None
     completion_tokens: int | None
     estimated: Annotated[
@@ -449,7 +497,7 @@ class LlmCall(View):
     ]
     cost: Annotated[float | None, Field(description="Null if no prices are configured.")]
     latency_s: float
-    error: str | None
+    error: Annotated[str | None, Field(description="What went wrong, in words; null if nothing did.")]
     reply: Annotated[
         str | None, Field(description="Raw body of the reply with the API key removed, if requested.")
     ]
@@ -459,7 +507,10 @@ class LlmCalls(View):
     """Language-model calls of a campaign."""
 
     calls: Annotated[list[LlmCall], Field(description="In the order in which they were made.")]
-    total_calls: int
+    total_calls: Annotated[int, Field(description="HTTP requests sent, whatever became of them.")]
+    max_calls: Annotated[
+        int | None, Field(description="How many may be sent; null without a language model.")
+    ]
     total_tokens: int
     estimated_tokens: int
     cost: Annotated[float | None, Field(description="Total cost; null if the cost of any call is unknown.")]

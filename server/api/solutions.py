@@ -14,6 +14,7 @@ from pydantic import Field
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
+from brink.search.analysis.avoidable import avoidable_of
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
 from brink.search.archive import Archive
@@ -47,6 +48,7 @@ from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import Activity, Problem, SimulatedSolution, activity_of, describe_candidate
 from brink.server.problems.changes import change_words, changes_between
 from brink.server.states import OutcomeKind, SolutionVerdict
+from brink.sim.verdict import Violated
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
@@ -235,11 +237,20 @@ def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, 
     fields: dict[str, Any] = {"outcome": outcome.words(), "kind": outcome.kind}
     if outcome.episode is not None:
         fields["requirements"] = list(outcome.episode.deciding)
-        fields["violated"] = [
-            ViolatedView(requirement=one.requirement, time_s=one.time_s, words=one.words, decides=one.decides)
-            for one in outcome.episode.violated
-        ]
+        fields["violated"] = [_violated_view(one, stored) for one in outcome.episode.violated]
     return fields
+
+
+def _violated_view(one: Violated, stored: Mapping[str, Any]) -> ViolatedView:
+    """Return a violation, and who would have avoided it; a worker may have sent anything."""
+    reported = (stored.get("features") or {}).get("violations")
+    found = [each for each in (reported if isinstance(reported, list) else []) if isinstance(each, Mapping)]
+    circumstances = next((each for each in found if each.get("requirement") == one.requirement), {})
+    avoidable = avoidable_of(circumstances)
+    return ViolatedView(
+        requirement=one.requirement, time_s=one.time_s, words=one.words, decides=one.decides, avoidable=avoidable,
+        avoidable_words="" if avoidable is None else avoidable.words,
+    )  # fmt: skip
 
 
 def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:

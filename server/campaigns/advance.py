@@ -34,6 +34,7 @@ from brink.search.algorithm import (
 from brink.search.analysis.boundary import distinct_boundary
 from brink.search.archive import Archive
 from brink.search.document import Document
+from brink.search.errors import OtherVersion
 from brink.search.metric import METRIC_VERSION
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
@@ -387,12 +388,15 @@ class Stepper:
         elif checkpoint is None or checkpoint.generation != campaign.generation:
             raise Damaged(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
         else:
-            state = plan.algorithm.load(
-                plan.problem.space,
-                plan.config,
-                Document.from_bytes(checkpoint.document),
-                restored_archive(plan, stored),
-            )
+            archive, document = restored_archive(plan, stored), Document.from_bytes(checkpoint.document)
+            try:
+                state = plan.algorithm.load(plan.problem.space, plan.config, document, archive)
+            except OtherVersion:
+                message = (
+                    f"{campaign.body.algorithm.id} has changed since this campaign began, and would ask for other "
+                    "candidates; continue with the version of Brink that began it, or submit it again"
+                )
+                raise InvalidInput.at("/algorithm/id", message) from None
             now_asked = campaign.generation + len(in_flight)
             state, asked = ask_next(plan, state, now_asked)
             live = LiveSearch(plan=plan, generation=campaign.generation, asked=now_asked, state=state)

@@ -4,7 +4,7 @@ Tags and notes belong to people: they may change at any time, so they are not pa
 """
 
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -31,6 +31,11 @@ DEFAULT_EPS = 0.02
 """Default of the largest distance between the two sides of a pair."""
 DEFAULT_PAIRS_D_TH = 0.2
 """Default of the smallest distance between two distinct pairs."""
+
+_FORMER_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
+    algorithm: {"distance": "paper"} for algorithm in ("mosat@1", "mumoea@1", "nsga2@1")
+}
+"""For each algorithm, what its later parameters were when they were not parameters yet."""
 
 MOST_TAGS: Final = 32
 LONGEST_TAG: Final = 40
@@ -275,6 +280,28 @@ def parse_body(document: object) -> CampaignBody:
         InvalidInput: With a pointer to each invalid field.
     """
     return parse_document(document, CampaignBody, "a campaign with name, problem, algorithm and budget")
+
+
+def stored_body(document: Mapping[str, Any], tags: Iterable[str], notes: str) -> CampaignBody:
+    """Return the body of a stored campaign.
+
+    Every parameter is spelled out in a stored body. One that is missing was added later, and has the value that the
+    campaign was run with, which need not be today's default.
+
+    Args:
+        document: What `CampaignBody.document` returned.
+        tags: Its tags.
+        notes: Its notes.
+
+    Raises:
+        ValidationError: The document is not that of a campaign.
+    """
+    body = CampaignBody.model_validate({**document, "tags": list(tags), "notes": notes})
+    former = _FORMER_DEFAULTS.get(body.algorithm.id)
+    if former is None:
+        return body
+    algorithm = body.algorithm.model_copy(update={"params": {**former, **body.algorithm.params}})
+    return body.model_copy(update={"algorithm": algorithm})
 
 
 def read_campaign_file(path: Path) -> CampaignBody:

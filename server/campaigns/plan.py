@@ -20,6 +20,7 @@ from brink.search.algorithm import (
 )
 from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
+from brink.search.algorithms.qd import QdConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.algorithms.tolerance import ToleranceConfig
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
@@ -33,6 +34,7 @@ from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import (
+    ChecksCriticality,
     ChecksInputs,
     InProcessProblem,
     MeasuresOnData,
@@ -180,6 +182,7 @@ def make_checked_plan(body: CampaignBody) -> Plan:
         raise InvalidInput(
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
+    _check_criticality(plan)
     _check_seeder(plan)
     if body.start_from is not None and not isinstance(plan.algorithm, WarmStarts):
         able = ", ".join(one for one in plugin_ids(ALGORITHMS) if isinstance(make_algorithm(one), WarmStarts))
@@ -208,6 +211,21 @@ def check_repeatable(plan: Plan) -> None:
     if ignores_seeds(plan.problem):
         message = f"{plan.body.problem.id} is computed, not simulated: other seeds give the same verdicts"
         raise InvalidInput.at("/repeats", message)
+
+
+def _check_criticality(plan: Plan) -> None:
+    """Check that an algorithm that minimises criticality is led towards violations of the requirement by it.
+
+    Stored campaigns need not pass this: older versions accepted what is rejected here.
+
+    Raises:
+        InvalidInput: It is not.
+    """
+    if not isinstance(plan.config, MultiObjectiveConfig) or not isinstance(plan.problem, ChecksCriticality):
+        return
+    if (wrong := plan.problem.wrong_criticality()) is not None:
+        name, message = wrong
+        raise InvalidInput.at(f"/problem/params/{name}", message)
 
 
 def _check_seeder(plan: Plan) -> None:
@@ -315,7 +333,8 @@ def looks_for_boundary(algorithm_id: str) -> bool:
     except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
     return not issubclass(
-        algorithm.config_type, MultiObjectiveConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig
+        algorithm.config_type,
+        MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig,
     )
 
 
@@ -378,15 +397,17 @@ def new_solutions(
     Args:
         problem: The campaign's problem.
         candidates: The generation.
-        state: The algorithm's state, which may name the origins of candidates.
+        state: The algorithm's state, which may have the origins of all candidates in flight, `queue_origins`.
         campaign_seed: The campaign's seed.
 
     Raises:
         InvalidInput: The algorithm needs a data set, which the problem does not have.
     """
     solutions = []
-    origins = getattr(state, "queue_origins", None) or [None] * len(candidates)
-    for candidate, origin in zip(candidates, origins, strict=True):
+    # In the order of numbers, beginning with the oldest candidate in flight.
+    origins = dict(enumerate(getattr(state, "queue_origins", ()), state.pending[0].number))
+    for candidate in candidates:
+        origin = origins.get(candidate.number)
         number = candidate.number if candidate.seed_number is None else candidate.seed_number
         seed = episode_seed(campaign_seed, number)
         job = None if isinstance(problem, InProcessProblem) else _job(problem, candidate, seed)

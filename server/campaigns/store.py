@@ -11,7 +11,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
 
-from brink.server.campaigns.body import CampaignBody, CampaignChange, search_text, search_words
+from brink.server.campaigns.body import CampaignBody, CampaignChange, search_text, search_words, stored_body
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow, CampaignTagRow, RepeatsRow, SolutionRow
 from brink.server.db.sql import DocumentTable, database_now, in_list, note_change
 from brink.server.errors import Conflict, NotFound
@@ -91,7 +91,7 @@ def read_tags(connection: Connection, campaigns: Sequence[str]) -> dict[str, lis
 
 
 def _campaign(row: Row[*tuple[Any, ...]], tags: list[str]) -> Campaign:
-    body = CampaignBody.model_validate({**row.document, "tags": tags, "notes": row.notes})
+    body = stored_body(row.document, tags, row.notes)
     return Campaign(
         id=row.id, body=body, document_hash=row.document_hash,
         status=CampaignStatus(row.status),

@@ -6,7 +6,13 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, insert, select
 
-from brink.search.analysis.violations import FoundViolation, Signature, scaled_circumstances, signature_of
+from brink.search.analysis.violations import (
+    FoundViolation,
+    Signature,
+    is_at_fault,
+    scaled_circumstances,
+    signature_of,
+)
 from brink.server.db.models import ViolationNameRow
 from brink.server.db.sql import database_now, note_change
 from brink.server.problems.base import ReportsViolations
@@ -45,6 +51,7 @@ def _signature(number: int, circumstances: Mapping[str, Any]) -> Signature | Non
     """Return the type of a violation, or None if a worker reported malformed circumstances."""
     try:
         scaled_circumstances(circumstances)
+        is_at_fault(circumstances)
         return signature_of(circumstances)
     except (LookupError, TypeError, ValueError) as error:
         log.warning("solution %d: a violation that cannot be read: %r", number, error)

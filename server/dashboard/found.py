@@ -17,9 +17,10 @@ from typing import Final
 from sqlalchemy import Connection, select
 
 from brink.search.algorithms.tolerance import Layout, ToleranceConfig
+from brink.search.analysis.avoidable import Avoidable
 from brink.search.analysis.combinations import combinations, verdicts_by_chain
 from brink.search.analysis.confirmation import Confirmation
-from brink.search.analysis.violations import by_type
+from brink.search.analysis.violations import FoundViolation, by_type
 from brink.search.errors import TooManyPairs, UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.campaigns.archives import Archives
@@ -128,9 +129,7 @@ class FoundWords:
             return Found(words=_plural(len(Layout(problem.space, plan.config).cells), "tolerance"))
         with self.archives.engines.reader.connect() as connection:
             if isinstance(problem, ReportsViolations):
-                types = by_type(read_violations(connection, campaign.id, problem))
-                told = _plural(len(types), "type of violations", "types of violations")
-                return Found(words=told if types else "no violation")
+                return Found(words=_violations_words(read_violations(connection, campaign.id, problem)))
             solutions = _boundary_solutions(connection, campaign.id)
         if (words := self._combinations_words(campaign, plan)) is not None:
             return Found(words=words)
@@ -224,6 +223,18 @@ def _boundary_solutions(connection: Connection, campaign_id: str) -> int:
     row = GenerationRow
     query = select(row.dbs).where(row.campaign_id == campaign_id).order_by(row.number.desc()).limit(1)
     return connection.execute(query).scalar() or 0
+
+
+def _violations_words(found: Sequence[FoundViolation]) -> str:
+    """Return how many types of violations there are, and how many of them a careful driver would have avoided."""
+    types = by_type(found)
+    if not types:
+        return "no violation"
+    told = _plural(len(types), "type of violations", "types of violations")
+    kinds = [one.avoidable for one in types]
+    if not any(kinds):
+        return told
+    return f"{kinds.count(Avoidable.CAREFUL) or 'none'} of {told} avoidable"
 
 
 def _plural(count: int, noun: str, nouns: str = "") -> str:

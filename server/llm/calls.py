@@ -1,12 +1,14 @@
-"""The stored language-model calls of a campaign, and its budget: a resumed campaign neither asks nor pays twice.
+"""The stored language-model calls of a campaign, and what follows from them: its budget and its circuit breaker.
 
-The budget is checked before each request with the most that the request may use. Unless both prices are set, a cost
-is unknown, not 0. Usage that the endpoint does not report counts as the worst case and is marked as an estimate.
+A call is one prompt, with all HTTP requests that it takes; a stored call is neither made nor paid again. The budget
+is checked before each request, with the most that the request may use. Unless both prices are set, a cost is unknown,
+not 0. Usage that the endpoint does not report counts as the worst case and is marked as an estimate.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from enum import StrEnum
 from typing import Final, Protocol
 
@@ -44,40 +46,40 @@ class Spent:
     """What a campaign's calls have used so far.
 
     Attributes:
-        calls: Requests that the endpoint processed or may have processed.
+        requests: HTTP requests sent, whatever became of them.
         tokens: Tokens of prompts and replies.
         estimated_tokens: Those of them that the endpoint did not report.
-        priced: Total cost of the calls whose cost is known.
-        unpriced_calls: Number of calls whose cost is unknown.
+        priced: Total cost of the requests whose cost is known.
+        unpriced: Number of requests whose cost is unknown.
     """
 
-    calls: int = 0
+    requests: int = 0
     tokens: int = 0
     estimated_tokens: int = 0
     priced: float = 0.0
-    unpriced_calls: int = 0
+    unpriced: int = 0
 
     @property
     def cost(self) -> float | None:
         """The total cost, or None if it is unknown."""
-        return None if self.unpriced_calls else self.priced
+        return None if self.unpriced else self.priced
 
-    def plus(self, calls: int, usage: Usage | None, cost: float | None) -> "Spent":
+    def plus(self, requests: int, usage: Usage | None, cost: float | None) -> "Spent":
         """Return the total after some more requests.
 
         Args:
-            calls: Number of requests.
+            requests: Number of requests.
             usage: Their tokens; None if there are none.
             cost: Their cost; None if it is unknown.
         """
         tokens = usage.total if usage is not None else 0
         estimated = usage is not None and usage.estimated
         return Spent(
-            calls=self.calls + calls,
+            requests=self.requests + requests,
             tokens=self.tokens + tokens,
             estimated_tokens=self.estimated_tokens + (tokens if estimated else 0),
             priced=self.priced + (cost or 0.0),
-            unpriced_calls=self.unpriced_calls + (calls if cost is None else 0),
+            unpriced=self.unpriced + (requests if cost is None else 0),
         )
 
     def check_budget(self, settings: LlmSettings, messages: Messages) -> None:
@@ -90,13 +92,13 @@ class Spent:
         Raises:
             OverBudget: It does not; the message names the limit.
         """
-        if self.calls >= settings.max_calls:
-            raise OverBudget(f"all {settings.max_calls} calls of max_calls are used up")
+        if self.requests >= settings.max_calls:
+            raise OverBudget(f"all {settings.max_calls} requests of max_calls are used up")
         worst = worst_usage(settings, messages)
         allowed = settings.max_total_tokens
         if allowed is not None and self.tokens + worst.total > allowed:
             raise OverBudget(
-                f"the next call may take {worst.total} tokens, and {self.tokens} of {allowed} (max_total_tokens) "
+                f"the next request may take {worst.total} tokens, and {self.tokens} of {allowed} (max_total_tokens) "
                 "are spent"
             )
         if settings.max_cost is None:
@@ -104,11 +106,12 @@ class Spent:
         cost, next_cost = self.cost, cost_of(worst, settings)
         if cost is None or next_cost is None:
             raise OverBudget(
-                f"the cost of {self.unpriced_calls} calls is unknown, so max_cost cannot be enforced"
+                f"the cost of {self.unpriced} requests is unknown, so max_cost cannot be enforced"
             )
         if cost + next_cost > settings.max_cost:
             raise OverBudget(
-                f"the next call may cost {next_cost:.4g}, and {cost:.4g} of {settings.max_cost:g} (max_cost) is spent"
+                f"the next request may cost {next_cost:.4g}, and {cost:.4g} of {settings.max_cost:g} (max_cost) is "
+                "spent"
             )
 
 
@@ -118,12 +121,13 @@ class Outcome(StrEnum):
     Attributes:
         SENT: In progress. After a restart, this means that the reply was lost, although it may be billed.
         OK: Some of the reply is usable.
-        TRUNCATED: The reply reached the token limit; its complete solutions are used.
+        TRUNCATED: The reply reached the token limit; its complete solutions are used, and there are some.
         INVALID: None of the reply is usable.
         DECLINED: The model or a content filter declined to answer.
         REFUSED: The endpoint rejected the request permanently, or there is no key.
-        UNAVAILABLE: No attempt got a reply.
-        OVER_BUDGET: Not sent, or not sent again, because a budget does not allow it.
+        UNAVAILABLE: No try got a reply.
+        OVER_BUDGET: Not sent, or not sent again after a coordinator stopped, because a budget does not allow it.
+        CIRCUIT_OPEN: Not sent, because the last calls failed (`Breaker`).
     """
 
     SENT = "sent"
@@ -134,6 +138,7 @@ class Outcome(StrEnum):
     REFUSED = "refused"
     UNAVAILABLE = "unavailable"
     OVER_BUDGET = "over_budget"
+    CIRCUIT_OPEN = "circuit_open"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -159,11 +164,12 @@ class StoredCall:
         mode: How the form of the reply was specified.
         raw: Body of the reply, without the API key; None if there is none.
         outcome: The outcome.
-        calls: Requests that the endpoint processed or may have processed; they count against ``max_calls``.
-        usage: Tokens of these requests; None if there are none.
-        cost: Cost of these requests; None if it is unknown.
+        requests: HTTP requests sent, whatever became of them; they count against ``max_calls``.
+        usage: Tokens of those that the endpoint processed or may have processed; None if there are none.
+        cost: Cost of these tokens; None if it is unknown.
         latency_s: Duration of the successful request; without a reply, time until the call was given up.
-        error: What went wrong; None if nothing did.
+        error: What went wrong, in words; None if nothing did.
+        stored_at: When it was stored, by the clock of the database; None until then.
     """
 
     key: CallKey
@@ -171,11 +177,12 @@ class StoredCall:
     mode: Mode
     raw: str | None = field(repr=False)
     outcome: Outcome
-    calls: int
+    requests: int
     usage: Usage | None
     cost: float | None
     latency_s: float
     error: str | None
+    stored_at: datetime | None = field(default=None, compare=False)
 
 
 class CallLog(Protocol):
@@ -193,10 +200,74 @@ class CallLog(Protocol):
         """Return the totals of all stored calls."""
         ...
 
+    def breaker(self) -> "Breaker":
+        """Return the circuit breaker after all stored calls."""
+        ...
+
 
 def spent_on(calls: Iterable[StoredCall]) -> Spent:
     """Return the totals of calls."""
     spent = Spent()
     for call in calls:
-        spent = spent.plus(call.calls, call.usage, call.cost)
+        spent = spent.plus(call.requests, call.usage, call.cost)
     return spent
+
+
+FAILED_CALLS: Final = 2
+"""The circuit breaker opens after this many failed calls in a row."""
+FIRST_COOL_DOWN_S: Final = 60.0
+LONGEST_COOL_DOWN_S: Final = 3600.0
+"""How long it stays open: doubled after each failed trial, from the first to the longest."""
+_FAILED: Final = frozenset({Outcome.INVALID, Outcome.DECLINED, Outcome.REFUSED, Outcome.UNAVAILABLE})
+_USABLE: Final = frozenset({Outcome.OK, Outcome.TRUNCATED})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Breaker:
+    """The circuit breaker of a campaign, which follows from its stored calls, so that restarts do not reset it.
+
+    Attributes:
+        failed: Failed calls in a row, up to the last call.
+        error: What happened to the last of them.
+        cools_s: Time until the next call is allowed; 0 if it is allowed now.
+    """
+
+    failed: int = 0
+    error: str = ""
+    cools_s: float = 0.0
+
+    @property
+    def on_trial(self) -> bool:
+        """Whether the breaker is open, so that the next call is a trial, which has a single try."""
+        return self.failed >= FAILED_CALLS
+
+    @property
+    def words(self) -> str:
+        """Why no call is made, and until when."""
+        return (
+            f"the circuit breaker is open: {self.failed} failed calls in a row; no call for "
+            f"{math.ceil(self.cools_s)} s; the last one: {self.error}"
+        )
+
+
+def breaker_after(calls: Sequence[StoredCall], now: datetime) -> Breaker:
+    """Return the circuit breaker of a campaign.
+
+    Args:
+        calls: Its stored calls, in order.
+        now: The time by the clock that dated the calls.
+    """
+    failed: list[StoredCall] = []
+    for call in calls:  # those that were not made, or are in progress, say nothing about the endpoint
+        if call.outcome in _USABLE:
+            failed = []
+        elif call.outcome in _FAILED:
+            failed.append(call)
+    if not failed:
+        return Breaker()
+    last, beyond = failed[-1], len(failed) - FAILED_CALLS
+    cools_s = 0.0
+    if beyond >= 0 and last.stored_at is not None:
+        cool_down_s = min(LONGEST_COOL_DOWN_S, FIRST_COOL_DOWN_S * 2.0 ** min(beyond, 32))
+        cools_s = min(cool_down_s, max(0.0, cool_down_s - (now - last.stored_at).total_seconds()))
+    return Breaker(failed=len(failed), error=last.error or last.outcome, cools_s=cools_s)

@@ -8,6 +8,7 @@ import asyncio
 import itertools
 import json
 import logging
+import math
 import os
 import time
 from collections.abc import Awaitable, Callable, Mapping
@@ -28,6 +29,7 @@ from brink.server.llm.protocol import (
     LlmError,
     Messages,
     Mode,
+    OverBudget,
     Reply,
     UnusableReply,
     embedded_status,
@@ -43,6 +45,8 @@ from brink.worker.backoff import Backoff
 
 MAX_REPLY_BYTES: Final = 4 * 1024 * 1024
 CONNECT_TIMEOUT_S: Final = 10.0
+SHORTEST_TRY_S: Final = 1.0
+"""With less time left than this, no try is begun; sooner if the limits themselves are as short."""
 MIN_SECRET_CHARS: Final = 8
 """Shorter keys are placeholders for local servers, such as ``none``; they are not removed from replies."""
 
@@ -56,15 +60,13 @@ class Completion(Reply):
     Attributes:
         latency_s: Time from sending the successful request to the end of its response.
         mode: How the form of the reply was specified.
-        attempts: Requests sent, including those that were rejected or lost.
-        lost: Requests that the endpoint may have processed and billed without delivering a response.
+        effort: The requests sent, including those that were rejected or lost.
         raw: The body, without the key.
     """
 
     latency_s: float
     mode: Mode
-    attempts: int
-    lost: int
+    effort: Effort
     raw: str = field(repr=False)
 
 
@@ -86,12 +88,29 @@ class _FormRefused(Exception):
         self.error = error
 
 
-BeforeRequest = Callable[[int], None]
-"""Called before each request with the number of lost requests; raises OverBudget to prevent the request."""
+BeforeRequest = Callable[[Effort], None]
+"""Called before each request with the requests so far; raises OverBudget to prevent the request."""
 
 
-def _allow_all(lost: int) -> None:
+def _allow_all(effort: Effort) -> None:
     """Allow every request."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Call:
+    """How far a call may go, and how far it has come.
+
+    Attributes:
+        tries: Maximum number of tries with one form of the reply.
+        deadline_s: Time on the client's clock at which the call is given up.
+        before_request: Called before each request.
+        effort: The requests so far.
+    """
+
+    tries: int
+    deadline_s: float
+    before_request: BeforeRequest
+    effort: Effort = field(default_factory=Effort)
 
 
 def api_key(settings: LlmSettings, environ: Mapping[str, str] | None = None) -> SecretStr | None:
@@ -148,7 +167,7 @@ class LlmClient:
         self._backoff = backoff or Backoff(first_s=1.0, cap_s=30.0)
         self._pause = pause
         self._rng = rng or Random()
-        self._clock = clock
+        self.clock = clock
         self._now = now
         # Compressed bodies are not accepted: the size limit could not be enforced while reading them.
         self._http = httpx.AsyncClient(
@@ -181,6 +200,8 @@ class LlmClient:
         schema: JsonObject,
         *,
         mode: Mode | None = None,
+        tries: int | None = None,
+        deadline_s: float = math.inf,
         before_request: BeforeRequest = _allow_all,
     ) -> Completion:
         """Send a prompt and return the reply.
@@ -189,20 +210,26 @@ class LlmClient:
             messages: The prompt, which must also describe the form of the reply.
             schema: JSON schema of the reply.
             mode: The only form to try; by default the current one, then looser ones.
+            tries: Maximum number of tries; by default one more than the settings' ``retries``.
+            deadline_s: Time on the client's clock at which the call is given up, whatever it is waiting for.
             before_request: Called before each request.
 
         Raises:
-            EndpointUnavailable: All tries failed, or the endpoint requested a longer pause than allowed.
+            EndpointUnavailable: A try failed, and no other is left or allowed; the message says why.
             LlmFinal: Repeating the call would fail again; the subclass gives the reason.
-            OverBudget: Raised by ``before_request``.
+            OverBudget: Raised by ``before_request``, or too little time is left, before any try failed.
         """
         api_key(self.settings, self._environ)
-        began, effort = self._clock(), Effort()
+        began = self.clock()
+        call = _Call(
+            tries=self.settings.retries + 1 if tries is None else tries, deadline_s=deadline_s,
+            before_request=before_request,
+        )  # fmt: skip
         try:
-            return await self._complete(messages, schema, mode, before_request, effort)
+            return await self._complete(messages, schema, mode, call)
         except LlmError as error:
-            effort.elapsed_s = self._clock() - began
-            error.effort = effort
+            call.effort.elapsed_s = self.clock() - began
+            error.effort = call.effort
             raise
 
     async def models(self) -> tuple[str, ...] | None:
@@ -212,7 +239,7 @@ class LlmClient:
             EndpointUnavailable: It does not respond.
             LlmFinal: It rejects the request.
         """
-        answer = await self._exchange("GET", "/models", None)
+        answer = await self._exchange("GET", "/models", None, self.settings.timeout_s)
         if answer.status in (404, 405, 501):
             return None
         if not httpx.codes.is_success(answer.status):
@@ -220,72 +247,103 @@ class LlmClient:
         return parse_models(answer.raw)
 
     async def _complete(
-        self,
-        messages: Messages,
-        schema: JsonObject,
-        only: Mode | None,
-        before_request: BeforeRequest,
-        effort: Effort,
+        self, messages: Messages, schema: JsonObject, only: Mode | None, call: _Call
     ) -> Completion:
         mode = only or self._mode
         while True:
             body = request_body(self.settings, messages, mode, schema)
             try:
-                answer = await self._retry(body, mode, before_request, effort)
+                answer = await self._retry(body, mode, call)
             except _FormRefused as refused:
                 looser = mode.looser if only is None else None
                 if looser is None:
                     raise refused.error from None
+                call.effort.failures.append(f"{mode} refused")
                 _LOG.info("%s does not accept %s; trying %s", self.settings.endpoint, mode, looser)
                 mode = looser
                 continue
             try:
                 reply = read_reply(answer.raw)
             except UnusableReply:
-                effort.lost += 1
+                call.effort.lost += 1
                 raise
             if only is None:
                 self._mode, self._proven = mode, True
             return Completion(
                 **{one.name: getattr(reply, one.name) for one in fields(reply)},
-                latency_s=answer.latency_s, mode=mode, attempts=effort.requests, lost=effort.lost, raw=answer.raw,
+                latency_s=answer.latency_s, mode=mode, effort=call.effort, raw=answer.raw,
             )  # fmt: skip
 
-    async def _retry(
-        self, body: JsonObject, mode: Mode, before_request: BeforeRequest, effort: Effort
-    ) -> _Answer:
+    async def _retry(self, body: JsonObject, mode: Mode, call: _Call) -> _Answer:
         """Send a request until it succeeds or fails for good."""
+        effort, detail = call.effort, ""
         for failures in itertools.count(1):
-            before_request(effort.lost)
+            try:
+                limit_s = self._time_for_a_try(call)
+                call.before_request(effort)
+            except OverBudget as error:
+                if not effort.failures:
+                    raise
+                raise self._gave_up(effort, detail, f"no other try: {error}") from error
             effort.requests += 1
             try:
-                return await self._attempt(body, mode, effort)
+                return await self._attempt(body, mode, effort, limit_s)
             except EndpointUnavailable as error:
-                pause_s = self._pause_after(error, failures)
+                effort.failures.append(error.what)
+                detail = error.detail
+                pause_s = self._pause_after(error, failures, call)
                 _LOG.info("language model: %s; trying again in %.1f s", error, pause_s)
             await self._pause(pause_s)
         raise AssertionError("unreachable: the count does not end")
 
-    def _pause_after(self, error: EndpointUnavailable, failures: int) -> float:
+    def _gave_up(self, effort: Effort, detail: str, reason: str) -> EndpointUnavailable:
+        """Return the error of a call that is given up after failed tries."""
+        what = f"{effort.words}: {detail}" if detail else effort.words
+        return EndpointUnavailable(self.settings.endpoint, f"{what}; {reason}" if reason else what)
+
+    def _time_for_a_try(self, call: _Call) -> float:
+        """Return the maximum duration of the next try, in seconds.
+
+        Raises:
+            OverBudget: Too little time is left for a try that could succeed.
+        """
+        left_s = call.deadline_s - self.clock()
+        if left_s < self._shortest_try_s:
+            raise OverBudget(self._time_is_up)
+        return min(self.settings.timeout_s, left_s)
+
+    @property
+    def _shortest_try_s(self) -> float:
+        return min(SHORTEST_TRY_S, self.settings.timeout_s, 0.1 * self.settings.delay_limit_s)
+
+    @property
+    def _time_is_up(self) -> str:
+        return f"the time for this request is up (max_delay_s, {self.settings.delay_limit_s:g} s)"
+
+    def _pause_after(self, error: EndpointUnavailable, failures: int, call: _Call) -> float:
         """Return the pause before the next try, in seconds.
 
         Raises:
-            EndpointUnavailable: No retries are left, or the requested pause is too long.
+            EndpointUnavailable: No other try is allowed; the message says what happened, and why.
         """
-        limit_s = self.settings.max_wait_s
-        if failures > self.settings.retries:
-            tries = "1 try" if failures == 1 else f"{failures} tries"
-            raise EndpointUnavailable(f"{error}; gave up after {tries}") from error
-        asked_s = error.retry_after_s
-        if asked_s is not None and asked_s > limit_s:
-            raise EndpointUnavailable(
-                f"{error}; it asks for a pause of {asked_s:.0f} s, longer than max_wait_s ({limit_s:g} s)"
-            ) from error
-        return asked_s or min(self._backoff.delay_s(failures, self._rng), limit_s)
+        settings, asked_s = self.settings, error.retry_after_s
+        pause_s = asked_s or min(self._backoff.delay_s(failures, self._rng), settings.max_wait_s)
+        if failures >= call.tries:
+            reason = ""
+        elif asked_s is not None and asked_s > settings.max_wait_s:
+            reason = (
+                f"it asks for a pause of {asked_s:.0f} s, longer than max_wait_s ({settings.max_wait_s:g} s)"
+            )
+        elif self.clock() + pause_s + self._shortest_try_s > call.deadline_s:
+            asks = f"it asks for a pause of {asked_s:.0f} s, but " if asked_s else ""
+            reason = f"{asks}{self._time_is_up}"
+        else:
+            return pause_s
+        raise self._gave_up(call.effort, error.detail, reason) from error
 
-    async def _attempt(self, body: JsonObject, mode: Mode, effort: Effort) -> _Answer:
+    async def _attempt(self, body: JsonObject, mode: Mode, effort: Effort, limit_s: float) -> _Answer:
         try:
-            answer = await self._exchange("POST", "/chat/completions", body)
+            answer = await self._exchange("POST", "/chat/completions", body, limit_s)
         except EndpointUnavailable as unavailable:
             effort.lost += unavailable.lost
             raise
@@ -303,7 +361,7 @@ class LlmClient:
     def _error(self, answer: _Answer) -> LlmError:
         return error_from(answer.status, answer.headers, answer.raw, self.settings, self._now())
 
-    async def _exchange(self, method: str, path: str, body: JsonObject | None) -> _Answer:
+    async def _exchange(self, method: str, path: str, body: JsonObject | None, limit_s: float) -> _Answer:
         """Send one request and read the response, within the limits of time and size."""
         settings = self.settings
         key = api_key(settings, self._environ)
@@ -315,9 +373,9 @@ class LlmClient:
             headers["Content-Type"] = "application/json"
             content = json.dumps(body).encode()
         request = self._http.build_request(method, settings.endpoint + path, content=content, headers=headers)
-        began = self._clock()
+        began = self.clock()
         try:
-            async with asyncio.timeout(settings.timeout_s):
+            async with asyncio.timeout(limit_s):
                 response = await self._http.send(request, stream=True)
                 try:
                     raw = sanitize(await _bounded_body(response), secrets)
@@ -325,16 +383,18 @@ class LlmClient:
                     await response.aclose()
         except (TimeoutError, httpx.TimeoutException) as error:
             lost = not isinstance(error, httpx.ConnectTimeout | httpx.PoolTimeout)
-            message = f"{settings.endpoint}: no answer within {settings.timeout_s:g} s"
-            raise EndpointUnavailable(message, lost=lost) from None
+            waited_s = limit_s if lost else min(CONNECT_TIMEOUT_S, limit_s)
+            what = f"{'timed out' if lost else 'no connection'} after {round(waited_s, 2):g} s"
+            raise EndpointUnavailable(settings.endpoint, what, lost=lost) from None
         except httpx.TransportError as error:
             reason = sanitize(str(error).encode(), secrets) or type(error).__name__
             lost = not isinstance(error, httpx.ConnectError)
-            raise EndpointUnavailable(f"{settings.endpoint}: no answer ({reason})", lost=lost) from None
+            what = "connection broken" if lost else "no connection"
+            raise EndpointUnavailable(settings.endpoint, what, reason, lost=lost) from None
         status = response.status_code
         if httpx.codes.is_success(status):
             status = embedded_status(raw) or status
-        return _Answer(status, response.headers, raw, self._clock() - began)
+        return _Answer(status, response.headers, raw, self.clock() - began)
 
 
 async def _bounded_body(response: httpx.Response) -> bytes:

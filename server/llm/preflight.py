@@ -20,7 +20,7 @@ from brink.server.llm.protocol import (
     Mode,
     Usage,
 )
-from brink.server.llm.replies import SCHEMA, RoadChecker, parse, to_text
+from brink.server.llm.replies import SCHEMA, RoadChecker, parse, pointed, to_text
 from brink.server.llm.settings import LlmSettings
 
 _PARTICIPANTS: Final = 2
@@ -122,7 +122,7 @@ async def _try_mode(client: LlmClient, messages: Messages, mode: Mode, road: Roa
         usage_stated=completion.usage is not None,
         finish_reason=completion.finish_reason,
         latency_s=completion.latency_s,
-        trouble=None if parsed.solutions else "; ".join(map(str, parsed.errors[:3])),
+        trouble=None if parsed.solutions else "; ".join(map(pointed, parsed.errors[:3])),
     )
 
 

@@ -34,7 +34,7 @@ from brink.search.traffic.participants import (
 )
 from brink.server.errors import FieldError
 from brink.server.llm.protocol import Message, Messages
-from brink.server.llm.replies import SCHEMA, apart_m, kept_clear_m, to_text
+from brink.server.llm.replies import SCHEMA, apart_m, kept_clear_m, pointed, to_text
 
 MAX_SHOWN: Final = 10
 """Maximum number of known solutions of each kind in a prompt."""
@@ -99,7 +99,7 @@ def repair(
         errors: The errors of the other items.
         count: Number of solutions still wanted.
     """
-    lines = [f"- {error.pointer or '/'}: {error.message}" for error in errors[:MAX_ERRORS]]
+    lines = [f"- {pointed(error)}" for error in errors[:MAX_ERRORS]]
     if len(errors) > MAX_ERRORS:
         lines.append(f"- and {len(errors) - MAX_ERRORS} more")
     text = "\n".join(

@@ -8,7 +8,7 @@ ServerError
 │   ├── EndpointUnavailable      retryable: no response, timeout, broken connection, 408, 409, 425, 429, 5xx
 │   └── LlmFinal                 repeating the call would fail again
 │       ├── KeyMissing           the environment variable with the API key is not set
-│       ├── OverBudget           a budget does not allow another request
+│       ├── OverBudget           a budget, or the time for a request for seeds, does not allow another request
 │       ├── UnusableReply        2xx, but not a chat completion, or too large
 │       └── Refused              the endpoint rejected the request
 │           ├── AccessRefused    401, 402, 403, or a 429 that reports exhausted credit
@@ -22,10 +22,11 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from enum import StrEnum
+from itertools import groupby
 from typing import Any, Final, Literal, TypeAlias
 
 from brink.server.errors import ServerError
@@ -61,11 +62,19 @@ class Effort:
         requests: HTTP requests sent.
         lost: Those of them that the endpoint may have processed and billed without delivering a usable reply.
         elapsed_s: Time from the first request to the end, including pauses.
+        failures: What happened to the requests after which another one could be tried, oldest first.
     """
 
     requests: int = 0
     lost: int = 0
     elapsed_s: float = 0.0
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def words(self) -> str:
+        """The failures in words, such as ``HTTP 500 (2 tries), then timed out after 25 s (1 try)``."""
+        runs = [(what, len(list(same))) for what, same in groupby(self.failures)]
+        return ", then ".join(f"{what} ({count} {'try' if count == 1 else 'tries'})" for what, count in runs)
 
 
 class LlmError(ServerError):
@@ -84,12 +93,24 @@ class EndpointUnavailable(LlmError):
     """The endpoint did not respond, or asked the client to retry later.
 
     Attributes:
+        what: What happened, in a few words, such as ``HTTP 500``.
+        detail: What the endpoint or the system says about it; may be empty.
         retry_after_s: Requested pause, or None.
         lost: Whether the endpoint may have processed the request.
     """
 
-    def __init__(self, message: str, *, retry_after_s: float | None = None, lost: bool = False) -> None:
-        super().__init__(message)
+    def __init__(
+        self,
+        endpoint: str,
+        what: str,
+        detail: str = "",
+        *,
+        retry_after_s: float | None = None,
+        lost: bool = False,
+    ) -> None:
+        super().__init__(f"{endpoint}: {what}{f': {detail}' if detail else ''}")
+        self.what = what
+        self.detail = detail
         self.retry_after_s = retry_after_s
         self.lost = lost
 
@@ -103,7 +124,7 @@ class KeyMissing(LlmFinal):
 
 
 class OverBudget(LlmFinal):
-    """A budget does not allow another request."""
+    """A budget, or the time for a request for seeds, does not allow another request."""
 
 
 class UnusableReply(LlmFinal):
@@ -456,11 +477,12 @@ def error_from(
         now: Current time, to which a Retry-After date is relative.
     """
     text = error_text(raw)
-    message = f"{settings.endpoint} returned {status}: {text}"
+    message = f"{settings.endpoint}: HTTP {status}: {text}"
     if status == 402 or (status == 429 and _NO_CREDIT.search(raw)):
         return AccessRefused(f"{message}. There is no credit left")
     if status in _RETRYABLE or (status >= 500 and status != _NOT_IMPLEMENTED):
-        return EndpointUnavailable(message, retry_after_s=parse_retry_after(headers, now))
+        pause_s = parse_retry_after(headers, now)
+        return EndpointUnavailable(settings.endpoint, f"HTTP {status}", text, retry_after_s=pause_s)
     if status in (401, 403):
         key = settings.api_key_env
         advice = f"Check the key in {key}" if key else "Name the variable with the key in api_key_env"

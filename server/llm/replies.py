@@ -5,8 +5,9 @@ truncated list the complete items are used. Each item is checked for shape, rang
 on the road by the search's own repair. A solution that repair would change noticeably is physically impossible, and
 is rejected rather than turned into a different one.
 
-Error messages become part of repair prompts. They quote numbers but never text that a model wrote, and their wording
-must not change: stored calls are found by the hash of their prompt.
+Error messages become part of repair prompts. A number out of range is quoted with its range and by how much it is
+beyond; text that a model wrote is never quoted. The wording must not change: stored calls are found by the hash of
+their prompt.
 """
 
 import itertools
@@ -129,6 +130,7 @@ def _of(choices: type[StrEnum]) -> str:
     return f"{', '.join(first)} or {last}"
 
 
+_UNITS: Final[Mapping[str, str]] = {"ds_m": "m", "dd_m": "m", "speed_mps": "m/s", "duration_s": "s"}
 _EXPECTED: Final[Mapping[str, str]] = {
     "participants": "a list of participants",
     "kind": _of(Kind),
@@ -141,6 +143,11 @@ _EXPECTED: Final[Mapping[str, str]] = {
     "duration_s": f"a number from {MIN_DURATION_S:g} to {MAX_DURATION_S:g} (s)",
     "magnitude": "a finite number",
 }
+
+
+def pointed(error: FieldError) -> str:
+    """Return an error of a reply on one line, with a JSON pointer into the reply."""
+    return f"{error.pointer or '/'}: {error.message}"
 
 
 def _to_json(solution: Solution) -> dict[str, Any]:
@@ -180,7 +187,7 @@ def _read(item: object, max_participants: int, pointer: str) -> Solution | list[
     listed = item.get("participants") if isinstance(item, dict) else None
     count = len(listed) if isinstance(listed, list) else 0
     if count > max_participants:
-        message = f"expected 1 to {max_participants}, got {count}"
+        message = f"expected 1 to {max_participants}, got {count}: {count - max_participants} too many"
         return [FieldError(pointer=f"{pointer}/participants", message=message)]
     try:
         form = _SolutionForm.model_validate(item)
@@ -203,13 +210,33 @@ def _field_error(error: Any, pointer: str) -> FieldError:
     expected = _EXPECTED[names[-1]] if names else 'an object with "participants"'
     if location and isinstance(location[-1], int):
         expected = f"an object, one of {expected}"
-    value = error["input"]
     message = f"expected {expected}"
     if error["type"] == "missing":
         message = f"missing; {message}"
-    elif type(value) in (int, float) and math.isfinite(value):
-        message = f"{message}, got {value:g}"
+    elif got := _got(error, _UNITS.get(names[-1], "") if names else ""):
+        message = f"{message}, got {got}"
     return FieldError(pointer=pointer + "".join(f"/{part}" for part in location), message=message)
+
+
+def _got(error: Any, unit: str) -> str:
+    """Return the number that a validation error is about, and its excess; empty if it is about no number."""
+    value, limits = error["input"], error.get("ctx", {})
+    if isinstance(value, list):
+        low, high = limits.get("min_length"), limits.get("max_length")
+        if high is not None:
+            return f"{len(value)}: {len(value) - high} too many"
+        return f"{len(value)}: {low - len(value)} too few" if low is not None else ""
+    if type(value) not in (int, float):
+        return ""
+    if not math.isfinite(value):
+        return "a number that is not finite"
+    return _out_of_range(value, limits.get("ge", value), limits.get("le", value), unit)
+
+
+def _out_of_range(value: float, low: float, high: float, unit: str) -> str:
+    """Return a number, and by how much it is out of a range, in words."""
+    excess, way = (low - value, "small") if value < low else (value - high, "large")
+    return f"{value:g}: {f'{excess:g} {unit}'.strip()} too {way}" if excess > 0 else f"{value:g}"
 
 
 def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
@@ -217,7 +244,8 @@ def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
     errors = []
     fastest = MAX_SPEEDS_MPS[one.kind]
     if one.speed_mps > fastest:
-        message = f"expected a {one.kind} to go at {fastest:g} m/s at most, got {one.speed_mps:g}"
+        got = _out_of_range(one.speed_mps, 0.0, fastest, "m/s")
+        message = f"expected a {one.kind} to go at {fastest:g} m/s at most, got {got}"
         errors.append(FieldError(pointer=f"{pointer}/speed_mps", message=message))
     on_foot = one.kind is Kind.PEDESTRIAN
     fitting = PEDESTRIAN_ACTIONS if on_foot else VEHICLE_ACTIONS
@@ -231,10 +259,8 @@ def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
             message = f"expected an action of a {one.kind}: {', '.join(fitting)}; got {step.action}"
             errors.append(FieldError(pointer=f"{here}/action", message=message))
         elif room.unit and not room.low <= step.magnitude <= room.high:
-            message = (
-                f"expected {room.low:g} to {room.high:g} {room.unit} for {step.action}, "
-                f"got {step.magnitude:g}"
-            )
+            got = _out_of_range(step.magnitude, room.low, room.high, room.unit)
+            message = f"expected {room.low:g} to {room.high:g} {room.unit} for {step.action}, got {got}"
             errors.append(FieldError(pointer=f"{here}/magnitude", message=message))
     return errors
 
@@ -327,13 +353,15 @@ class RoadChecker:
     def _moved(self, wanted: Participant, got: Participant, pointer: str) -> FieldError | None:
         heading = heading_of(got.dyaw_rad)
         along_m, aside_m = got.ds_m - wanted.ds_m, got.dd_m - wanted.dd_m
+        away_m = math.hypot(along_m, aside_m)
         nearest = (
             f"the nearest start for this {wanted.kind} is ds_m {got.ds_m:.1f}, dd_m {got.dd_m:.1f}, {heading}"
+            f"{f': {away_m:.1f} m away' if away_m >= 0.05 else ''}"
         )
         if heading is not heading_of(wanted.dyaw_rad):
             message = f"physically impossible: {self._why_heading(wanted)}; {nearest}"
             return FieldError(pointer=f"{pointer}/heading", message=message)
-        if math.hypot(along_m, aside_m) > TOLERANCE_M:
+        if away_m > TOLERANCE_M:
             name = "ds_m" if abs(along_m) >= abs(aside_m) else "dd_m"
             message = f"physically impossible: {self._why_start(wanted)}; {nearest}"
             return FieldError(pointer=f"{pointer}/{name}", message=message)

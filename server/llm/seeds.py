@@ -1,6 +1,7 @@
 """Seeds from language models: prompts, repair turns, and background threads that make the calls.
 
-`ask` makes one call and at most one repair turn. It always returns: with fewer proposals, or none, and the reason.
+`ask` makes one call and at most one repair turn, within a bounded time. It always returns: with fewer proposals, or
+none, and the reason.
 
 A campaign waits for its seeds without blocking anything else. One coordinator at a time asks for them. A reply is
 stored before it is used, so a repeated request gives the same seeds: a coordinator that takes over reads the stored
@@ -11,13 +12,14 @@ import asyncio
 import contextlib
 import functools
 import logging
+import operator
 import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypedDict
 
 from sqlalchemy.exc import DBAPIError
 
@@ -26,21 +28,23 @@ from brink.search.traffic.participants import RoadLimits, Solution
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
 from brink.server.errors import FieldError, Unavailable
-from brink.server.llm.calls import CallKey, CallLog, Outcome, StoredCall, cost_of, worst_usage
+from brink.server.llm.calls import Breaker, CallKey, CallLog, Outcome, StoredCall, cost_of, worst_usage
 from brink.server.llm.client import LlmClient
 from brink.server.llm.prompts import question, repair
 from brink.server.llm.protocol import (
     CallLogMismatch,
+    Effort,
     EndpointUnavailable,
     LlmError,
     Messages,
     Mode,
     OverBudget,
     UnusableReply,
+    Usage,
     prompt_hash,
     read_reply,
 )
-from brink.server.llm.replies import SCHEMA, Parsed, RoadChecker, parse
+from brink.server.llm.replies import SCHEMA, Parsed, RoadChecker, parse, pointed
 from brink.server.llm.settings import LlmSettings
 from brink.server.llm.store import CampaignCalls, claim, release
 from brink.server.problems.base import Problem, SupportsSeeds
@@ -94,7 +98,8 @@ async def ask(
     Raises:
         CallLogMismatch: A stored call of this request was made with a different prompt.
     """
-    turns = _Turns(request.number, RoadChecker(road, max_participants), log, client)
+    deadline_s = client.clock() + client.settings.delay_limit_s
+    turns = _Turns(request.number, RoadChecker(road, max_participants), log, client, deadline_s)
     asked = question(request, road, max_participants, system)
     first = await turns.take(asked, request.count)
     found = first.parsed.solutions
@@ -111,6 +116,46 @@ async def ask(
     )
 
 
+class _Used(TypedDict):
+    """Usage and cost of a call."""
+
+    usage: Usage | None
+    cost: float | None
+
+
+class _Bill:
+    """What a call uses and costs.
+
+    Args:
+        settings: The prices, and the longest reply.
+        messages: The prompt.
+        earlier: Tokens of requests that were lost when a coordinator stopped.
+
+    Attributes:
+        messages: The prompt.
+        worst: The most that one request may use.
+    """
+
+    def __init__(self, settings: LlmSettings, messages: Messages, earlier: Usage | None) -> None:
+        self.messages = messages
+        self.worst = worst_usage(settings, messages)
+        self._settings = settings
+        self._earlier = earlier
+
+    def of(self, *, lost: int, reply: Usage | None = None) -> _Used:
+        """Return the usage and the cost of a call.
+
+        Args:
+            lost: Requests that the endpoint may have processed without delivering a usable reply.
+            reply: Tokens of the reply; None without one.
+        """
+        parts = [
+            part for part in (reply, self.worst * lost if lost else None, self._earlier) if part is not None
+        ]
+        usage = functools.reduce(operator.add, parts) if parts else None
+        return _Used(usage=usage, cost=cost_of(usage, self._settings) if usage is not None else 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class _Turn:
     """A call and its parsed reply."""
@@ -120,13 +165,24 @@ class _Turn:
 
 
 class _Turns:
-    """Makes the calls of one request, or finds them in the log."""
+    """Makes the calls of one request, or finds them in the log.
 
-    def __init__(self, number: int, road: RoadChecker, log: CallLog, client: LlmClient) -> None:
+    Args:
+        number: Number of the request.
+        road: Checks that solutions are possible.
+        log: The calls of the campaign.
+        client: The endpoint.
+        deadline_s: Time on the client's clock until which calls may take.
+    """
+
+    def __init__(
+        self, number: int, road: RoadChecker, log: CallLog, client: LlmClient, deadline_s: float
+    ) -> None:
         self._number = number
         self._road = road
         self._log = log
         self._client = client
+        self._deadline_s = deadline_s
         self._turn = 0
 
     async def take(self, messages: Messages, wanted: int, known: Sequence[Solution] = ()) -> _Turn:
@@ -150,12 +206,17 @@ class _Turns:
                 "Brink or for another campaign: continue with that version, or start the campaign again"
             )
         if call is None or call.outcome is Outcome.SENT:
-            call = await self._make_call(key, messages, wanted, known, earlier=call.calls if call else 0)
+            call = await self._make_call(key, messages, wanted, known, call)
             self._log.store(call)
         return _Turn(call, self._parse(call.raw, wanted, known)[0])
 
     async def _make_call(
-        self, key: CallKey, messages: Messages, wanted: int, known: Sequence[Solution], *, earlier: int
+        self,
+        key: CallKey,
+        messages: Messages,
+        wanted: int,
+        known: Sequence[Solution],
+        stopped: StoredCall | None,
     ) -> StoredCall:
         """Make a call, storing each request with its worst-case usage before it is sent, in case the process stops.
 
@@ -164,44 +225,63 @@ class _Turns:
             messages: The prompt.
             wanted: Number of solutions.
             known: Solutions that were accepted already.
+            stopped: The same call as a coordinator stored it that stopped before the reply; None if there was none.
+        """
+        settings, breaker = self._client.settings, self._log.breaker()
+        earlier = stopped.requests if stopped is not None else 0
+        bill = _Bill(settings, messages, None if stopped is None else stopped.usage)
+        stored = functools.partial(StoredCall, key=key, prompt_hash=prompt_hash(messages))
+        if breaker.cools_s > 0:
+            return stored(
+                mode=self._client.mode, raw=None, outcome=Outcome.CIRCUIT_OPEN, requests=earlier,
+                **bill.of(lost=0), latency_s=0.0, error=breaker.words[:_ERROR_CHARS],
+            )  # fmt: skip
+        before_request = self._store_before(stored, bill, earlier)
+        try:
+            completion = await self._client.complete(
+                messages, SCHEMA, tries=1 if breaker.on_trial else max(1, settings.retries + 1 - earlier),
+                deadline_s=self._deadline_s, before_request=before_request,
+            )  # fmt: skip
+        except LlmError as error:
+            effort = error.effort
+            return stored(
+                mode=self._client.mode, raw=error.raw if isinstance(error, UnusableReply) else None,
+                outcome=_outcome_of(error), requests=earlier + effort.requests, **bill.of(lost=effort.lost),
+                latency_s=effort.elapsed_s, error=_failure_words(error, breaker, earlier),
+            )  # fmt: skip
+        effort = completion.effort
+        _, outcome, trouble = self._parse(completion.raw, wanted, known)
+        return stored(
+            mode=completion.mode, raw=completion.raw, outcome=outcome, requests=earlier + effort.requests,
+            **bill.of(lost=effort.lost, reply=completion.usage or bill.worst), latency_s=completion.latency_s,
+            error=_join(_stopped_words(earlier), effort.words and f"before the reply: {effort.words}", trouble),
+        )  # fmt: skip
+
+    def _store_before(
+        self, stored: Callable[..., StoredCall], bill: _Bill, earlier: int
+    ) -> Callable[[Effort], None]:
+        """Return what checks the budget and stores a call before each of its requests.
+
+        Args:
+            stored: Makes the call as it is stored.
+            bill: What the call costs.
             earlier: Requests of this call that were lost when a coordinator stopped.
         """
-        settings, spent = self._client.settings, self._log.spent()
-        worst, mode = worst_usage(settings, messages), self._client.mode
-        stored = functools.partial(StoredCall, key=key, prompt_hash=prompt_hash(messages))
+        settings, mode, spent = self._client.settings, self._client.mode, self._log.spent()
 
-        def before_request(lost: int) -> None:
-            used = worst * lost
-            spent.plus(lost, used, cost_of(used, settings)).check_budget(settings, messages)
-            possible = worst * (earlier + lost + 1)
+        def before_request(effort: Effort) -> None:
+            used = bill.worst * effort.lost
+            sent = spent.plus(effort.requests, used, cost_of(used, settings))
+            sent.check_budget(settings, bill.messages)
             self._log.store(
                 stored(
-                    mode=mode, raw=None, outcome=Outcome.SENT, calls=earlier + lost + 1, usage=possible,
-                    cost=cost_of(possible, settings), latency_s=0.0,
+                    mode=mode, raw=None, outcome=Outcome.SENT, requests=earlier + effort.requests + 1,
+                    **bill.of(lost=effort.lost + 1), latency_s=0.0,
                     error="in progress, or lost when a coordinator stopped",
                 )
             )  # fmt: skip
 
-        try:
-            completion = await self._client.complete(messages, SCHEMA, before_request=before_request)
-        except LlmError as error:
-            lost = earlier + error.effort.lost
-            used = worst * lost
-            return stored(
-                mode=mode, raw=error.raw if isinstance(error, UnusableReply) else None,
-                outcome=_outcome_of(error), calls=lost, usage=used if lost else None,
-                cost=cost_of(used, settings) if lost else 0.0, latency_s=error.effort.elapsed_s,
-                error=str(error)[:_ERROR_CHARS],
-            )  # fmt: skip
-        lost = earlier + completion.lost
-        usage = completion.usage or worst
-        if lost:
-            usage += worst * lost
-        _, outcome, trouble = self._parse(completion.raw, wanted, known)
-        return stored(
-            mode=completion.mode, raw=completion.raw, outcome=outcome, calls=lost + 1, usage=usage,
-            cost=cost_of(usage, settings), latency_s=completion.latency_s, error=trouble,
-        )  # fmt: skip
+        return before_request
 
     def _parse(
         self, raw: str | None, wanted: int, known: Sequence[Solution]
@@ -218,7 +298,9 @@ class _Turns:
             return parsed, Outcome.DECLINED, "the model or a content filter declined to answer"
         trouble = _join_errors(parsed.errors)
         if reply.truncated:
-            return parsed, Outcome.TRUNCATED, trouble
+            limit = f"the reply reached max_tokens ({self._client.settings.max_tokens})"
+            outcome = Outcome.TRUNCATED if parsed.solutions else Outcome.INVALID
+            return parsed, outcome, _join(limit, trouble)
         return parsed, Outcome.OK if parsed.solutions else Outcome.INVALID, trouble
 
 
@@ -234,12 +316,31 @@ def _outcome_of(error: LlmError) -> Outcome:
             return Outcome.REFUSED
 
 
+def _failure_words(error: LlmError, breaker: Breaker, earlier: int) -> str | None:
+    """Say what happened to a call without a reply, and, if it was not made, to the last one before it."""
+    before = (
+        f"the last call failed: {breaker.error}" if breaker.failed and isinstance(error, OverBudget) else None
+    )
+    return _join(_stopped_words(earlier), str(error), before)
+
+
 def _join_errors(errors: Sequence[FieldError]) -> str | None:
     if not errors:
         return None
     more = len(errors) - _ERRORS_SHOWN
-    text = "; ".join(map(str, errors[:_ERRORS_SHOWN])) + (f"; and {more} more" if more > 0 else "")
+    text = "; ".join(map(pointed, errors[:_ERRORS_SHOWN])) + (f"; and {more} more" if more > 0 else "")
     return text[:_ERROR_CHARS]
+
+
+def _join(*parts: str | None) -> str | None:
+    """Return the parts that there are as one text of bounded length; None if there are none."""
+    return "; ".join(part for part in parts if part)[:_ERROR_CHARS] or None
+
+
+def _stopped_words(lost: int) -> str | None:
+    if not lost:
+        return None
+    return f"{lost} {'request' if lost == 1 else 'requests'} lost when a coordinator stopped"
 
 
 def _summary(count: int, first: _Turn, second: _Turn | None) -> str:
@@ -248,7 +349,7 @@ def _summary(count: int, first: _Turn, second: _Turn | None) -> str:
     match call.outcome:
         case Outcome.UNAVAILABLE | Outcome.REFUSED:
             return f"language model unavailable: {call.error}"
-        case Outcome.OVER_BUDGET:
+        case Outcome.OVER_BUDGET | Outcome.CIRCUIT_OPEN:
             return f"language model not asked: {call.error}"
         case Outcome.DECLINED:
             return f"language model: 0 of {count} usable ({call.error})"
@@ -419,5 +520,6 @@ class LlmSeeds:
                 log=calls, client=client,
             )  # fmt: skip
         level = logging.INFO if answer.proposals else logging.WARNING
-        log.log(level, "%s", answer.words, extra={"campaign": campaign_id})
+        patterns = "" if answer.proposals else "; hand-written patterns take their place"
+        log.log(level, "%s%s", answer.words, patterns, extra={"campaign": campaign_id})
         return answer.proposals

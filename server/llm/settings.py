@@ -103,8 +103,23 @@ class LlmSettings(BaseModel):
     max_wait_s: Annotated[
         float, Field(ge=0, le=3600, description="Maximum pause between attempts, including Retry-After.")
     ] = 120.0
+    max_delay_s: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            le=86_400,
+            exclude_if=lambda given: given is None,  # the hashes of older submissions stay valid
+            description="Maximum delay of a campaign by one request for seeds: all tries, pauses and the repair turn "
+            "together. By default twice timeout_s, at least 60 s.",
+        ),
+    ] = None
     max_calls: Annotated[
-        int, Field(ge=1, le=1_000_000, description="Maximum number of calls for a campaign.")
+        int,
+        Field(
+            ge=1,
+            le=1_000_000,
+            description="Maximum number of HTTP requests for a campaign, whatever becomes of them.",
+        ),
     ] = 50
     max_total_tokens: Annotated[
         int | None,
@@ -146,6 +161,11 @@ class LlmSettings(BaseModel):
                 "max_cost",
             )
         return self
+
+    @property
+    def delay_limit_s(self) -> float:
+        """Maximum delay of a campaign by one request for seeds."""
+        return max(60.0, 2 * self.timeout_s) if self.max_delay_s is None else self.max_delay_s
 
     @property
     def on_this_machine(self) -> bool:

@@ -13,7 +13,7 @@ from brink.server.db.models import LlmCallRow, SeedClaimRow
 from brink.server.db.sql import database_now, lock_campaign
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
-from brink.server.llm.calls import CallKey, Outcome, Spent, StoredCall, spent_on
+from brink.server.llm.calls import Breaker, CallKey, Outcome, Spent, StoredCall, breaker_after, spent_on
 from brink.server.llm.protocol import Mode, Usage
 
 RETRY_S: Final = 2.0
@@ -41,14 +41,14 @@ def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = N
     return [
         StoredCall(
             key=CallKey(row.request, row.turn), prompt_hash=row.prompt_hash, mode=Mode(row.mode), raw=row.reply,
-            outcome=Outcome(row.outcome), calls=row.calls,
+            outcome=Outcome(row.outcome), requests=row.calls,
             usage=None
             if row.prompt_tokens is None
             else Usage(
                 prompt_tokens=row.prompt_tokens, completion_tokens=row.completion_tokens,
                 estimated=row.estimated,
             ),
-            cost=row.cost, latency_s=row.latency_s, error=row.error,
+            cost=row.cost, latency_s=row.latency_s, error=row.error, stored_at=row.called_at,
         )
         for row in connection.execute(query)
     ]  # fmt: skip
@@ -75,7 +75,7 @@ def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> N
         insert(LlmCallRow).values(
             campaign_id=campaign_id, request=call.key.request, turn=call.key.turn,
             prompt_hash=call.prompt_hash, mode=call.mode, reply=call.raw, outcome=call.outcome,
-            calls=call.calls, prompt_tokens=None if usage is None else usage.prompt_tokens,
+            calls=call.requests, prompt_tokens=None if usage is None else usage.prompt_tokens,
             completion_tokens=None if usage is None else usage.completion_tokens,
             estimated=usage is not None and usage.estimated, cost=call.cost, latency_s=call.latency_s,
             error=call.error, called_at=database_now(connection),
@@ -176,3 +176,8 @@ class CampaignCalls:
     def spent(self) -> Spent:
         """Return the totals of all stored calls."""
         return spent_on(self.every())
+
+    def breaker(self) -> Breaker:
+        """Return the circuit breaker after all stored calls."""
+        with self._engines.reader.connect() as connection:
+            return breaker_after(list_calls(connection, self._campaign_id), database_now(connection))

@@ -27,7 +27,7 @@ from sqlalchemy import JSON, Connection, RowMapping, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
-from brink.server.campaigns.body import CampaignBody, search_text
+from brink.server.campaigns.body import search_text, stored_body
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.models import (
@@ -310,7 +310,7 @@ class _Import:
         if "campaign_tags.jsonl" in self._sums:
             tags = [one["tag"] for one in self._rows("campaign_tags", CampaignTagRow.__table__)]
         try:
-            body = CampaignBody.model_validate({**row["document"], "tags": tags, "notes": row["notes"]})
+            body = stored_body(row["document"], tags, row["notes"])
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]
             where = fault["loc"][0] if fault["loc"] and fault["loc"][0] in ("tags", "notes") else "document"

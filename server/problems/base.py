@@ -109,6 +109,15 @@ class ChecksInputs(Protocol):
 
 
 @runtime_checkable
+class ChecksCriticality(Protocol):
+    """A problem whose criticality may be measured by something that says nothing about its requirement."""
+
+    def wrong_criticality(self) -> tuple[str, str] | None:
+        """Return the parameter that is to blame and a message; None if a search may minimise the criticality."""
+        ...
+
+
+@runtime_checkable
 class NeedsExtra(Protocol):
     """A problem that can only be simulated with an optional extra installed.
 

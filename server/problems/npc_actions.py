@@ -4,14 +4,16 @@ A candidate is one to six participants with timed actions on a road. The search 
 kinematic roll-out, which is also the script that they follow in the simulator.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from brink.search.algorithm import Evaluation, Scored
-from brink.search.analysis.violations import kinds_of
+from brink.search.algorithm import Evaluation, Niche, Scored
+from brink.search.algorithms.multi_objective import CRITICALITY
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
+from brink.search.analysis.violations import kinds_of, niche_of
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import SearchSpace
@@ -19,7 +21,13 @@ from brink.search.traffic.constraint import participants_component, participants
 from brink.search.traffic.motion import roll_out, waypoints
 from brink.search.traffic.participants import MAX_PARTICIPANTS, ParameterNames, Participant, RoadLimits
 from brink.server.problems.base import Activity, Vectors, wrong_detector
-from brink.sim.encounter.specification import PLACE_FIELDS, describe_script, get_lane_layout, stretch_to_json
+from brink.sim.encounter.specification import (
+    PLACE_FIELDS,
+    REFERENCE,
+    describe_script,
+    get_lane_layout,
+    stretch_to_json,
+)
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.perception.user_files import weights_digest
 from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
@@ -28,8 +36,14 @@ from brink.worker.wire import Completed
 SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}
 """Simulators by the perception of the driving system."""
 ORACLES: Final = (
-    "no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
+    "no-collision@1", "front-gap@2", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
 )  # fmt: skip
+FORMER: Final = {"front-gap@1": "front-gap@2"}
+"""Requirements that campaigns may name besides, and the present ones, of which results of old campaigns have none."""
+UNAVOIDABLE_M: Final = 250.0
+"""Criticality of a violation that does not count: behind everything that has no violation."""
+_BY_GAP: Final = ("any", "no-collision@1", "front-gap@2", *FORMER)
+"""Values of `violation` that the gap between the ego and the nearest road user says something about."""
 ROAD_USERS: Final = "road_users"
 LIT: Final = "crossroad"
 _SYSTEM: Final = (
@@ -50,12 +64,18 @@ class NpcActionsParams:
     )
     violation: str = setting(
         "any",
-        help="Requirement whose violation counts as unsafe; any stands for all six.",
-        choices=("any", *ORACLES),
+        help="Requirement whose violation counts as unsafe; any stands for all six, with front-gap@2.",
+        choices=("any", *ORACLES, *FORMER),
+    )
+    count: str = setting(
+        "all",
+        help="Violations that the search is for: all, or those that a careful driver would have avoided.",
+        choices=("all", "avoidable"),
     )
     criticality: str = setting(
-        "gap", help="Measure of criticality: the smallest gap to a road user, or the lowest robustness.",
-        choices=("gap", "robustness"),
+        "auto", choices=("auto", "gap", "robustness"),
+        help="Measure of criticality: the smallest gap to a road user, or the lowest robustness; auto takes the gap "
+        "for collisions, front gaps and any violation.",
     )  # fmt: skip
     sight: str = setting(
         "oracle",
@@ -82,6 +102,12 @@ class NpcActionsParams:
             raise ConfigError(
                 "violation", f"expected another requirement, or road_curve: {LIT}; no other road has lights"
             )
+
+
+_RANKS: Final[Mapping[Avoidable | None, int]] = {
+    Avoidable.CAREFUL: 0, Avoidable.IDEAL: 2, Avoidable.NO: 3, None: 3,
+}  # fmt: skip
+"""Ranks of violations; a solution without any has rank 1."""
 
 
 class NpcActions:
@@ -111,6 +137,21 @@ class NpcActions:
         self.requirements = ORACLES if params.violation == "any" else (params.violation,)
         self.extra = "vision"
         self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
+
+    @property
+    def by_gap(self) -> bool:
+        """Whether criticality is the smallest gap to a road user, not the robustness."""
+        if self.params.criticality == "auto":
+            return self.params.violation in _BY_GAP
+        return self.params.criticality == "gap"
+
+    def wrong_criticality(self) -> tuple[str, str] | None:
+        """Return the parameter that makes criticality say nothing about the requirement, and a message; or None."""
+        if not self.by_gap or self.params.violation in _BY_GAP:
+            return None
+        return "criticality", (
+            f"expected auto or robustness: the gap to road users says nothing about {self.params.violation}"
+        )
 
     def with_truth(self) -> "NpcActions | None":
         """Return the problem with ground truth in place of a detector; None if it has no detector."""
@@ -150,9 +191,10 @@ class NpcActions:
             simulator=self.needs,
             scenario={**self._place, "road_users": self.scripts(vectors)},
             behaviour=self._behaviour(),
-            requirements=ORACLES,
+            requirements=tuple(dict.fromkeys((*ORACLES, *self.requirements))),
             seed=seed,
             duration_s=self.params.duration_s,
+            options={REFERENCE: True},
         )
 
     def _behaviour(self) -> dict[str, Json]:
@@ -199,18 +241,56 @@ class NpcActions:
         return [
             dict(one)
             for one in (reported if isinstance(reported, list) else [])
-            if isinstance(one, dict) and one.get("requirement") in self.requirements
+            if isinstance(one, dict) and self._counts(one.get("requirement"))
         ]
+
+    def _counts(self, requirement: object) -> bool:
+        """Return whether a violation of a requirement makes a solution unsafe, in old campaigns, too."""
+        return requirement in self.requirements or FORMER.get(str(requirement)) in self.requirements
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict, in the unit of its requirement, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
+        robustness = min(self._robustness(outcome, name) for name in self.requirements)
+        violations = self.violations(outcome)
         objectives = dict(outcome.objectives)
-        if self.params.criticality == "robustness":
-            objectives["criticality_m"] = robustness
+        if not self.by_gap:
+            objectives[CRITICALITY] = robustness
+        counted = violations
+        if self.params.count == "avoidable":
+            counted = [one for one in violations if avoidable_of(one) is Avoidable.CAREFUL]
+            if violations and not counted:
+                objectives[CRITICALITY] = UNAVOIDABLE_M
         return Scored(
             unsafe=robustness < 0,
             robustness=robustness,
             objectives=objectives,
-            kinds=kinds_of(self.violations(outcome)),
+            kinds=kinds_of(counted),
+            niches=self._niches(violations, outcome.features.get("closest"), objectives[CRITICALITY]),
         )
+
+    @staticmethod
+    def _robustness(outcome: Completed, requirement: str) -> float:
+        """Return the robustness of a requirement; results of old campaigns have it by its former id."""
+        former = {new: old for old, new in FORMER.items()}
+        found = outcome.verdicts.get(requirement) or outcome.verdicts[former.get(requirement, requirement)]
+        return found.robustness
+
+    def _niches(
+        self, violations: Sequence[Mapping[str, Any]], closest: Any, value: float
+    ) -> tuple[Niche, ...]:
+        """Return what a solution did: its violations, or its closest approach if there are none.
+
+        Args:
+            violations: Circumstances of its violations.
+            closest: Circumstances of the closest approach.
+            value: Its criticality.
+        """
+        if violations:
+            ranks = _RANKS if self.params.count == "avoidable" else {}
+            listed = [(one, ranks.get(avoidable_of(one), 0)) for one in violations]
+        elif isinstance(closest, Mapping):
+            listed = [({"requirement": "", "collision": None, **closest}, 1)]
+        else:
+            listed = []
+        niches = [Niche(name=name, rank=rank, value=value) for one, rank in listed if (name := niche_of(one))]
+        return tuple(niches)

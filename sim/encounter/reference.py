@@ -1,4 +1,4 @@
-"""The simulator `brink-encounter-reference@1`: an encounter in which a reference driver takes the system's place.
+"""Reference drivers, who take the driving system's place in an encounter, and what they would have avoided.
 
 What a reference driver avoids, a driving system should have avoided. It keeps its lane and its route, sees everybody
 around it, obeys lights and limits, and brakes: it never swerves. *Careful* is the competent and careful human driver
@@ -17,11 +17,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import ClassVar, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from brink.sim.driving.interface import (
     Command,
-    DrivingSystem,
     EgoState,
     LightReading,
     Observation,
@@ -30,16 +29,15 @@ from brink.sim.driving.interface import (
     PlanState,
 )
 from brink.sim.driving.system import ModularDriving
-from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.specification import Kind
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
-from brink.sim.episode import EpisodeSpec, Json, check_fields, parse_choice
-from brink.sim.errors import InvalidEpisode
+from brink.sim.episode import Verdict
 from brink.sim.world.ego import GRAVITY_MPS2
 from brink.sim.world.world import STEP_S
 
-MODE: Final = "reference"
-"""The mode of behaviours that name a driver."""
+COLLISION: Final = "no-collision@1"
+AFTERWARDS_S: Final = 5.0
+"""A driver who violates a requirement no later than this after the system has not avoided the violation."""
 BRAKING_MPS2: Final = 0.774 * GRAVITY_MPS2
 BUILD_UP_S: Final = 0.6
 WANDERING_M: Final = 0.375
@@ -63,10 +61,14 @@ _EQUALLY_FAST_MPS: Final = 1e-6
 
 
 class Driver(StrEnum):
-    """A reference driver."""
+    """A reference driver, in the order in which they are asked who would have avoided a violation."""
 
     CAREFUL = "careful"
     IDEAL = "ideal"
+
+
+NOBODY: Final = "no"
+"""Neither driver would have avoided the violation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +93,24 @@ REACTIONS: Final[Mapping[Driver, Reactions]] = {
 _CAREFUL: Final = REACTIONS[Driver.CAREFUL]
 _UNBRAKED_S: Final = _CAREFUL.judging_s + _CAREFUL.delay_s + 0.5 * _CAREFUL.build_up_s
 """The careful driver stops as if driving on for this long and then braking in full."""
+
+
+def avoids(
+    requirement: str, violated_at_s: float, verdicts: Mapping[str, Verdict], contact_at_s: float | None
+) -> bool:
+    """Return whether a reference driver avoided a violation, and any contact, until `AFTERWARDS_S` after it.
+
+    A driver who has stopped and is then driven into has not avoided the violation.
+
+    Args:
+        requirement: What the driving system violated.
+        violated_at_s: When it did.
+        verdicts: Verdicts on the driver's drive, by requirement.
+        contact_at_s: When another road user first touched the driver's car, even while it stood; None if none did.
+    """
+    moments = [verdicts[name].violated_at_s for name in (requirement, COLLISION) if name in verdicts]
+    until_s = violated_at_s + AFTERWARDS_S
+    return all(moment_s is None or moment_s > until_s for moment_s in (*moments, contact_at_s))
 
 
 def stopping_distance_m(speed_mps: float, other_mps: float = 0.0) -> float:
@@ -287,18 +307,3 @@ class ReferenceDriving:
 def _is_close(sight: Sight, speed_mps: float) -> bool:
     """Return whether a driver does not accelerate behind a road user."""
     return sight.aside_m < SIDE_M and -sight.length_m < sight.gap_m < STANDSTILL_M + HEADWAY_S * speed_mps
-
-
-class BrinkEncounterReference(BrinkEncounter):
-    """Runs encounters with a reference driver."""
-
-    id: ClassVar[str] = "brink-encounter-reference@1"
-
-    def _check(self, behaviour: Mapping[str, Json]) -> None:
-        check_fields("behaviour", behaviour, ("mode", "driver"))
-        if behaviour["mode"] != MODE:
-            raise InvalidEpisode(f"behaviour.mode: expected {MODE}, got {behaviour['mode']!r}")
-        parse_choice("behaviour.driver", behaviour["driver"], Driver)
-
-    def _driving(self, spec: EpisodeSpec, world: EncounterWorld) -> DrivingSystem:
-        return ReferenceDriving(world, Driver(str(spec.behaviour["driver"])))

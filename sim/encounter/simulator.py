@@ -1,25 +1,31 @@
 """The simulator `brink-encounter@1`: runs a specification and returns the result, bit for bit reproducible.
 
 Its driving system receives the ground truth; `brink.sim.encounter.camera` replaces it with a camera and a detector.
+With the option `reference`, an episode that violates a requirement is followed by drives of the reference drivers
+(`brink.sim.encounter.reference`) among the same scripted road users, and each violation says who would have avoided
+it.
 """
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 from brink.sim.bullet.engine import EngineError, bullet_versions, discard_engine, process_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import DrivingSystem
+from brink.sim.driving.interface import Box, DrivingSystem
 from brink.sim.driving.system import ModularDriving
-from brink.sim.encounter.specification import EncounterScenario
+from brink.sim.encounter.reference import AFTERWARDS_S, NOBODY, Driver, ReferenceDriving, avoids
+from brink.sim.encounter.specification import REFERENCE, EncounterScenario
 from brink.sim.encounter.witness import EncounterWitness
 from brink.sim.encounter.world import EncounterWorld, make_encounter
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, check_fields
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, check_fields, parse_choice
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
+from brink.sim.trace import AVOIDABLE, Trace
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
@@ -28,6 +34,31 @@ from brink.sim.urban.simulator import outcome_features
 MAX_DURATION_S: Final = 120.0
 MAX_GAP_M: Final = 200.0
 """Upper bound of reported gaps, so that they are finite when no road user is present."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Drive:
+    """One drive of the system or of a reference driver.
+
+    Attributes:
+        result: Its result, without the trace.
+        violations: Circumstances of its violations.
+        contact_at_s: When another road user first touched the ego, even a standing one; None if none did.
+        trace: Its trace, if it was recorded.
+    """
+
+    result: EpisodeResult
+    violations: Sequence[JsonObject]
+    contact_at_s: float | None
+    trace: Trace | None
+
+    @property
+    def facts(self) -> JsonObject:
+        """When each violated requirement was first violated, and when another road user touched the ego."""
+        violated: JsonObject = {
+            name: one.violated_at_s for name, one in self.result.verdicts.items() if one.violated
+        }
+        return {"violated_at_s": violated, "contact_at_s": self.contact_at_s}
 
 
 class BrinkEncounter:
@@ -44,10 +75,14 @@ class BrinkEncounter:
         Raises:
             InvalidEpisode: It does not.
         """
+        if behaviour.get("mode") == REFERENCE:
+            check_fields("behaviour", behaviour, ("mode", "driver"))
+            parse_choice("behaviour.driver", behaviour["driver"], Driver)
+            return
         check_fields("behaviour", behaviour, ("mode",))
         if behaviour["mode"] != BehaviourMode.ORACLE:
             raise InvalidEpisode(
-                f"behaviour.mode: expected {BehaviourMode.ORACLE}, got {behaviour['mode']!r}"
+                f"behaviour.mode: expected {BehaviourMode.ORACLE} or {REFERENCE}, got {behaviour['mode']!r}"
             )
 
     def _detects(
@@ -56,8 +91,18 @@ class BrinkEncounter:
         """Return the detector of an episode, or None if the driving system receives the ground truth."""
         return None
 
+    def _boxes(
+        self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld, *, record: bool
+    ) -> Detects | None:
+        """Return the detector of a drive. Reference drivers need none, and replays show the ground truth."""
+        if spec.behaviour["mode"] != REFERENCE:
+            return self._detects(spec, scenario, world)
+        return None if record else _nothing
+
     def _driving(self, spec: EpisodeSpec, world: EncounterWorld) -> DrivingSystem:
         """Return the driving system of an episode, new."""
+        if spec.behaviour["mode"] == REFERENCE:
+            return ReferenceDriving(world, Driver(str(spec.behaviour["driver"])))
         return ModularDriving(world.route, camera=self._camera)
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
@@ -71,28 +116,31 @@ class BrinkEncounter:
             InvalidEpisode: The specification can never run.
             SimulationCrashed: The physics engine failed.
         """
-        cpu_s = time.process_time()
         spec.check_for(self.id, MAX_DURATION_S)
-        if spec.options:
-            raise InvalidEpisode(f"options: expected none, got {next(iter(spec.options))!r}")
+        compares = _check_options(spec.options)
         scenario = EncounterScenario.from_json(spec.scenario)
         self._check(spec.behaviour)
-        requirements = make_requirements(spec.requirements)
+        make_requirements(spec.requirements)
         try:
-            return self._run(spec, scenario, requirements, cpu_s, record=record)
+            drive = self._drive(spec, scenario, record=record)
+            if not (compares and drive.violations):
+                trace = None if drive.trace is None else drive.trace.to_bytes()
+                return replace(drive.result, trace=trace)
+            return self._compared(spec, scenario, drive, record=record)
         except EngineError as error:
             discard_engine()
             raise SimulationCrashed(f"the physics engine failed: {error}") from error
 
-    def _run(
-        self,
-        spec: EpisodeSpec,
-        scenario: EncounterScenario,
-        requirements: Mapping[str, Requirement],
-        cpu_s: float,
-        *,
-        record: bool,
-    ) -> EpisodeResult:
+    def _drive(self, spec: EpisodeSpec, scenario: EncounterScenario, *, record: bool) -> _Drive:
+        """Run one drive.
+
+        Args:
+            spec: What is driven, by the system or by a reference driver.
+            scenario: Its scenario.
+            record: Whether to record the trace.
+        """
+        cpu_s = time.process_time()
+        requirements = make_requirements(spec.requirements)
         engine = process_engine()
         engine.reset()
         world = make_encounter(scenario, spec.seed)
@@ -109,26 +157,112 @@ class BrinkEncounter:
             duration_s=spec.duration_s,
             recorder=recorder,
             witness=witness,
-            detects=self._detects(spec, scenario, world),
+            detects=self._boxes(spec, scenario, world, record=record),
         )
         verdicts = verdicts_of(requirements)
         gaps = {
             f"gap_{index}_m": min(gap_m, MAX_GAP_M) for index, gap_m in enumerate(witness.gaps_m, start=1)
         }
         versions = bullet_versions()
-        return EpisodeResult(
+        result = EpisodeResult(
             verdicts=verdicts,
             objectives={
                 **{f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
                 "criticality_m": min(witness.criticality_m, MAX_GAP_M),
                 **gaps,
             },
-            features={**_features(outcome, requirements), "violations": list(witness.violations)},
+            features={
+                **_features(outcome, requirements),
+                "violations": list(witness.violations),
+                "closest": witness.closest,
+            },
             provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
-            trace=None
-            if recorder is None
-            else recorder.trace(trace_header(spec, verdicts, versions)).to_bytes(),
         )
+        trace = None if recorder is None else recorder.trace(trace_header(spec, verdicts, versions))
+        return _Drive(
+            result=result, violations=witness.violations, contact_at_s=witness.contact_at_s, trace=trace
+        )
+
+    def _compared(
+        self, spec: EpisodeSpec, scenario: EncounterScenario, drive: _Drive, *, record: bool
+    ) -> EpisodeResult:
+        """Return the result of a drive whose violations say who would have avoided them.
+
+        The trace is accompanied by that of the first driver who avoids any of them, or else of the careful one.
+
+        Args:
+            spec: The specification.
+            scenario: Its scenario.
+            drive: The system's drive, with violations.
+            record: Whether to record traces.
+        """
+        began_s = time.process_time()
+        moments = {str(one["requirement"]): float(str(one["time_s"])) for one in drive.violations}
+        avoided_by: dict[str, Driver] = {}
+        drives: dict[Driver, _Drive] = {}
+        for driver in Driver:
+            its = _with_driver(spec, driver, max(moments.values()) + AFTERWARDS_S)
+            drives[driver] = its_drive = self._drive(its, scenario, record=record)
+            verdicts, contact_at_s = its_drive.result.verdicts, its_drive.contact_at_s
+            for name, moment_s in moments.items():
+                if name not in avoided_by and avoids(name, moment_s, verdicts, contact_at_s):
+                    avoided_by[name] = driver
+            if len(avoided_by) == len(moments):
+                break
+        shown = min(avoided_by.values(), key=list(Driver).index, default=Driver.CAREFUL)
+        reference: dict[str, Json] = {driver.value: one.facts for driver, one in drives.items()}
+        avoidable: dict[str, Json] = {name: str(avoided_by.get(name, NOBODY)) for name in moments}
+        violations: list[Json] = [
+            {**one, AVOIDABLE: avoidable[str(one["requirement"])]} for one in drive.violations
+        ]
+        result = drive.result
+        trace = drive.trace
+        if trace is not None:
+            about = {**trace.about, AVOIDABLE: avoidable}
+            trace = replace(trace, reference=drives[shown].trace, about=about)
+        return replace(
+            result,
+            features={**result.features, "violations": violations, "reference": reference},
+            provenance={**result.provenance, "reference_cpu_s": time.process_time() - began_s},
+            trace=None if trace is None else trace.to_bytes(),
+        )
+
+
+def _check_options(options: Mapping[str, Json]) -> bool:
+    """Return whether violations are compared with reference drivers.
+
+    Raises:
+        InvalidEpisode: There is another option.
+    """
+    unknown = [name for name in options if name != REFERENCE]
+    if unknown:
+        raise InvalidEpisode(f"options: expected {REFERENCE} or none, got {unknown[0]!r}")
+    compares = options.get(REFERENCE, False)
+    if not isinstance(compares, bool):
+        raise InvalidEpisode(f"options.{REFERENCE}: expected true or false, got {compares!r:.80}")
+    return compares
+
+
+def _with_driver(spec: EpisodeSpec, driver: Driver, duration_s: float) -> EpisodeSpec:
+    """Return a specification with a reference driver in the system's place.
+
+    Args:
+        spec: The system's episode.
+        driver: The driver.
+        duration_s: How long the driver drives, unless the system's episode would be shorter.
+    """
+    return replace(
+        spec,
+        simulator=BrinkEncounter.id,
+        behaviour={"mode": REFERENCE, "driver": driver.value},
+        duration_s=min(spec.duration_s, duration_s),
+        options={},
+    )
+
+
+def _nothing(time_s: float) -> tuple[Box, ...]:
+    """Detect nothing: reference drivers need no boxes."""
+    return ()
 
 
 def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:

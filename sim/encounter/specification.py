@@ -15,6 +15,8 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.world.road import PARKING_STRIP_M, build_road
 from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 
+REFERENCE: Final = "reference"
+"""The mode of behaviours that name a reference driver, and the option that compares violations with theirs."""
 MAX_ROAD_USERS: Final = 6
 MAX_STRETCHES: Final = 64
 _MAX_DISTANCE_M: Final = 2_000.0

@@ -1,7 +1,7 @@
-"""Observes an encounter: the closest approach of every road user, and the circumstances of each violation.
+"""Observes an encounter: the closest approach of every road user, and the circumstances of it and of violations.
 
-Circumstances are raw facts about the moment at which a requirement was first violated. Rules elsewhere classify
-them and can be changed without simulating again.
+Circumstances are raw facts about the moment at which a requirement was first violated, or at which a road user came
+closest. Rules elsewhere classify them and can be changed without simulating again.
 """
 
 import math
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 from brink.sim.driving.interface import DrivingSystem
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
-from brink.sim.episode import JsonObject
+from brink.sim.episode import Json, JsonObject
 from brink.sim.requirements import WorldSample
 from brink.sim.trace import ACTION
 from brink.sim.urban.recorder import Recorder
@@ -22,7 +22,7 @@ NEARBY_M: Final = 15.0
 IN_WAY_M: Final = 35.0
 """A road user is in the ego's way within this distance ahead if it reaches into the swept width."""
 
-_COUNTERPART_AHEAD: Final = ("front-gap@1",)
+_COUNTERPART_AHEAD: Final = ("front-gap@1", "front-gap@2")
 """Requirements whose counterpart is the road user in the ego's way, even if others are nearer."""
 
 _LOOKBACK: Final = round(0.5 / STEP_S)
@@ -126,12 +126,56 @@ def make_rectangle(user: ScriptedUser) -> Rectangle:
     return Rectangle(user.x_m, user.y_m, user.yaw_rad, 0.5 * user.length_m, 0.5 * user.width_m)
 
 
+class _Moment(NamedTuple):
+    """What is needed to state the circumstances of a control step later on.
+
+    Attributes:
+        sample: The facts about the ego.
+        plan: The plan's mode.
+        before: Speed, yaw and offset of the ego, `over_s` earlier.
+        over_s: Time between the two.
+    """
+
+    sample: WorldSample
+    plan: str
+    before: tuple[float, float, float]
+    over_s: float
+
+
+class _OtherThen(NamedTuple):
+    """A road user in a control step.
+
+    Attributes:
+        place: Its place among the road users.
+        body: Its footprint.
+        action: What its script has it do.
+        speed_mps: Its speed.
+        before_mps: Its speed, `over_s` earlier.
+        over_s: Time between the two.
+        in_way_s: For how long it has been in the ego's way.
+    """
+
+    place: int
+    body: Rectangle
+    action: str
+    speed_mps: float
+    before_mps: float
+    over_s: float
+    in_way_s: float
+
+
 class EncounterWitness:
     """Observes one encounter.
 
     Args:
         world: The world.
         recorder: Records the road users' actions, if given.
+
+    Attributes:
+        gaps_m: Smallest gap of each road user to the ego so far; infinite before the first.
+        contact_at_s: When a road user first touched the ego, even one that drives into a standing ego, in which it
+            collides with nobody; None if none has.
+        violations: Circumstances of each violation so far.
     """
 
     def __init__(self, world: EncounterWorld, recorder: Recorder | None = None) -> None:
@@ -145,6 +189,8 @@ class EncounterWitness:
         self._radius_m = 0.5 * math.hypot(world.ego.length_m, world.ego.width_m)
         self._sample: WorldSample | None = None
         self._mode = ""
+        self._closest: tuple[_Moment, _OtherThen] | None = None
+        self.contact_at_s: float | None = None
         self._seen: set[str] = set()
         self.violations: list[JsonObject] = []
 
@@ -154,6 +200,7 @@ class EncounterWitness:
         self._mode = driving.plan.mode.value
         self._history.append((sample.speed_mps, sample.yaw_rad, sample.offset_m))
         ego: Rectangle | None = None
+        closest_m, closest = self.criticality_m, None
         for index, user in enumerate(self._world.road_users):
             self._speeds[index].append(user.speed_mps)
             dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
@@ -162,15 +209,26 @@ class EncounterWitness:
                 ego = ego or self._ego()
                 gap_m = signed_gap_m(ego, make_rectangle(user))
                 self.gaps_m[index] = min(self.gaps_m[index], gap_m)
+                if gap_m < closest_m:
+                    closest_m, closest = gap_m, index
             self._watch_way(index, user, sample)
             if self._recorder is not None and (action := user.stretch.action) != self._actions[index]:
                 self._actions[index] = action
                 self._recorder.event(sample.time_s, ACTION, f"{user.name}:{action}")
+        if closest_m < 0.0 and self.contact_at_s is None:
+            self.contact_at_s = sample.time_s
+        if closest is not None:
+            self._closest = self._moment(sample), self._other(closest, sample)
 
     @property
     def criticality_m(self) -> float:
         """Smallest distance between the ego and any road user; infinite if there are no road users."""
         return min(self.gaps_m, default=math.inf)
+
+    @property
+    def closest(self) -> Json:
+        """The circumstances of the closest approach of any road user; None if there are no road users."""
+        return None if self._closest is None else self._circumstances(*self._closest)
 
     def _ego(self) -> Rectangle:
         ego = self._world.ego
@@ -205,13 +263,11 @@ class EncounterWitness:
         else:
             index = self._in_way(sample) if requirement in _COUNTERPART_AHEAD else None
             index = self._nearest(sample) if index is None else index
+        other = None if index is None else self._other(index, sample)
         self.violations.append(
             {
                 "requirement": requirement,
-                "time_s": sample.time_s,
-                "ego": self._ego_facts(sample),
-                "other": None if index is None else self._other_facts(index, sample),
-                "place": self._place_facts(sample),
+                **self._circumstances(self._moment(sample), other),
                 "collision": None if hit is None else hit.kind.value,
                 "impact_speed_mps": None if hit is None else hit.impact_speed_mps,
             }
@@ -237,35 +293,48 @@ class EncounterWitness:
         gap_m, index = min(gaps, default=(math.inf, 0))
         return index if gap_m < NEARBY_M else None
 
-    def _ego_facts(self, sample: WorldSample) -> JsonObject:
-        speed, yaw_rad, offset_m = self._history[0]
+    def _moment(self, sample: WorldSample) -> _Moment:
         over_s = max(STEP_S, (len(self._history) - 1) * STEP_S)
-        turned = (sample.yaw_rad - yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
+        return _Moment(sample=sample, plan=self._mode, before=self._history[0], over_s=over_s)
+
+    def _other(self, index: int, sample: WorldSample) -> _OtherThen:
+        user, speeds, since_s = (
+            self._world.road_users[index],
+            self._speeds[index],
+            self._in_way_since_s[index],
+        )
+        return _OtherThen(
+            place=index,
+            body=make_rectangle(user),
+            action=user.stretch.action,
+            speed_mps=user.speed_mps,
+            before_mps=speeds[0],
+            over_s=max(STEP_S, (len(speeds) - 1) * STEP_S),
+            in_way_s=0.0 if since_s is None else sample.time_s - since_s,
+        )
+
+    def _circumstances(self, moment: _Moment, other: _OtherThen | None) -> JsonObject:
+        sample = moment.sample
         return {
-            "speed_mps": sample.speed_mps,
-            "accel_mps2": (sample.speed_mps - speed) / over_s,
-            "yaw_rate_radps": turned / over_s,
-            "offset_m": sample.offset_m,
-            "offset_rate_mps": (sample.offset_m - offset_m) / over_s,
-            "plan": self._mode,
+            "time_s": sample.time_s,
+            "ego": _ego_facts(moment),
+            "other": None if other is None else self._other_facts(sample, other),
+            "place": self._place_facts(sample),
         }
 
-    def _other_facts(self, index: int, sample: WorldSample) -> JsonObject:
-        user = self._world.road_users[index]
-        ego, other = self._ego(), make_rectangle(user)
-        speeds, since_s = self._speeds[index], self._in_way_since_s[index]
-        over_s = max(STEP_S, (len(speeds) - 1) * STEP_S)
-        heading = (user.yaw_rad - sample.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
+    def _other_facts(self, sample: WorldSample, other: _OtherThen) -> JsonObject:
+        size = self._world.ego
+        ego = Rectangle(sample.x_m, sample.y_m, sample.yaw_rad, 0.5 * size.length_m, 0.5 * size.width_m)
         return {
-            "index": index + 1,
-            "kind": user.kind.value,
-            "action": user.stretch.action,
-            "gap_m": signed_gap_m(ego, other),
-            "bearing_rad": bearing_rad(ego, other),
-            "heading_rad": heading,
-            "speed_mps": user.speed_mps,
-            "accel_mps2": (speeds[-1] - speeds[0]) / over_s,
-            "in_way_s": 0.0 if since_s is None else sample.time_s - since_s,
+            "index": other.place + 1,
+            "kind": self._world.road_users[other.place].kind.value,
+            "action": other.action,
+            "gap_m": signed_gap_m(ego, other.body),
+            "bearing_rad": bearing_rad(ego, other.body),
+            "heading_rad": _turned(other.body.yaw_rad - sample.yaw_rad),
+            "speed_mps": other.speed_mps,
+            "accel_mps2": (other.speed_mps - other.before_mps) / other.over_s,
+            "in_way_s": other.in_way_s,
         }
 
     def _place_facts(self, sample: WorldSample) -> JsonObject:
@@ -285,3 +354,20 @@ class EncounterWitness:
             "element": element,
             "light": None if sample.light is None else sample.light.value,
         }
+
+
+def _turned(angle_rad: float) -> float:
+    """Return an angle in [-pi, pi)."""
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def _ego_facts(moment: _Moment) -> JsonObject:
+    sample, (speed_mps, yaw_rad, offset_m) = moment.sample, moment.before
+    return {
+        "speed_mps": sample.speed_mps,
+        "accel_mps2": (sample.speed_mps - speed_mps) / moment.over_s,
+        "yaw_rate_radps": _turned(sample.yaw_rad - yaw_rad) / moment.over_s,
+        "offset_m": sample.offset_m,
+        "offset_rate_mps": (sample.offset_m - offset_m) / moment.over_s,
+        "plan": moment.plan,
+    }

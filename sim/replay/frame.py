@@ -9,10 +9,12 @@ from PIL import Image, ImageDraw
 
 from brink.sim.replay.camera_view import camera_view, draw_film_legend
 from brink.sim.replay.map_view import MapView
+from brink.sim.replay.reference import avoidable_words
 from brink.sim.replay.scene import PERSON, EpisodeScene, ReplayError, count_wrong, has_errors
 from brink.sim.replay.story import (
     Judged,
     Story,
+    ViolatedHere,
     margin_name,
     measured_words,
     perturbation_words,
@@ -208,16 +210,20 @@ class FramePainter:
         """Return what happened in words: the requirement of the replay, and every other one that was violated."""
         name, time_s = self.story.title, float(self.trace.time_s[self.story.decisive])
         if self.story.violated:
-            return self.story.words
+            return "; ".join(map(self._told, self.story.violations))
         held = held_words([name])
         if not np.isfinite(self.story.least):
             return self.story.words.replace(held, f"{name.replace('-', ' ')} never applied", 1)
         spare = f"{held} ({with_unit(self.story.least, name)} to spare at {time_s:.1f} s)"
         return self.story.words.replace(held, spare, 1)
 
+    def _told(self, violation: ViolatedHere) -> str:
+        """Return a violation in words, and who would have avoided it, if that was measured."""
+        return ", ".join(filter(None, (violation.words, avoidable_words(self.trace, violation.requirement))))
+
     def _with_verdict(self, image: Image.Image, sample: int) -> Image.Image:
         """Frame an image in red from the first violation of any requirement on, and name those so far."""
-        so_far = [one.words for one in self.story.violations if sample >= one.shown]
+        so_far = [self._told(one) for one in self.story.violations if sample >= one.shown]
         if so_far:
             unit = self.layout.unit
             draw = ImageDraw.Draw(image)

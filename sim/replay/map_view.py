@@ -15,6 +15,7 @@ from brink.sim.replay.scene import (
     PARKED,
     SHAPES,
     SIGHTED,
+    TOUCHES_M,
     EpisodeScene,
     Flags,
     FrontGap,
@@ -233,7 +234,7 @@ class MapView:
         look_ahead_m: How far ahead of the ego the middle of the map lies.
         font_px: Size of the labels.
         turn_rad: Rotation of the map; by default so that the drive starts out to the right.
-        obstacle_style: How perceived obstacles are drawn.
+        obstacle_style: How perceived obstacles are drawn; None leaves them out.
     """
 
     def __init__(
@@ -245,7 +246,7 @@ class MapView:
         look_ahead_m: float,
         font_px: int,
         turn_rad: float | None = None,
-        obstacle_style: ObstacleStyle = BY_KIND,
+        obstacle_style: ObstacleStyle | None = BY_KIND,
     ) -> None:
         trace = scene.trace
         self._scene = scene
@@ -283,6 +284,7 @@ class MapView:
         gap: FrontGap | None = None,
         marked: Marked | None = None,
         spread: bool = False,
+        ahead_gap: bool = True,
     ) -> Image.Image:
         """Return the map at a sample as an RGB image of the view's size.
 
@@ -291,9 +293,10 @@ class MapView:
             centre_m: World coordinates of the middle of the map, shape ``(2,)``; by default ahead of the ego.
             twin: A second drive to show.
             ahead: Samples of the ego's path after this one to show as dots.
-            gap: The front gap to show; by default the one at the sample.
+            gap: The gap to show.
             marked: A road user to point out.
             spread: Whether labels are moved to where they hide nothing; in a film they would jump.
+            ahead_gap: Whether to show the front gap at the sample if no gap is given.
         """
         wide, high = (side * SUPERSAMPLING for side in self._size)
         centre = self._centres[sample] if centre_m is None else self._viewport.to_px(centre_m[None])[0]
@@ -302,17 +305,20 @@ class MapView:
         image = self._canvas.crop((left, top, left + wide, top + high)).convert("RGB")
         draw = ImageDraw.Draw(image)
         labels: list[Label] = []
-        gap = front_gap(self._trace, sample) if gap is None else gap
+        gap = front_gap(self._trace, sample) if gap is None and ahead_gap else gap
         self._draw_trail(draw, sample, corner)
         self._draw_ahead(draw, sample, ahead, corner)
         self._draw_actors(draw, sample, corner, gap)
-        self._draw_obstacles(draw, sample, corner, labels)
+        if self._style is not None:
+            self._draw_obstacles(draw, self._style, sample, corner, labels)
         self._draw_car(draw, self._ego[sample] - corner, EGO, brakes=bool(self._scene.ego_brakes[sample]))
         if marked is not None:
             crimson = gap is not None and gap.actor == marked.actor and gap.too_short
             outlined = marked if not crimson else replace(marked, colour=VIOLATION)
             self._draw_marked(draw, outlined, sample, corner)
-            labels.append(self._marked_label(marked, sample, corner))
+            label = self._marked_label(marked, sample, corner)
+            if spread or not _is_off(label.named, self._size):
+                labels.append(label)
         if gap is not None:
             self._draw_gap(draw, gap, corner, labels)
         if twin is not None:
@@ -414,15 +420,20 @@ class MapView:
         draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=PEDESTRIAN, outline=PAPER)
 
     def _draw_obstacles(
-        self, draw: ImageDraw.ImageDraw, sample: int, corner: Points, labels: list[Label]
+        self,
+        draw: ImageDraw.ImageDraw,
+        style: ObstacleStyle,
+        sample: int,
+        corner: Points,
+        labels: list[Label],
     ) -> None:
-        perceived, style = self._trace.perceived, self._style
+        perceived = self._trace.perceived
         line = 0.45 * self._viewport.px_per_m
         for row in range(perceived.first[sample], perceived.first[sample + 1]):
             label = label_index(float(perceived.rows[row, 1]))
             corners = self._viewport.to_px(obstacle_outline(self._scene, row)) - corner
             draw_dashed(draw, corners, style.colour, dash=1.2 * line, gap=0.9 * line, width=2 * SUPERSAMPLING)
-            ghost, caption = self._caption(sample, row, label)
+            ghost, caption = self._caption(style, sample, row, label)
             if ghost:
                 for one, other in ((0, 2), (1, 3)):
                     diagonal = np.vstack([corners[one], corners[other]])
@@ -431,9 +442,9 @@ class MapView:
                 anchor = float(corners[:, 0].mean()), float(corners[:, 1].min())
                 labels.append(Label(_reduced(anchor, -0.85), caption, style.colour, _around(corners)))
 
-    def _caption(self, sample: int, row: int, label: int) -> tuple[bool, str]:
+    def _caption(self, style: ObstacleStyle, sample: int, row: int, label: int) -> tuple[bool, str]:
         """Return whether a perceived obstacle is crossed out, and its caption; empty if it needs none."""
-        scene, style = self._scene, self._style
+        scene = self._scene
         # Where most reports are true, an obstacle that is perceived where it really is needs no caption.
         there = "" if has_errors(scene.trace) else style.there[label]
         if scene.obstacles.astray[row]:
@@ -464,7 +475,8 @@ class MapView:
             draw.line(stroke.ravel().tolist(), fill=colour, width=round(1.5 * SUPERSAMPLING))
         x, y = ends.mean(axis=0).tolist()
         below = y + 1.7 * self._viewport.px_per_m
-        text = f"gap {gap_words(gap.gap_m)}"
+        away = f"{gap.gap_m:.1f} m away" if gap.gap_m >= TOUCHES_M else "touches"
+        text = f"gap {gap_words(gap.gap_m)}" if gap.required else away
         labels.append(Label(_reduced((x, below), 0.6), text, colour, _around(ends)))
 
     def _bodies(self, sample: int, corner: Points) -> list[Rect]:
@@ -524,7 +536,7 @@ def _around(corners: Points) -> Rect:
 def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) -> list[Rect]:
     """Return where the label of a rectangle may be, closest first; empty if the rectangle is off the map."""
     left, top, right, bottom = named
-    if right < 0 or bottom < 0 or left > size_px[0] or top > size_px[1]:
+    if _is_off(named, size_px):
         return []
     left, right = max(left, 0.0), min(right, float(size_px[0]))
     top, bottom = max(top, 0.0), min(bottom, float(size_px[1]))
@@ -537,6 +549,12 @@ def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) ->
         found += [(at, (top + bottom) / 2) for at in (left - wide - away, right + wide + away)]
     inside = [(x, y) for x, y in found if wide <= x <= size_px[0] - wide and high <= y <= size_px[1] - high]
     return [(x - wide, y - high, x + wide, y + high) for x, y in inside]
+
+
+def _is_off(rect: Rect, size_px: tuple[int, int]) -> bool:
+    """Return whether a rectangle is off the map."""
+    left, top, right, bottom = rect
+    return right < 0 or bottom < 0 or left > size_px[0] or top > size_px[1]
 
 
 def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect]) -> float:

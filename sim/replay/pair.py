@@ -1,18 +1,20 @@
 """A pair of drives, one safe and one unsafe: what differs between them, and the moment at which that matters.
 
-Both drives run on the same clock. The *moment* of a pair is the unsafe drive's first violation; the safe drive is
-shown at the same time. Reports *differ* while the driving systems of the two drives receive different boxes. What
-the moment is about is the road user that the unsafe drive hits, or to which its front gap is too short; it is
-*reported* while a perceived obstacle lies on it.
+The drives are two solutions that are almost the same, or the system's drive and that of a reference driver in its
+place (`brink.sim.replay.reference`). Both drives run on the same clock. The *moment* of a pair is the unsafe drive's
+first violation; the safe drive is shown at the same time. Reports *differ* while the driving systems of the two
+drives receive different boxes. What the moment is about is the road user that the unsafe drive hits, or to which its
+front gap is too short; it is *reported* while a perceived obstacle lies on it.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from brink.sim.replay.scene import (
     LABELS,
+    TOUCHES_M,
     EpisodeScene,
     FrontGap,
     Points,
@@ -60,16 +62,29 @@ class Side:
     """One drive of a pair.
 
     Attributes:
-        number: Number of the solution.
         trace: The drive.
+        number: Number of the solution; None if it is no solution of its own.
+        name: What the drive is called, in one word; by default ``safe`` or ``unsafe``.
+        car: What its car is called on a map; by default ``safe drive`` or ``unsafe drive``.
+        chip: Word that pictures put before what happened, in capitals; by default whether it held the requirement.
         outcome: What happened, in words; by default what the trace tells.
         again: What simulating it again with other seeds showed, in words; empty leaves that to the facts.
     """
 
-    number: int
     trace: Trace
+    number: int | None = None
+    name: str = ""
+    car: str = ""
+    chip: str = ""
     outcome: str = ""
     again: str = ""
+
+
+class Mark(NamedTuple):
+    """Another moment that a chart names."""
+
+    time_s: float
+    words: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,10 +94,13 @@ class DrivePair:
     Attributes:
         safe: The safe drive.
         unsafe: The unsafe one.
-        change: What differs between them, in words.
+        change: What differs between them, in words; each line is a line of the headline.
         findings: What the pair shows about the component and about chance, in sentences.
         facts: Further facts about the pair, such as its distance.
         requirement: Ids of the requirements that tell them apart; for the default see `story_of`.
+        unsafe_first: Whether the unsafe drive is shown first.
+        about_reports: Whether the drives differ in what is reported to the driving systems, which pictures then show.
+        marks: Further moments to name.
     """
 
     safe: Side
@@ -91,6 +109,9 @@ class DrivePair:
     findings: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     requirement: Judged = None
+    unsafe_first: bool = False
+    about_reports: bool = True
+    marks: tuple[Mark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +128,7 @@ class Target:
 
     Attributes:
         actor: Its index among the actors of the unsafe drive's trace.
-        gap: The line to it at the moment.
+        gap: The front gap to it at the moment; None if it was hit.
         reported: Labels of the perceived obstacles that lie on it at the moment.
         vehicle: Whether it is a vehicle.
     """
@@ -126,6 +147,15 @@ class Target:
         return "reported" if own in self.reported else f"reported as a {self.reported[0]}"
 
 
+class Part(NamedTuple):
+    """One drive of a pair as it is shown."""
+
+    name: str
+    side: Side
+    story: Story
+    is_unsafe: bool
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairStory:
     """What the pictures of a pair tell.
@@ -140,7 +170,8 @@ class PairStory:
         differing: When the reports of the drives differ; up to the end of the shorter drive.
         same_seed: Whether both drives have the same episode seed; None if a trace does not record it.
         same_road: Whether both drives use the same road, so that one map can show both.
-        centres: Where the map of each drive is centred at each of its samples, shape ``(n, 2)`` each.
+        centres: Where the map of each drive is centred at each of its samples, in the order in which they are shown,
+            shape ``(n, 2)`` each.
     """
 
     pair: DrivePair
@@ -165,13 +196,17 @@ class PairStory:
         return max(float(side.trace.time_s[-1]) for side in (self.pair.safe, self.pair.unsafe))
 
     @property
-    def parts(self) -> "tuple[tuple[str, Side, Story], tuple[str, Side, Story]]":
-        """The two drives in the order in which they are shown: name, side, story."""
-        return (SAFE, self.pair.safe, self.safe), (UNSAFE, self.pair.unsafe, self.unsafe)
+    def parts(self) -> "tuple[Part, Part]":
+        """The two drives in the order in which they are shown."""
+        pair = self.pair
+        safe = Part(pair.safe.name or SAFE, pair.safe, self.safe, is_unsafe=False)
+        unsafe = Part(pair.unsafe.name or UNSAFE, pair.unsafe, self.unsafe, is_unsafe=True)
+        return (unsafe, safe) if pair.unsafe_first else (safe, unsafe)
 
     def window(self) -> Interval:
         """Return the span of time that matters: from before the reports first differ until after the moment."""
         first_s = self.differing[0].start_s if self.differing else self.moment_s
+        first_s = min([first_s, *(mark.time_s for mark in self.pair.marks)])
         end_s = min(self.end_s, self.moment_s + _FOLLOW_UP_S)
         start_s = min(first_s - _LEAD_UP_S, self.moment_s - _LEAD_UP_S, end_s - _LEAST_WINDOW_S)
         start_s = max(0.0, start_s)
@@ -199,6 +234,7 @@ def pair_story(pair: DrivePair) -> PairStory:
     safe = story_of(pair.safe.trace, unsafe.requirement)
     moment_s, shown_s = _moment(pair.unsafe.trace, unsafe)
     safe_seed, unsafe_seed = (_seed(side.trace) for side in (pair.safe, pair.unsafe))
+    shown = (pair.unsafe, pair.safe) if pair.unsafe_first else (pair.safe, pair.unsafe)
     return PairStory(
         pair=pair,
         safe=safe,
@@ -206,11 +242,28 @@ def pair_story(pair: DrivePair) -> PairStory:
         moment_s=moment_s,
         shown_s=shown_s,
         target=_target(pair.unsafe.trace, unsafe, sample_at(pair.unsafe.trace, shown_s)),
-        differing=_differing(pair.safe.trace, pair.unsafe.trace),
+        differing=_differing(pair.safe.trace, pair.unsafe.trace) if pair.about_reports else (),
         same_seed=None if safe_seed is None or unsafe_seed is None else safe_seed == unsafe_seed,
         same_road=_same_road(pair.safe.trace, pair.unsafe.trace),
-        centres=(map_centres(pair.safe.trace, _LOOK_AHEAD_M), map_centres(pair.unsafe.trace, _LOOK_AHEAD_M)),
+        centres=(map_centres(shown[0].trace, _LOOK_AHEAD_M), map_centres(shown[1].trace, _LOOK_AHEAD_M)),
     )
+
+
+def part_state_words(story: PairStory, part: Part, time_s: float) -> str:
+    """Return what a drive of a pair does at a time.
+
+    Among the same road users, that is how far it is from the one that the violation is about; otherwise the margin of
+    the requirement.
+    """
+    trace = part.side.trace
+    if story.pair.about_reports or story.target is None:
+        return state_words(part.side, part.story, time_s)
+    motion, sample = motion_words(trace, time_s), sample_at(trace, time_s)
+    gap = None if has_ended(trace, time_s) else gap_to(trace, sample, story.target.actor)
+    if gap is None:
+        return motion
+    name = trace.actors[gap.actor].name
+    return f"{motion}, {f'{gap.gap_m:.1f} m from {name}' if gap.gap_m >= TOUCHES_M else f'touches {name}'}"
 
 
 def sample_at(trace: Trace, time_s: float) -> int:
@@ -230,15 +283,20 @@ def outcome_words(side: Side, story: Story) -> str:
 
 def state_words(side: Side, story: Story, time_s: float) -> str:
     """Return what a drive does at a time: speed, plan, and the margin of the requirement."""
-    trace = side.trace
+    motion = motion_words(side.trace, time_s)
+    sample = sample_at(side.trace, time_s)
+    value = float(side.trace.robustness[story.requirement][sample])
+    if has_ended(side.trace, time_s) or not np.isfinite(value):
+        return motion
+    return f"{motion}, {_margin_words(story.title, value)}"
+
+
+def motion_words(trace: Trace, time_s: float) -> str:
+    """Return what a drive does at a time: speed and plan."""
     if has_ended(trace, time_s):
         return f"ended at {float(trace.time_s[-1]):.1f} s"
     sample = sample_at(trace, time_s)
-    words = [f"{float(trace.ego[sample, 3]):.1f} m/s".replace("-", "−"), f"plan: {trace.plan_mode[sample]}"]
-    value = float(trace.robustness[story.requirement][sample])
-    if np.isfinite(value):
-        words.append(_margin_words(story.title, value))
-    return ", ".join(words)
+    return f"{float(trace.ego[sample, 3]):.1f} m/s, plan: {trace.plan_mode[sample]}".replace("-", "−")
 
 
 def _margin_words(title: str, value: float) -> str:
@@ -266,7 +324,7 @@ def _about_lead(story: PairStory) -> list[str]:
     if story.target is None or not story.target.vehicle:
         return []
     found = []
-    for _, side, _ in story.parts:
+    for _, side, _, _ in story.parts:
         scene, flags = EpisodeScene.of(side.trace), []
         for sample in _until(side.trace, story.moment_s):
             gap = front_gap(side.trace, sample)
@@ -281,10 +339,10 @@ def _about_lead(story: PairStory) -> list[str]:
 
 
 def _about_reports(story: PairStory) -> list[str]:
-    if not all(is_injected(side.trace) for _, side, _ in story.parts):
+    if not all(is_injected(side.trace) for _, side, _, _ in story.parts):
         return []
     flags: dict[int, list[bool]] = {}
-    for _, side, _ in story.parts:
+    for _, side, _, _ in story.parts:
         scene, perceived = EpisodeScene.of(side.trace), side.trace.perceived
         for sample in _until(side.trace, story.moment_s)[::_EVERY]:
             for row in range(perceived.first[sample], perceived.first[sample + 1]):
@@ -319,7 +377,7 @@ def _until(trace: Trace, time_s: float) -> list[int]:
 
 
 def middles(story: PairStory, time_s: float, turn_rad: float) -> list[Points]:
-    """Return the middles of the two maps at a time, shape ``(2,)`` each, the safe drive's first.
+    """Return the middles of the two maps at a time, shape ``(2,)`` each, in the order in which they are shown.
 
     As long as the cars are close together, both maps show the same place, half-way between them; from then on, each
     map stays with its own car.
@@ -331,7 +389,7 @@ def middles(story: PairStory, time_s: float, turn_rad: float) -> list[Points]:
     """
     places = [
         centres[sample_at(side.trace, time_s)]
-        for centres, (_, side, _) in zip(story.centres, story.parts, strict=True)
+        for centres, (_, side, _, _) in zip(story.centres, story.parts, strict=True)
     ]
     if not story.same_road:
         return places
@@ -350,21 +408,27 @@ def _moment(trace: Trace, story: Story) -> tuple[float, float]:
     return exact_s, float(trace.time_s[following]) if exact_s > at_s + 1e-3 else at_s
 
 
+def counterpart_of(trace: Trace, story: Story) -> int | None:
+    """Return the road user that the violation of a drive is about; None if that is none, or not known."""
+    if story.title not in ("front-gap", "no-collision"):
+        return None
+    actor = _hit(trace) if story.title == "no-collision" else _ahead(trace, story.decisive)
+    return _hit(trace) if actor is None else actor
+
+
 def _target(trace: Trace, story: Story, shown: int) -> Target | None:
     """Return what the violation of a drive is about, as it is at the sample that shows the moment."""
-    actor = None
-    if story.title in ("front-gap", "no-collision"):
-        actor = _hit(trace) if story.title == "no-collision" else _ahead(trace, story.decisive)
-        actor = _hit(trace) if actor is None else actor
+    actor = counterpart_of(trace, story)
     if actor is None:
         return None
-    gap_m = None
+    gap = None
     if story.title == "front-gap":
         gap_m = float(trace.robustness[story.requirement][story.decisive]) + REQUIRED_GAP_M
+        gap = gap_to(trace, shown, actor, gap_m)
     rows = obstacles_on(EpisodeScene.of(trace), shown, actor)
     labels = [LABELS[label_index(float(trace.perceived.rows[row, 1]))] for row in rows]
     return Target(
-        actor=actor, gap=gap_to(trace, shown, actor, gap_m), reported=tuple(dict.fromkeys(labels)),
+        actor=actor, gap=gap, reported=tuple(dict.fromkeys(labels)),
         vehicle=trace.actors[actor].kind == "vehicle",
     )  # fmt: skip
 

@@ -1,10 +1,13 @@
 """The chart of a pair over time: what was reported in each drive, plans, speeds, and the margin of the requirement.
 
-Blue is the safe drive, vermilion the unsafe one. Each row of bands has two lanes, the safe drive's above.
+Blue is the safe drive, vermilion the unsafe one. Each row of bands has a lane for each drive, in the order in which
+they are shown.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
 from textwrap import wrap
 from typing import Final, TypeAlias
 
@@ -15,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from brink.sim.replay.pair import SAFE, Interval, PairStory
-from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
+from brink.sim.replay.pair import Interval, PairStory
+from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, gap_to, obstacles_on
 from brink.sim.replay.story import margin_name, report_word, reported, runs, unit_of
 from brink.sim.replay.style import (
     GHOST,
@@ -45,9 +48,15 @@ _TOP: Final = 1.04
 """Where greater robustness is drawn, in multiples of the greatest one that is not cut."""
 _PANEL_NAME_LETTERS: Final = 13
 """Letters that a line of a panel's name may have, so that it fits beside the panel."""
+_ROW_NAME_LETTERS: Final = 10
+"""Letters of the name of a row that fit beside it."""
+_CROWDED: Final = 0.55
+"""Share of a panel's height above which a word beside it would hide its name."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 118, 26, 44
 DIFFERENCE: Final[Rgb] = (253, 238, 214)
 """Shading of the time in which the reports of the drives differ."""
+_COLOURS: Final = {False: SAFE_DRIVE, True: UNSAFE_DRIVE}
+"""Colours of the drives, by whether they are unsafe."""
 _HATCH: Final[Rgb] = (222, 160, 172)
 _REPORTED, _NOT_REPORTED = "reported", "not reported"
 
@@ -56,9 +65,21 @@ Run: TypeAlias = tuple[str, int, int]
 Paint: TypeAlias = Callable[[str], Rgb]
 
 
+class Panel(StrEnum):
+    """What a chart shows below its lanes."""
+
+    SPEED = "speed"
+    MARGIN = "margin"
+    """The margin of the requirement or, among the same road users, the distance to whom the violation is about."""
+
+
+_SHARES: Final = {Panel.SPEED: 0.4, Panel.MARGIN: 0.6}
+"""How high the panels are, one against the other."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Row:
-    """Two lanes of bands, the safe drive's and the unsafe drive's; without a colour by word, lanes have their own."""
+    """Two lanes of bands, one for each drive; without a colour by word, lanes have their own."""
 
     name: str
     lanes: tuple[list[Run], list[Run]]
@@ -92,7 +113,12 @@ class PairChart:
 
 
 def draw_pair_chart(
-    story: PairStory, *, size: tuple[int, int], window: Interval, speeds: bool = True, scale: float = 1.0
+    story: PairStory,
+    *,
+    size: tuple[int, int],
+    window: Interval,
+    panels: Sequence[Panel] = tuple(Panel),
+    scale: float = 1.0,
 ) -> PairChart:
     """Draw the chart of a pair.
 
@@ -100,7 +126,7 @@ def draw_pair_chart(
         story: The pair.
         size: Width and height in pixels.
         window: The span of time to show.
-        speeds: Whether to show the speeds.
+        panels: What to show below the lanes, from above.
         scale: Size of text and lanes.
     """
     width, height = size
@@ -112,23 +138,27 @@ def draw_pair_chart(
     left, span = _LEFT_PX / wide, (wide - _LEFT_PX - _RIGHT_PX) / wide
     bands = figure.add_axes((left, 1 - (_TOP_PX + lanes_px) / high, span, lanes_px / high))
     rest_px = high - _TOP_PX - lanes_px - _BOTTOM_PX - _GAP_PX * 2
-    shares = (0.4, 0.6) if speeds else (1.0,)
-    panels: list[Axes] = []
+    whole = sum(_SHARES[panel] for panel in panels)
+    drawn: list[Axes] = []
     top_px = float(_TOP_PX + lanes_px + _GAP_PX * 2)
-    for share in shares:
-        panel_px = rest_px * share - (_GAP_PX if len(shares) > 1 else 0)
-        panels.append(figure.add_axes((left, 1 - (top_px + panel_px) / high, span, panel_px / high)))
+    for panel in panels:
+        panel_px = rest_px * _SHARES[panel] / whole - (_GAP_PX if len(panels) > 1 else 0)
+        drawn.append(figure.add_axes((left, 1 - (top_px + panel_px) / high, span, panel_px / high)))
         top_px += panel_px + _GAP_PX * 2
     _plot_bands(bands, story, rows, window)
-    if speeds:
-        _plot_speeds(panels[0], story)
-    _plot_robustness(panels[-1], story, window)
-    for axes in (bands, *panels):
+    for panel, axes in zip(panels, drawn, strict=True):
+        if panel is Panel.SPEED:
+            _plot_speeds(axes, story)
+        elif story.pair.about_reports or story.target is None:
+            _plot_robustness(axes, story, window)
+        else:
+            _plot_distance(axes, story, story.target.actor)
+    for axes in (bands, *drawn):
         axes.set_xlim(window.start_s, window.end_s)
         _mark(axes, story, window)
-        axes.tick_params(labelbottom=axes is panels[-1])
+        axes.tick_params(labelbottom=axes is drawn[-1])
     _name_marks(bands, story, window)
-    panels[-1].set_xlabel("simulated time (s)", color=hexadecimal(MUTED), fontsize=9)
+    drawn[-1].set_xlabel("simulated time (s)", color=hexadecimal(MUTED), fontsize=9)
     canvas.draw()  # type: ignore[no-untyped-call]
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
     return PairChart(
@@ -138,7 +168,7 @@ def draw_pair_chart(
 
 
 def _rows(story: PairStory, window: Interval) -> list[_Row]:
-    traces = [side.trace for _, side, _ in story.parts]
+    traces = [side.trace for _, side, _, _ in story.parts]
     word = report_word(story.pair.unsafe.trace)
     # The boxes of these rows are all that was reported, whether true or not.
     word = "reported" if word in ("injected", "wrong") else word
@@ -149,10 +179,11 @@ def _rows(story: PairStory, window: Interval) -> list[_Row]:
             lanes = [_counts(trace, label) for trace in traces]
             if any(lanes):
                 rows.append(_Row(name=f"{word}\n{LABELS[label]}", lanes=(lanes[0], lanes[1]), colour=None))
-    for name in list(dict.fromkeys(name for actions in scripts for name in actions))[:_MOST_SCRIPTS]:
+    for name in _scripted(story, scripts):
         lanes = [_words(actions.get(name, [])) for actions in scripts]
-        rows.append(_Row(name=name, lanes=(lanes[0], lanes[1]), colour=_action_colour))
-    if story.unsafe.title == "front-gap":
+        named = name if len(name) <= _ROW_NAME_LETTERS else name.replace("-", "\n", 1)
+        rows.append(_Row(name=named, lanes=(lanes[0], lanes[1]), colour=_action_colour))
+    if story.unsafe.title == "front-gap" and story.pair.about_reports:
         ahead = [_ahead(trace, window) for trace in traces]
         if any(ahead):
             rows.append(_Row(name="vehicle\nahead", lanes=(ahead[0], ahead[1]), colour=_ahead_colour))
@@ -161,11 +192,20 @@ def _rows(story: PairStory, window: Interval) -> list[_Row]:
     return rows
 
 
+def _scripted(story: PairStory, scripts: Sequence[Mapping[str, object]]) -> list[str]:
+    """Return whose actions are shown: among the same road users, those of the one that the violation is about."""
+    names = list(dict.fromkeys(name for actions in scripts for name in actions))
+    if not story.pair.about_reports and story.target is not None:
+        about = story.pair.unsafe.trace.actors[story.target.actor].name
+        return [name for name in names if name == about]
+    return names[:_MOST_SCRIPTS]
+
+
 def _is_in(row: _Row, story: PairStory, window: Interval) -> bool:
     """Return whether a lane of a row has a band in a span of time."""
     return any(
         side.trace.time_s[first] <= window.end_s and side.trace.time_s[last] >= window.start_s
-        for (_, side, _), lane in zip(story.parts, row.lanes, strict=True)
+        for (_, side, _, _), lane in zip(story.parts, row.lanes, strict=True)
         for _, first, last in lane
     )
 
@@ -215,16 +255,17 @@ def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval
         spine.set_visible(False)
     step = 2 * _LANE + _LANE * _GAP_PX / _LANE_PX
     ticks, names = [], []
+    lines_s = [story.moment_s, *(mark.time_s for mark in story.pair.marks)]
     for index, row in enumerate(rows):
-        for lane, (name, side, _) in enumerate(story.parts):
+        for lane, (name, side, _, is_unsafe) in enumerate(story.parts):
             y = index * step + lane * _LANE
             trace = side.trace
             end_s = float(trace.time_s[-1])
             axes.broken_barh([(0.0, end_s)], (y, _LANE * 0.94), facecolor="#eef0f2", linewidth=0)
-            own = SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
+            own = _COLOURS[is_unsafe]
             for run in row.lanes[lane]:
                 colour = own if row.colour is None else row.colour(run[0])
-                _band(axes, trace, y, run, colour, window, story.moment_s)
+                _band(axes, trace, y, run, colour, window, lines_s)
             if end_s < story.end_s - 0.5 and end_s < window.end_s - 0.5 and index == len(rows) - 1:
                 axes.text(
                     end_s, y + _LANE / 2, " drive ends", va="center", fontsize=8, color=hexadecimal(MUTED)
@@ -234,18 +275,19 @@ def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval
         middle = index * step + _LANE
         axes.annotate(
             row.name, (0, middle), xycoords=("axes fraction", "data"), xytext=(-44, 0), textcoords="offset points",
-            ha="right", va="center", fontsize=9.5, fontweight="bold", color=hexadecimal(INK), linespacing=1.1,
+            ha="right", va="center", fontsize=9.5 if len(row.name) <= _ROW_NAME_LETTERS else 8.5, fontweight="bold",
+            color=hexadecimal(INK), linespacing=1.1,
         )  # fmt: skip
     axes.set_ylim(len(rows) * step, 0)
     axes.set_yticks(ticks, names)
     axes.tick_params(axis="y", length=0, labelsize=8.5, pad=3)
     axes.tick_params(axis="x", length=0)
-    for label, name in zip(axes.get_yticklabels(), names, strict=True):
-        label.set_color(hexadecimal(SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE))
+    for index, label in enumerate(axes.get_yticklabels()):
+        label.set_color(hexadecimal(_COLOURS[story.parts[index % len(story.parts)].is_unsafe]))
 
 
 def _band(
-    axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Interval, moment_s: float
+    axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Interval, lines_s: Sequence[float]
 ) -> None:
     word, first, last = run[0].replace("_", " "), *run[1:]
     start_s = float(trace.time_s[first])
@@ -258,9 +300,9 @@ def _band(
         [(start_s, end_s - start_s)], (y, _LANE * 0.94), facecolor=hexadecimal(colour), linewidth=0,
         hatch="////" if hidden else None, edgecolor=hexadecimal(_HATCH) if hidden else None,
     )  # fmt: skip
-    # The line of the moment would strike the word through: it is written in the longer part beside it.
-    if start_s < moment_s < end_s:
-        start_s, end_s = max((start_s, moment_s), (moment_s, end_s), key=lambda part: part[1] - part[0])
+    # Lines would strike the word through: it is written in the longest part between them.
+    cuts = [start_s, *sorted(at for at in lines_s if start_s < at < end_s), end_s]
+    start_s, end_s = max(pairwise(cuts), key=lambda part: part[1] - part[0])
     if word and end_s - start_s > 0.012 * (window.end_s - window.start_s) * len(word):
         axes.text(
             (start_s + end_s) / 2, y + _LANE * 0.49, word, ha="center", va="center", fontsize=8,
@@ -315,15 +357,40 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
         # Where the lines are cut is a tick: words inside would be struck through by them.
         ticks = [tick for tick in axes.get_yticks().tolist() if least <= tick < 0.7 * most]
         axes.set_yticks([*ticks, most * _TOP], [*(f"{tick:g}" for tick in ticks), f"{most * _TOP:.3g}+"])
+    low, high = axes.get_ylim()
+    crowded = -low / (high - low) > _CROWDED  # the name of the panel is where the line is
     axes.annotate(
-        "violated", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -4), textcoords="offset points", va="top",
+        "violated", (1, 0), xycoords="axes fraction" if crowded else ("axes fraction", "data"),
+        xytext=(6, 2 if crowded else -4), textcoords="offset points", va="bottom" if crowded else "top",
         fontsize=9, color=hexadecimal(VIOLATION),
     )  # fmt: skip
 
 
+def _plot_distance(axes: Axes, story: PairStory, actor: int) -> None:
+    """Plot how far the cars are from a road user that is in both drives."""
+    style_axes(axes)
+    highest = 1.0
+    for _, trace, colour in _drives(story):
+        gaps = [gap_to(trace, sample, actor) for sample in range(len(trace.time_s))]
+        gap_m = np.array([np.nan if gap is None else gap.gap_m for gap in gaps])
+        axes.plot(trace.time_s, gap_m, color=hexadecimal(colour), linewidth=2.0, zorder=3)
+        highest = max(highest, float(np.nanmax(gap_m, initial=1.0)))
+    highest = min(highest, GREATEST_ROBUSTNESS)
+    least_m = REQUIRED_GAP_M if story.unsafe.title == "front-gap" else 0.0
+    axes.set_ylim(-0.12 * highest, 1.08 * highest)
+    axes.axhspan(-highest, least_m, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
+    axes.axhline(least_m, color=hexadecimal(VIOLATION), linewidth=1.1)
+    axes.set_ylabel("m", fontsize=9)
+    name = story.pair.unsafe.trace.actors[actor].name
+    _name_panel(axes, "\n".join(["distance to", *wrap(name, _PANEL_NAME_LETTERS)]))
+    axes.annotate(
+        f"{least_m:g} m required" if least_m else "contact", (1, least_m), xycoords=("axes fraction", "data"),
+        xytext=(6, 0), textcoords="offset points", va="center", fontsize=9, color=hexadecimal(VIOLATION),
+    )  # fmt: skip
+
+
 def _drives(story: PairStory) -> list[tuple[str, Trace, Rgb]]:
-    colours = (SAFE_DRIVE, UNSAFE_DRIVE)
-    return [(name, side.trace, colour) for (name, side, _), colour in zip(story.parts, colours, strict=True)]
+    return [(name, side.trace, _COLOURS[is_unsafe]) for name, side, _, is_unsafe in story.parts]
 
 
 def _name_panel(axes: Axes, name: str) -> None:
@@ -344,6 +411,8 @@ def _mark(axes: Axes, story: PairStory, window: Interval) -> None:
     for span in story.differing:
         start_s, end_s = max(span.start_s, window.start_s), min(span.end_s, window.end_s)
         axes.axvspan(start_s, end_s, color=hexadecimal(DIFFERENCE), linewidth=0, zorder=0)
+    for at in story.pair.marks:
+        axes.axvline(at.time_s, color=hexadecimal(SAFE_DRIVE), linewidth=1.1, linestyle=(0, (3, 2)), zorder=4)
     axes.axvline(story.moment_s, color=hexadecimal(VIOLATION), linewidth=1.1, linestyle=(0, (3, 2)), zorder=4)
 
 
@@ -353,6 +422,14 @@ def _name_marks(axes: Axes, story: PairStory, window: Interval) -> None:
     span_s = window.end_s - window.start_s
     taken = [(story.moment_s, 0.011 * span_s * len(moment) / 2)]
     _above(axes, story.moment_s, moment, VIOLATION)
+    for mark in story.pair.marks:
+        words = f"{mark.words} {mark.time_s:.1f} s"
+        apart = taken[0][1] + 0.011 * span_s * len(words) / 2
+        earlier = mark.time_s <= story.moment_s
+        nearest = story.moment_s - apart if earlier else story.moment_s + apart
+        middle = min(mark.time_s, nearest) if earlier else max(mark.time_s, nearest)
+        taken.append((middle, apart - taken[0][1]))
+        _above(axes, middle, words, SAFE_DRIVE)
     for span in story.differing:
         start_s, end_s = max(span.start_s, window.start_s), min(span.end_s, window.end_s)
         words = "reports differ"

@@ -1,5 +1,6 @@
 """Pictures of a pair: a still image of both drives at the moment that matters, and the frames of a film of both."""
 
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,19 +11,20 @@ from brink.sim.replay.camera_view import FilmView, Reported, SketchView
 from brink.sim.replay.frame import Size
 from brink.sim.replay.map_view import DOTS_M, MapView, Marked, ObstacleStyle, Twin, road_heading
 from brink.sim.replay.pair import (
-    SAFE,
     DrivePair,
     Interval,
     PairStory,
+    Part,
     Side,
+    has_ended,
     middles,
     outcome_words,
     pair_story,
+    part_state_words,
     reality_words,
     sample_at,
-    state_words,
 )
-from brink.sim.replay.pair_chart import DIFFERENCE, PairChart, draw_pair_chart
+from brink.sim.replay.pair_chart import DIFFERENCE, PairChart, Panel, draw_pair_chart
 from brink.sim.replay.scene import (
     LABELS,
     PARKED,
@@ -34,7 +36,7 @@ from brink.sim.replay.scene import (
     label_index,
     outline,
 )
-from brink.sim.replay.story import Story, report_word, scenario_words
+from brink.sim.replay.story import report_word, scenario_words
 from brink.sim.replay.style import (
     EDGES,
     EGO,
@@ -55,6 +57,7 @@ from brink.sim.replay.style import (
     typeface,
     wrapped,
 )
+from brink.sim.replay.timeline import scripts_of
 
 STILL_WIDTH_PX: Final = 1600
 FILM_SIZE: Final[Size] = (1280, 720)
@@ -67,6 +70,9 @@ _REACH_M: Final = 20.0
 """How far from its car the middle of a map may be; the canvas of a map reaches as far beyond the drive."""
 AHEAD_S: Final = 4.0
 """How much of each car's way after the moment a still image shows."""
+FILM_LEAD_UP_S: Final = 2.0
+"""How long before the span that matters a film begins, if the pair names when that is."""
+_TOLERANCE_S: Final = 1e-3
 
 _MARGIN: Final = 24
 _MAP_GAP_PX: Final = 16
@@ -102,12 +108,15 @@ class PairPainter:
         self.size = size
         width, height = size
         self._unit = unit = width / FILM_SIZE[0]
-        self.time_s = _clock(pair)
+        whole = _clock(pair)
+        begins_s = self.story.window().start_s - FILM_LEAD_UP_S if pair.marks else 0.0
+        self.time_s = whole[whole >= begins_s - _TOLERANCE_S]
         self._still = Image.new("RGB", size, PAPER)
         draw = ImageDraw.Draw(self._still)
         font = typeface(round(17 * unit), bold=True)
         room = width - 2 * round(14 * unit) - 70 * unit
-        lines = _at_most(wrapped(draw, pair.change, font, room), 2)
+        lines = [line for words in pair.change.splitlines() for line in wrapped(draw, words, font, room)]
+        lines = _at_most(lines or [""], 2)
         y = 8 * unit
         for line in lines:
             draw.text((14 * unit, y), line, fill=INK, font=font)
@@ -120,15 +129,16 @@ class PairPainter:
         self._words_y, self._map_y = top, top + words_px
         self._turn_rad = _turn_rad(self.story)
         self._maps = _maps(self.story, self._map_size, unit, self._turn_rad)
-        whole = Interval(start_s=float(self.time_s[0]), end_s=max(float(self.time_s[-1]), 1.0))
+        shown = Interval(start_s=float(self.time_s[0]), end_s=max(float(self.time_s[-1]), 1.0))
+        panel = Panel.MARGIN if pair.about_reports else Panel.SPEED
         self._chart = draw_pair_chart(
-            self.story, size=(width, chart_px), window=whole, speeds=False, scale=0.92 * unit
+            self.story, size=(width, chart_px), window=shown, panels=(panel,), scale=0.92 * unit
         )
         self._still.paste(self._chart.image, (0, height - chart_px))
         self._chart_top = height - chart_px
-        for (name, side, story), left in zip(self.story.parts, self._lefts, strict=True):
-            _draw_chip(draw, name, side, story, (left, self._words_y), unit)
-            text, at = chip_words(name, side, story)[1], (left + 98 * unit, self._words_y + unit)
+        for part, left in zip(self.story.parts, self._lefts, strict=True):
+            _draw_chip(draw, part, (left, self._words_y), unit)
+            text, at = chip_words(part)[1], (left + 98 * unit, self._words_y + unit)
             _fit(draw, at, text, self._map_size[0] - 86 * unit, round(13 * unit), bold=True)
 
     @property
@@ -143,15 +153,19 @@ class PairPainter:
         draw = ImageDraw.Draw(frame)
         unit = self._unit
         centres = middles(self.story, time_s, self._turn_rad)
-        for index, (_, side, story) in enumerate(self.story.parts):
+        for index, part in enumerate(self.story.parts):
+            side, story = part.side, part.story
             left = self._lefts[index]
-            image = _draw_map(self.story, self._maps, index, time_s, centres[index], ahead=0)
+            marked = None if self.story.pair.about_reports else _marked(self.story, index, time_s)
+            image = _draw_map(self.story, self._maps, index, time_s, centres[index], ahead=0, marked=marked)
             frame.paste(image, (left, self._map_y))
             bad = story.violated and time_s >= float(side.trace.time_s[story.shown]) - 1e-3
             box = (left, self._map_y, left + self._map_size[0] - 1, self._map_y + self._map_size[1] - 1)
             draw.rectangle(box, outline=VIOLATION if bad else HAIRLINE, width=round((4 if bad else 1) * unit))
             at, font = (left + 98 * unit, self._words_y + 20 * unit), typeface(round(12 * unit))
-            draw.text(at, state_words(side, story, time_s), fill=VIOLATION if bad else MUTED, font=font)
+            draw.text(
+                at, part_state_words(self.story, part, time_s), fill=VIOLATION if bad else MUTED, font=font
+            )
         clock, font = f"{time_s:.1f} s", typeface(round(19 * unit), bold=True)
         draw.text((self.size[0] - 14 * unit, 8 * unit), clock, fill=INK, font=font, anchor="ra")
         _draw_pointer(draw, self._chart, self._chart_top, time_s, unit)
@@ -193,7 +207,7 @@ def pair_still(pair: DrivePair) -> Image.Image:
 
 
 def pair_maps(pair: DrivePair, size: Size = MAP_SIZE) -> tuple[Image.Image, Image.Image]:
-    """Return both drives from above at the moment that matters, the safe one first, without any words around them.
+    """Return both drives from above at the moment that matters, in order, without any words around them.
 
     Args:
         pair: The pair.
@@ -206,19 +220,19 @@ def pair_maps(pair: DrivePair, size: Size = MAP_SIZE) -> tuple[Image.Image, Imag
     turn_rad = _turn_rad(story)
     maps = _maps(story, size, size[0] / _MAP_UNIT_PX, turn_rad)
     centres = middles(story, story.shown_s, turn_rad)
-    safe, unsafe = (_still_map(story, maps, index, centres[index]) for index in (0, 1))
-    return safe, unsafe
+    first, second = (_still_map(story, maps, index, centres[index]) for index in (0, 1))
+    return first, second
 
 
 def _still_map(
     story: PairStory, maps: list[MapView], index: int, centre_m: NDArray[np.float64]
 ) -> Image.Image:
     """Return the map of one drive at the moment, with the gap and the road user that the violation is about."""
-    name, side, _ = story.parts[index]
+    side = story.parts[index].side
     ahead = sample_at(side.trace, story.shown_s + AHEAD_S) - sample_at(side.trace, story.shown_s)
     return _draw_map(
         story, maps, index, story.shown_s, centre_m, ahead=ahead, gap=_gap(story, index),
-        marked=_marked(story) if name != SAFE else None, spread=True,
+        marked=_marked(story, index, story.shown_s), spread=True,
     )  # fmt: skip
 
 
@@ -232,14 +246,19 @@ def _header(story: PairStory) -> Image.Image:
     probe = ImageDraw.Draw(Image.new("RGB", (1, 1)))
     room = STILL_WIDTH_PX - 2 * _MARGIN
     about = [f"Scenario: {scenario_words(story.pair.unsafe.trace).partition('; ')[0]}."]
-    if story.same_seed is not None:
+    if story.pair.about_reports and story.same_seed is not None:
         about.append(
             "Same episode seed: without the change, both drives would be identical."
             if story.same_seed
             else "Different episode seeds: chance differs, too."
         )
-    lines = _lines(probe, story.pair.change, 29, INK, room, bold=True)
-    lines += _lines(probe, reality_words(story), 19, INK, room)
+    lines = [
+        line
+        for words in story.pair.change.splitlines()
+        for line in _lines(probe, words, 29, INK, room, bold=True)
+    ]
+    if story.pair.about_reports:
+        lines += _lines(probe, reality_words(story), 19, INK, room)
     lines += _lines(probe, " ".join(story.pair.findings), 19, INK, room)
     lines += _lines(probe, " ".join([*about, *story.pair.facts]), 15, MUTED, room)
     image = Image.new("RGB", (STILL_WIDTH_PX, 34 + sum(line.height_px for line in lines)), PAPER)
@@ -257,10 +276,16 @@ def _maps(story: PairStory, size: Size, unit: float, turn_rad: float) -> list[Ma
     return [
         MapView(
             EpisodeScene.of(side.trace), size_px=size, px_per_m=size[0] / MAP_WIDTH_M, look_ahead_m=_REACH_M,
-            font_px=round(12.5 * unit), turn_rad=turn_rad, obstacle_style=_OBSTACLES,
+            font_px=round(12.5 * unit), turn_rad=turn_rad,
+            obstacle_style=_OBSTACLES if _shows_reports(story, side) else None,
         )
-        for _, side, _ in story.parts
+        for _, side, _, _ in story.parts
     ]  # fmt: skip
+
+
+def _shows_reports(story: PairStory, side: Side) -> bool:
+    """Return whether the map of a drive shows what was reported: not the truth where that is the same in both."""
+    return story.pair.about_reports or report_word(side.trace) != "seen"
 
 
 def _draw_map(
@@ -276,21 +301,21 @@ def _draw_map(
     spread: bool = False,
 ) -> Image.Image:
     """Return the map of one drive at a time, with the outline of the other drive's car."""
-    side, (other_name, other, _) = story.parts[index][1], story.parts[1 - index]
+    side, (other_name, other, _, is_unsafe) = story.parts[index].side, story.parts[1 - index]
     twin = None
     if story.same_road:
         x_m, y_m, yaw_rad = (float(v) for v in other.trace.ego[sample_at(other.trace, time_s), :3])
         twin = Twin(
             ego=outline(x_m, y_m, yaw_rad, *other.trace.ego_size_m),
-            caption=f"{other_name} drive",
-            colour=SAFE_DRIVE if other_name == SAFE else UNSAFE_DRIVE,
+            caption=other.car or f"{other_name} drive",
+            colour=UNSAFE_DRIVE if is_unsafe else SAFE_DRIVE,
         )
         mine = side.trace.ego[sample_at(side.trace, time_s), :2]
         if float(np.hypot(*(mine - (x_m, y_m)))) < _SAME_CAR_M:
             twin = None  # the cars are in the same place
     return maps[index].draw(
         sample_at(side.trace, time_s), centre_m=centre_m, twin=twin, ahead=ahead, gap=gap, marked=marked,
-        spread=spread,
+        spread=spread, ahead_gap=story.pair.about_reports,
     )  # fmt: skip
 
 
@@ -307,16 +332,15 @@ def _side_by_side(story: PairStory) -> Image.Image:
     turn_rad = _turn_rad(story)
     maps = _maps(story, size, 1.25, turn_rad)
     centres = middles(story, story.shown_s, turn_rad)
-    for index, (name, side, tale) in enumerate(story.parts):
+    for index, part in enumerate(story.parts):
         left = _MARGIN + index * (wide + gap)
-        _draw_chip(draw, name, side, tale, (left, 4), 1.25)
+        _draw_chip(draw, part, (left, 4), 1.25)
         _write(draw, verdicts[index], (left + chip_px, 5))
         image.paste(_still_map(story, maps, index, centres[index]), (left, words_px))
         box = (left, words_px, left + wide - 1, words_px + size[1] - 1)
-        draw.rectangle(
-            box, outline=VIOLATION if tale.violated else _chip_colour(name, tale),
-            width=4 if tale.violated else 2,
-        )  # fmt: skip
+        violated = part.story.violated
+        edge = VIOLATION if violated else _chip_colour(part)
+        draw.rectangle(box, outline=edge, width=4 if violated else 2)
         _draw_scale(draw, (left + 14, words_px + size[1] - 16), size[0] / MAP_WIDTH_M)
     return image
 
@@ -347,71 +371,100 @@ def _write(draw: ImageDraw.ImageDraw, lines: list[_Line], at: tuple[float, float
         y += line.height_px
 
 
-def _marked(story: PairStory) -> Marked | None:
-    """Return the mark of the road user that the violation is about: crimson unless it is reported."""
-    target = story.target
-    if target is None:
+def _marked(story: PairStory, index: int, time_s: float) -> Marked | None:
+    """Return the mark of the road user that the violation is about: crimson unless it is reported.
+
+    Where both drives are among the same road users, it is marked in both, with what it does.
+    """
+    target, is_unsafe = story.target, story.parts[index].is_unsafe
+    if target is None or (story.pair.about_reports and not is_unsafe):
         return None
-    return Marked(actor=target.actor, caption=target.words, colour=INK if target.reported else VIOLATION)
+    if has_ended(story.parts[index].side.trace, time_s) and not is_unsafe:
+        return None
+    if story.pair.about_reports:
+        return Marked(actor=target.actor, caption=target.words, colour=INK if target.reported else VIOLATION)
+    trace = story.parts[index].side.trace
+    actor = trace.actors[target.actor]
+    actions = scripts_of(trace).get(actor.name, [])
+    action = actions[sample_at(trace, time_s)].replace("_", " ") if actions else ""
+    caption = ": ".join(filter(None, (actor.name, action)))
+    return Marked(actor=target.actor, caption=caption, colour=VIOLATION if is_unsafe else INK)
 
 
 def _gap(story: PairStory, index: int) -> FrontGap | None:
-    """Return the front gap of a drive at the moment, as long as the requirement measured it."""
-    side = story.parts[index][1]
-    if index == 1 and story.target is not None:
+    """Return the gap of a drive at the moment, as long as the requirement measured it.
+
+    It is the front gap; among the same road users, it is the distance to the one that the violation is about.
+    """
+    _, side, _, is_unsafe = story.parts[index]
+    if is_unsafe and story.target is not None:
         return story.target.gap
+    if not story.pair.about_reports:
+        shown = sample_at(side.trace, story.shown_s)
+        target = None if has_ended(side.trace, story.shown_s) else story.target
+        gap = None if target is None else gap_to(side.trace, shown, target.actor)
+        return None if gap is None else replace(gap, required=story.unsafe.title == "front-gap")
     gap = front_gap(side.trace, sample_at(side.trace, story.sample_s))
     return gap and gap_to(side.trace, sample_at(side.trace, story.shown_s), gap.actor, gap.gap_m)
 
 
 def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, width_px: float) -> list[_Line]:
     """Return what happened in a drive, what simulating it again showed, and how it was at the moment."""
-    name, side, tale = story.parts[index]
-    state = f"at {story.moment_s:.1f} s: {state_words(side, tale, story.sample_s)}"
+    part = story.parts[index]
+    side = part.side
+    state = f"at {story.moment_s:.1f} s: {part_state_words(story, part, _judged_s(story))}"
+    state = f"A{state[1:]}" if side.number is None else f"Solution {side.number} {state}"
     again = side.again[:1].upper() + side.again[1:]
     return [
-        *_lines(draw, chip_words(name, side, tale)[1], 18, INK, width_px, bold=True),
+        *_lines(draw, chip_words(part)[1], 18, INK, width_px, bold=True),
         *_lines(draw, again, 15, INK, width_px),
-        *_lines(draw, f"Solution {side.number} {state}", 15, MUTED, width_px),
+        *_lines(draw, state, 15, MUTED, width_px),
     ]
 
 
-def _held_but(name: str, story: Story) -> bool:
+def _judged_s(story: PairStory) -> float:
+    """Return the time of the sample that tells of the moment: distances are those of the sample that shows it."""
+    return story.sample_s if story.pair.about_reports else story.shown_s
+
+
+def _held_but(part: Part) -> bool:
     """Return whether a drive is the safe one of a pair, and violated another requirement."""
-    return name == SAFE and not story.violated and bool(story.violations)
+    return not part.is_unsafe and not part.story.violated and bool(part.story.violations)
 
 
-def _chip_colour(name: str, story: Story) -> Rgb:
-    if _held_but(name, story):
+def _chip_colour(part: Part) -> Rgb:
+    if _held_but(part):
         return OTHER_VIOLATED
-    return SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
+    return UNSAFE_DRIVE if part.is_unsafe else SAFE_DRIVE
 
 
-def chip_words(name: str, side: Side, story: Story) -> tuple[str, str]:
+def chip_words(part: Part) -> tuple[str, str]:
     """Return the word on the chip of a drive, and what happened in it as a text that goes on where the chip ends."""
-    words = outcome_words(side, story)
-    if not _held_but(name, story):
-        return "HELD" if name == SAFE else "VIOLATED", words
+    words = outcome_words(part.side, part.story)
+    if part.side.chip:
+        return part.side.chip, words
+    if not _held_but(part):
+        return "VIOLATED" if part.is_unsafe else "HELD", words
     held, _, others = words.partition("; ")
     return "HELD, BUT", f"{others} ({held})" if others else words
 
 
-def _draw_chip(
-    draw: ImageDraw.ImageDraw, name: str, side: Side, story: Story, at: tuple[float, float], unit: float
-) -> None:
+def _draw_chip(draw: ImageDraw.ImageDraw, part: Part, at: tuple[float, float], unit: float) -> None:
     """Draw whether a side held the requirement in white on its colour, or purple if it violated another one."""
     left, top = at
     box = (left, top, left + 90 * unit, top + 22 * unit)
-    draw.rounded_rectangle(box, radius=4 * unit, fill=_chip_colour(name, story))
+    draw.rounded_rectangle(box, radius=4 * unit, fill=_chip_colour(part))
     font = typeface(round(13 * unit), bold=True)
     middle = left + 45 * unit, top + 11 * unit
-    word, _ = chip_words(name, side, story)
+    word, _ = chip_words(part)
     draw.text(middle, word, fill=PAPER, font=font, anchor="mm")
 
 
 def _camera(story: PairStory) -> Image.Image | None:
     """Return the camera's view of what was reported: both drives' boxes when they differ most; None without any."""
-    safe, unsafe = (side.trace for _, side, _ in story.parts)
+    safe, unsafe = (side.trace for side in (story.pair.safe, story.pair.unsafe))
+    if not story.pair.about_reports:
+        return None
     if safe.film is not None and unsafe.film is not None:
         return _films(story)
     if not len(safe.given_boxes.rows) and not len(unsafe.given_boxes.rows):
@@ -422,7 +475,7 @@ def _camera(story: PairStory) -> Image.Image | None:
     sample = sample_at(unsafe, time_s)
     reports = [
         Reported(side.trace.given_boxes.at(sample_at(side.trace, time_s)), colour, f"{name}:")
-        for (name, side, _), colour in zip(story.parts, (SAFE_DRIVE, UNSAFE_DRIVE), strict=True)
+        for (name, side, _, _), colour in zip(story.parts, (SAFE_DRIVE, UNSAFE_DRIVE), strict=True)
     ]
     image = Image.new("RGB", (size[0], size[1] + 104), PAPER)
     draw = ImageDraw.Draw(image)
@@ -469,7 +522,7 @@ def _films(story: PairStory) -> Image.Image:
     size = (400, 204)
     image = Image.new("RGB", (size[0], 2 * (size[1] + 28)), PAPER)
     draw = ImageDraw.Draw(image)
-    for index, (name, side, _) in enumerate(story.parts):
+    for index, (name, side, _, _) in enumerate(story.parts):
         top = index * (size[1] + 28)
         film = side.trace.film
         assert film is not None  # checked by the caller
@@ -496,7 +549,8 @@ def _legend_entries(story: PairStory) -> list[tuple[str, str]]:
     """Return the keys of what the maps and the chart show, each with its words."""
     seen = [_in_view(story, index) for index in (0, 1)]
     dots = f"; dots: its next {AHEAD_S:g} s" if any("dots" in one for one in seen) else ""
-    entries = [("ego", f"car under test{dots}")]
+    car = "car under test" if story.pair.about_reports else "car of the drive"
+    entries = [("ego", f"{car}{dots}")]
     entries += [
         (key, words)
         for key, words in (
@@ -513,7 +567,7 @@ def _legend_entries(story: PairStory) -> list[tuple[str, str]]:
 
 def _in_view(story: PairStory, index: int) -> set[str]:
     """Return which keys of the legend a map at the moment needs."""
-    trace, other = story.parts[index][1].trace, story.parts[1 - index][1].trace
+    trace, other = story.parts[index].side.trace, story.parts[1 - index].side.trace
     turn_rad, sample = _turn_rad(story), sample_at(trace, story.shown_s)
     centre = middles(story, story.shown_s, turn_rad)[index]
     cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
@@ -530,7 +584,11 @@ def _in_view(story: PairStory, index: int) -> set[str]:
     if any(s.kind == PARKED and visible(s.points.astype(np.float64)) for s in trace.scene):
         found.add("parked")
     rows = trace.perceived.at(sample)
-    if len(rows) and visible(rows[:, 2:4].astype(np.float64)):
+    if (
+        len(rows)
+        and _shows_reports(story, story.parts[index].side)
+        and visible(rows[:, 2:4].astype(np.float64))
+    ):
         found.add("ghost")
     if story.same_road:
         there = other.ego[sample_at(other, story.shown_s), :2].astype(np.float64)

@@ -33,13 +33,15 @@ def render(
 ) -> Path:
     """Render an episode to a file: a still image (.png) or a video (.gif, .mp4).
 
+    Where a reference driver would have avoided the violation, both drives are shown side by side.
+
     The file is written under a temporary name and then renamed, so it appears complete or not at all.
 
     Args:
         trace: The episode.
         path: The file; its extension decides the kind of replay.
         requirement: Ids of the requirements to judge; for the default see `story_of`.
-        size: Width and height of a frame; the default depends on the extension.
+        size: Width and height of a frame, without a reference driver's drive; the default depends on the extension.
         on_progress: Called after each frame with the number of frames drawn and the total.
 
     Returns:
@@ -51,9 +53,13 @@ def render(
     """
     # These modules take a second to import, so they are imported only when an episode is rendered.
     from brink.sim.replay.frame import FramePainter
+    from brink.sim.replay.reference import comparison_of
     from brink.sim.replay.sheets import still
 
     target = Path(path)
+    compared = comparison_of(trace, requirement)
+    if compared is not None and size is None:
+        return render_pair(compared.pair(trace), target, on_progress=on_progress)
     wanted = size or DEFAULT_SIZES[_known_extension(target.suffix)]
     return _write(
         target,
@@ -88,7 +94,7 @@ def render_pair(
 
 
 def render_pair_maps(pair: DrivePair) -> tuple[bytes, bytes]:
-    """Return both drives of a pair from above at the moment that matters, as PNG, the safe one first.
+    """Return both drives of a pair from above at the moment that matters, as PNG, in the order of showing.
 
     Args:
         pair: The pair; its words are not shown.
@@ -105,8 +111,8 @@ def render_pair_maps(pair: DrivePair) -> tuple[bytes, bytes]:
         picture.quantize(MAP_COLOURS, dither=Image.Dither.NONE).save(buffer, format="PNG", optimize=True)
         return buffer.getvalue()
 
-    safe, unsafe = pair_maps(pair)
-    return encoded(safe), encoded(unsafe)
+    first, second = pair_maps(pair)
+    return encoded(first), encoded(second)
 
 
 def _write(

@@ -77,6 +77,10 @@ _TOUCHING_M: Final = 1.0
 _GAP_TOLERANCE_M: Final = 0.75
 """How far a clearance between outlines may differ from the recorded gap: float32 poses, sampling, slopes."""
 _MOST_DIGITS: Final = 4
+STANDING_MARGIN_M: Final = 0.0
+"""Robustness of `front-gap@2` while the ego stands and would otherwise violate it."""
+TOUCHES_M: Final = 0.05
+"""Bodies this close are said to touch."""
 _TIED_M: Final = 0.02
 """Distances this close count as equal."""
 
@@ -335,29 +339,33 @@ def score_threshold(trace: Trace) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontGap:
-    """The line from the ego to the vehicle ahead.
+    """The line from the ego to the vehicle ahead, or to another road user.
 
     Attributes:
-        actor: Index of the vehicle among the trace's actors.
-        ends: A point of the ego's outline and one of the vehicle's, shape ``(2, 2)``.
+        actor: Index of the road user among the trace's actors.
+        ends: A point of the ego's outline and one of the road user's, shape ``(2, 2)``.
         gap_m: Length, as the requirement measured it if it was recorded.
+        required: Whether the front gap is required to it.
     """
 
     actor: int
     ends: Points
     gap_m: float
+    required: bool = True
 
     @property
     def too_short(self) -> bool:
         """Whether the gap is shorter than required."""
-        return self.gap_m < REQUIRED_GAP_M
+        return self.required and self.gap_m < REQUIRED_GAP_M
 
 
 def front_gap(trace: Trace, sample: int) -> FrontGap | None:
     """Return the gap to the vehicle ahead; None if there is none within 40 m, or the ego has hit that vehicle."""
     series = {plain_name(name): values for name, values in trace.robustness.items()}
     recorded = series.get("front-gap")
-    gap_m = None if recorded is None else float(recorded[sample]) + REQUIRED_GAP_M
+    # Of a standing ego, front-gap@2 tells no gap that is too short.
+    stands = recorded is not None and recorded[sample] == STANDING_MARGIN_M
+    gap_m = None if recorded is None or stands else float(recorded[sample]) + REQUIRED_GAP_M
     if gap_m is not None and gap_m > _GAP_DRAWN_UP_TO_M:
         return None
     x_m, y_m, yaw_rad = (float(value) for value in trace.ego[sample, :3])
@@ -387,7 +395,8 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
             # An oncoming vehicle may pass at just that distance: the one ahead is the one on the route.
             rank = float(np.hypot(*(route - actor.motion[sample, :2]).T).min())
         line_m = clearance_m if gap_m is None else max(0.0, gap_m)
-        found.append((rank, FrontGap(actor=index, ends=np.vstack([start, end]), gap_m=line_m)))
+        line = FrontGap(actor=index, ends=np.vstack([start, end]), gap_m=line_m, required=not stands)
+        found.append((rank, line))
     nearest = min(found, key=lambda pair: pair[0])[1] if found else None
     collided = "no-collision" in series and bool(series["no-collision"][sample] < 0)
     return None if nearest is None or (collided and nearest.gap_m < _TOUCHING_M) else nearest

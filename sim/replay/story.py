@@ -11,6 +11,7 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.replay.scene import (
     LABELS,
     PERSON,
+    STANDING_MARGIN_M,
     ReplayError,
     count_wrong,
     gap_words,
@@ -129,16 +130,16 @@ def story_of(trace: Trace, requirement: Judged = None) -> Story:
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to judge, with or without version. Of several, the story is about the one
-            that was violated first. By default the front gap or, if the trace does not record it, its first
-            requirement.
+        requirement: Id of the requirement to judge, with or without version. Of several, and by default of all, the
+            story is about the one that was violated first; if all held, about the front gap or, if the trace does not
+            record it, about the first.
 
     Raises:
         ReplayError: The trace is empty, or does not record the requirement.
     """
     if len(trace.time_s) == 0:
         raise ReplayError("the trace has no samples: there is nothing to draw")
-    chosen = _choose(trace, requirement)
+    chosen = _first_violated(trace, judged_requirements(trace, requirement))
     series = np.asarray(trace.robustness[chosen], dtype=np.float64)
     series = np.where(np.isnan(series), np.inf, series)
     below = np.flatnonzero(series < 0)
@@ -167,9 +168,9 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
         below = np.flatnonzero(np.asarray(series) < 0)
         if below.size:
             sample = int(below[0])
-            hit = _collision(trace) if plain_name(name) == "no-collision" else None
+            hit = _collision(trace, name)
             what = violated_words(name, None if hit is None else _kind_of(trace, hit))
-            time_s = _violated_at_s(trace, name, sample, hit)
+            time_s = _violated_at_s(trace, name, sample)
             words = f"{what} at {time_s:.1f} s"
             shown = _reads_as(trace, time_s, sample)
             found.append(
@@ -178,7 +179,7 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
                     lag_s=max(0.0, time_s - float(trace.time_s[sample])),
                 )
             )  # fmt: skip
-    return tuple(sorted(found, key=lambda one: (one.requirement != chosen, one.sample)))
+    return tuple(sorted(found, key=lambda one: (one.requirement != chosen, one.time_s)))
 
 
 def _reads_as(trace: Trace, time_s: float, sample: int) -> int:
@@ -187,16 +188,20 @@ def _reads_as(trace: Trace, time_s: float, sample: int) -> int:
     return next((one for one in following if f"{float(trace.time_s[one]):.1f}" == f"{time_s:.1f}"), sample)
 
 
-def _violated_at_s(trace: Trace, requirement: str, sample: int, hit: Event | None) -> float:
+def _violated_at_s(trace: Trace, requirement: str, sample: int) -> float:
     """Return the time of a first violation: a sample keeps the lowest robustness until the next one."""
     exact = trace.about.get(VIOLATED_AT_S)
     time_s = exact.get(requirement) if isinstance(exact, Mapping) else None
     if isinstance(time_s, int | float):
         return float(time_s)
+    hit = _collision(trace, requirement)
     return float(trace.time_s[sample]) if hit is None else hit.time_s
 
 
-def _collision(trace: Trace) -> Event | None:
+def _collision(trace: Trace, requirement: str) -> Event | None:
+    """Return the collision that violates a requirement, if that is what the requirement is about."""
+    if plain_name(requirement) != "no-collision":
+        return None
     return next((event for event in trace.events if event.kind == "collision"), None)
 
 
@@ -207,33 +212,41 @@ def _kind_of(trace: Trace, hit: Event) -> CollisionKind | None:
     return next((one for one in CollisionKind if one == kind), None)
 
 
-def _choose(trace: Trace, requirement: Judged) -> str:
-    if requirement is not None and not isinstance(requirement, str):
-        matching = [name for name in trace.robustness if {name, plain_name(name)} & set(requirement)]
-        if not matching:
-            known = ", ".join(trace.robustness) or "none"
-            raise ReplayError(
-                f"requirement: expected some that the trace records ({known}), got {', '.join(requirement)}"
-            )
-        first = {name: np.flatnonzero(np.asarray(trace.robustness[name]) < 0) for name in matching}
-        violated = [name for name in matching if first[name].size]
-        if violated:
-            return min(violated, key=lambda name: int(first[name][0]))
-        return min(matching, key=_preference)
+def judged_requirements(trace: Trace, requirement: Judged) -> list[str]:
+    """Return which requirements of a trace are asked for, by default all.
+
+    Raises:
+        ReplayError: The trace records none of them.
+    """
     if requirement is None:
         if not trace.robustness:
             raise ReplayError("the trace records no requirement: there is nothing to judge")
-        preferred = min(trace.robustness, key=_preference)
-        # An episode with camera images may be about any hazard: show one that occurred if the preferred one did not.
-        violated = [
-            name for name, series in trace.robustness.items() if trace.film is not None and np.any(series < 0)
-        ]
-        return preferred if preferred in violated or not violated else violated[0]
-    matching = [name for name in trace.robustness if requirement in (name, plain_name(name))]
+        return list(trace.robustness)
+    known = ", ".join(trace.robustness) or "none"
+    if isinstance(requirement, str):
+        matching = [name for name in trace.robustness if requirement in (name, plain_name(name))]
+        if not matching:
+            raise ReplayError(
+                f"requirement: expected one that the trace records ({known}), got {requirement!r}"
+            )
+        return [requirement if requirement in matching else matching[0]]
+    # Traces of before record the former version of a requirement.
+    asked = {name if name in trace.robustness else plain_name(name) for name in requirement}
+    matching = [name for name in trace.robustness if {name, plain_name(name)} & asked]
     if not matching:
-        known = ", ".join(trace.robustness) or "none"
-        raise ReplayError(f"requirement: expected one that the trace records ({known}), got {requirement!r}")
-    return requirement if requirement in matching else matching[0]
+        raise ReplayError(
+            f"requirement: expected some that the trace records ({known}), got {', '.join(requirement)}"
+        )
+    return matching
+
+
+def _first_violated(trace: Trace, names: Sequence[str]) -> str:
+    """Return which of some requirements was violated first; if all held, the preferred one."""
+    first = {name: np.flatnonzero(np.asarray(trace.robustness[name]) < 0) for name in names}
+    violated = {name: int(samples[0]) for name, samples in first.items() if samples.size}
+    if not violated:
+        return min(names, key=_preference)
+    return min(violated, key=lambda name: (_violated_at_s(trace, name, violated[name]), _preference(name)))
 
 
 def _preference(requirement: str) -> int:
@@ -413,6 +426,8 @@ def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
         return with_unit(robustness, requirement), "violated" if robustness < 0 else "to spare"
     if robustness > _NO_VEHICLE_M:
         return "no vehicle ahead", ""
+    if robustness == STANDING_MARGIN_M:
+        return "the ego stands", ""
     required = f"{REQUIRED_GAP_M:g} m"
     gap = gap_words(robustness + REQUIRED_GAP_M)
     if robustness >= 0:

@@ -8,13 +8,24 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page
 from playwright.sync_api import expect as shown
-from support.api import ball, listening_coordinator, submit
+from support.api import ball, eventually, listening_coordinator, progress, submit
 from support.problems import small_problems
 
 import brink.server.access.authentication
 from brink.bench.chromium import NoChromium, chromium, executable
 from browser.console import Console, silence
-from browser.served import ANY_PAIR, LOOSELY, NOBODYS, SECRET, Served, a_pair, served, unsafe_one
+from browser.served import (
+    ANY_PAIR,
+    LOOSELY,
+    NOBODYS,
+    PATIENCE_S,
+    SECRET,
+    TRAFFIC,
+    Served,
+    a_pair,
+    served,
+    unsafe_one,
+)
 from browser.views import View, views_of
 from browser.visits import PATIENCE_MS, Browse, Regular, Visits, visiting
 
@@ -41,6 +52,16 @@ def site(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     folder = tmp_path_factory.mktemp("site")
     with served(f"sqlite:///{shutil.copyfile(sqlite_file, folder / 'brink.db')}", folder) as made:
         yield made
+
+
+@pytest.fixture(scope="package")
+def traffic(site: Served) -> str:
+    """A finished campaign of the site in hostile traffic, whose worker is told to simulate it."""
+    campaign = submit(site.client, TRAFFIC)
+    eventually(
+        lambda: progress(site.client, campaign)["status"] == "finished", "traffic is simulated", PATIENCE_S
+    )
+    return campaign
 
 
 @pytest.fixture

@@ -26,6 +26,13 @@ URBAN: dict[str, Any] = {
     "budget": {"simulations": 40},
     "seed": 8,
 }
+TRAFFIC: dict[str, Any] = {
+    "name": "hostile traffic",
+    "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},
+    "algorithm": {"id": "mumoea@1", "params": {"population_size": 20}},
+    "budget": {"simulations": 20},
+    "seed": 1,
+}
 SECRET = "correct-horse"
 """The token of a coordinator that asks for one."""
 

@@ -5,6 +5,7 @@ import json
 import re
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -162,3 +163,65 @@ def test_the_nearest_solution_with_the_other_verdict_comes_first_with_what_diffe
     shown(solution.get_by_role("heading", name=f"Solution {told['number']}", exact=True)).to_be_visible()
     shown(solution.get_by_role("heading", name="Nearest unsafe solution")).to_be_visible()
     shown(solution.get_by_text("What differs there: ")).to_be_visible()
+
+
+def violating(site: Served, campaign: str, avoidable: str) -> dict[str, Any]:
+    """Return the first solution of a campaign whose violations are all avoidable by somebody, or by nobody."""
+    told = expect(site.client.get(f"{API}/campaigns/{campaign}/violations"))["violations"]
+    number = next(
+        number
+        for number in sorted({one["number"] for one in told})
+        if {one["avoidable"] for one in told if one["number"] == number} == {avoidable}
+    )
+    found: dict[str, Any] = expect(site.client.get(f"{API}/campaigns/{campaign}/solutions/{number}"))
+    return found
+
+
+def test_a_careful_drivers_drive_is_beside_that_which_it_would_have_avoided(
+    site: Served, traffic: str, browse: Browse
+) -> None:
+    one = violating(site, traffic, "careful")
+    page = browse(f"#/campaigns/{traffic}/solutions/{one['number']}")
+    card = page.get_by_role("region", name="Replay")
+    shown(card).to_contain_text(re.compile("The system .*A careful driver "), timeout=60_000)
+    shown(card.get_by_role("list", name="Who would have avoided")).to_contain_text(
+        "avoidable by a careful driver"
+    )
+    shown(page.get_by_role("region", name="Verdicts", exact=True)).to_contain_text(
+        "avoidable by a careful driver"
+    )
+    maps = card.locator(".drive canvas")
+    shown(maps).to_have_count(2)
+    shown(card.locator(".drive .badge")).to_have_text(["system", "careful driver"])
+    moments = [violated["time_s"] for violated in one["violated"]]
+    assert min(abs(clock(page) - at_s) for at_s in moments) < 0.11, "it opens at the violation"
+    before = [picture(maps.nth(index)) for index in (0, 1)]
+    card.get_by_label("Time in the episode").press("Home")
+    for index in (0, 1):
+        changes(maps.nth(index), before[index])
+    page.get_by_role("region", name="Events in chronological order").get_by_role("button").last.click()
+    assert clock(page) > 0, "both drives go where the system's events lead"
+
+
+def test_a_violation_that_nobody_avoids_says_so_and_shows_the_system_alone(
+    site: Served, traffic: str, browse: Browse
+) -> None:
+    page = browse(f"#/campaigns/{traffic}/solutions/{violating(site, traffic, 'no')['number']}")
+    card = page.get_by_role("region", name="Replay")
+    shown(card).to_contain_text("not avoidable by braking", timeout=60_000)
+    shown(card.get_by_role("img", name="The episode from above")).to_have_count(1)
+
+
+def test_a_campaign_in_traffic_begins_with_what_a_careful_driver_would_have_avoided(
+    site: Served, traffic: str, browse: Browse
+) -> None:
+    told = expect(site.client.get(f"{API}/campaigns/{traffic}/finding"))
+    page = browse(f"#/campaigns/{traffic}")
+    shown(page.get_by_role("region", name="Finding")).to_contain_text("A careful driver would have avoided")
+    card = page.get_by_role("region", name="What a careful driver would have avoided")
+    shown(card).to_be_visible(timeout=60_000)
+    for example in told["avoidable"]:
+        shown(card.get_by_role("link", name=f"Solution {example['number']}")).to_be_visible()
+        shown(card).to_contain_text(example["words"][1:])
+    row = page.get_by_role("region", name="Types of violations").last.get_by_role("row").nth(1)
+    shown(row).to_contain_text("careful driver")

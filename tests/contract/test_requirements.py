@@ -19,7 +19,9 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.requirements import FrontGap, Requirement, WorldSample
 from brink.sim.testing import ContractBroken, check_requirement
 
-SHIPPED = {"front-gap@1", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1"}
+SHIPPED = {
+    "front-gap@1", "front-gap@2", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
+}  # fmt: skip
 
 
 def test_the_shipped_requirements_are_registered() -> None:
@@ -32,7 +34,7 @@ def test_passes_the_contract_suite(requirement_id: str) -> None:
 
 
 def test_an_unknown_id_is_rejected_with_the_closest_known_id() -> None:
-    with pytest.raises(InvalidEpisode, match="did you mean 'front-gap@1'"):
+    with pytest.raises(InvalidEpisode, match="did you mean 'front-gap@2'"):
         make_requirement("front_gap")
 
 

@@ -130,6 +130,17 @@ def refuses(status: int, message: str = "no", form: ErrorForm = ErrorForm.OPENAI
     return lambda asked: JSONResponse(body, status, named)
 
 
+def late(step: Step, delay_s: float) -> Step:
+    """Return a step that answers like another one, after some time."""
+
+    async def answer(asked: Asked) -> Response:
+        await asyncio.sleep(delay_s)
+        response = step(asked)
+        return await response if inspect.isawaitable(response) else response
+
+    return answer
+
+
 def cut(text: str) -> Step:
     """Return a step that announces a longer body than it sends, and closes the connection."""
 
@@ -163,6 +174,7 @@ class Endpoint:
         form_refusal: Its answer to requests for other forms.
         key: Required API key, if any.
         models: Body of the model list; None if it has no list.
+        always: Its answer when the script has ended; by default, an error that names the test.
     """
 
     url: str
@@ -173,6 +185,7 @@ class Endpoint:
     )
     key: str | None = None
     models: Any = None
+    always: Step = field(default_factory=lambda: refuses(418, "the test has no further answer"))
     _steps: deque[Step] = field(default_factory=deque)
     _stalled: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = field(default_factory=list)
 
@@ -201,7 +214,7 @@ class Endpoint:
         """Reset the script, and forget all requests."""
         self.release()
         fresh = Endpoint(self.url)
-        for name in ("asked", "forms", "form_refusal", "key", "models", "_steps"):
+        for name in ("asked", "forms", "form_refusal", "key", "models", "always", "_steps"):
             setattr(self, name, getattr(fresh, name))
 
     async def chat(self, request: Request) -> Response:
@@ -212,10 +225,8 @@ class Endpoint:
             return refusal
         if asked.form not in self.forms:
             step = self.form_refusal
-        elif self._steps:
-            step = self._steps.popleft()
         else:
-            step = refuses(418, "the test has no further answer")
+            step = self._steps.popleft() if self._steps else self.always
         response = step(asked)
         return await response if inspect.isawaitable(response) else response
 

@@ -1,5 +1,6 @@
 """Traffic campaigns for tests: a worker that simulates them, and campaigns that a language model seeds."""
 
+import base64
 import json
 from functools import cache
 from typing import Any
@@ -18,12 +19,12 @@ POPULATION = 8
 
 def simulate(job: LeasedJob) -> Completed | JobFailed:
     """Simulate a job."""
-    return driven(job.spec)
+    return driven(job.spec, record=job.record)
 
 
-def driven(spec: Any) -> Completed:
+def driven(spec: Any, *, record: bool = False) -> Completed:
     """Simulate an episode, unless the same one was simulated before."""
-    return _driven(json.dumps(spec, sort_keys=True))
+    return _driven(json.dumps(spec, sort_keys=True), record)
 
 
 @cache
@@ -32,8 +33,8 @@ def _simulator() -> BrinkEncounter:
 
 
 @cache
-def _driven(spec: str) -> Completed:
-    result = _simulator().run(EpisodeSpec.from_json(json.loads(spec)))
+def _driven(spec: str, record: bool) -> Completed:
+    result = _simulator().run(EpisodeSpec.from_json(json.loads(spec)), record=record)
     return Completed(
         verdicts={
             name: WireVerdict(robustness=v.robustness, unit=v.unit, violated_at_s=v.violated_at_s)
@@ -41,6 +42,7 @@ def _driven(spec: str) -> Completed:
         },
         objectives=dict(result.objectives),
         features=dict(result.features),
+        trace=None if result.trace is None else base64.b64encode(result.trace).decode(),
     )
 
 

@@ -11,24 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 from support.api import listening_coordinator
+from support.circle import inside
 from support.databases import on_sqlite
 
 import brink
 from brink.api.client import CoordinatorError
 from brink.python.picture import Picture
 from brink.python.result import CampaignUnfinished
+from brink.search import surrogate
 from brink.search.errors import SpaceError
 from brink.server.errors import InvalidInput
 from brink.server.states import CampaignStatus
 
 HILLS = brink.Campaign(problem="mtq@1", algorithm="random@1", simulations=120, name="hills")
 SPACE = {"x": (0.0, 1.0), "y": (0.0, 1.0, "m"), "side": ["left", "right"]}
-
-
-def inside(x: float, y: float, side: str) -> float:
-    """Return how far a point is outside a circle of radius 0.3, on the left, or 0.2, on the right."""
-    radius = {"left": 0.3, "right": 0.2}[side]
-    return float(np.hypot(x - 0.5, y - 0.5)) - radius
 
 
 def margin(pair: dict[Any, Any], side: str) -> float:
@@ -46,7 +42,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def circle(folder: Path) -> brink.Result:
-    return brink.search(inside, SPACE, simulations=300, progress=False)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(surrogate, "TREES", 15)
+        return brink.search(inside, SPACE, simulations=300, progress=False)
 
 
 def test_a_report_to_hand_on_is_one_file(circle: brink.Result, tmp_path: Path) -> None:
@@ -106,7 +104,9 @@ def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result)
 
 
 def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
-    options: dict[str, Any] = {"algorithm": "edge@1", "progress": False, "simulations": 20}
+    options: dict[str, Any] = {
+        "algorithm": "edge@1", "progress": False, "simulations": 20, "workers": 1,
+    }  # fmt: skip
     far = brink.search(inside, SPACE, params={"eps": 1e-6, "explore": 0.9}, **options)
     assert len(far.pairs()) == 0
     found = re.search(
@@ -122,9 +122,8 @@ def test_a_choice_that_is_called_null_is_no_missing_value(folder: Path) -> None:
     def ghost(label: str, x: float) -> float:
         return x - 0.5 if label == "null" else 1.0
 
-    found = brink.search(
-        ghost, {"label": ["null", "person"], "x": (0.0, 1.0)}, simulations=80, progress=False
-    )
+    space: dict[str, Any] = {"label": ["null", "person"], "x": (0.0, 1.0)}
+    found = brink.search(ghost, space, simulations=80, workers=1, progress=False)
     labels = {*found.pairs()["safe.parameters.label"], *found.pairs()["unsafe.parameters.label"]}
     assert "null" in labels <= {"null", "person"}
 
@@ -155,7 +154,9 @@ def test_a_function_with_chance_gets_the_seed_of_the_episode(folder: Path) -> No
     def noisy(x: float, seed: int) -> dict[str, float]:
         return {"robustness": x - 0.5 + np.random.default_rng(seed).normal(0, 0.01), "effort": x}
 
-    result = brink.search(noisy, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=40, progress=False)
+    result = brink.search(
+        noisy, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=40, workers=1, progress=False
+    )
     left_over = result.to_pandas()
     noise = left_over["robustness"] - (left_over["x"] - 0.5)
     assert 0.003 < noise.std() < 0.03
@@ -171,7 +172,9 @@ def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> No
     def noisy(x: float, y: float, seed: int) -> float:
         return x - y + np.random.default_rng(seed).normal(0, 0.02)
 
-    result = brink.search(noisy, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, simulations=150, progress=False)
+    result = brink.search(
+        noisy, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, simulations=150, workers=1, progress=False
+    )
     pairs = result.check_pairs(confirm=10)
     assert len(pairs) >= 2
     assert (pairs["safe.again_evaluated"] == 10).all()
@@ -208,11 +211,14 @@ def test_a_function_that_fails_too_often_is_counted(folder: Path) -> None:
             raise RuntimeError("no road here")
         return x - 0.5
 
+    options: dict[str, Any] = {
+        "algorithm": "random@1", "simulations": 60, "workers": 1, "progress": False,
+    }  # fmt: skip
     with pytest.raises(
         CampaignUnfinished, match=r"narrow: \d\d of 60 calls failed.*RuntimeError: no road here"
     ):
-        brink.search(narrow, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=60, progress=False)
-    result = brink.search(narrow, {"x": (0.0, 0.7)}, algorithm="random@1", simulations=60, progress=False)
+        brink.search(narrow, {"x": (0.0, 1.0)}, **options)
+    result = brink.search(narrow, {"x": (0.0, 0.7)}, **options)
     assert result.failed + result.evaluated == 60
     assert 0 < result.failed <= 12
 
@@ -237,7 +243,12 @@ def test_a_space_that_does_not_fit_the_function_is_refused(function: Any, space:
 def test_a_bool_is_no_robustness(folder: Path) -> None:
     with pytest.raises(CampaignUnfinished, match="expected a finite number, negative if"):
         brink.search(
-            lambda x: x > 0.5, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=20, progress=False
+            lambda x: x > 0.5,
+            {"x": (0.0, 1.0)},
+            algorithm="random@1",
+            simulations=20,
+            workers=1,
+            progress=False,
         )
 
 
@@ -337,7 +348,7 @@ def test_a_picture_is_saved_under_a_name_of_its_kind(tmp_path: Path) -> None:
 
 def test_a_search_starts_from_an_earlier_one(circle: brink.Result) -> None:
     options: dict[str, Any] = {
-        "algorithm": "random@1", "simulations": 60, "params": {"radius": 0.3}, "progress": False,
+        "algorithm": "random@1", "simulations": 60, "params": {"radius": 0.3}, "progress": False, "workers": 1,
     }  # fmt: skip
     by_result = brink.search(inside, SPACE, start_from=circle, **options)
     by_id = brink.search(inside, SPACE, start_from=circle.id, resume=False, **options)

@@ -92,7 +92,8 @@ def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client
     )
     found = column(client)
     assert found[tolerances] == "8 tolerances"
-    assert found[violations] == f"{len(types)} types of violations"
+    avoidable = sum(kind["avoidable"] == "careful" for kind in types)
+    assert found[violations] == f"{avoidable} of {len(types)} types of violations avoidable"
     assert "hazardous combination" in found[chains]
 
 

@@ -256,7 +256,7 @@ def test_storing_a_reply_is_retried_until_shutdown(
     writer.close()
     log = CampaignCalls(engines, writer, "nobody", stopping)
     call = StoredCall(
-        key=CallKey(0, 0), prompt_hash="0" * 64, mode=Mode.PLAIN, raw="{}", outcome=Outcome.OK, calls=1,
+        key=CallKey(0, 0), prompt_hash="0" * 64, mode=Mode.PLAIN, raw="{}", outcome=Outcome.OK, requests=1,
         usage=None, cost=None, latency_s=0.1, error=None,
     )  # fmt: skip
     refused: list[BaseException] = []
@@ -338,6 +338,7 @@ def test_commands_check_preview_and_log_requests(
     file.write_text(yaml.safe_dump(seeded(endpoint)))
     assert "Rule 1" in run(app, ["llm", "dry-run", str(file)]).stdout
     assert "cost unknown" in shown.stdout
+    assert "delays the campaign by at most 240 s (max_delay_s)" in shown.stdout
     assert endpoint.asked == []
     endpoint.models = {"data": [{"id": MODEL}]}
     endpoint.then(*[says(reply_text(items(1)))] * len(Mode))
@@ -355,7 +356,7 @@ def test_commands_check_preview_and_log_requests(
         ["llm", "log", campaign, "--server", str(listening_client.base_url), "--out", str(tmp_path / "r")],
     )
     assert found_calls.exit_code == 0, found_calls.output
-    assert "1 calls, 1000 tokens" in found_calls.stdout
+    assert "1 HTTP requests of at most 50 (max_calls), 1000 tokens" in found_calls.stdout
     assert json.loads((tmp_path / "r" / "reply-0-0.json").read_text())["choices"]
 
 

@@ -74,6 +74,7 @@ def test_every_solution_says_what_its_verdict_is_about(driven: tuple[httpx.Clien
     [violated] = hit["violated"]
     assert violated == {
         "requirement": "no-collision@1", "time_s": 12.84, "words": "hit a pedestrian", "decides": False,
+        "avoidable": None, "avoidable_words": "",
     }  # fmt: skip
 
 

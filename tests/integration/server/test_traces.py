@@ -1,19 +1,20 @@
 """Traces, replays and episodes: recorded by workers on request, kept, and drawn without blocking other requests."""
 
+import asyncio
 import base64
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import httpx
 import numpy as np
 import pytest
-from sqlalchemy import update
+from sqlalchemy import func, select, update
 from support.api import (
     FakeWorker,
     ball,
@@ -31,20 +32,25 @@ from support.traces import filmed, grey_jpeg, make_trace
 from typer.testing import CliRunner
 
 import brink.server.campaigns.plan
-from brink.api.client import CoordinatorError
+from brink.api.client import Api, CoordinatorError
 from brink.cli.commands import app
+from brink.cli.run import CampaignRun
+from brink.server.api.schemas import Progress
+from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.service import SLOW_AT_ONCE
 from brink.server.db.engine import Engines
-from brink.server.db.models import WorkerRow
+from brink.server.db.models import JobRow, WorkerRow
 from brink.server.operations.prune import prune
 from brink.server.queue import service
 from brink.server.queue.wakeups import Wakeups
+from brink.server.states import CampaignStatus, JobKind
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.replay.scene import EpisodeScene, map_centres
 from brink.sim.trace import ACTION, BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Ragged, Trace
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
+R = TypeVar("R")
 UNTRACED = ball(simulations=20, execution={"keep_traces": 0})
 
 
@@ -269,6 +275,34 @@ def test_traces_of_the_best_boundary_solutions_are_kept(client: httpx.Client) ->
     for solution in boundary["solutions"][:wanted]:
         path = f"/api/v1/campaigns/{campaign}/solutions/{solution['number']}/trace"
         assert client.get(path, params={"wait_s": 0}).content == b"evidence"
+
+
+@on_sqlite
+def test_a_run_without_pictures_records_no_traces(listening_client: httpx.Client, engines: Engines) -> None:
+    body = parse_body(ball(simulations=120))
+    worker = FakeWorker(listening_client)
+
+    async def asking(what: Callable[[CampaignRun, Api], Awaitable[R]], *, pictures: bool) -> R:
+        url = str(listening_client.base_url)
+        async with httpx.AsyncClient(base_url=url) as client:
+            return await what(CampaignRun(body, pictures=pictures), Api(client, url))
+
+    def latest(run: CampaignRun, api: Api) -> Awaitable[Progress | None]:
+        return run.latest(api, [CampaignStatus.FINISHED])
+
+    traced = {}
+    for pictures in (True, False):
+        campaign, _ = asyncio.run(asking(CampaignRun.submit, pictures=pictures))
+        assert worker.work(campaign)["generations"][-1]["dbs"] > 0
+        query = select(func.count()).where(JobRow.campaign_id == campaign, JobRow.kind == JobKind.TRACE)
+        with engines.reader.connect() as connection:
+            traced[pictures] = connection.execute(query).scalar_one()
+        for also in (True, False):
+            found = asyncio.run(asking(latest, pictures=also))
+            assert found is not None
+            assert found.id == campaign, "--resume continues it, with or without --no-pictures"
+    assert traced[True] > 0
+    assert traced[False] == 0
 
 
 def test_requested_traces_do_not_keep_a_campaign_from_finishing(client: httpx.Client) -> None:

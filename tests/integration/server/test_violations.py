@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+from PIL import Image
 from rich.console import Console
 from support.api import expect, listening_coordinator, progress, submit
 from support.databases import Databases
@@ -20,6 +21,7 @@ from brink.cli.commands import app
 from brink.cli.findings import draw_types, write_violations
 from brink.search.analysis.violations import RULES_VERSION
 from brink.server.api.schemas import Progress, Violations
+from brink.sim.replay.pair_view import STILL_WIDTH_PX
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",
@@ -61,9 +63,133 @@ def test_every_unsafe_solution_has_a_violation_with_a_type(client: httpx.Client,
     for kind in found["types"]:
         assert kind["first"] == min(kind["numbers"])
         assert 1 <= kind["instances"] <= kind["solutions"] == len(kind["numbers"])
-    assert [kind["first"] for kind in found["types"]] == sorted(kind["first"] for kind in found["types"])
     types_only = expect(client.get(f"{path}/violations", params={"types_only": True}))
     assert types_only == {**found, "violations": []}
+
+
+BEST = ["careful", "ideal", "no"]
+
+
+def test_types_begin_with_what_a_careful_driver_would_have_avoided(
+    client: httpx.Client, campaign: str
+) -> None:
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
+    types = found["types"]
+    assert {kind["avoidable"] for kind in types} > {"careful"}
+    order = [
+        (kind["avoidable"] == "no", kind["avoidable"], -kind["solutions"], kind["first"]) for kind in types
+    ]
+    assert order == sorted(order)
+    for kind in types:
+        its = [one for one in found["violations"] if one["type"] == kind["type"]]
+        assert kind["avoidable_by"] == {by: sum(one["avoidable"] == by for one in its) for by in BEST}
+        assert kind["avoidable"] == next(by for by in BEST if kind["avoidable_by"][by])
+        assert kind["example"] == min(one["number"] for one in its if one["avoidable"] == kind["avoidable"])
+        faults = {one["at_fault"] for one in its}
+        assert kind["at_fault"] == (faults.pop() if len(faults) == 1 else None)
+    avoided = [one for one in found["violations"] if one["avoidable"] == "careful"]
+    numbers, solutions = ({one["number"] for one in some} for some in (avoided, found["violations"]))
+    assert found["words"] == (
+        f"a careful driver would have avoided {sum(kind['avoidable'] == 'careful' for kind in types)} of "
+        f"{len(types)} types of violations, in {len(numbers)} of {len(solutions)} solutions with violations"
+    )
+    assert "Regulation No. 157, Annex 3" in found["explanation"]
+
+
+def test_violations_can_be_filtered_by_who_would_have_avoided_them(
+    client: httpx.Client, campaign: str
+) -> None:
+    path = f"/api/v1/campaigns/{campaign}/violations"
+    found = expect(client.get(path))
+    for by in BEST:
+        chosen = expect(client.get(path, params={"avoidable": by}))
+        assert chosen["violations"] == [one for one in found["violations"] if one["avoidable"] == by]
+        assert {kind["type"] for kind in chosen["types"]} == {one["type"] for one in chosen["violations"]}
+        assert all(kind["avoidable"] == by for kind in chosen["types"])
+        assert chosen["words"] == found["words"]
+    expect(client.get(path, params={"avoidable": "nobody"}), 422)
+
+
+def test_a_solution_says_who_would_have_avoided_each_of_its_violations(
+    client: httpx.Client, campaign: str
+) -> None:
+    path = f"/api/v1/campaigns/{campaign}"
+    found = expect(client.get(f"{path}/violations"))["violations"]
+    for number in {one["number"] for one in found}:
+        solution = expect(client.get(f"{path}/solutions/{number}"))
+        told = {one["requirement"]: one["avoidable"] for one in solution["violated"]}
+        assert told == {one["requirement"]: one["avoidable"] for one in found if one["number"] == number}
+
+
+def recorded(client: httpx.Client, path: str) -> httpx.Response:
+    """Return what needs a trace, which a worker records meanwhile."""
+    if client.get(path, params={"wait_s": 0}).status_code == 202:
+        traffic_worker(client).report_all()
+    return client.get(path, params={"wait_s": 0})
+
+
+def example(found: dict[str, Any], avoidable: str) -> int:
+    """Return the first solution whose violations are all avoidable by one driver, or by none."""
+    by_number: dict[int, set[str]] = {}
+    for one in found["violations"]:
+        by_number.setdefault(one["number"], set()).add(one["avoidable"])
+    return next(number for number, kinds in sorted(by_number.items()) if kinds == {avoidable})
+
+
+def test_an_episode_has_the_drive_of_the_careful_driver_who_avoids_its_violation(
+    client: httpx.Client, campaign: str
+) -> None:
+    path = f"/api/v1/campaigns/{campaign}"
+    number = example(expect(client.get(f"{path}/violations")), "careful")
+    violated = expect(client.get(f"{path}/solutions/{number}"))["violated"]
+    episode = expect(recorded(client, f"{path}/solutions/{number}/episode"))
+    reference = episode["reference"]
+    assert (reference["driver"], reference["name"]) == ("careful", "careful driver")
+    system, instead = reference["sentences"]
+    assert system.startswith(f"The system {violated[0]['words']}")
+    assert instead.startswith("A careful driver ")
+    assert pytest.approx(reference["moment_s"]) in [one["time_s"] for one in violated]
+    drive = reference["drive"]
+    assert drive["reference"] is None
+    assert [one["name"] for one in drive["actors"]] == [one["name"] for one in episode["actors"]]
+    assert len(drive["time_s"]) == len(drive["ego"]["x_m"])
+    assert not drive["story"]["violated"]
+    picture = Image.open(io.BytesIO(recorded(client, f"{path}/solutions/{number}/replay.png").content))
+    assert picture.width == STILL_WIDTH_PX, "both drives are side by side"
+    sides = {
+        side: expect_picture(recorded(client, f"{path}/solutions/{number}/compared/{side}.png"))
+        for side in ("system", "reference")
+    }
+    assert sides["system"] != sides["reference"]
+
+
+def expect_picture(response: httpx.Response) -> bytes:
+    assert (response.status_code, response.headers["content-type"]) == (200, "image/png")
+    return response.content
+
+
+def test_an_episode_whose_violation_nobody_avoids_is_shown_alone(client: httpx.Client, campaign: str) -> None:
+    path = f"/api/v1/campaigns/{campaign}"
+    number = example(expect(client.get(f"{path}/violations")), "no")
+    assert expect(recorded(client, f"{path}/solutions/{number}/episode"))["reference"] is None
+    assert recorded(client, f"{path}/solutions/{number}/compared/system.png").status_code == 204
+    picture = Image.open(io.BytesIO(recorded(client, f"{path}/solutions/{number}/replay.png").content))
+    assert picture.width != STILL_WIDTH_PX
+
+
+def test_the_finding_begins_with_what_a_careful_driver_would_have_avoided(
+    client: httpx.Client, campaign: str
+) -> None:
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
+    told = expect(client.get(f"/api/v1/campaigns/{campaign}/finding"))
+    assert told["words"] == f"{found['words'][0].upper()}{found['words'][1:]}."
+    careful = {one["number"]: one for one in found["violations"] if one["avoidable"] == "careful"}
+    assert 1 <= len(told["avoidable"]) <= 2
+    assert told["avoidable"][0]["type"] == found["types"][0]["type"]
+    for one in told["avoidable"]:
+        assert one["number"] in careful
+        assert one["words"].endswith(" s")
+    assert told["explanation"] == found["explanation"]
 
 
 def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaign: str) -> None:
@@ -147,5 +273,7 @@ def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_pat
     assert json.loads(document.read_text()) == found
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert [row["type"] for row in rows] == [one["type"] for one in found["violations"]]
+    assert [row["avoidable"] for row in rows] == [one["avoidable"] for one in found["violations"]]
+    assert [row["at_fault"] == "True" for row in rows] == [one["at_fault"] for one in found["violations"]]
     assert {row["place"] for row in rows} <= {"straight", "curve", "junction", "crossing"}
     assert draw_types(Violations.model_validate(found), tmp_path).stat().st_size > 5_000

@@ -440,6 +440,16 @@ def test_recomputed_diversity_equals_that_of_the_search() -> None:
         assert (np.diff(heights) > 0).all() or len(heights) == 1
 
 
+def test_fronts_name_what_criticality_is() -> None:
+    rows = [TRAFFIC.join(TRAFFIC.sample(np.random.default_rng(seed))) for seed in range(3)]
+    fronts = [
+        figure_fronts("npcs", TRAFFIC, np.stack(rows), [3], np.array([1.0, -1.0, 2.0]), CONFIG, by_gap=by_gap)
+        for by_gap in (True, False)
+    ]
+    labels = [figure.axes[0].get_xlabel() for figure in fronts]
+    assert ["gap" in label for label in labels] == [True, False]
+
+
 def test_fronts_without_a_generation_say_so() -> None:
     figure = figure_fronts("npcs", TRAFFIC, np.empty((0, TRAFFIC.dimension)), [], np.empty(0), CONFIG)
     assert any("no generation" in text.get_text() for axes in figure.axes for text in axes.texts)

@@ -20,6 +20,7 @@ from brink.search.algorithms.multi_objective import (
     MultiObjectiveState,
     diversities,
     gap_objective,
+    plan_generation,
 )
 from brink.search.algorithms.mumoea import (
     Crossover,
@@ -33,15 +34,15 @@ from brink.search.algorithms.mumoea import (
     scalar_fitness,
     scaled,
 )
-from brink.search.algorithms.nsga2 import Mosat, Nsga2, Nsga2Config
+from brink.search.algorithms.nsga2 import Breeding, Mosat, Nsga2, Nsga2Config
 from brink.search.document import Document
-from brink.search.errors import ConfigError, OrderError
+from brink.search.errors import ConfigError, OrderError, OtherVersion
 from brink.search.pareto import dominates
-from brink.search.space import Categorical, Component, SearchSpace
+from brink.search.space import Categorical, Component, FloatArray, SearchSpace
 from brink.search.testing import check_algorithm
 from brink.search.traffic.constraint import participants_component
-from brink.search.traffic.motion import matched_distances, roll_out
-from brink.search.traffic.participants import MAX_ACTIONS, RoadLimits
+from brink.search.traffic.motion import Distance, encounter_distances, matched_distances, roll_out
+from brink.search.traffic.participants import MAX_ACTIONS, Action, Gene, RoadLimits
 from brink.search.traffic.variation import (
     MOTIFS,
     PATTERNS,
@@ -50,6 +51,7 @@ from brink.search.traffic.variation import (
     crossed_uniformly,
     hostile_solution,
     major_change,
+    person_crosses,
     prolonged,
     small_change,
 )
@@ -147,17 +149,17 @@ def test_later_generations_find_more_violations() -> None:
 
 
 def test_diversity_is_the_distance_to_recent_solutions() -> None:
-    state = run(replace(SMALL, lately=2), 5)
+    state = run(replace(SMALL, lately=2, distance="paper"), 5)
     number = state.population[0]
     lately = [n for n in state.history.recent(2) if n != number]
     assert min(state.history.generations[lately]) >= 3
-    rolled = GENOME.roll_out(GENOME.solution(state.history.rows[n]) for n in [number, *lately])
+    rolled = GENOME.roll_out_rows((state.history.rows[n] for n in [number, *lately]), Distance.PAPER)
     sums = []
     for other in range(1, len(lately) + 1):
         pairs = []
         for a in range(3):
             for b in range(3):
-                shared = int(min(rolled.actions[0, a], rolled.actions[other, b]))
+                shared = int(min(rolled.counts[0, a], rolled.counts[other, b]))
                 if shared:
                     apart = rolled.points[0, a, :shared] - rolled.points[other, b, :shared]
                     pairs.append(float(np.linalg.norm(apart, axis=1).sum()))
@@ -166,6 +168,10 @@ def test_diversity_is_the_distance_to_recent_solutions() -> None:
     assert found[0] == pytest.approx(np.mean(sums))
     least = diversities(GENOME, state.history, [number], replace(state.config, diversity="min"))
     assert least[0] == pytest.approx(min(sums))
+    timely = GENOME.roll_out_rows(state.history.rows[n] for n in [number, *lately])
+    by_time = diversities(GENOME, state.history, [number], replace(state.config, distance="time"))
+    others = timely.take(range(1, len(timely)))
+    assert by_time[0] == pytest.approx(encounter_distances(timely.take([0]), others).mean())
 
 
 def same_front(state: MumoeaState) -> Mapping[int, Evaluation]:
@@ -332,6 +338,101 @@ def test_variation_leaves_parents_unchanged_and_gives_repairable_children() -> N
             assert all(2 <= len(one.genes) <= 8 for one in child)
             SPACE.components[1].repair(GENOME.rule.encode(child[:3]), rng)
         assert repr((mother, father)) == kept
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_crossed_actions_are_cut_at_the_same_place_and_none_is_lost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mother, father = (GENOME.sample(rng)[0] for _ in range(2))
+    son, daughter = crossed_genes(mother, father, rng)
+    cuts = [
+        cut
+        for cut in range(1, min(len(mother.genes), len(father.genes)))
+        if son.genes == mother.genes[:cut] + father.genes[cut:]
+        and daughter.genes == father.genes[:cut] + mother.genes[cut:]
+    ]
+    assert len(cuts) == 1
+    assert replace(son, genes=mother.genes) == mother
+    assert replace(daughter, genes=father.genes) == father
+
+
+def test_crossed_participants_are_of_like_kind_if_the_other_parent_has_one() -> None:
+    rng = np.random.default_rng(1)
+    changes = Gene(action=Action.CHANGE_LEFT, duration_s=2.0, magnitude=0.5)
+    crosses = Gene(action=Action.CROSS, duration_s=2.0, magnitude=1.5)
+    seeds = []
+    for number in range(12):
+        (car,), (walker,) = PATTERNS[0](ROAD, rng), person_crosses(ROAD, rng)
+        pair = (replace(car, genes=(changes,) * (2 + number % 6)), replace(walker, genes=(crosses,) * 3))
+        seeds.append(Proposal(solution=GENOME.repaired(pair, rng), origin=Origin.LLM))
+    state = run(replace(SMALL, seeder="llm", differential="never"), 1, seeds)
+    assert Origin.CROSSOVER in state.queue_origins
+    for candidate, origin in zip(state.ledger.queue, state.queue_origins, strict=True):
+        if origin is Origin.CROSSOVER:
+            # Repair turns a vehicle's `cross` into `keep`, and a pedestrian's `change_left` into `cross`.
+            kept = {gene.action for one in GENOME.rule.decode(candidate.vectors[1]) for gene in one.genes}
+            assert kept == {Action.CHANGE_LEFT, Action.CROSS}
+
+
+def _bred(children: int, **changes: Any) -> tuple[MultiObjectiveState, list[tuple[FloatArray, Origin]]]:
+    """Return a state, and children that NSGA-II breeds from its population with other probabilities."""
+    config = Nsga2Config(population_size=12, **changes)
+    state = told(Nsga2(), Nsga2().start(SPACE, config, seed=1, budget=1_000))
+    breeding = Breeding(state, GENOME, lambda config, genome, rng: genome.sample(rng)[0])
+    return state, breeding.children(children, np.random.default_rng(3))
+
+
+def _changed(state: MultiObjectiveState, children: Sequence[tuple[FloatArray, Origin]]) -> int:
+    """Return how many children have other participants than every solution of the population."""
+    known = {GENOME.solution(state.history.rows[number]) for number in state.population}
+    return sum(GENOME.solution(row) not in known for row, _ in children)
+
+
+def test_uncrossed_children_mutate_at_the_configured_rate() -> None:
+    for rate in (0.0, 0.3, 1.0):
+        state, children = _bred(400, crossover_probability=0.0, mutation_probability=rate)
+        assert {origin for _, origin in children} == {Origin.MUTATION}
+        # Some mutations change nothing that repair leaves.
+        assert _changed(state, children) == pytest.approx(400 * rate, abs=40)
+    assert _changed(*_bred(400, crossover_probability=0.0, mutation_probability=0.0)) == 0
+
+
+def test_children_that_equal_a_parent_are_bred_again_then_replaced_by_mutants() -> None:
+    usual = Nsga2Config(population_size=12)
+    only_copies = replace(usual, crossover_probability=0.0, mutation_probability=0.0)
+    for config in (usual, only_copies):
+        state: MultiObjectiveState = Nsga2().start(SPACE, config, seed=1, budget=1_000)
+        for _ in range(6):
+            state = told(Nsga2(), state)
+        origins = [state.history.origin(number) for number in range(12, len(state.history))]
+        assert len(state.history) == 72
+        assert set(origins) == {Origin.MUTATION} | ({Origin.CROSSOVER} if config is usual else set())
+        assert len({row.tobytes() for row in state.history.rows}) == 72
+
+
+def test_random_solutions_that_fill_a_generation_are_counted_as_immigrants() -> None:
+    state = told(Nsga2(), Nsga2().start(SPACE, Nsga2Config(population_size=12), seed=1, budget=1_000))
+    known = [(state.history.rows[number], Origin.CROSSOVER) for number in state.population]
+    asked = []
+
+    def breed(count: int) -> list[tuple[FloatArray, Origin]]:
+        asked.append(count)
+        return known
+
+    idle = replace(state, ledger=state.ledger.plan([]))
+    filled = plan_generation(idle, known, GENOME, np.random.default_rng(1), [breed])
+    assert filled.queue_origins == (Origin.IMMIGRANT,) * 12
+    assert set(asked) == {12}
+    assert {state.history.origin(number) for number in range(12)} == {Origin.RANDOM}
+
+
+def test_a_search_that_an_older_version_began_cannot_be_continued() -> None:
+    state = run(SMALL, 2)
+    stored = MUMOEA.dump(state)
+    with pytest.raises(
+        OtherVersion, match="expected a document of mumoea@1, version 3; got 'mumoea@1', version 2"
+    ):
+        MUMOEA.load(SPACE, SMALL, replace(stored, version=2), state.archive)
 
 
 def test_inconsistent_settings_are_rejected() -> None:

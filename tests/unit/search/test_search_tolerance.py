@@ -11,6 +11,7 @@ import pytest
 
 from brink.search import curves as analysis
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
+from brink.search.algorithms import tolerance
 from brink.search.algorithms.tolerance import (
     FIRST_SCREENED,
     Layout,
@@ -73,9 +74,10 @@ SETTINGS: dict[str, Any] = {
 
 @pytest.fixture(scope="module", autouse=True)
 def smaller_library() -> Iterator[None]:
-    """Compare with a fifth of the curves, which these coarse checks do with."""
+    """Compare with a fifth of the curves, the search with a quarter, which these coarse checks do with."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(analysis, "LIBRARY", 60_000)
+        patched.setattr(tolerance, "_CURVES", 5_000)
         yield
 
 

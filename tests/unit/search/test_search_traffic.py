@@ -1,6 +1,7 @@
 """Traffic participants: repair on a road, kinematic roll-out, and distances between solutions."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -21,12 +22,16 @@ from brink.search.traffic.constraint import (
     participants_of,
 )
 from brink.search.traffic.motion import (
+    HORIZON_S,
+    STEP_S,
     UNMATCHED_M,
+    Distance,
     Rollouts,
     encounter_distances,
     matched_distance,
     matched_distances,
     participant_distances,
+    positions,
     roll_out,
     trajectory_distances,
     waypoints,
@@ -270,37 +275,108 @@ def test_motion_is_continuous_and_inside_its_limits(seed: int, at_crossroad: boo
 
 
 def test_rollouts_are_nan_without_a_participant() -> None:
-    rollouts = Rollouts.of([(vehicle(timed(Action.KEEP, 1.0), timed(Action.KEEP, 1.0)),), ()], 2, ROAD)
-    points, actions = rollouts.points, rollouts.actions
-    assert actions.tolist() == [[2.0, 0.0], [0.0, 0.0]]
-    assert points[0, 0, :2].tolist() == [[28.0, 0.0], [36.0, 0.0]]
-    assert np.isnan(points[0, 0, 2:]).all()
-    assert np.isnan(points[1]).all()
+    solutions = [(vehicle(timed(Action.KEEP, 1.0), timed(Action.KEEP, 1.0)),), ()]
+    rollouts = Rollouts.of(solutions, 2, ROAD, Distance.PAPER)
+    assert rollouts.counts.tolist() == [[2.0, 0.0], [0.0, 0.0]]
+    assert rollouts.points[0, 0, :2].tolist() == [[28.0, 0.0], [36.0, 0.0]]
+    assert np.isnan(rollouts.points[0, 0, 2:]).all()
+    assert np.isnan(rollouts.points[1]).all()
+    at_times = Rollouts.of(solutions, 2, ROAD)
+    assert at_times.counts.tolist() == [[HORIZON_S / STEP_S + 1, 0.0], [0.0, 0.0]]
+    assert at_times.points[0, 0, :, 0].tolist() == (20.0 + 8.0 * np.arange(0, HORIZON_S + 0.5)).tolist()
+    assert np.isnan(at_times.points[0, 1]).all()
+
+
+def test_positions_are_those_of_each_second() -> None:
+    # 8 m/s for 2 s, then 4 m/s2 for 2 s, and it stands.
+    brakes = positions(vehicle(timed(Action.KEEP, 2.0), timed(Action.BRAKE, 5.0, 4.0)), ROAD)
+    assert brakes[:7, 0].tolist() == [20.0, 28.0, 36.0, 42.0, 44.0, 44.0, 44.0]
+    assert brakes[-1].tolist() == [44.0, 0.0]
+    # It keeps going after its last action; a smooth step is halfway after half the time.
+    changes = positions(vehicle(timed(Action.CHANGE_LEFT, 2.0, 1.0), ds_m=40.0, dd_m=3.5), ROAD)
+    assert changes[:4] == pytest.approx(np.array([[40.0, 3.5], [32.0, 1.75], [24.0, 0.0], [16.0, 0.0]]))
+    walks = positions(person(timed(Action.CROSS, 1.0, 1.5), timed(Action.KEEP, 0.5)), ROAD)
+    assert walks[:3, 1] == pytest.approx([-3.0, -1.5, 0.0])
+    assert walks[-1, 1] == pytest.approx(7.8)
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_positions_agree_with_the_stretches_that_begin_at_whole_seconds(
+    seed: int, at_crossroad: bool
+) -> None:
+    road = CROSSROAD if at_crossroad else ROAD
+    component = participants_component("participants", 3, road)
+    rule = participants_of(SearchSpace((component,)))[1]
+    for one in rule.decode(component.sample(np.random.default_rng(seed))):
+        whole = replace(
+            one, genes=tuple(replace(gene, duration_s=max(1.0, round(gene.duration_s))) for gene in one.genes)
+        )
+        found = positions(whole, road)
+        for stretch in roll_out(whole, road, HORIZON_S):
+            second = round(stretch.from_s)
+            if second <= HORIZON_S and abs(stretch.from_s - second) < 1e-9:
+                assert found[second] == pytest.approx([stretch.s_m, stretch.d_m], abs=1e-6)
+
+
+def test_distance_at_equal_times_depends_on_what_is_driven_not_on_how_it_is_written() -> None:
+    brief = (vehicle(timed(Action.KEEP, 0.5), timed(Action.KEEP, 0.5)),)
+    long = (vehicle(*[timed(Action.KEEP, 1.0)] * 8),)
+    brakes = (vehicle(timed(Action.KEEP, 1.0), timed(Action.BRAKE, 3.0, 8.0)),)
+    timely = Rollouts.of([brief, long, brakes], 1, ROAD)
+    distances = encounter_distances(timely, timely)
+    assert distances[0, 1] == pytest.approx(0.0)
+    assert distances[0, 2] == pytest.approx(distances[1, 2])
+    assert matched_distances(timely, timely) == pytest.approx(distances)
+    literal = Rollouts.of([brief, long, brakes], 1, ROAD, Distance.PAPER)
+    assert encounter_distances(literal, literal)[0, 1] > 0.0
+
+
+def test_more_actions_make_random_solutions_no_farther_apart_at_equal_times() -> None:
+    def drawn(actions: int) -> list[tuple[Participant, ...]]:
+        return [
+            (
+                vehicle(
+                    *(timed(Action.KEEP, float(rng.uniform(0.5, 6.0))) for _ in range(actions)),
+                    ds_m=float(rng.uniform(20.0, 50.0)),
+                    speed_mps=float(rng.uniform(0.0, 12.0)),
+                ),
+            )
+            for rng in map(np.random.default_rng, range(20))
+        ]
+
+    def mean(measure: Distance, actions: int) -> float:
+        rollouts = Rollouts.of(drawn(actions), 1, ROAD, measure)
+        return float(encounter_distances(rollouts, rollouts)[np.triu_indices(20, 1)].mean())
+
+    # The same participants up to the number of their actions: 2 or 8 of them, which change nothing.
+    assert mean(Distance.PAPER, 8) > 3.0 * mean(Distance.PAPER, 2)
+    assert mean(Distance.TIME, 8) == pytest.approx(mean(Distance.TIME, 2))
 
 
 MAX_COUNT = 3
 
 
-def rollouts_of(*solutions: list[list[tuple[float, float]]]) -> Rollouts:
-    """Return roll-outs with the given waypoints."""
-    points = np.full((len(solutions), MAX_COUNT, 4, 2), np.nan)
-    actions = np.zeros((len(solutions), MAX_COUNT))
-    for row, participants in enumerate(solutions):
-        for column, ends in enumerate(participants):
-            points[row, column, : len(ends)] = ends
-            actions[row, column] = len(ends)
-    return Rollouts(points=points, actions=actions)
+def rollouts_of(*solutions: list[list[tuple[float, float]]], measure: Distance = Distance.PAPER) -> Rollouts:
+    """Return roll-outs with the given points."""
+    return Rollouts.of_points(solutions, MAX_COUNT, measure)
 
 
 AHEAD = [(0.0, 0.0), (10.0, 0.0), (20.0, 0.0)]
 BESIDE = [(3.0, 4.0), (13.0, 4.0)]
 
 
-def test_td_sums_over_the_shared_actions() -> None:
-    sums, shared = trajectory_distances(rollouts_of([AHEAD]), rollouts_of([BESIDE]))
+def test_td_of_the_paper_sums_over_the_shared_actions() -> None:
+    sums, paired = trajectory_distances(rollouts_of([AHEAD]), rollouts_of([BESIDE]))
     assert sums[0, 0, 0, 0] == 10.0
-    assert shared[0, 0, 0, 0] == 2.0
-    assert shared[0, 0, 1:].sum() == 0.0
+    assert paired.sum() == 1
+
+
+def test_td_at_equal_times_is_a_mean() -> None:
+    timely = [rollouts_of([points], measure=Distance.TIME) for points in (AHEAD, [*BESIDE, (23.0, 4.0)])]
+    means, paired = trajectory_distances(*timely)
+    assert means[0, 0, 0, 0] == 5.0
+    assert paired.sum() == 1
+    assert encounter_distances(*timely).tolist() == [[5.0]]
 
 
 def test_ed_is_the_mean_over_all_pairs_even_to_itself() -> None:
@@ -346,7 +422,7 @@ def test_distances_are_symmetric_and_the_matching_is_optimal(seed: int) -> None:
 
 def _by_hand(first: Rollouts, second: Rollouts) -> float:
     def present(one: Rollouts) -> list[NDArray[np.float64]]:
-        return [one.points[0, p, : int(count)] for p, count in enumerate(one.actions[0]) if count]
+        return [one.points[0, p, : int(count)] for p, count in enumerate(one.counts[0]) if count]
 
     few, many = sorted((present(first), present(second)), key=len)
     totals = []

@@ -11,19 +11,43 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from support.circumstances import violation
 
-from brink.search.analysis.violations import SECTORS, dbscan, instances, kinds_of, sector_of, signature_of
+from brink.search.analysis.avoidable import Avoidable, avoidable_of
+from brink.search.analysis.violations import (
+    SECTORS,
+    FoundViolation,
+    by_type,
+    dbscan,
+    instances,
+    is_at_fault,
+    kinds_of,
+    niche_of,
+    sector_of,
+    signature_of,
+)
 
 
-def test_signature_has_seven_words() -> None:
+def test_signature_has_six_words() -> None:
     found = signature_of(violation())
     assert found.to_json() == {
         "requirement": "no-collision@1", "counterpart": "vehicle", "sector": "front", "ego": "driving",
-        "other": "same way, cut in", "place": "straight", "at_fault": "at fault",
+        "other": "same way, cut in", "place": "straight",
     }  # fmt: skip
-    assert (
-        str(found)
-        == "no-collision with vehicle at the front (same way, cut in), ego driving, straight, at fault"
-    )
+    assert str(found) == "no-collision with vehicle at the front (same way, cut in), ego driving, straight"
+    assert niche_of(violation()) == ("front", "same way, cut in", "driving", "straight")
+
+
+def test_a_type_is_as_avoidable_as_its_most_avoidable_violation() -> None:
+    def found(number: int, **circumstances: Any) -> FoundViolation:
+        told = {**violation(), **circumstances}
+        return FoundViolation(number=number, circumstances=told, signature=signature_of(told), name=None)
+
+    assert [avoidable_of(one) for one in ({"avoidable": "ideal"}, {"avoidable": "perhaps"}, {})] == [
+        Avoidable.IDEAL, None, None,
+    ]  # fmt: skip
+    (kind,) = by_type([found(1, avoidable="no"), found(2, avoidable="careful"), found(3)])
+    assert kind.avoidable is Avoidable.CAREFUL
+    (old,) = by_type([found(1), found(2)])
+    assert old.avoidable is None
 
 
 @pytest.mark.parametrize(
@@ -36,7 +60,7 @@ def test_signature_has_seven_words() -> None:
         ({"other": {"bearing_rad": 3.0}}, False),
         ({"other": {"bearing_rad": -2.4}, "ego": {"plan": "nudge"}}, False),
         ({"requirement": "front-gap@1", "collision": None, "other": {"in_way_s": 1.2}}, False),
-        ({"requirement": "front-gap@1", "collision": None, "other": {"in_way_s": 2.0}}, True),
+        ({"requirement": "front-gap@2", "collision": None, "other": {"in_way_s": 2.0}}, True),
         ({"requirement": "red-light@1", "collision": None, "other": {"in_way_s": 0.0}}, True),
         ({"requirement": "lane-keeping@1", "collision": None, "other": {"in_way_s": 0.0}}, True),
         ({"requirement": "progress@1", "collision": None}, False),
@@ -45,7 +69,7 @@ def test_signature_has_seven_words() -> None:
     ],
 )
 def test_fault_is_assigned_by_the_rules(changes: dict[str, Any], at_fault: bool) -> None:
-    assert signature_of(violation(**changes)).at_fault == ("at fault" if at_fault else "not at fault")
+    assert is_at_fault(violation(**changes)) is at_fault
 
 
 @pytest.mark.parametrize(
@@ -71,7 +95,7 @@ def test_manoeuvre_of_the_counterpart() -> None:
     assert (crossing.counterpart, crossing.other) == ("pedestrian", "cross")
     alone = signature_of(violation("speed-limit@1", collision=None))
     assert (alone.counterpart, alone.sector, alone.other) == ("nothing", "nothing", "nothing")
-    assert str(alone) == "speed-limit, ego driving, straight, at fault"
+    assert str(alone) == "speed-limit, ego driving, straight"
     assert signature_of(violation(nobody=True, collision="object")).counterpart == "object"
 
 
@@ -123,3 +147,4 @@ def test_instances_are_clusters_and_single_violations() -> None:
 def test_invalid_violations_are_ignored() -> None:
     broken = {key: value for key, value in violation().items() if key != "place"}
     assert kinds_of([broken, violation(), {**violation(), "ego": None}]) == {str(signature_of(violation()))}
+    assert niche_of(broken) is None

@@ -33,6 +33,17 @@ def test_newer_fields_change_the_hash_only_if_they_are_set() -> None:
     assert parse_body({**PLAIN, "repeats": 5}).document_hash() != first
 
 
+def test_a_newer_setting_of_a_language_model_changes_the_hash_only_if_it_is_set() -> None:
+    seeded = {
+        "name": "n", "problem": {"id": "npc-actions@1", "params": {}}, "budget": {"simulations": 24},
+        "algorithm": {"id": "mumoea@1", "params": {"seeder": "llm"}},
+    }  # fmt: skip
+    llm = {"endpoint": "http://127.0.0.1:8000/v1", "model": "m"}
+    first = "a89e8b6a69b9fe695c8b8d13e11eaf973600c149cbd8ad715a9ae31ec7799ff7"
+    assert parse_body({**seeded, "llm": llm}).document_hash() == first
+    assert parse_body({**seeded, "llm": {**llm, "max_delay_s": 30}}).document_hash() != first
+
+
 def document(**changes: Any) -> dict[str, Any]:
     return {
         "name": "rq1",

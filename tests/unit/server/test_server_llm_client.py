@@ -33,6 +33,7 @@ from support.llm_endpoint import (
 from brink.server.llm.client import MAX_REPLY_BYTES, Completion, LlmClient
 from brink.server.llm.protocol import (
     AccessRefused,
+    Effort,
     EndpointUnavailable,
     KeyMissing,
     LlmError,
@@ -272,7 +273,7 @@ def test_a_request_contains_all_settings(endpoint: Endpoint) -> None:
             "json_schema": {"name": "solutions", "strict": True, "schema": dict(SCHEMA)},
         },
     }
-    assert (answer.text, answer.mode, answer.attempts, answer.lost) == ("yes", Mode.JSON_SCHEMA, 1, 0)
+    assert (answer.text, answer.mode, answer.effort) == ("yes", Mode.JSON_SCHEMA, Effort(requests=1))
     assert json.loads(answer.raw)["choices"]
     assert answer.latency_s > 0
 
@@ -308,8 +309,9 @@ def test_rejected_form_is_permanently_replaced_by_a_looser(endpoint: Endpoint, f
     first, second, mode = using(llm_settings(endpoint), twice, pauses)
     assert [asked.form for asked in endpoint.asked] == ["json_schema", "schema_in_object", "schema_in_object"]
     assert endpoint.asked[1].body["response_format"] == {"type": "json_object", "schema": dict(SCHEMA)}
-    assert (first.mode, first.attempts, first.lost) == (Mode.SCHEMA_IN_OBJECT, 2, 0)
-    assert (second.mode, second.attempts, mode) == (Mode.SCHEMA_IN_OBJECT, 1, Mode.SCHEMA_IN_OBJECT)
+    assert first.effort == Effort(requests=2, failures=["json_schema refused"])
+    assert second.effort == Effort(requests=1)
+    assert first.mode is second.mode is mode is Mode.SCHEMA_IN_OBJECT
     assert pauses == []
 
 
@@ -355,18 +357,18 @@ def test_retryable_errors_are_retried_with_growing_pauses(endpoint: Endpoint, st
     pauses: list[float] = []
     endpoint.then(refuses(status, "busy"), refuses(status, "busy"), OK)
     answer = using(llm_settings(endpoint), ask, pauses, backoff=Backoff(first_s=1.0, cap_s=60.0))
-    assert (answer.attempts, answer.lost) == (3, 0)
+    assert answer.effort == Effort(requests=3, failures=[f"HTTP {status}"] * 2)
     assert 0.5 <= pauses[0] <= 1.0 <= pauses[1] <= 2.0
 
 
 def test_an_error_embedded_in_a_2xx_answer_is_retried(endpoint: Endpoint) -> None:
     endpoint.then(gives({"error": {"message": "upstream overloaded", "code": 502}}), OK)
-    assert using(llm_settings(endpoint), ask).attempts == 2
+    assert using(llm_settings(endpoint), ask).effort.requests == 2
 
 
 def test_the_last_error_is_reported_after_all_retries(endpoint: Endpoint) -> None:
     error = failing(endpoint, EndpointUnavailable, *[refuses(503, "loading model", ErrorForm.WORD)] * 3)
-    assert str(error) == f"{endpoint.url} returned 503: loading model; gave up after 3 tries"
+    assert str(error) == f"{endpoint.url}: HTTP 503 (3 tries): loading model"
     assert (error.effort.requests, error.effort.lost) == (3, 0)
 
 
@@ -411,7 +413,7 @@ def test_backoff_is_limited_by_max_wait_s(endpoint: Endpoint) -> None:
 
 def test_a_stalled_server_times_out(endpoint: Endpoint) -> None:
     error = failing(endpoint, EndpointUnavailable, *[endpoint.stalls()] * 2, timeout_s=0.2, retries=1)
-    assert "no answer within 0.2 s; gave up after 2 tries" in str(error)
+    assert "timed out after 0.2 s (2 tries)" in str(error)
     assert (error.effort.requests, error.effort.lost) == (2, 2)
     assert 0.4 <= error.effort.elapsed_s < 5
 
@@ -419,7 +421,8 @@ def test_a_stalled_server_times_out(endpoint: Endpoint) -> None:
 def test_a_broken_connection_is_retried(endpoint: Endpoint) -> None:
     endpoint.then(cut("yes"), OK)
     answer = using(llm_settings(endpoint), ask)
-    assert (answer.text, answer.attempts, answer.lost) == ("yes", 2, 1)
+    assert (answer.text, answer.effort.requests, answer.effort.lost) == ("yes", 2, 1)
+    assert answer.effort.words == "connection broken (1 try)"
 
 
 def test_an_unreachable_endpoint_is_reported() -> None:
@@ -427,9 +430,7 @@ def test_an_unreachable_endpoint_is_reported() -> None:
         deaf.bind(("127.0.0.1", 0))
         place = f"127.0.0.1:{deaf.getsockname()[1]}"
         settings = LlmSettings(endpoint=f"http://{place}/v1", model=MODEL, retries=1)
-        with pytest.raises(
-            EndpointUnavailable, match=rf"{place}/v1: no answer .*gave up after 2 tries"
-        ) as caught:
+        with pytest.raises(EndpointUnavailable, match=rf"{place}/v1: no connection \(2 tries\): ") as caught:
             using(settings, ask)
     assert (caught.value.effort.requests, caught.value.effort.lost) == (2, 0)
 
@@ -442,8 +443,8 @@ def test_an_unreachable_endpoint_is_reported() -> None:
         (refuses(402, "pay first"), AccessRefused, "There is no credit left"),
         (refuses(429, "You exceeded your current quota"), AccessRefused, "There is no credit left"),
         (refuses(404, "model not found", ErrorForm.WORD), ModelUnknown, f"serves the model '{MODEL}'"),
-        (refuses(413, "too large", ErrorForm.HTML), RequestRefused, "returned 413: <html><body>too large"),
-        (refuses(501, "later"), RequestRefused, "returned 501: later"),
+        (refuses(413, "too large", ErrorForm.HTML), RequestRefused, "HTTP 413: <html><body>too large"),
+        (refuses(501, "later"), RequestRefused, "HTTP 501: later"),
         (refuses(307, "over there", Location="http://127.0.0.1:9/"), RequestRefused, "set endpoint to the new"),
     ],
 )  # fmt: skip
@@ -496,21 +497,30 @@ def test_nothing_is_sent_while_the_key_is_missing(endpoint: Endpoint) -> None:
 
 
 def test_before_request_can_stop_a_call(endpoint: Endpoint) -> None:
-    seen: list[int] = []
+    seen: list[tuple[int, int]] = []
 
-    def before_request(lost: int) -> None:
-        seen.append(lost)
-        if lost == 2:
+    def before_request(effort: Effort) -> None:
+        seen.append((effort.requests, effort.lost))
+        if effort.requests == most:
             raise OverBudget("no more")
 
+    def call(client: LlmClient) -> Awaitable[Completion]:
+        return client.complete(ASKED, SCHEMA, before_request=before_request)
+
     endpoint.then(cut("a"), refuses(503), cut("b"), OK)
-    with pytest.raises(OverBudget, match="no more") as caught:
-        using(
-            llm_settings(endpoint, retries=9),
-            lambda c: c.complete(ASKED, SCHEMA, before_request=before_request),
-        )
-    assert seen == [0, 1, 1, 2]
+    most, settings = 3, llm_settings(endpoint, retries=9)
+    words = (
+        r"connection broken \(1 try\), then HTTP 503 \(1 try\), then connection broken \(1 try\): .*; "
+        "no other try: no more"
+    )
+    with pytest.raises(EndpointUnavailable, match=words) as caught:
+        using(settings, call)
+    assert seen == [(0, 0), (1, 1), (2, 1), (3, 2)]
     assert (caught.value.effort.requests, caught.value.effort.lost) == (3, 2)
+    most = 0
+    with pytest.raises(OverBudget, match="no more"):
+        using(settings, call)
+    assert len(endpoint.asked) == 3
 
 
 def test_the_key_is_never_repeated(endpoint: Endpoint, caplog: pytest.LogCaptureFixture) -> None:

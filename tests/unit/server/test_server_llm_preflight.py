@@ -65,18 +65,18 @@ def test_estimates_stay_marked_when_they_are_added() -> None:
 
 def test_totals_add_up_and_an_unknown_cost_stays_unknown() -> None:
     spent = Spent().plus(1, Usage(prompt_tokens=10, completion_tokens=5), 0.5)
-    assert spent == Spent(calls=1, tokens=15, priced=0.5)
+    assert spent == Spent(requests=1, tokens=15, priced=0.5)
     assert spent.cost == 0.5
     more = spent.plus(2, WORST, None)
-    assert (more.calls, more.tokens, more.estimated_tokens) == (3, 15 + WORST.total, WORST.total)
+    assert (more.requests, more.tokens, more.estimated_tokens) == (3, 15 + WORST.total, WORST.total)
     assert more.cost is None
     assert spent.plus(0, None, 0.0) == spent
 
 
 def test_each_limit_is_enforced_exactly() -> None:
-    Spent(calls=1).check_budget(settings(max_calls=2), ASKED)
-    with pytest.raises(OverBudget, match="all 2 calls of max_calls"):
-        Spent(calls=2).check_budget(settings(max_calls=2), ASKED)
+    Spent(requests=1).check_budget(settings(max_calls=2), ASKED)
+    with pytest.raises(OverBudget, match="all 2 requests of max_calls"):
+        Spent(requests=2).check_budget(settings(max_calls=2), ASKED)
     limited = settings(max_total_tokens=5000)
     Spent(tokens=5000 - WORST.total).check_budget(limited, ASKED)
     with pytest.raises(OverBudget, match=r"max_total_tokens"):
@@ -90,8 +90,8 @@ def test_each_limit_is_enforced_exactly() -> None:
 
 
 def test_max_cost_cannot_be_enforced_while_the_cost_is_unknown() -> None:
-    with pytest.raises(OverBudget, match="the cost of 2 calls is unknown"):
-        Spent(calls=2, unpriced_calls=2).check_budget(settings(max_cost=1.0, **PRICES), ASKED)
+    with pytest.raises(OverBudget, match="the cost of 2 requests is unknown"):
+        Spent(requests=2, unpriced=2).check_budget(settings(max_cost=1.0, **PRICES), ASKED)
 
 
 @given(
@@ -111,7 +111,7 @@ def test_no_limit_is_ever_exceeded(replies: list[int], tokens: int, calls: int, 
             continue
         usage = Usage(prompt_tokens=WORST.prompt_tokens, completion_tokens=min(reply, limits.max_tokens))
         spent = spent.plus(1, usage, cost_of(usage, limits))
-    assert spent.calls <= calls
+    assert spent.requests <= calls
     assert spent.tokens <= tokens
     assert spent.cost is not None
     assert spent.cost <= cost
@@ -187,7 +187,7 @@ def test_an_endpoint_that_supports_only_plain_text(endpoint: Endpoint) -> None:
     report = checked(endpoint)
     assert (report.models, report.model_listed, report.mode) == (None, None, Mode.PLAIN)
     assert [one.accepted for one in report.modes] == [False, False, False, True]
-    assert "returned 400" in str(report.modes[0].trouble)
+    assert "HTTP 400" in str(report.modes[0].trouble)
     assert not report.modes[-1].usage_stated
     assert report.modes[-1].finish_reason is None
     assert len(endpoint.asked) == len(Mode)
@@ -199,7 +199,7 @@ def test_a_model_whose_replies_are_unusable(endpoint: Endpoint) -> None:
     assert not report.works
     assert [one.accepted for one in report.modes] == [True, False, True, True]
     assert "expected one JSON object" in str(report.modes[0].trouble)
-    assert "solutions[0].participants: missing" in str(report.modes[2].trouble)
+    assert "/solutions/0/participants: missing" in str(report.modes[2].trouble)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_a_wrong_key_stops_the_check(endpoint: Endpoint) -> None:
     report = checked(endpoint)
     assert report.reachable
     assert not report.works
-    assert "returned 401" in str(report.trouble)
+    assert "HTTP 401" in str(report.trouble)
     assert endpoint.asked == []
 
 
@@ -237,7 +237,7 @@ def test_the_check_reports_an_unreachable_endpoint(endpoint: Endpoint) -> None:
     settings = llm_settings(Endpoint("http://127.0.0.1:1/v1"))
     report = asyncio.run(check_endpoint(settings, environ={}))
     assert (report.reachable, report.modes) == (False, ())
-    assert "no answer" in str(report.trouble)
+    assert "no connection" in str(report.trouble)
 
 
 def test_the_check_does_not_retry(endpoint: Endpoint) -> None:

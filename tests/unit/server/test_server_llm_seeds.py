@@ -1,8 +1,12 @@
-"""A request for seeds always gets an answer; its calls are counted, and none is made twice."""
+"""A request for seeds always gets an answer in time; its requests are counted, and no call is made twice."""
 
 import asyncio
+import itertools
 import logging
+import math
+import time
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from random import Random
 from typing import Any
 
@@ -18,6 +22,7 @@ from support.llm_endpoint import (
     huge,
     item,
     items,
+    late,
     llm_settings,
     refuses,
     reply_text,
@@ -27,7 +32,16 @@ from support.llm_endpoint import (
 
 from brink.search.algorithm import Origin, SeedRequest
 from brink.search.traffic.participants import RoadLimits
-from brink.server.llm.calls import CallKey, Outcome, Spent, StoredCall, spent_on, worst_usage
+from brink.server.llm.calls import (
+    Breaker,
+    CallKey,
+    Outcome,
+    Spent,
+    StoredCall,
+    breaker_after,
+    spent_on,
+    worst_usage,
+)
 from brink.server.llm.client import MAX_REPLY_BYTES, LlmClient
 from brink.server.llm.prompts import example, question
 from brink.server.llm.protocol import CallLogMismatch, Mode, Usage
@@ -43,14 +57,16 @@ SYSTEM = "a car that keeps its lane"
 WANTED = 4
 REQUEST = SeedRequest(number=3, count=WANTED)
 KEY = "sk-secret-0123456789"
+NOON = datetime(2026, 3, 1, 12, tzinfo=UTC)
 GOOD = says(reply_text(items(WANTED)))
 
 
 @dataclass
 class MemoryLog:
-    """A call log in memory."""
+    """A call log in memory, with a clock that a test sets."""
 
     calls: dict[CallKey, StoredCall] = field(default_factory=dict)
+    now: datetime = NOON
 
     def find(self, key: CallKey) -> StoredCall | None:
         return self.calls.get(key)
@@ -58,10 +74,13 @@ class MemoryLog:
     def store(self, call: StoredCall) -> None:
         before = self.calls.get(call.key)
         assert before is None or before.outcome is Outcome.SENT
-        self.calls[call.key] = call
+        self.calls[call.key] = replace(call, stored_at=self.now)
 
     def spent(self) -> Spent:
         return spent_on(self.calls.values())
+
+    def breaker(self) -> Breaker:
+        return breaker_after(list(self.calls.values()), self.now)
 
     @property
     def outcomes(self) -> list[str]:
@@ -90,7 +109,7 @@ def asking(
     road = RoadChecker(ROAD, MOST)
     assert all(road.problems(proposal.solution) == [] for proposal in answer.proposals)
     assert len({proposal.solution for proposal in answer.proposals}) == len(answer.proposals)
-    assert answer.calls == tuple(log.calls.values())
+    assert answer.calls == tuple(call for key, call in log.calls.items() if key.request == request.number)
     assert "\n" not in answer.words
     return answer
 
@@ -106,11 +125,16 @@ def test_a_valid_reply_takes_one_call(endpoint: Endpoint) -> None:
     assert origins(answer) == ["llm"] * WANTED
     assert answer.words == "language model: 4 of 4 usable"
     [call] = log.calls.values()
-    assert (call.key, call.outcome, call.mode, call.calls) == (CallKey(3, 0), Outcome.OK, Mode.JSON_SCHEMA, 1)
+    assert (call.key, call.outcome, call.mode, call.requests) == (
+        CallKey(3, 0),
+        Outcome.OK,
+        Mode.JSON_SCHEMA,
+        1,
+    )
     assert call.cost == pytest.approx((900 * 1.0 + 100 * 10.0) / 1e6)
     assert call.error is None
     assert call.raw is not None
-    assert log.spent() == Spent(calls=1, tokens=1000, priced=call.cost or 0.0)
+    assert log.spent() == Spent(requests=1, tokens=1000, priced=call.cost or 0.0)
     assert SYSTEM in endpoint.asked[0].prompt
 
 
@@ -123,7 +147,7 @@ class Case:
     outcomes: tuple[str, ...]
     words: str
     sent: int
-    counted: int
+    billed: int
     forms: tuple[str, ...] = tuple(Mode)
 
 
@@ -172,7 +196,7 @@ CASES = {
     ),
     "the same again in the repair": Case(
         (says(reply_text([*items(2), item(ds_m=500)])), says(reply_text(items(2)))), (LLM, LLM), ("ok", "invalid"),
-        "2 of 4 usable, 0 after repair (repair invalid: solutions[0]: the same as a solution that was accepted", 2, 2,
+        "2 of 4 usable, 0 after repair (repair invalid: /solutions/0: the same as a solution that was accepted", 2, 2,
     ),
     "no JSON, then some": Case(
         (says("I would rather talk about cars."), TWO_MORE), (REPAIRED, REPAIRED), ("invalid", "ok"),
@@ -180,7 +204,7 @@ CASES = {
     ),
     "never JSON": Case(
         (says("no"), says("{'solutions': []}")), (), ("invalid", "invalid"),
-        "0 of 4 usable, 0 after repair (repair invalid: expected one JSON object", 2, 2,
+        "0 of 4 usable, 0 after repair (repair invalid: /: expected one JSON object", 2, 2,
     ),
     "prompt injection": Case(
         (says(reply_text([item(kind=INJECTION), {INJECTION: INJECTION}, *items(2)]) + INJECTION), TWO_MORE),
@@ -204,14 +228,15 @@ CASES = {
         "4 of 4 usable", 2, 1,
     ),
     "rate limit of an hour": Case(
-        (refuses(429, "slow", Retry_After="3600"),), (), ("unavailable",), "language model unavailable: ", 1, 0,
+        (refuses(429, "slow", Retry_After="3600"),), (), ("unavailable",),
+        "HTTP 429 (1 try): slow; it asks for a pause of 3600 s, longer than max_wait_s (120 s)", 1, 0,
     ),
     "busy once": Case((refuses(503, "busy"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 1),
     "busy for long": Case(
-        (refuses(503, "busy"),) * 3, (), ("unavailable",), "returned 503: busy; gave up after 3 tries", 3, 0,
+        (refuses(503, "busy"),) * 3, (), ("unavailable",), "HTTP 503 (3 tries): busy", 3, 0,
     ),
     "cut off once": Case((cut("x"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 2),
-    "cut off for good": Case((cut("x"),) * 3, (), ("unavailable",), "gave up after 3 tries", 3, 3),
+    "cut off for good": Case((cut("x"),) * 3, (), ("unavailable",), "connection broken (3 tries)", 3, 3),
     "wrong key": Case((refuses(401, "bad key"),), (), ("refused",), "unavailable: ", 1, 0),
     "no such model": Case((refuses(404, "no model"),), (), ("refused",), "Check that it serves the model", 1, 0),
     "away for the repair": Case(
@@ -230,10 +255,14 @@ def test_every_endpoint_behaviour_gives_an_answer(endpoint: Endpoint, case: Case
     assert tuple(origins(answer)) == case.origins
     assert tuple(log.outcomes) == case.outcomes
     assert case.words in answer.words
-    assert len(endpoint.asked) == case.sent
-    assert log.spent().calls == case.counted
+    assert len(endpoint.asked) == log.spent().requests == case.sent, "every request is counted"
+    # A request that may be billed without a reply counts as one of maximum length.
+    replies = [
+        call.usage.completion_tokens / settings.max_tokens for call in log.calls.values() if call.usage
+    ]
+    assert sum(map(math.ceil, replies)) == case.billed
     for call in log.calls.values():
-        assert (call.cost is None) == (call.calls > 0), "without prices a cost is unknown, not 0"
+        assert (call.cost is None) == (call.usage is not None), "without prices a cost is unknown, not 0"
         assert call.error is None or len(call.error) <= 500
     for asked in endpoint.asked:
         assert INJECTION not in asked.prompt
@@ -249,12 +278,150 @@ def test_a_stalled_server_only_delays_the_answer(endpoint: Endpoint) -> None:
     answer = asking(llm_settings(endpoint, timeout_s=0.2, retries=0), log)
     assert answer.proposals == ()
     assert "language model unavailable: " in answer.words
-    assert "no answer within 0.2 s" in answer.words
+    assert "timed out after 0.2 s (1 try)" in answer.words
     [call] = log.calls.values()
-    assert (call.outcome, call.calls) == (Outcome.UNAVAILABLE, 1)
+    assert (call.outcome, call.requests) == (Outcome.UNAVAILABLE, 1)
     assert call.usage is not None
     assert call.usage.estimated
     assert call.latency_s >= 0.2
+
+
+def seeds(number: int) -> SeedRequest:
+    return SeedRequest(number=number, count=WANTED)
+
+
+def test_the_circuit_breaker_opens_after_two_failed_calls_in_a_row(endpoint: Endpoint) -> None:
+    settings, log = llm_settings(endpoint, retries=2), MemoryLog()
+    endpoint.then(GOOD, *[refuses(500, "no")] * 3, GOOD, *[refuses(500, "no")] * 6)
+    for number in range(5):
+        asking(settings, log, seeds(number))
+    assert log.outcomes == ["ok", "unavailable", "ok", "unavailable", "unavailable"]
+    sent = len(endpoint.asked)
+    log.now += timedelta(seconds=59)
+    answer = asking(settings, log, seeds(5))
+    assert answer.words == (
+        "language model not asked: the circuit breaker is open: 2 failed calls in a row; no call for 1 s; the last "
+        f"one: {endpoint.url}: HTTP 500 (3 tries): no"
+    )
+    call = log.calls[CallKey(5, 0)]
+    assert (call.outcome, call.requests, call.usage, call.cost) == (Outcome.CIRCUIT_OPEN, 0, None, 0.0)
+    log.now += timedelta(days=1)
+    assert asking(settings, log, seeds(5)).words == answer.words, "a resumed campaign takes the same path"
+    assert len(endpoint.asked) == sent
+
+
+def test_a_trial_is_one_try_and_doubles_the_cool_down_if_it_fails(endpoint: Endpoint) -> None:
+    settings, log = llm_settings(endpoint, retries=2), MemoryLog()
+    endpoint.always = refuses(500, "no")
+    numbers = itertools.count()
+
+    def sent_after(seconds: float) -> int:
+        """Return how many requests the next call sends."""
+        log.now += timedelta(seconds=seconds)
+        before = len(endpoint.asked)
+        asking(settings, log, seeds(next(numbers)))
+        return len(endpoint.asked) - before
+
+    assert [sent_after(0), sent_after(0), sent_after(59), sent_after(1)] == [3, 3, 0, 1]
+    assert [sent_after(119), sent_after(1)] == [0, 1]
+    assert [sent_after(seconds) for seconds in (240, 480, 960, 1920, 3600, 3600)] == [1] * 6
+    assert sent_after(3599) == 0
+    endpoint.then(GOOD)
+    assert sent_after(1) == 1
+    assert log.outcomes[-1] == "ok"
+    assert [sent_after(0), sent_after(0), sent_after(0)] == [3, 3, 0], "it closed again"
+
+
+def test_replies_without_a_usable_solution_open_the_circuit_breaker(endpoint: Endpoint) -> None:
+    endpoint.always = says(reply_text([item(ds_m=900)]))
+    log = MemoryLog()
+    asking(llm_settings(endpoint), log, seeds(0))
+    asking(llm_settings(endpoint), log, seeds(1))
+    assert log.outcomes == ["invalid", "invalid", "circuit_open"]
+    assert len(endpoint.asked) == 2
+
+
+def test_the_circuit_breaker_leaves_out_a_repair_turn(endpoint: Endpoint) -> None:
+    endpoint.then(*[refuses(503)] * 3, says("no"))
+    settings, log = llm_settings(endpoint), MemoryLog()
+    asking(settings, log, seeds(0))
+    answer = asking(settings, log, seeds(1))
+    assert log.outcomes == ["unavailable", "invalid", "circuit_open"]
+    assert "(repair circuit_open: the circuit breaker is open: 2 failed calls in a row; " in answer.words
+
+
+def test_calls_that_were_not_made_do_not_count_as_failed(endpoint: Endpoint) -> None:
+    settings, log = llm_settings(endpoint, max_calls=1), MemoryLog()
+    endpoint.then(GOOD)
+    for number in range(4):
+        asking(settings, log, seeds(number))
+    assert log.outcomes == ["ok", *["over_budget"] * 3]
+    assert log.breaker() == Breaker()
+
+
+def test_a_truncated_reply_without_a_complete_solution_is_a_failed_call(endpoint: Endpoint) -> None:
+    endpoint.always = says(reply_text(items(1))[:60], finish="length")
+    log = MemoryLog()
+    answer = asking(llm_settings(endpoint), log)
+    assert log.outcomes == ["invalid", "invalid"]
+    assert "the reply reached max_tokens (4096); /solutions/0: expected JSON" in answer.words
+
+
+def in_real_time(settings: LlmSettings, log: MemoryLog) -> tuple[Answer, float]:
+    """Ask with real pauses; return also how long it took, in seconds."""
+
+    async def run() -> Answer:
+        async with LlmClient(settings, environ={}, transport=unencrypted(), rng=Random(1)) as client:
+            return await ask(REQUEST, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
+
+    begun = time.monotonic()
+    return asyncio.run(run()), time.monotonic() - begun
+
+
+@pytest.mark.parametrize(
+    ("fault", "changes", "sent", "words"),
+    [
+        ("stalls", {"timeout_s": 0.3}, 1, "timed out after 0.3 s (1 try); the time for this request is up (max_"),
+        ("stalls", {"timeout_s": 9}, 1, " s (1 try); the time for this request is up (max_"),
+        ("busy", {"timeout_s": 9, "max_wait_s": 0.15}, None, "; the time for this request is up (max_"),
+        ("limited", {"timeout_s": 9}, 1, "it asks for a pause of 1 s, but the time for this request is up (max_"),
+    ],
+)  # fmt: skip
+def test_the_delay_of_a_request_for_seeds_is_bounded(
+    endpoint: Endpoint, fault: str, changes: dict[str, Any], sent: int | None, words: str
+) -> None:
+    faults = {"stalls": endpoint.stalls(), "busy": refuses(503), "limited": refuses(429, Retry_After="0.6")}
+    endpoint.always = faults[fault]
+    log = MemoryLog()
+    answer, took_s = in_real_time(llm_settings(endpoint, retries=20, max_delay_s=0.5, **changes), log)
+    assert words in answer.words
+    assert took_s < 0.5 + 1.0, "20 retries would take at least 3 s"
+    assert sent is None or len(endpoint.asked) == sent
+    assert log.spent().requests == len(endpoint.asked)
+
+
+def test_the_repair_turn_has_the_time_that_the_first_reply_left(endpoint: Endpoint) -> None:
+    endpoint.then(late(says(reply_text([*items(2), item(ds_m=500)])), 1.0), endpoint.stalls())
+    answer, took_s = in_real_time(
+        llm_settings(endpoint, timeout_s=5.0, max_delay_s=1.5, retries=0), MemoryLog()
+    )
+    assert len(answer.proposals) == 2
+    assert "repair unavailable: " in answer.words
+    assert 1.5 <= took_s < 2.3
+
+
+def test_tries_lost_when_a_coordinator_stopped_are_not_made_again(endpoint: Endpoint) -> None:
+    endpoint.then(GOOD)
+    settings, log = llm_settings(endpoint, retries=4), MemoryLog()
+    asking(settings, log)
+    (whole,) = log.calls.values()
+    log.calls[whole.key] = replace(whole, outcome=Outcome.SENT, raw=None, requests=3)
+    endpoint.reset()
+    endpoint.always = refuses(500, "no")
+    answer = asking(settings, log)
+    assert len(endpoint.asked) == 2
+    assert log.spent().requests == 5
+    assert answer.words.startswith("language model unavailable: 3 requests lost when a coordinator stopped; ")
 
 
 def test_a_missing_key_is_reported_and_nothing_is_sent(endpoint: Endpoint) -> None:
@@ -276,7 +443,10 @@ def test_the_repair_turn_quotes_only_pointers_and_accepted_solutions(endpoint: E
     assert second[2]["content"] == reply_text([item()])
     told = second[3]["content"]
     assert "- /solutions/1/participants/0/heading: expected with_ego, oncoming or across" in told
-    assert "- /solutions/2/participants/0/ds_m: expected a number from -55 to 55 (m), got 500" in told
+    assert (
+        "- /solutions/2/participants/0/ds_m: expected a number from -55 to 55 (m), got 500: 445 m too large"
+        in told
+    )
     assert "Give 3 further solutions" in told
     assert "gnore" not in endpoint.asked[1].prompt
 
@@ -299,18 +469,45 @@ def test_max_calls_limits_the_turns_of_a_request(endpoint: Endpoint) -> None:
     log = MemoryLog()
     answer = asking(llm_settings(endpoint, max_calls=1), log)
     assert log.outcomes == ["invalid", "over_budget"]
-    assert "repair over_budget: all 1 calls of max_calls are used up" in answer.words
-    assert len(endpoint.asked) == log.spent().calls == 1
+    assert (
+        "repair over_budget: all 1 requests of max_calls are used up; the last call failed: /: expected"
+        in answer.words
+    )
+    assert len(endpoint.asked) == log.spent().requests == 1
     over = log.calls[CallKey(3, 1)]
-    assert (over.calls, over.usage, over.cost, over.raw) == (0, None, 0.0, None)
+    assert (over.requests, over.usage, over.cost, over.raw) == (0, None, 0.0, None)
 
 
-def test_max_calls_limits_retries(endpoint: Endpoint) -> None:
-    endpoint.then(cut("x"), cut("x"), GOOD)
+@pytest.mark.parametrize(
+    ("step", "what"), [(cut("x"), "connection broken"), (refuses(500, "no"), "HTTP 500")]
+)
+def test_every_try_counts_against_max_calls(endpoint: Endpoint, step: Step, what: str) -> None:
+    endpoint.always = step
     log = MemoryLog()
-    answer = asking(llm_settings(endpoint, max_calls=2, retries=5), log)
-    assert answer.words == "language model not asked: all 2 calls of max_calls are used up"
-    assert len(endpoint.asked) == log.spent().calls == 2
+    answer = asking(llm_settings(endpoint, max_calls=4, retries=5), log)
+    assert answer.words.startswith(f"language model unavailable: {endpoint.url}: {what} (4 tries): ")
+    assert answer.words.endswith("; no other try: all 4 requests of max_calls are used up")
+    assert len(endpoint.asked) == log.spent().requests == 4
+    assert log.outcomes == ["unavailable"]
+
+
+def test_every_try_is_counted_also_while_the_form_of_the_reply_is_negotiated(endpoint: Endpoint) -> None:
+    endpoint.forms = ("plain",)
+    endpoint.then(refuses(500, "no"), GOOD)
+    log = MemoryLog()
+    assert len(asking(llm_settings(endpoint), log).proposals) == WANTED
+    [call] = log.calls.values()
+    assert call.requests == len(endpoint.asked) == 5
+    assert call.error == (
+        "before the reply: json_schema refused (1 try), then schema_in_object refused (1 try), then json_object "
+        "refused (1 try), then HTTP 500 (1 try)"
+    )
+
+    endpoint.reset()
+    endpoint.forms = ("plain",)
+    answer = asking(llm_settings(endpoint, max_calls=2), MemoryLog())
+    assert len(endpoint.asked) == 2
+    assert answer.words.endswith("no other try: all 2 requests of max_calls are used up")
 
 
 @pytest.mark.parametrize(
@@ -320,7 +517,7 @@ def test_token_and_cost_limits_are_checked_before_sending(endpoint: Endpoint, li
     log = MemoryLog()
     answer = asking(llm_settings(endpoint, **limits), log)
     assert answer.proposals == ()
-    assert answer.words.startswith("language model not asked: the next call may ")
+    assert answer.words.startswith("language model not asked: the next request may ")
     assert endpoint.asked == []
     assert log.outcomes == ["over_budget"]
 
@@ -339,7 +536,7 @@ def test_limits_apply_to_the_whole_campaign(endpoint: Endpoint) -> None:
         async with LlmClient(settings, environ={}) as client:
             return await ask(later, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
 
-    assert asyncio.run(run()).words == "language model not asked: all 1 calls of max_calls are used up"
+    assert asyncio.run(run()).words == "language model not asked: all 1 requests of max_calls are used up"
     assert len(endpoint.asked) == 1
 
 
@@ -359,14 +556,14 @@ def test_each_request_is_stored_before_it_is_sent(endpoint: Endpoint) -> None:
 
     def record(asked: Asked) -> Response:
         call = log.calls[CallKey(3, 0)]
-        seen.append((call.outcome, call.calls))
+        seen.append((call.outcome, call.requests))
         return JSONResponse({"error": "busy"}, 503)
 
     endpoint.then(record, cut("x"), record, GOOD)
     answer = asking(llm_settings(endpoint, retries=5), log)
     assert len(answer.proposals) == WANTED
-    assert seen == [("sent", 1), ("sent", 2)], "a request that a busy endpoint rejected is not counted"
-    assert (log.outcomes, log.calls[CallKey(3, 0)].calls) == (["ok"], 2)
+    assert seen == [("sent", 1), ("sent", 3)]
+    assert (log.outcomes, log.calls[CallKey(3, 0)].requests) == (["ok"], 4)
 
 
 def test_requests_lost_when_a_coordinator_stopped_are_counted(endpoint: Endpoint) -> None:
@@ -375,10 +572,11 @@ def test_requests_lost_when_a_coordinator_stopped_are_counted(endpoint: Endpoint
     asking(settings, log)
     (whole,) = log.calls.values()
     lost = worst_usage(settings, question(REQUEST, ROAD, MOST, SYSTEM))
-    log.calls[whole.key] = replace(whole, outcome=Outcome.SENT, raw=None, calls=2, usage=lost * 2)
+    log.calls[whole.key] = replace(whole, outcome=Outcome.SENT, raw=None, requests=2, usage=lost * 2)
     assert len(asking(settings, log).proposals) == WANTED
     (call,) = log.calls.values()
-    assert (call.outcome, call.calls, call.raw) == (Outcome.OK, 3, whole.raw)
+    assert (call.outcome, call.requests, call.raw) == (Outcome.OK, 3, whole.raw)
+    assert call.error == "2 requests lost when a coordinator stopped"
     assert call.usage == Usage(prompt_tokens=900, completion_tokens=100) + lost * 2
     assert call.cost is not None
     assert whole.cost is not None

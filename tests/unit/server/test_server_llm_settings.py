@@ -31,8 +31,10 @@ def test_defaults_match_the_documentation() -> None:
     assert (given.temperature, given.top_p, given.seed, given.max_tokens) == (0.8, 1.0, None, 4096)
     assert (given.timeout_s, given.retries, given.max_wait_s, given.max_calls) == (120.0, 4, 120.0, 50)
     assert given.token_field == "max_tokens"
+    assert given.delay_limit_s == 240.0
     optional = (
         given.api_key_env,
+        given.max_delay_s,
         given.max_total_tokens,
         given.max_cost,
         given.input_price,
@@ -40,6 +42,12 @@ def test_defaults_match_the_documentation() -> None:
     )
     assert set(optional) == {None}
     assert not given.priced
+
+
+def test_the_delay_limit_is_twice_the_timeout_unless_it_is_set() -> None:
+    assert settings(timeout_s=900).delay_limit_s == 1800
+    assert settings(timeout_s=5).delay_limit_s == 60
+    assert settings(timeout_s=900, max_delay_s=30).delay_limit_s == 30
 
 
 def test_every_field_has_a_description() -> None:
@@ -109,7 +117,8 @@ def test_a_key_field_is_rejected_and_not_repeated(field: str) -> None:
     [
         ("temperature", 2.5), ("temperature", float("nan")), ("top_p", 0.0), ("seed", -1), ("seed", 1.5),
         ("max_tokens", 10), ("token_field", "tokens"), ("timeout_s", 0.0), ("timeout_s", float("inf")),
-        ("retries", -1), ("max_wait_s", -1.0), ("max_calls", 0), ("max_total_tokens", 0), ("input_price", -1.0),
+        ("retries", -1), ("max_wait_s", -1.0), ("max_calls", 0), ("max_delay_s", 0), ("max_total_tokens", 0),
+        ("input_price", -1.0),
         ("model", ""), ("modell", "m"),
     ],
 )  # fmt: skip

@@ -197,7 +197,8 @@ def test_every_npc_candidate_becomes_a_valid_episode(seed: int) -> None:
 
 
 def outcome(**robustness: float) -> Completed:
-    least = dict.fromkeys(ORACLES, 1.0) | {f"{name.replace('_', '-')}@1": r for name, r in robustness.items()}
+    ids = {name.partition("@")[0].replace("-", "_"): name for name in ORACLES}
+    least = dict.fromkeys(ORACLES, 1.0) | {ids[name]: value for name, value in robustness.items()}
     return Completed(
         verdicts={
             name: WireVerdict(robustness=value, unit="m", violated_at_s=None if value >= 0 else 2.0)
@@ -217,26 +218,80 @@ def test_any_violation_counts_or_only_the_chosen_one() -> None:
         -1.0,
         0.7,
     )
-    gap = NpcActions(NpcActionsParams(violation="front-gap@1", criticality="robustness"))
+    gap = NpcActions(NpcActionsParams(violation="front-gap@2", criticality="robustness"))
     chosen = gap.evaluation(hit)
     assert isinstance(chosen, Scored)
     assert (chosen.robustness, chosen.objectives["criticality_m"]) == (-0.2, -0.2)
-    assert [one["requirement"] for one in gap.violations(hit)] == ["front-gap@1"]
+    assert [one["requirement"] for one in gap.violations(hit)] == ["front-gap@2"]
     assert len(NPC.violations(hit)) == 2
     assert NPC.violations(outcome()) == []
 
 
+@pytest.mark.parametrize(
+    ("violation", "by_gap"),
+    [("any", True), ("no-collision@1", True), ("front-gap@2", True)]
+    + [(name, False) for name in ("lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")],
+)
+def test_criticality_follows_the_requirement(violation: str, by_gap: bool) -> None:
+    near = NpcActions(NpcActionsParams(violation=violation)).evaluation(outcome(progress=-3.0))
+    assert isinstance(near, Scored)
+    assert near.objectives["criticality_m"] == (0.7 if by_gap else near.robustness)
+
+
 def test_an_evaluation_names_the_kinds_of_violations() -> None:
-    violations = [violation(), violation("front-gap@1", collision=None)]
+    violations = [violation(), violation("front-gap@2", collision=None)]
     hit = outcome(no_collision=-1.0, front_gap=-0.2).model_copy(
         update={"features": {"violations": violations}}
     )
     evaluation = NPC.evaluation(hit)
     assert isinstance(evaluation, Scored)
     assert evaluation.kinds == {str(signature_of(one)) for one in violations}
-    of_gap = NpcActions(NpcActionsParams(violation="front-gap@1")).evaluation(hit)
+    of_gap = NpcActions(NpcActionsParams(violation="front-gap@2")).evaluation(hit)
     assert isinstance(of_gap, Scored)
     assert of_gap.kinds == {str(signature_of(violations[1]))}
+
+
+def test_only_what_a_careful_driver_avoids_counts_if_asked_for() -> None:
+    def told(*avoidable: str | None) -> Scored:
+        names = ("no-collision@1", "front-gap@2")
+        violations = [
+            {**violation(name), "avoidable": who} for name, who in zip(names, avoidable, strict=False) if who
+        ]
+        features: dict[str, Any] = {"violations": violations, "closest": {**violation(), "requirement": None}}
+        hit = outcome(**({"no_collision": -1.0} if violations else {})).model_copy(
+            update={"features": features}
+        )
+        found = NpcActions(NpcActionsParams(count="avoidable")).evaluation(hit)
+        assert isinstance(found, Scored)
+        assert found.unsafe is bool(violations)
+        return found
+
+    careful, ideal, nobody, safe = told("no", "careful"), told("ideal"), told("no"), told()
+    assert [len(one.kinds) for one in (careful, ideal, nobody, safe)] == [1, 0, 0, 0]
+    assert [one.objectives["criticality_m"] for one in (careful, ideal, nobody, safe)] == [0.7, 250, 250, 0.7]
+    assert [[niche.rank for niche in one.niches] for one in (careful, ideal, nobody, safe)] == [
+        [3, 0],
+        [2],
+        [3],
+        [1],
+    ]
+    assert safe.niches[0].name == ("front", "same way, cut in", "driving", "straight")
+
+
+def test_results_of_old_campaigns_can_still_be_read() -> None:
+    old = outcome(no_collision=1.0, front_gap=-0.2)
+    verdicts = dict(old.verdicts)
+    verdicts["front-gap@1"] = verdicts.pop("front-gap@2")
+    listed = [violation("front-gap@1", collision=None)]
+    old = old.model_copy(update={"verdicts": verdicts, "features": {"violations": listed}})
+    evaluation = NPC.evaluation(old)
+    assert isinstance(evaluation, Scored)
+    assert (evaluation.robustness, len(NPC.violations(old)), len(evaluation.kinds)) == (-0.2, 1, 1)
+    assert NpcActionsParams(violation="front-gap@1").violation == "front-gap@1"
+    spec = NpcActions(NpcActionsParams(violation="front-gap@1")).episode(
+        NPC.space.sample(np.random.default_rng(1)), 1
+    )
+    assert {"front-gap@1", "front-gap@2"} <= set(spec.requirements)
 
 
 def test_the_npc_problem_implements_its_protocols() -> None:

@@ -13,6 +13,7 @@ from brink.sim.requirements import (
     CollisionKind,
     FrontGap,
     LaneKeeping,
+    MovingFrontGap,
     NoCollision,
     Progress,
     RedLight,
@@ -48,6 +49,19 @@ def test_front_gap_robustness_is_the_gap_minus_one_and_a_half_metres() -> None:
     assert (verdict.robustness, verdict.unit) == (-1.5, "m")
     assert verdict.violated_at_s == pytest.approx(0.15)
     assert requirement.features() == {"smallest_front_gap_m": 0.0}
+
+
+def test_a_standing_ego_does_not_violate_the_front_gap() -> None:
+    requirement = MovingFrontGap()
+    moving_m = [
+        requirement.observe(replace(CALM, time_s=0.05 * step, front_gap_m=gap_m, speed_mps=speed_mps))
+        for step, (gap_m, speed_mps) in enumerate(
+            [(4.0, 0.0), (1.0, 0.29), (None, 0.0), (1.0, -0.4), (1.0, 0.3)]
+        )
+    ]
+    assert moving_m == [2.5, 0.0, 50.0, -0.5, -0.5]
+    assert requirement.verdict().violated_at_s == pytest.approx(0.15)
+    assert requirement.features() == {"smallest_front_gap_m": 1.0}
 
 
 def test_a_gap_of_exactly_one_and_a_half_metres_satisfies() -> None:

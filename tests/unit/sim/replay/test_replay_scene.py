@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.traces import filmed, make_trace, ragged
 
+from brink.sim.episode import Json
 from brink.sim.replay import ReplayError
 from brink.sim.replay.frame import FramePainter
 from brink.sim.replay.scene import (
@@ -24,7 +25,8 @@ from brink.sim.replay.scene import (
 from brink.sim.replay.sheets import still
 from brink.sim.replay.story import event_caption, measured_words, scenario_words, story_of, with_unit
 from brink.sim.replay.style import EDGES, FILLS, VIOLATION, dashes
-from brink.sim.trace import ACTION, PERCEIVED_COLUMNS, Event, Surface, Trace
+from brink.sim.requirements import REQUIRED_GAP_M
+from brink.sim.trace import ACTION, PERCEIVED_COLUMNS, VIOLATED_AT_S, Event, Surface, Trace
 
 metres = st.floats(-50, 50)
 sides = st.floats(0.5, 10)
@@ -246,6 +248,38 @@ def test_of_several_requirements_the_first_violated_one_is_the_story() -> None:
     assert (calm.requirement, calm.words) == ("front-gap@1", "front gap held")
     with pytest.raises(ReplayError, match=r"expected some that the trace records .* got red-light@1"):
         story_of(make_trace(), ("red-light@1",))
+
+
+def test_without_a_named_requirement_the_story_is_about_the_violated_one() -> None:
+    trace = hits_a_pedestrian(make_trace(violated=False), 12.8)
+    story = story_of(trace)
+    assert (story.requirement, story.words) == ("no-collision@1", "hit a pedestrian at 12.8 s")
+    assert story_of(make_trace(violated=False)).requirement == "front-gap@1"
+
+
+def test_of_two_violations_in_one_sample_the_earlier_one_is_the_story() -> None:
+    trace = hits_a_pedestrian(make_trace(), 17.5)
+    moments: dict[str, Json] = {"front-gap@1": 17.54, "no-collision@1": 17.52}
+    exact = replace(trace, about={**trace.about, VIOLATED_AT_S: moments})
+    assert story_of(exact).requirement == "no-collision@1"
+
+
+def test_a_former_version_of_a_requirement_stands_for_the_present_one() -> None:
+    trace = make_trace()
+    assert story_of(trace, ("no-collision@1", "front-gap@2")).requirement == "front-gap@1"
+    both = replace(trace, robustness={**trace.robustness, "front-gap@2": np.full_like(trace.time_s, 2.0)})
+    assert not story_of(both, ("front-gap@2",)).violated
+
+
+def test_a_standing_ego_has_no_front_gap_that_is_too_short() -> None:
+    trace = make_trace()
+    sample = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[-1])
+    stands = np.maximum(trace.robustness["front-gap@1"], 0)
+    gap = front_gap(replace(trace, robustness={"front-gap@2": stands}), sample)
+    assert gap is not None
+    assert gap.gap_m < REQUIRED_GAP_M
+    assert not gap.too_short
+    assert measured_words("front-gap@2", 0.0) == ("the ego stands", "")
 
 
 @pytest.mark.parametrize("name", ["progress", "progress@1"])

@@ -193,7 +193,7 @@ def test_an_ego_without_detections_drives_into_slow_traffic(simulator: BrinkDriv
     [
         ({"options": {"fidelty": "bicycle"}}, "did you mean 'fidelity'"),
         ({"options": {"fidelity": "tricycle"}}, "expected one of bicycle, wheels"),
-        ({"requirements": ("front-gap",)}, "did you mean 'front-gap@1'"),
+        ({"requirements": ("front-gap",)}, "did you mean 'front-gap@2'"),
         ({"requirements": ("front-gap@1", "front-gap@1")}, "twice"),
         ({"duration_s": 1e6}, "expected at most"),
         ({"simulator": "other@1"}, "simulator: expected brink-drive@2, got"),

@@ -10,8 +10,8 @@ import { differingSpans, overTime } from "./pair/chart.js";
 import { differences, evidence, evidenceWords, findingsAtLength, said, share } from "./pair/words.js";
 import { camera } from "./solution/camera.js";
 import { Episode, Player, seconds } from "./solution/episode.js";
-import { map } from "./solution/map.js";
-import { controls, loading, state } from "./solution/replay.js";
+import { loading } from "./solution/replay.js";
+import { twoDrives } from "./solution/two_drives.js";
 
 const SIDES = ["safe", "unsafe"];
 
@@ -92,35 +92,18 @@ function sideCard(id, name, pair, computed) {
 /** Return the cards of both drives: maps and cameras side by side, one clock for both, and the chart over time. */
 function both(context, data, paths) {
   const players = data.map((one) => new Player(new Episode(one), context.signal));
-  const [safe, unsafe] = players;
-  const lead = safe.episode.end_s >= unsafe.episode.end_s ? safe : unsafe;
-  const other = lead === safe ? unsafe : safe;
-  const stage = h("section.card.replay", { "aria-label": "Both drives" }, h("h2", null, "Both drives"));
-  const colours = ["--safe", "--unsafe"];
-  const maps = players.map((player, index) => map(player, { twin: players[1 - index].episode, words: `${SIDES[1 - index]} drive`, colour: colours[1 - index] }));
-  stage.append(
-    h("div.grid-2.both", null, players.map((player, index) => h("div.drive", null,
-      h("div.inline", null, badge(SIDES[index], `${SIDES[index]} drive`), ended(player, lead)), maps[index].node, state(player)))),
-    controls(lead, marks(unsafe.episode), stage), maps[0].legend,
-    h("p.hint", null, "Outlines show where the car of the other drive is at the same time."));
-  lead.listen((_, changed) => changed.time && other.seek(lead.time_s));
-  const violation = marks(unsafe.episode)[0];
-  if (violation) lead.hold(violation.time_s);
   const episodes = players.map(({ episode }) => episode);
+  const stage = h("section.card.replay", { "aria-label": "Both drives" }, h("h2", null, "Both drives"));
+  const drives = SIDES.map((side, index) => ({ player: players[index], badge: [side, `${side} drive`], words: `${side} drive`, colour: `--${side}` }));
+  const violations = marks(episodes[1]);
+  const lead = twoDrives(stage, drives, violations);
+  stage.append(h("p.hint", null, "Outlines show where the car of the other drive is at the same time."));
+  if (violations.length) lead.hold(violations[0].time_s);
   const differing = differingSpans(...episodes);
   const first = differing[0] && h("button", { type: "button", onclick: () => lead.hold(differing[0].start_s) }, `Go to ${seconds(differing[0].start_s)}: reports first differ`);
   return [stage, overTime(lead, episodes, differing),
     h("section.card", { "aria-label": "Cameras" }, h("div.inline", null, h("h2", null, "What the detector reported"), first),
       h("div.grid-2", null, players.map((player, index) => h("div", null, badge(SIDES[index], `${SIDES[index]} drive`), camera(player, paths[index])))))];
-}
-
-/** Return a note that shows once a drive has ended while the other one goes on. */
-function ended(player, lead) {
-  const node = h("span.small.muted", { hidden: true }, `ended at ${player.episode.end_s.toFixed(1)} s`);
-  lead.listen((_, changed) => {
-    if (changed.time) node.hidden = lead.time_s <= player.episode.end_s + 1e-6;
-  });
-  return node;
 }
 
 /** Return the marks of the scrubber: the violation that makes the unsafe drive unsafe. */

@@ -203,15 +203,16 @@ export function findings(context, id, tells) {
 
   function showViolations(read) {
     violations.hidden = read.types.length === 0;
-    const types = [...read.types].sort((a, b) => b.solutions - a.solutions);
-    replace(violations, h("h2", null, "Types of violations"),
+    const { types } = read;
+    const measured = types.some((one) => one.avoidable !== null);
+    replace(violations, h("h2", null, "Types of violations"), measured && h("p.hint", null, read.explanation),
       h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Types of violations" },
-        h("table", null, h("caption", null, `${plural(read.types.length, "type")} by the rules, most frequent first`),
-          head("Type", "Solutions", "Distinct", "Fault", "First"),
+        h("table", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}`),
+          head("Type", "Avoidable by", "Solutions", "Distinct", "Fault by the rule", "Example"),
           h("tbody", null, types.map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
-            h("td", null, count(one.solutions)), h("td", null, count(one.instances)),
+            h("td", { title: avoidedWords(one) }, one.avoider), h("td", null, count(one.solutions)), h("td", null, count(one.instances)),
             h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
-            h("td", null, solution(one.first))))))));
+            h("td", null, solution(one.example))))))));
   }
 
   function showCombinations(read) {
@@ -258,6 +259,12 @@ export function findings(context, id, tells) {
     load(sequence);
   };
   return node;
+}
+
+/** Return how many violations of a type each driver would have avoided; null if that was not measured. */
+function avoidedWords({ avoidable, avoidable_by: by }) {
+  const all = by.careful + by.ideal + by.no;
+  return avoidable === null ? null : `Of ${plural(all, "violation")}: a careful driver would have avoided ${count(by.careful)}, only an ideal one ${count(by.ideal)}, neither ${count(by.no)}.`;
 }
 
 function head(...names) {

@@ -27,12 +27,13 @@ export function finding(context, id, found, changed) {
   const bar = meter("Simulations done");
   const figures = facts();
   const card = h("section.card.finding", { "aria-label": "Finding" }, words, of, bar, figures, more);
+  const avoidable = avoidableViolations(context, id);
   const best = bestPairs(context, id);
   const next = nextSteps(context, () => {
     load(`${told} ${performance.now()}`, { atOnce: true });
     changed();
   });
-  const node = h("div.stack", null, card, h("div.opening", null, best, next));
+  const node = h("div.stack", null, card, h("div.opening", null, h("div.stack.pictures", null, avoidable, best), next));
   let told = "";
   let read = null;
   let progress = null;
@@ -45,6 +46,7 @@ export function finding(context, id, found, changed) {
     replace(more, read.more.map((one) => h("p", null, one)));
     of.hidden = read.of === null;
     if (read.of) replace(of, "It follows up ", h("a", { href: link("campaigns", read.of.campaign) }, read.of.name), ".");
+    avoidable.update(read);
     best.update(read);
     next.update(read.steps);
     draw();
@@ -88,41 +90,42 @@ export function finding(context, id, found, changed) {
   return node;
 }
 
-/** Return the card of the best pairs, both drives of each from above; ``update`` takes the finding. It appears with the first picture. */
-function bestPairs(context, id) {
+/**
+ * Return a card of figures with two pictures from above each. It appears with the first figure whose pictures can be drawn.
+ *
+ * @param {Context} context
+ * @param {string} label
+ * @param {Element} hint
+ */
+function pictured(context, label, hint) {
   const row = h("div.best-pairs");
-  const meaning = h("span");
   const missing = h("div", { role: "status", hidden: true });
-  const card = h("section.card", { "aria-label": "Best pairs", hidden: true }, h("h2", null, "Best pairs"),
-    h("p.hint", null, "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one. ", meaning), missing, row);
+  const card = h("section.card", { "aria-label": label, hidden: true }, h("h2", null, label), hint, missing, row);
 
-  function pair(one) {
-    const sides = ["safe", "unsafe"].map((side) => {
-      const canvas = h("canvas", { role: "img", "aria-label": `The ${side} drive of pair ${one.place} from above`, width: 720, height: 340 });
-      return { side, canvas, node: h(`div.drive-picture.${side}`, null, requirementBadge({ kind: side === "safe" ? "held" : "violated" }), canvas) };
+  /**
+   * Return a figure that shows itself once its pictures are there.
+   *
+   * @param {Element} caption
+   * @param {{place: string, side: string, label: string, badge: Element}[]} pictures Address, class, words, badge.
+   */
+  card.figure = (caption, pictures) => {
+    const drawn = pictures.map(({ place, side, label: words, badge: mark }) => {
+      const canvas = h("canvas", { role: "img", "aria-label": words, width: 720, height: 340 });
+      return { place, canvas, node: h(`div.drive-picture.${side}`, null, mark, canvas) };
     });
-    const known = badge("found");
-    known.classList.add("long");
-    const node = h("figure", { hidden: true }, h("figcaption", null,
-      h("div", null, h("a", { href: link("campaigns", id, "pairs", `${one.safe}-${one.unsafe}`) }, `Pair ${one.place}`), " ", known), sentence(one.words)), sides.map((each) => each.node));
-    node.update = (next) => {
-      known.update(`${EVIDENCE[next.state] ?? "found"} long`, next.evidence);
-      attribute(known, "title", next.shares || null);
-    };
-    node.update(one);
-    show(node, one, sides);
+    const node = h("figure", { hidden: true }, caption, drawn.map((each) => each.node));
+    show(node, drawn);
     return node;
-  }
+  };
 
-  async function show(node, one, sides) {
-    const path = `campaigns/${id}/pairs/${one.safe}-${one.unsafe}`;
+  async function show(node, drawn) {
     const passes = (error) => error.noWorker && waits();
     try {
-      for (const { side, canvas } of sides) {
-        const picture = await whenMade(`${path}/${side}.png`, { ...context.retrying, away: () => {}, as: "blob", passes });
+      for (const { place, canvas } of drawn) {
+        const picture = await whenMade(place, { ...context.retrying, away: () => {}, as: "blob", passes });
         if (!picture.size) return; // nothing of it can be drawn
-        const drawn = await createImageBitmap(picture);
-        canvas.getContext("2d").drawImage(drawn, 0, 0, canvas.width, canvas.height);
+        const bitmap = await createImageBitmap(picture);
+        canvas.getContext("2d").drawImage(bitmap, 0, 0, canvas.width, canvas.height);
       }
     } catch (error) {
       if (context.signal.aborted) return;
@@ -141,10 +144,61 @@ function bestPairs(context, id) {
     return true;
   }
 
+  card.show = (items, key, make) => keyed(row, items, key, make);
+  return card;
+}
+
+/** Return the card of violations that a careful driver would have avoided, beside that driver's drive; ``update`` takes the finding. */
+function avoidableViolations(context, id) {
+  const meaning = h("p.hint");
+  const card = pictured(context, "What a careful driver would have avoided", meaning);
+
+  function violation(one) {
+    const path = `campaigns/${id}/solutions/${one.number}/compared`;
+    const caption = h("figcaption", null, h("div", null, h("a", { href: link("campaigns", id, "solutions", one.number) }, `Solution ${one.number}`)),
+      sentence(one.words), h("div.small.muted", null, one.type));
+    return card.figure(caption, [
+      { place: `${path}/system.png`, side: "unsafe", label: `The system's drive of solution ${one.number} from above`, badge: badge("unsafe", "system") },
+      { place: `${path}/reference.png`, side: "safe", label: `The careful driver in place of solution ${one.number} from above`, badge: badge("safe", "careful driver") },
+    ]);
+  }
+
+  card.update = (read) => {
+    if (!read.complete) return; // types change while it runs, and the workers have better things to do
+    text(meaning, `Both drives from above at the moment of the violation. ${read.explanation}`);
+    card.show(read.avoidable, (one) => String(one.number), violation);
+  };
+  return card;
+}
+
+/** Return the card of the best pairs, both drives of each from above; ``update`` takes the finding. */
+function bestPairs(context, id) {
+  const meaning = h("span");
+  const card = pictured(context, "Best pairs", h("p.hint", null,
+    "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one. ", meaning));
+
+  function pair(one) {
+    const path = `campaigns/${id}/pairs/${one.safe}-${one.unsafe}`;
+    const known = badge("found");
+    known.classList.add("long");
+    const caption = h("figcaption", null,
+      h("div", null, h("a", { href: link("campaigns", id, "pairs", `${one.safe}-${one.unsafe}`) }, `Pair ${one.place}`), " ", known), sentence(one.words));
+    const node = card.figure(caption, ["safe", "unsafe"].map((side) => ({
+      place: `${path}/${side}.png`, side, label: `The ${side} drive of pair ${one.place} from above`,
+      badge: requirementBadge({ kind: side === "safe" ? "held" : "violated" }),
+    })));
+    node.update = (next) => {
+      known.update(`${EVIDENCE[next.state] ?? "found"} long`, next.evidence);
+      attribute(known, "title", next.shares || null);
+    };
+    node.update(one);
+    return node;
+  }
+
   card.update = (read) => {
     if (!read.complete || read.computed) return; // pairs change while it runs, and the workers have better things to do
     text(meaning, read.rule);
-    keyed(row, read.best, (one) => `${one.safe}-${one.unsafe}`, pair);
+    card.show(read.best, (one) => `${one.safe}-${one.unsafe}`, pair);
   };
   return card;
 }

@@ -2,16 +2,16 @@
 
 import { ApiError, saveBlob } from "../../api.js";
 import { attribute, h, replace, text } from "../../dom.js";
-import { minus, plainId, sentence, spaced } from "../../format.js";
+import { capital, sentence } from "../../format.js";
 import { whenMade } from "../../polling.js";
-import { callout, facts, segments, workerCommand } from "../../parts/elements.js";
+import { callout, workerCommand } from "../../parts/elements.js";
 import { camera } from "./camera.js";
 import { boxes, robustness } from "./charts.js";
+import { controls, state } from "./controls.js";
 import { Episode, Player, seconds } from "./episode.js";
 import { map } from "./map.js";
+import { twoDrives } from "./two_drives.js";
 
-const SPEEDS = [["0.5", "0.5×"], ["1", "1×"], ["2", "2×"], ["4", "4×"]];
-const TAKES_SPACE = "input:not([type=range]), textarea, select, button, a, summary, [role=region]";
 const MOST_EVENTS = 300;
 
 /**
@@ -86,7 +86,7 @@ function drawn(context, path, file, words) {
 }
 
 /**
- * Return the cards of an episode, and its player.
+ * Return the cards of an episode, and its player. Where a reference driver avoids a violation, its drive is beside the system's.
  *
  * @param {import("../../context.js").Context} context
  * @param {object} data The response of ``GET …/episode``.
@@ -95,19 +95,51 @@ function drawn(context, path, file, words) {
  * @param {Element} actions Buttons next to the heading.
  */
 export function replay(context, data, solution, path, actions) {
-  const episode = new Episode(data);
-  const player = new Player(episode, context.signal);
-  const { node, legend, switches } = map(player);
+  const player = new Player(new Episode(data), context.signal);
+  const { episode } = player;
   const { scenario, perturbations } = episode.words;
-  const stage = h("section.card.replay", { "aria-label": "Replay" },
-    h("div.inline", null, h("h2", null, "Replay"), actions),
-    solution.outcome && h("p", null, h("strong", null, sentence(solution.outcome))),
-    scenario && h("p.hint", null, [scenario, perturbations].filter(Boolean).join("; camera pictures: ")));
+  const about = scenario && h("p.hint", null, [scenario, perturbations].filter(Boolean).join("; camera pictures: "));
+  const stage = h("section.card.replay", { "aria-label": "Replay" }, h("div.inline", null, h("h2", null, "Replay"), actions));
+  const charts = [boxes(player), robustness(player)];
+  if (data.reference) {
+    const lead = compared(stage, player, data.reference, solution, about);
+    const system = h("section.card", { "aria-label": "The system's camera" }, h("h2", null, "What the system saw and did"),
+      h("div.grid-2", null, camera(player, path), events(player)));
+    return { player: lead, cards: [stage, system, ...charts].filter(Boolean) };
+  }
+  const { node, legend, switches } = map(player);
+  const told = avoidance(solution) ?? (solution.outcome && h("p", null, h("strong", null, sentence(solution.outcome))));
+  stage.append(...[told, about].filter(Boolean));
   stage.append(h(episode.film ? "div.replay-stage.film" : "div.replay-stage", null,
     h("div", null, node, h("div.replay-under", null, legend, switches)),
     h("div.replay-side", null, camera(player, path), state(player), events(player))),
   controls(player, marks(episode, solution), stage));
-  return { player, cards: [stage, boxes(player), robustness(player)].filter(Boolean) };
+  return { player, cards: [stage, ...charts].filter(Boolean) };
+}
+
+/** Fill a card with the system's drive and that of a reference driver; return the player that leads. */
+function compared(stage, player, reference, solution, about) {
+  const driver = new Player(new Episode(reference.drive), player.signal);
+  const [system, instead] = reference.sentences;
+  stage.append(...[h("p.lead", null, system, h("br"), instead), avoidance(solution), about].filter(Boolean));
+  const lead = twoDrives(stage, [
+    { player, badge: ["unsafe", "system"], words: "system", colour: "--unsafe" },
+    { player: driver, badge: ["safe", reference.name], words: reference.name, colour: "--safe" },
+  ], [...marks(player.episode, solution), ...braking(reference)].sort((a, b) => a.time_s - b.time_s));
+  stage.append(h("p.hint", null, `${reference.explanation} Outlines show where the car of the other drive is at the same time.`));
+  lead.hold(reference.moment_s);
+  return lead;
+}
+
+function braking({ brakes_at_s, name }) {
+  return brakes_at_s === null ? [] : [{ time_s: brakes_at_s, words: `the ${name} brakes` }];
+}
+
+/** Return the violations of a solution, and who would have avoided them; null if that was not measured. */
+function avoidance({ violated }) {
+  if (!violated.some(({ avoidable }) => avoidable)) return null;
+  return h("ul.avoidance", { "aria-label": "Who would have avoided the violations" }, violated.map(({ words, time_s, avoidable, avoidable_words: by }) =>
+    h("li", { class: avoidable }, `${capital(words)}${time_s === null ? "" : ` at ${seconds(time_s)}`}${by ? `: ${by}` : ""}.`)));
 }
 
 /** Return the marks of the scrubber in order of time: the violations of the verdicts, and events. */
@@ -121,86 +153,6 @@ function marks(episode, solution) {
     for (const { sample, words } of episode.story?.violations ?? []) found.push({ time_s: episode.times[sample], words, bad: true });
   }
   return found.sort((a, b) => a.time_s - b.time_s);
-}
-
-/**
- * Return the controls of a player: play and pause, scrubber with marks, speed, and a jump to the first violation.
- *
- * @param {Player} player
- * @param {{time_s: number, words: string, bad?: boolean}[]} marks
- * @param {Element} stage While it is in sight, Space plays and pauses unless the focused element uses Space itself.
- */
-export function controls(player, marks, stage) {
-  const { episode, signal } = player;
-  const button = h("button.primary.play", { type: "button", onclick: () => player.toggle() }, "Play");
-  const scrubber = h("input", {
-    type: "range", min: 0, max: episode.last, step: 1, value: 0, "aria-label": "Time in the episode",
-    oninput: () => player.show(Number(scrubber.value)),
-  });
-  const track = h("div.marks", { "aria-hidden": "true" }, marks.map(({ time_s, words, bad }) => {
-    const mark = h(bad ? "i.bad" : "i", { title: `${seconds(time_s)}: ${words}` });
-    mark.style.left = `${(100 * episode.sampleAt(time_s)) / Math.max(1, episode.last)}%`;
-    return mark;
-  }));
-  const clock = h("output.clock.figure");
-  const speeds = segments("Speed", (speed) => player.setSpeed(Number(speed)), SPEEDS, "1");
-  const violation = marks.find((mark) => mark.bad);
-  const jump = violation && h("button", { type: "button", onclick: () => player.hold(violation.time_s) }, `Go to ${seconds(violation.time_s)}: ${violation.words.replace(/ at [\d.]+ s$/, "")}`);
-
-  player.listen((_, changed) => {
-    if (changed.time) text(clock, `${player.time_s.toFixed(1)} / ${seconds(episode.end_s)}`);
-    if (changed.sample) {
-      if (Number(scrubber.value) !== player.sample) scrubber.value = String(player.sample);
-      attribute(scrubber, "aria-valuetext", seconds(episode.times[player.sample]));
-    }
-    if (changed.state) {
-      text(button, player.playing ? "Pause" : "Play");
-      speeds.update(SPEEDS, String(player.speed));
-    }
-  });
-
-  document.addEventListener("keydown", (event) => {
-    if (event.key !== " " || event.ctrlKey || event.altKey || event.metaKey || event.defaultPrevented) return;
-    if (event.target.closest?.(TAKES_SPACE) || document.querySelector("dialog[open]")) return;
-    const { top, bottom } = stage.getBoundingClientRect();
-    if (bottom < 0 || top > innerHeight) return;
-    event.preventDefault();
-    player.toggle();
-  }, { signal });
-
-  return h("div.controls", { role: "group", "aria-label": "Playback" },
-    button, h("div.scrub", null, track, scrubber), clock, speeds, jump);
-}
-
-/** Return the state of a player's episode in words: speed, plan, traffic light and robustness. */
-export function state(player) {
-  const { data, story } = player.episode;
-  const node = facts();
-  node.classList.add("replay-state");
-  const hasLight = data.lights.some(Boolean);
-  player.listen((_, changed) => {
-    if (!changed.sample) return;
-    const { sample } = player;
-    const shown = {
-      Speed: mps(data.ego.speed_mps[sample]), "Target speed": mps(data.target_speed_mps[sample]),
-      Plan: spaced(data.plan_mode[sample] || "–"),
-    };
-    if (hasLight) shown["Traffic light"] = data.lights[sample] || "none";
-    const value = story && data.robustness[story.requirement][sample];
-    if (story) shown[`${spaced(plainId(story.requirement))} margin`] = margin(value, data.units[story.requirement]);
-    node.update(shown);
-    node.classList.toggle("violated", value !== null && value < 0);
-  });
-  return node;
-}
-
-function mps(speed) {
-  return speed === null ? "–" : `${minus(speed.toFixed(1))} m/s`;
-}
-
-function margin(value, unit) {
-  if (value === null) return "not applicable";
-  return `${minus(value.toFixed(Math.abs(value) < 10 ? 2 : 1))}${unit ? ` ${unit}` : ""}`;
 }
 
 /** Return the events of a player's episode as a list; a click jumps to an event. */

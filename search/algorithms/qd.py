@@ -1,0 +1,355 @@
+"""MAP-Elites on traffic participants: one best solution, an elite, for each kind of behaviour.
+
+A solution belongs to the niches that its problem names (`Niche`), such as the sector in which it came close to the
+ego and what both were doing. Each niche keeps its best solution, by rank, then value. Children are variants of
+elites, crossings of two, hand-written patterns, and random solutions. Kinds of behaviour are thus collected rather
+than optimised away: what is best in one niche never displaces another niche's elite.
+
+Parents are elites of the best rank, and now and then of the next one: near misses. Rare behaviour is preferred: an
+elite's chance falls with the number of solutions that were in its niche. Otherwise one easily repeated mechanism,
+which varies over many niches, would get most of the budget.
+
+Several generations may be in flight. A problem that names no niches is searched at random.
+
+Source: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, Final, assert_never
+
+import numpy as np
+
+from brink.search.algorithm import Candidate, Evaluation, Niche, Origin, Scored
+from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState, stored_rows
+from brink.search.algorithms.multi_objective import Child, stored_origins
+from brink.search.document import Document
+from brink.search.errors import ConfigError, DocumentError
+from brink.search.settings import setting
+from brink.search.space import FloatArray, SearchSpace
+from brink.search.streams import Stream, generator
+from brink.search.traffic.participants import Participant, Solution
+from brink.search.traffic.variation import (
+    TrafficGenome,
+    crossed_uniformly,
+    hostile_solution,
+    major_change,
+    motif,
+    mutated_randomly,
+    small_change,
+)
+
+_MAX_FILLS: Final = 30
+"""Maximum rounds of breeding to fill a generation with new solutions."""
+_NEAR_SHARE: Final = 0.25
+"""Share of the elites of the second-best rank, those with the lowest values, that may become parents."""
+_MOTIF_SHARE: Final = 0.5
+"""Share of the participants added by edits that follow a motif; the others are random."""
+
+
+class Operator(StrEnum):
+    """How a child is made."""
+
+    RANDOM = "random"
+    """Drawn from the space."""
+    PATTERN = "pattern"
+    """Hand-written patterns with random numbers."""
+    SMALL = "small"
+    """Some numbers of all participants of an elite change a little."""
+    MAJOR = "major"
+    """One participant of an elite starts elsewhere and acts differently."""
+    EDIT = "edit"
+    """One participant of an elite is changed, removed or replaced, or another is added."""
+    CROSSOVER = "crossover"
+    """Participants and actions of two elites are swapped."""
+
+
+_ORIGINS: Final[Mapping[Operator, Origin]] = {
+    Operator.RANDOM: Origin.RANDOM,
+    Operator.PATTERN: Origin.HEURISTIC,
+    Operator.SMALL: Origin.MUTATION,
+    Operator.MAJOR: Origin.MUTATION,
+    Operator.EDIT: Origin.MUTATION,
+    Operator.CROSSOVER: Origin.CROSSOVER,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QdConfig(BoundaryConfig):
+    """Settings of MAP-Elites; the shares are relative to each other."""
+
+    generation_size: int = setting(30, help="Solutions per generation.", ge=1, le=1_000)
+    in_flight: int = setting(
+        2,
+        help="Generations in flight at a time. More keep more workers busy; fewer let every choice know more.",
+        ge=1,
+        le=100,
+    )
+    initial: int = setting(60, help="Random solutions before the first variants of elites.", ge=1, le=10_000)
+    share_random: float = setting(0.1, help="Share of random solutions.", ge=0, le=1)
+    share_pattern: float = setting(0.0, help="Share of hand-written hostile patterns.", ge=0, le=1)
+    share_small: float = setting(
+        0.3, help="Share of elites with all participants changed a little.", ge=0, le=1
+    )
+    share_major: float = setting(0.2, help="Share of elites with one participant changed a lot.", ge=0, le=1)
+    share_edit: float = setting(
+        0.2, help="Share of elites with a participant changed, added, removed or replaced.", ge=0, le=1
+    )
+    share_crossover: float = setting(0.2, help="Share of crossings of two elites.", ge=0, le=1)
+    near: float = setting(
+        0.1, ge=0, le=1,
+        help="Share of parents of the second-best rank, such as near misses, once there is a better one.",
+    )  # fmt: skip
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """The share of each operator, in the order of `Operator`."""
+        return tuple(float(getattr(self, f"share_{operator}")) for operator in Operator)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Elite:
+    """The best solution of a niche so far.
+
+    Attributes:
+        niche: Name, rank and value.
+        number: Number of the solution.
+        hits: Number of solutions that were in the niche so far.
+    """
+
+    niche: Niche
+    number: int
+    hits: int
+
+    def after(self, niche: Niche, number: int) -> "Elite":
+        """Return the elite after one more solution was in the niche: this one, unless the other is better."""
+        better = (niche.rank, niche.value) < (self.niche.rank, self.niche.value)
+        hits = self.hits + 1
+        return Elite(niche=niche, number=number, hits=hits) if better else replace(self, hits=hits)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class QdState(LedgerState):
+    """State of MAP-Elites.
+
+    Attributes:
+        config: Settings.
+        elites: One for each niche, in the order in which the niches were discovered.
+        queue_origins: The origin of each solution in flight or queued, ascending by number.
+    """
+
+    config: QdConfig
+    elites: tuple[Elite, ...]
+    queue_origins: tuple[Origin, ...]
+
+    @property
+    def fitness(self) -> FloatArray:
+        """Values of the elites, shape ``(n,)``."""
+        return np.array([elite.niche.value for elite in self.elites])
+
+
+class Qd(LedgerAlgorithm[QdConfig, QdState]):
+    """MAP-Elites for scripted traffic."""
+
+    id = "qd@1"
+    summary = "MAP-Elites: as many kinds of violations as possible, the most critical of each."
+    config_type: type[Any] = QdConfig
+
+    def _min_budget(self, space: SearchSpace, config: QdConfig) -> int:
+        TrafficGenome.of(space)
+        if not any(config.shares):
+            raise ConfigError("share_random", "expected a positive share of at least one operator, got none")
+        return 1
+
+    def _first_state(self, ledger: Ledger, config: QdConfig) -> QdState:
+        return _planned(QdState(config=config, ledger=ledger, elites=(), queue_origins=()))
+
+    def tell(self, state: QdState, evaluations: Mapping[int, Evaluation]) -> QdState:
+        """Return the state after the oldest generation in flight was evaluated.
+
+        Raises:
+            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
+        """
+        told = state.ledger.pending
+        ledger = state.ledger.tell(evaluations)
+        elites = with_elites(state.elites, told, evaluations)
+        origins = state.queue_origins[len(told) :]
+        return _planned(replace(state, ledger=ledger, elites=elites, queue_origins=origins))
+
+    def _refilled(self, state: QdState) -> QdState:
+        return _planned(state)
+
+    def _content(self, state: QdState) -> tuple[dict[str, Any], dict[str, Any]]:
+        columns = [(elite.niche.rank, elite.niche.value, elite.number, elite.hits) for elite in state.elites]
+        return (
+            {
+                "niches": [list(elite.niche.name) for elite in state.elites],
+                "queue_origins": [origin.value for origin in state.queue_origins],
+            },
+            {"elites": np.reshape(columns, (len(columns), 4)).astype(np.float64)},
+        )
+
+    def _restored(self, ledger: Ledger, config: QdConfig, document: Document) -> QdState:
+        return QdState(
+            config=config,
+            ledger=ledger,
+            elites=_stored_elites(ledger, document),
+            queue_origins=stored_origins(document, ledger.in_flight + len(ledger.queue)),
+        )
+
+
+def with_elites(
+    elites: Sequence[Elite], candidates: Sequence[Candidate], evaluations: Mapping[int, Evaluation]
+) -> tuple[Elite, ...]:
+    """Return the elites after a generation was evaluated. Solutions without a verdict never become elites.
+
+    Args:
+        elites: The elites so far.
+        candidates: The generation.
+        evaluations: Its evaluations, by number.
+    """
+    best = {elite.niche.name: elite for elite in elites}
+    for candidate in candidates:
+        evaluation = evaluations[candidate.number]
+        if not isinstance(evaluation, Scored):
+            continue
+        for niche in _best_by_name(evaluation.niches):
+            known = best.get(niche.name)
+            best[niche.name] = (
+                Elite(niche=niche, number=candidate.number, hits=1)
+                if known is None
+                else known.after(niche, candidate.number)
+            )
+    return tuple(best.values())
+
+
+def _best_by_name(niches: Sequence[Niche]) -> Iterable[Niche]:
+    """Return the niches of a solution, those of equal name only once."""
+    ranked = sorted(niches, key=lambda niche: (niche.rank, niche.value), reverse=True)
+    return {niche.name: niche for niche in ranked}.values()
+
+
+def _planned(state: QdState) -> QdState:
+    """Return the state with the next generation queued if there is room in flight, as budget and space allow."""
+    config, ledger = state.config, state.ledger
+    room = len(ledger.flight) < config.in_flight
+    wanted = int(min(config.generation_size, max(0, ledger.left))) if room else 0
+    breeding = _Breeding(state)
+    rng = generator(ledger.seed, Stream.BREEDING, ledger.planned_generation)
+    chosen: dict[bytes, Child] = {}
+    for _ in range(_MAX_FILLS):
+        if len(chosen) >= wanted:
+            break
+        children = {
+            row.tobytes(): (row, origin)
+            for row, origin in (breeding.child(rng) for _ in range(wanted - len(chosen)))
+        }
+        fresh = ledger.unseen([row for row, _ in children.values()])
+        chosen |= {key: children[key] for row in fresh if (key := row.tobytes()) not in chosen}
+    return replace(
+        state,
+        ledger=ledger.plan([row for row, _ in chosen.values()]),
+        queue_origins=(*state.queue_origins, *(origin for _, origin in chosen.values())),
+    )
+
+
+class _Breeding:
+    """Makes children from the elites of a state, or from nothing."""
+
+    def __init__(self, state: QdState) -> None:
+        self._state = state
+        self._genome = TrafficGenome.of(state.ledger.space)
+        config = state.config
+        shares = np.array(config.shares)
+        self._operators = tuple(Operator), shares / shares.sum()
+        self._leading, self._near = parents_of(state.elites)
+        self._starting = state.ledger.spent + state.ledger.in_flight < config.initial or not self._leading
+
+    def child(self, rng: np.random.Generator) -> Child:
+        """Make one child, which may be known already.
+
+        Args:
+            rng: Source of all randomness.
+        """
+        operators, probabilities = self._operators
+        operator = (
+            Operator.RANDOM if self._starting else operators[rng.choice(len(operators), p=probabilities)]
+        )
+        genome, origin = self._genome, _ORIGINS[operator]
+        if operator is Operator.RANDOM:
+            return genome.row(genome.sample(rng), None, rng), origin
+        if operator is Operator.PATTERN:
+            return genome.row(hostile_solution(genome.road, genome.max_participants, rng), None, rng), origin
+        parent = self._parent(rng)
+        row = self._row(parent)
+        return genome.row(self._varied(operator, parent, rng), row, rng), origin
+
+    def _varied(self, operator: Operator, parent: Elite, rng: np.random.Generator) -> Solution:
+        """Return a variant of an elite's participants."""
+        genome = self._genome
+        solution = genome.solution(self._row(parent))
+        match operator:
+            case Operator.SMALL:
+                return tuple(small_change(one, rng) for one in solution)
+            case Operator.MAJOR:
+                place = int(rng.integers(len(solution)))
+                return (*solution[:place], major_change(solution[place], rng), *solution[place + 1 :])
+            case Operator.EDIT:
+                return mutated_randomly(solution, self._newcomer(rng), genome.max_participants, rng)
+            case Operator.CROSSOVER:
+                other = genome.solution(self._row(self._parent(rng)))
+                return crossed_uniformly(solution, other, rng)[int(rng.integers(2))]
+            case Operator.RANDOM | Operator.PATTERN:
+                raise AssertionError(f"{operator} varies no elite")
+            case _:
+                assert_never(operator)
+
+    def _newcomer(self, rng: np.random.Generator) -> Participant:
+        if rng.random() < _MOTIF_SHARE:
+            return motif(self._genome.road, rng)
+        drawn = self._genome.sample(rng)
+        return drawn[int(rng.integers(len(drawn)))]
+
+    def _parent(self, rng: np.random.Generator) -> Elite:
+        near = self._near and rng.random() < self._state.config.near
+        parents = self._near if near else self._leading
+        rarity = np.array([1.0 / elite.hits for elite in parents])
+        return parents[int(rng.choice(len(parents), p=rarity / rarity.sum()))]
+
+    def _row(self, elite: Elite) -> FloatArray:
+        archive = self._state.archive
+        row: FloatArray = archive.vectors[int(np.searchsorted(archive.numbers, elite.number))]
+        return row
+
+
+def parents_of(elites: Sequence[Elite]) -> tuple[list[Elite], list[Elite]]:
+    """Return the elites of the best rank, and those of the second-best rank with the lowest values."""
+    ranks = sorted({elite.niche.rank for elite in elites})
+    leading = [elite for elite in elites if elite.niche.rank in ranks[:1]]
+    second = sorted(
+        (elite for elite in elites if elite.niche.rank in ranks[1:2]), key=lambda elite: elite.niche.value
+    )
+    return leading, second[: math.ceil(_NEAR_SHARE * len(second))]
+
+
+def _stored_elites(ledger: Ledger, document: Document) -> tuple[Elite, ...]:
+    """Return the elites that `Qd._content` stored.
+
+    Raises:
+        DocumentError: They are corrupt.
+    """
+    names, columns = document.header.get("niches"), stored_rows(document, "elites", 4)
+    if not isinstance(names, list) or len(names) != len(columns):
+        raise DocumentError(f"niches: expected the names of {len(columns)} niches, got {names!r:.80}")
+    archived = set(ledger.archive.numbers.tolist())
+    elites = []
+    for name, (rank, value, number, hits) in zip(names, columns.tolist(), strict=True):
+        if not isinstance(name, list) or not all(isinstance(word, str) for word in name):
+            raise DocumentError(f"niches: expected lists of words, got {name!r:.80}")
+        if number not in archived:
+            raise DocumentError(f"elites: expected numbers of archived solutions, got {number!r}")
+        niche = Niche(name=tuple(name), rank=int(rank), value=value)
+        elites.append(Elite(niche=niche, number=int(number), hits=int(hits)))
+    return tuple(elites)

@@ -1,0 +1,292 @@
+"""MAP-Elites on traffic: elites by niche, how children are made, what a stored state refuses."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brink.search.algorithm import Candidate, Evaluation, Failed, Niche, Origin, Scored, ask_all
+from brink.search.algorithms.multi_objective import gap_objective
+from brink.search.algorithms.qd import Elite, Operator, Qd, QdConfig, QdState, parents_of, with_elites
+from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
+from brink.search.document import Document
+from brink.search.errors import ConfigError, DocumentError
+from brink.search.space import Categorical, Component, SearchSpace
+from brink.search.traffic.constraint import participants_component
+from brink.search.traffic.participants import RoadLimits, Solution
+from brink.search.traffic.variation import TrafficGenome
+
+SPACE = SearchSpace(
+    (
+        Component("scenario", (Categorical("weather", ("dry", "wet")),)),
+        participants_component("npcs", 3, RoadLimits(streets_m=(30.0,))),
+    )
+)
+GENOME = TrafficGenome.of(SPACE)
+QD = Qd()
+SMALL = QdConfig(generation_size=10, initial=20)
+NEAR_M = 20.0
+
+
+def solution_of(candidate: Candidate) -> Solution:
+    return GENOME.solution(SPACE.join(candidate.vectors))
+
+
+def behaved(candidate: Candidate) -> Evaluation:
+    """Evaluate a candidate by its starts: the nearest participant counts; its action and speed name the niche."""
+    if candidate.number % 11 == 3:
+        return Failed(reason="synthetic")
+    solution = solution_of(candidate)
+    gaps = [abs(one.ds_m) + abs(one.dd_m) for one in solution]
+    nearest = solution[int(np.argmin(gaps))]
+    niche = Niche(
+        name=(nearest.kind.value, nearest.genes[0].action.value, f"{nearest.speed_mps:.0f} m/s"),
+        rank=int(min(gaps) > NEAR_M),
+        value=min(gaps),
+    )
+    objectives = {gap_objective(index): gap for index, gap in enumerate(gaps, start=1)}
+    return Scored(
+        unsafe=niche.rank == 0, robustness=niche.value - NEAR_M, objectives=objectives, niches=(niche,)
+    )
+
+
+def played(algorithm: Any, config: Any, *, budget: int, seed: int = 1) -> tuple[Any, list[Candidate]]:
+    """Return the final state of a search, and its candidates."""
+    state = algorithm.start(SPACE, config, seed=seed, budget=budget)
+    candidates: list[Candidate] = []
+    while not algorithm.finished(state):
+        state, _ = ask_all(algorithm, state)
+        candidates += state.pending
+        state = algorithm.tell(state, {one.number: behaved(one) for one in state.pending})
+    return state, candidates
+
+
+def niches_of(candidates: Sequence[Candidate], rank: int) -> set[tuple[str, ...]]:
+    evaluations = [behaved(one) for one in candidates]
+    return {
+        niche.name
+        for evaluation in evaluations
+        if isinstance(evaluation, Scored)
+        for niche in evaluation.niches
+        if niche.rank == rank
+    }
+
+
+def test_every_niche_keeps_its_best_solution() -> None:
+    state, candidates = played(QD, SMALL, budget=150)
+    best: dict[tuple[str, ...], tuple[int, float, int]] = {}
+    for candidate in candidates:
+        evaluation = behaved(candidate)
+        for niche in evaluation.niches if isinstance(evaluation, Scored) else ():
+            key = (niche.rank, niche.value, candidate.number)
+            best[niche.name] = min(key, best.get(niche.name, key))
+    found = {one.niche.name: (one.niche.rank, one.niche.value, one.number) for one in state.elites}
+    assert found == best
+
+
+def test_elites_only_improve() -> None:
+    state = QD.start(SPACE, SMALL, seed=2, budget=150)
+    while not QD.finished(state):
+        state, _ = ask_all(QD, state)
+        before = {one.niche.name: (one.niche.rank, one.niche.value) for one in state.elites}
+        state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
+        after = {one.niche.name: (one.niche.rank, one.niche.value) for one in state.elites}
+        assert all(after[name] <= value for name, value in before.items())
+
+
+def test_solutions_without_a_verdict_are_never_elites() -> None:
+    state, candidates = played(QD, SMALL, budget=150)
+    failed = {one.number for one in candidates if isinstance(behaved(one), Failed)}
+    assert failed
+    assert not failed & {elite.number for elite in state.elites}
+
+
+def test_variants_of_elites_find_more_niches_than_random_draws() -> None:
+    _, ours = played(QD, SMALL, budget=250)
+    _, random = played(RandomSearch(), RandomSearchConfig(), budget=250)
+    assert len(niches_of(ours, 0)) > 1.5 * len(niches_of(random, 0))
+
+
+def test_equal_seeds_give_equal_searches_and_others_do_not() -> None:
+    first, again, other = (played(QD, SMALL, budget=60, seed=seed)[0] for seed in (1, 1, 2))
+    assert QD.dump(first).to_bytes() == QD.dump(again).to_bytes()
+    assert QD.dump(first).to_bytes() != QD.dump(other).to_bytes()
+
+
+@pytest.mark.parametrize("budget", [1, 7, 33])
+def test_budget_is_spent_and_not_exceeded(budget: int) -> None:
+    assert len(played(QD, SMALL, budget=budget)[1]) == budget
+
+
+def test_origins_are_those_of_all_solutions_in_flight_and_in_the_queue() -> None:
+    state = QD.start(SPACE, replace(SMALL, in_flight=3), seed=1, budget=100)
+    state, generations = ask_all(QD, state)
+    assert [len(generation) for generation in generations] == [10, 10, 10]
+    assert len(state.queue_origins) == 30
+    state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
+    assert len(state.ledger.queue) == 10
+    assert len(state.queue_origins) == 30
+
+
+def origins_of(config: QdConfig, budget: int) -> list[Origin]:
+    """Return the origin of each candidate, by number."""
+    state = QD.start(SPACE, config, seed=1, budget=budget)
+    origins: list[Origin] = []
+    while not QD.finished(state):
+        state, _ = ask_all(QD, state)
+        origins += state.queue_origins[: len(state.pending)]
+        state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
+    return origins
+
+
+def test_first_solutions_are_random_and_later_ones_follow_the_shares() -> None:
+    origins = origins_of(replace(SMALL, share_pattern=0.1), 300)
+    assert set(origins[:20]) == {Origin.RANDOM}
+    share = {origin: origins[20:].count(origin) / len(origins[20:]) for origin in set(origins)}
+    assert set(share) == {Origin.RANDOM, Origin.HEURISTIC, Origin.MUTATION, Origin.CROSSOVER}
+    assert share[Origin.MUTATION] > share[Origin.CROSSOVER] > share[Origin.HEURISTIC]
+
+
+def only(operator: Operator) -> QdConfig:
+    """Return settings that use a single operator."""
+    shares: dict[str, Any] = {f"share_{one}": float(one is operator) for one in Operator}
+    return replace(SMALL, **shares)
+
+
+def children_of(config: QdConfig) -> list[tuple[Solution, QdState]]:
+    """Return the first variants of elites, each with the state that it was bred from."""
+    state = QD.start(SPACE, replace(config, in_flight=1), seed=3, budget=60)
+    children: list[tuple[Solution, QdState]] = []
+    while not QD.finished(state):
+        bred_from = state
+        state, candidates = QD.ask(state)
+        if candidates[0].number >= config.initial:
+            children += [(solution_of(one), bred_from) for one in candidates]
+        state = QD.tell(state, {one.number: behaved(one) for one in candidates})
+    return children
+
+
+def differing(parent: Solution, child: Solution) -> int:
+    return sum(one != other for one, other in zip(parent, child, strict=True))
+
+
+def test_major_changes_apply_to_one_participant_of_an_elite() -> None:
+    for child, state in children_of(only(Operator.MAJOR)):
+        rows = [state.archive.vectors[state.archive.numbers == elite.number][0] for elite in state.elites]
+        parents = [parent for row in rows if len(parent := GENOME.solution(row)) == len(child)]
+        assert 1 in {differing(parent, child) for parent in parents}
+
+
+def test_small_changes_keep_the_actions() -> None:
+    for child, state in children_of(only(Operator.SMALL)):
+        known = {
+            tuple(tuple(gene.action for gene in one.genes) for one in GENOME.solution(row))
+            for row in state.archive.vectors
+        }
+        assert tuple(tuple(gene.action for gene in one.genes) for one in child) in known
+
+
+def actions(solution: Solution) -> list[list[str]]:
+    return [[gene.action.value for gene in one.genes] for one in solution]
+
+
+def test_rare_behaviour_is_varied_most() -> None:
+    config = replace(only(Operator.SMALL), generation_size=40, in_flight=1, near=0.0)
+    state = QD.start(SPACE, config, seed=3, budget=120)
+    state, _ = QD.ask(state)
+    told = {one.number: behaved(one) for one in state.pending}
+    rare = parents_of(QD.tell(state, told).elites)[0][0]
+    forged = tuple(replace(one, hits=1 if one == rare else 1000) for one in QD.tell(state, told).elites)
+    # Nothing new is told, so that the next generation is bred from the forged elites.
+    state, candidates = QD.ask(replace(QD.tell(state, told), elites=forged))
+    state = QD.tell(state, {one.number: Failed(reason="synthetic") for one in candidates})
+    parent = GENOME.solution(state.archive.vectors[state.archive.numbers == rare.number][0])
+    _, children = QD.ask(state)
+    bred = [actions(solution_of(one)) == actions(parent) for one in children]
+    assert np.mean(bred) > 0.8
+
+
+def elite(name: str, rank: int, value: float, hits: int = 1) -> Elite:
+    return Elite(niche=Niche(name=(name,), rank=rank, value=value), number=0, hits=hits)
+
+
+def test_parents_are_the_best_elites_and_the_nearest_of_the_second_rank() -> None:
+    best = [elite("a", 0, 9.0), elite("b", 0, -1.0)]
+    near = [elite(f"near {n}", 1, float(n)) for n in (7, 3, 5, 1, 2, 6, 4, 8)]
+    assert parents_of([*near, *best, elite("far", 2, -5.0)]) == (best, [near[3], near[4]])
+    assert parents_of(near)[0] == near
+    assert parents_of([]) == ([], [])
+
+
+def scored(*niches: Niche) -> Scored:
+    return Scored(unsafe=True, robustness=-1.0, niches=niches)
+
+
+def test_better_ranks_come_before_better_values_and_equal_ones_change_nothing() -> None:
+    elites = (elite("a", 1, 2.0),)
+    for rank, value, number in ((1, 2.0, 0), (2, -9.0, 0), (1, 1.5, 5), (0, 7.0, 5)):
+        niche = Niche(name=("a",), rank=rank, value=value)
+        (found,) = with_elites(elites, [Candidate(number=5, vectors=())], {5: scored(niche)})
+        assert (found.number, found.hits) == (number, 2)
+        assert found.niche == (niche if number else elites[0].niche)
+
+
+def test_a_solution_counts_once_in_each_of_its_niches() -> None:
+    niches = [Niche(name=(name,), rank=rank, value=1.0) for name, rank in (("a", 3), ("a", 0), ("b", 0))]
+    for given in (niches, niches[::-1]):
+        found = with_elites((elite("b", 0, 0.0),), [Candidate(number=5, vectors=())], {5: scored(*given)})
+        assert {(one.niche.name, one.niche.rank, one.number, one.hits) for one in found} == {
+            (("b",), 0, 0, 2), (("a",), 0, 5, 1),
+        }  # fmt: skip
+
+
+def test_solutions_without_niches_lead_to_a_random_search() -> None:
+    state = QD.start(SPACE, SMALL, seed=1, budget=60)
+    while not QD.finished(state):
+        state, _ = ask_all(QD, state)
+        assert set(state.queue_origins) == {Origin.RANDOM}
+        state = QD.tell(state, {one.number: Scored(unsafe=False, robustness=1.0) for one in state.pending})
+    assert state.elites == ()
+
+
+def test_shares_that_are_all_zero_are_refused() -> None:
+    config = replace(only(Operator.SMALL), share_small=0.0)
+    with pytest.raises(ConfigError, match="at least one operator"):
+        QD.check(SPACE, config, budget=100)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"niches": []},
+        {"niches": "names"},
+        {"niches": [["a"], ["b"], 3]},
+        {"queue_origins": ["random"]},
+        {"queue_origins": ["nobody"] * 20},
+    ],
+)
+def test_corrupt_states_are_refused(change: dict[str, Any]) -> None:
+    state = QD.start(SPACE, SMALL, seed=1, budget=60)
+    state, _ = ask_all(QD, state)
+    state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
+    stored = QD.dump(state)
+    three = {"niches": stored.header["niches"][:3]}
+    stored = replace(
+        stored, header={**stored.header, **three}, arrays={**stored.arrays, "elites": stored.arrays["elites"][:3]}
+    )  # fmt: skip
+    assert len(QD.load(SPACE, SMALL, stored, state.archive).elites) == 3
+    broken = replace(stored, header={**stored.header, **change})
+    with pytest.raises(DocumentError):
+        QD.load(SPACE, SMALL, Document.from_bytes(broken.to_bytes()), state.archive)
+
+
+def test_elites_that_were_never_archived_are_refused() -> None:
+    state, _ = played(QD, SMALL, budget=40)
+    stored = QD.dump(state)
+    elites = stored.arrays["elites"].copy()
+    elites[0, 2] = 3.0  # a solution that failed
+    broken = replace(stored, arrays={**stored.arrays, "elites": elites})
+    with pytest.raises(DocumentError, match="archived"):
+        QD.load(SPACE, SMALL, broken, state.archive)

@@ -1,0 +1,184 @@
+"""Replays of violations that a reference driver would have avoided: the words, and both drives side by side."""
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.traces import make_trace
+
+from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
+from brink.sim.encounter.simulator import BrinkEncounter
+from brink.sim.episode import Json
+from brink.sim.replay import render
+from brink.sim.replay.frame import FramePainter
+from brink.sim.replay.pair import pair_story, part_state_words
+from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
+from brink.sim.replay.reference import Comparison, comparison_of
+from brink.sim.replay.style import VIOLATION
+from brink.sim.trace import AVOIDABLE, Event, Trace
+
+PERSON_M = 60.75
+"""Where a person crosses, less half a body."""
+HALF_CAR_M = 2.25
+
+
+def hits_a_person(*, at_s: float = 7.0, avoidable: str = "careful", gap_too: bool = False) -> Trace:
+    """Return a drive that hits a person, and perhaps comes too near to a vehicle half a second before."""
+    trace = make_trace(violated=False)
+    hit = np.where(trace.time_s >= at_s - 1e-4, -0.5, 3.0).astype(np.float32)
+    near = np.where(trace.time_s >= at_s - 0.5 - 1e-4, -0.2, 3.0).astype(np.float32)
+    requirements = {"front-gap@2": near if gap_too else np.full_like(near, 3.0), "no-collision@1": hit}
+    event = Event(time_s=at_s, kind="collision", text="the ego hits pedestrian-1 at 5.0 m/s")
+    return replace(
+        trace, robustness=requirements, events=(event,),
+        about={**trace.about, AVOIDABLE: dict.fromkeys(requirements, avoidable)},
+    )  # fmt: skip
+
+
+def driven(*, stops_at_m: float | None, from_s: float = 3.5, driver: str = "careful") -> Trace:
+    """Return the drive of a reference driver, who brakes and then stands with the middle of the car at a place."""
+    trace = make_trace(violated=False, samples=121)
+    ego, modes = trace.ego.copy(), list(trace.plan_mode)
+    if stops_at_m is not None:
+        stands = trace.time_s >= from_s + 1.0 - 1e-4
+        ego[stands, 0], ego[stands, 3], ego[:, 1] = stops_at_m, 0.0, -1.75
+        modes = ["stop" if time_s >= from_s - 1e-4 else "cruise" for time_s in trace.time_s]
+    else:
+        ego[:, 0], ego[:, 3] = 14.0 * trace.time_s, 14.0
+        modes = ["cruise"] * len(modes)
+    held = {name: np.full(len(trace.time_s), 3.0, np.float32) for name in ("front-gap@2", "no-collision@1")}
+    spec: dict[str, Json] = {"behaviour": {"mode": "reference", "driver": driver}}
+    return replace(
+        trace,
+        ego=ego,
+        plan_mode=tuple(modes),
+        robustness=held,
+        events=(),
+        about={**trace.about, "spec": spec},
+    )
+
+
+def compared(system: Trace, reference: Trace, requirement: str | tuple[str, ...] | None = None) -> Comparison:
+    found = comparison_of(replace(system, reference=reference), requirement)
+    assert found is not None
+    return found
+
+
+def test_the_words_say_what_the_system_did_and_what_a_careful_driver_does_instead() -> None:
+    found = compared(hits_a_person(), driven(stops_at_m=50.0))
+    short_m = PERSON_M - HALF_CAR_M - 50.0
+    assert found.sentences == (
+        "The system hit a pedestrian at 7.0 s.",
+        f"A careful driver brakes at 3.5 s and stops {short_m:.1f} m short.",
+    )
+    assert "UN Regulation No. 157, Annex 3" in found.explanation
+    assert found.brakes_at_s == pytest.approx(3.5)
+
+
+def test_an_ideal_driver_is_called_so() -> None:
+    system = hits_a_person(avoidable="ideal")
+    found = compared(system, driven(stops_at_m=50.0, from_s=4.0, driver="ideal"))
+    assert found.sentences[1].startswith("An ideal driver brakes at 4.0 s")
+    assert "A careful driver" in found.explanation
+
+
+def test_a_driver_who_need_not_brake_drives_on() -> None:
+    found = compared(hits_a_person(), driven(stops_at_m=None))
+    assert found.driven.startswith("drives on and stays ")
+    assert found.brakes_at_s is None
+    early = driven(stops_at_m=None)
+    early = replace(
+        early, time_s=early.time_s[:51], ego=early.ego[:51], plan_mode=early.plan_mode[:51],
+        robustness={name: series[:51] for name, series in early.robustness.items()},
+        actors=tuple(replace(actor, motion=actor.motion[:51]) for actor in early.actors),
+        events=(Event(time_s=5.0, kind="goal", text="the ego reaches the end of its route"),),
+    )  # fmt: skip
+    gone = compared(hits_a_person(), early)
+    assert gone.driven == "drives on and has reached the end of its route at 5.0 s"
+
+
+def test_a_standing_driver_who_is_hit_is_said_to_be_hit() -> None:
+    found = compared(hits_a_person(), driven(stops_at_m=PERSON_M - HALF_CAR_M + 0.3))
+    assert found.driven.startswith("brakes at 3.5 s and stands when the pedestrian hits it at ")
+
+
+def test_what_the_driver_violates_in_turn_is_said() -> None:
+    reference = driven(stops_at_m=50.0)
+    near = np.where(reference.time_s >= 9.0 - 1e-4, -0.2, 3.0).astype(np.float32)
+    reference = replace(reference, robustness={**reference.robustness, "front-gap@2": near})
+    found = compared(hits_a_person(), reference)
+    assert found.driven.endswith(" m short (violated the front gap at 9.0 s)")
+
+
+def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
+    system = hits_a_person(gap_too=True)
+    found = compared(system, driven(stops_at_m=50.0), ("no-collision@1", "front-gap@2"))
+    assert found.system == "violated the front gap at 6.5 s and hit a pedestrian at 7.0 s"
+    assert found.about.requirement == "no-collision@1"
+    gap = compared(system, driven(stops_at_m=50.0), "front-gap@2")
+    assert (gap.system, gap.about.requirement) == ("violated the front gap at 6.5 s", "front-gap@2")
+
+
+def test_what_nobody_avoids_is_shown_alone_and_says_so() -> None:
+    system = replace(hits_a_person(avoidable="no"), reference=driven(stops_at_m=50.0))
+    assert comparison_of(system) is None
+    painter = FramePainter(system)
+    assert painter.verdict() == "hit a pedestrian at 7.0 s, not avoidable by braking"
+    assert comparison_of(hits_a_person()) is None, "it has no other drive"
+    assert comparison_of(make_trace(violated=False)) is None
+
+
+def test_both_drives_are_side_by_side_with_the_systems_on_the_left(tmp_path: Path) -> None:
+    system = replace(hits_a_person(), reference=driven(stops_at_m=50.0))
+    pair = compared(system, driven(stops_at_m=50.0)).pair(system)
+    story = pair_story(pair)
+    assert [part.name for part in story.parts] == ["system", "careful"]
+    assert [part.is_unsafe for part in story.parts] == [True, False]
+    assert story.moment_s == pytest.approx(7.0)
+    left, right = (part_state_words(story, part, 7.0) for part in story.parts)
+    assert right == "0.0 m/s, plan: stop, 8.5 m from pedestrian-1"
+    assert "pedestrian-1" in left
+    picture = np.asarray(pair_still(pair))
+    red = np.flatnonzero((picture == VIOLATION).all(axis=2).sum(axis=0) > 200)
+    assert red.size > 0
+    assert red.max() < STILL_WIDTH_PX / 2, "only the system's drive has a red frame"
+    with Image.open(render(system, tmp_path / "both.png")) as image:
+        assert image.width == STILL_WIDTH_PX
+
+
+def test_a_film_begins_shortly_before_the_driver_brakes() -> None:
+    late = hits_a_person(at_s=16.0)
+    late = replace(late, reference=driven(stops_at_m=50.0, from_s=9.0))
+    found = comparison_of(late)
+    assert found is not None
+    painter = PairPainter(found.pair(late))
+    assert 3.0 < painter.time_s[0] < 7.0
+    assert painter.time_s[-1] == pytest.approx(19.9, abs=1e-3)
+
+
+@cache
+def simulated() -> Trace:
+    """Return the drive of a candidate that a careful driver would have avoided, as the simulator records it."""
+    problem, rng = NpcActions(NpcActionsParams()), np.random.default_rng(4711)
+    spec = problem.episode(problem.space.sample(rng), 1000)
+    result = BrinkEncounter().run(spec, record=True)
+    assert result.trace is not None
+    return Trace.from_bytes(result.trace)
+
+
+def test_a_recorded_drive_says_who_avoids_what() -> None:
+    trace = simulated()
+    assert trace.about[AVOIDABLE] == {"front-gap@2": "careful", "no-collision@1": "careful"}
+    assert trace.reference is not None
+    assert AVOIDABLE not in trace.reference.about
+    found = comparison_of(trace)
+    assert found is not None
+    system, instead = found.sentences
+    assert re.fullmatch(
+        r"The system violated the front gap at \d+\.\d s and hit a vehicle at \d+\.\d s\.", system
+    )
+    assert re.fullmatch(r"A careful driver brakes at \d+\.\d s and stops \d+\.\d m short\.", instead)
