@@ -22,6 +22,7 @@ from brink.server.errors import InvalidInput
 from brink.server.llm.settings import LlmSettings
 from brink.worker.wire import JsonValues
 
+LONGEST_NAME = 200
 DEFAULT_T_B = 0.10
 """Default threshold: solutions with a fitness of at most this count as boundary solutions."""
 DEFAULT_D_TH = 0.20
@@ -88,7 +89,11 @@ MOST_GIVEN = 1_000
 class PluginChoice(Body):
     """A plug-in and its parameters."""
 
-    id: Annotated[str, Field(min_length=1, max_length=100, examples=["urban-injected@1"])]
+    id: Annotated[
+        str,
+        Field(min_length=1, max_length=100, examples=["urban-injected@1"]),
+        AfterValidator(check_printable),
+    ]
     params: JsonValues = Field(default_factory=dict)
 
 
@@ -174,7 +179,9 @@ class CampaignBody(Body):
     """A campaign: a problem, an algorithm, a budget, a seed."""
 
     name: Annotated[
-        str, Field(min_length=1, max_length=200, examples=["night-rain"]), AfterValidator(check_printable)
+        str,
+        Field(min_length=1, max_length=LONGEST_NAME, examples=["night-rain"]),
+        AfterValidator(check_printable),
     ]
     problem: PluginChoice
     algorithm: PluginChoice

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 from brink.server.campaigns.body import (
     DEFAULT_EPS,
     DEFAULT_PAIRS_D_TH,
+    LONGEST_NAME,
     Budget,
     CampaignBody,
     Execution,
@@ -177,7 +178,7 @@ class ExperimentBody(Body):
         case, algorithm = self.problems[problem], self.algorithms[method]
         on = f", {case.label}" if len(self.problems) > 1 else ""
         body = CampaignBody(
-            name=f"{self.name}: {algorithm.label}{on}, seed {seed}",
+            name=f"{self.name}: {algorithm.label}{on}, seed {seed}"[:LONGEST_NAME],
             problem=PluginChoice(id=case.id, params=case.params),
             algorithm=PluginChoice(id=algorithm.id, params=algorithm.params),
             budget=self.budget, seed=seed, priority=self.priority, execution=self.execution,

@@ -121,7 +121,7 @@ def test_workers_that_are_refused_end_the_pool(running: Site) -> None:
     started = pool(running, "--ray", "local", "--workers", "3", BRINK_TOKEN="a-wrong-one")
     assert started.wait() == 1
     assert "could not work" in started.output
-    assert "401" in started.output, "what the workers said is shown"
+    assert "token rejected" in started.output, "what the workers said is shown"
 
 
 def test_a_cluster_that_is_not_there_is_told_in_a_line(running: Site) -> None:

@@ -117,6 +117,8 @@ def test_an_experiment_is_submitted_with_all_of_its_campaigns(client: httpx.Clie
         ),
         ({"problems": [{"id": "bal@1"}]}, "/problems/0/id"),
         ({"algorithms": [{"id": "ga@1"}, {"id": "gaa@1"}]}, "/algorithms/1/id"),
+        ({"algorithms": [{"id": "ga@1"}, {"id": "ga\x14"}]}, "/algorithms/1/id"),
+        ({"name": "n" * 120, "algorithms": [{"id": "ga@1"}, {"id": "a" * 100}]}, "/algorithms/1/id"),
         ({"algorithms": [{"id": "ga@1", "params": {"radius": -1}}]}, "/algorithms/0/params/radius"),
     ],
 )  # fmt: skip

@@ -281,7 +281,7 @@ def test_nothing_is_printed_or_left_behind(
         ({"options": {"tau": 1.0}}, "options: unknown field 'tau'"),
         ({"duration_s": 1e9}, "at most 600 seconds"),
         ({"simulator": "brink-drive@2"}, "expected sumo@1"),
-        ({"requirements": ("front-gap",)}, "did you mean 'front-gap@1'"),
+        ({"requirements": ("front-gap",)}, "did you mean 'front-gap@2'"),
     ],
 )
 def test_an_episode_that_can_never_run_is_refused(
