@@ -65,10 +65,12 @@ import time
 import brink
 
 def slow(x):
+    with open("calls", "a") as calls:
+        calls.write("x")
     time.sleep(0.05)
     return x - 0.5
 
-result = brink.search(slow, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=120)
+result = brink.search(slow, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=120, workers=1)
 print(result.id, result.evaluated)
 """
 
@@ -78,7 +80,9 @@ def test_an_interrupted_search_goes_on_where_it_was(tmp_path: Path) -> None:
     script.write_text(SLOW, encoding="utf-8")
     command = [sys.executable, str(script)]
     first = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    calls = tmp_path / "calls"
     try:
+        wait_until(lambda: calls.exists() and calls.stat().st_size >= 20, first)
         wait_until(lambda: counts(tmp_path)[1] >= 20, first)
         first.send_signal(signal.SIGINT)
         _, errors = first.communicate(timeout=60)

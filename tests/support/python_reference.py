@@ -3,6 +3,7 @@
 Run as ``make reference``.
 """
 
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +11,7 @@ from griffe import Attribute, Class, Docstring, DocstringSectionKind, Function, 
 
 from brink.server.campaigns import body
 
+_PACKAGE: Final = Path(__file__).parents[2] / "brink"
 PAGE: Final = Path(__file__).parents[2] / "docs" / "reference" / "python.md"
 GROUPS: Final = {
     "Running campaigns": ["run", "connect", "Campaign"],
@@ -41,16 +43,22 @@ Python](../how-to/use-brink-from-python.md) shows how the parts go together.
 
 def page() -> str:
     """Return the content of the page."""
-    package = load("brink.python", docstring_parser="google", resolve_aliases=False)
-    parameters = load("brink.search.parameters", docstring_parser="google")
     parts = [_INTRODUCTION]
     for heading, names in GROUPS.items():
         parts.append(f"## {heading}\n")
         for name in names:
-            home = package[_HOMES[name]] if name in _HOMES else parameters
-            assert isinstance(home, Module)
+            home = _module(f"python/{_HOMES[name]}" if name in _HOMES else "search/parameters")
             parts.append(_entry(home[name], f"brink.{name}" if name != "Picture" else "Picture"))
     return "\n".join(parts).rstrip() + "\n"
+
+
+@cache
+def _module(path: str) -> Module:
+    """Return a module of the package, without loading any other."""
+    folder, name = path.split("/")
+    found = load(name, search_paths=[_PACKAGE / folder], docstring_parser="google", resolve_aliases=False)
+    assert isinstance(found, Module)
+    return found
 
 
 def _entry(of: Object, name: str) -> str:

@@ -31,7 +31,7 @@ def database(sqlite_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def run(database: str, body: dict[str, Any], *options: str) -> str:
     file = Path("n.json")
     file.write_text(json.dumps(body))
-    ran = CliRunner().invoke(app, ["run", str(file), "--database", database, *options])
+    ran = CliRunner().invoke(app, ["run", str(file), "--database", database, "--workers", "1", *options])
     assert ran.exit_code == 0, ran.output
     return ran.stdout
 
@@ -72,7 +72,7 @@ def test_every_suggestion_works(
 
 
 def test_a_search_for_violations_writes_no_empty_boundary(database: str) -> None:
-    shown = run(database, TRAFFIC, "--no-pictures", "--workers", "1")
+    shown = run(database, TRAFFIC, "--no-pictures")
     [folder] = Path("brink-results").glob("n-*")
     names = {path.name for path in folder.iterdir()}
     assert {"violations.csv", "violations.json", "archive.npz"} <= names

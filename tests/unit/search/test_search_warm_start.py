@@ -93,6 +93,7 @@ def known_of(archive: Archive) -> Known:
 LONG = pytest.mark.long("takes seconds; other amounts of what is known run every time")
 
 
+@pytest.mark.usefixtures("few_trees")
 @pytest.mark.parametrize(
     ("name", "results", "points"),
     [
@@ -112,6 +113,7 @@ def test_a_warm_search_keeps_the_contract(name: str, results: int, points: int) 
     )  # fmt: skip
 
 
+@pytest.mark.usefixtures("few_trees")
 @pytest.mark.parametrize(
     ("name", "space_name"),
     [
@@ -128,6 +130,7 @@ def test_a_warm_search_keeps_the_contract_with_categories(name: str, space_name:
     )
 
 
+@pytest.mark.usefixtures("few_trees")
 @each_algorithm
 def test_knowing_nothing_changes_nothing(name: str) -> None:
     algorithm, config = ALGORITHMS[name]
@@ -141,6 +144,7 @@ def test_knowing_nothing_changes_nothing(name: str) -> None:
     assert cold.documents == warm.documents
 
 
+@pytest.mark.usefixtures("few_trees")
 @each_algorithm
 def test_known_results_are_neither_archived_nor_paid_for(name: str) -> None:
     algorithm, config = ALGORITHMS[name]
@@ -155,6 +159,7 @@ def test_known_results_are_neither_archived_nor_paid_for(name: str) -> None:
     assert np.array_equal(run.archive.neighbours, again.neighbours)
 
 
+@pytest.mark.usefixtures("few_trees")
 @each_algorithm
 def test_what_is_known_decides_what_is_asked_for(name: str) -> None:
     algorithm, config = ALGORITHMS[name]
@@ -242,13 +247,17 @@ def test_known_results_count_as_neighbours_where_the_search_judges_fitness() -> 
     assert not np.array_equal(state.fitness, state.archive.fitness)
 
 
+EdgeRun = tuple[EdgeState, list[tuple[Candidate, Purpose]]]
+"""The end of a search, and its candidates with what each is for."""
+
+
 def run_edge(
     seed: int,
     known: Known | None,
     judge: Callable[[Candidate], Evaluation],
     budget: int = 300,
     **settings: Any,
-) -> tuple[EdgeState, list[tuple[Candidate, Purpose]]]:
+) -> EdgeRun:
     algorithm, asked = Edge(), list[tuple[Candidate, Purpose]]()
     config = EdgeConfig(**{**ROUND, **settings})
     state = started(algorithm, MTQ_SPACE, config, seed=seed, budget=budget, known=known)
@@ -268,9 +277,20 @@ def known_mtq() -> Known:
     return known_in(MTQ_SPACE, 300, evaluate=on_mtq)
 
 
-def test_known_results_take_the_place_of_exploring(known_mtq: Known) -> None:
-    state, asked = run_edge(1, known_mtq, on_mtq)
-    _, cold = run_edge(1, None, on_mtq)
+@pytest.fixture(scope="module")
+def warm(known_mtq: Known) -> EdgeRun:
+    """A search for pairs that starts from known results."""
+    return run_edge(1, known_mtq, on_mtq)
+
+
+@pytest.fixture(scope="module")
+def earlier() -> EdgeRun:
+    """A search for pairs that knows nothing."""
+    return run_edge(7, None, on_mtq)
+
+
+def test_known_results_take_the_place_of_exploring(warm: EdgeRun, earlier: EdgeRun) -> None:
+    (state, asked), (_, cold) = warm, earlier
     assert asked[0][1] is Purpose.ANCHOR
     assert cold[0][1] is Purpose.EXPLORE
     assert sum(p is Purpose.EXPLORE for _, p in asked) < 0.5 * sum(p is Purpose.EXPLORE for _, p in cold)
@@ -282,8 +302,8 @@ def test_known_results_take_the_place_of_exploring(known_mtq: Known) -> None:
         assert mtq_gap_to_boundary(*middle) <= 0.002
 
 
-def test_anchors_are_known_and_new_solutions_with_seeds_of_their_own(known_mtq: Known) -> None:
-    _, asked = run_edge(1, known_mtq, on_mtq)
+def test_anchors_are_known_and_new_solutions_with_seeds_of_their_own(known_mtq: Known, warm: EdgeRun) -> None:
+    _, asked = warm
     anchors = [candidate for candidate, purpose in asked if purpose is Purpose.ANCHOR]
     known = {row.tobytes() for row in known_mtq.rows}
     assert anchors
@@ -293,8 +313,8 @@ def test_anchors_are_known_and_new_solutions_with_seeds_of_their_own(known_mtq: 
     assert {anchor.seed_number for anchor in anchors} == {None}
 
 
-def test_both_sides_of_every_bracket_were_simulated_under_one_seed_of_this_search(known_mtq: Known) -> None:
-    state, asked = run_edge(1, known_mtq, on_mtq)
+def test_both_sides_of_every_bracket_were_simulated_under_one_seed_of_this_search(warm: EdgeRun) -> None:
+    state, asked = warm
     seeds = {c.number: c.number if c.seed_number is None else c.seed_number for c, _ in asked}
     assert state.brackets
     for bracket in state.brackets:
@@ -315,15 +335,15 @@ def test_an_anchor_whose_known_verdict_does_not_hold_makes_no_bracket(known_mtq:
         assert (unsafe[bracket.safe], unsafe[bracket.unsafe]) == (False, True)
 
 
-def test_no_pair_is_looked_for_where_known_results_are_one() -> None:
-    earlier, _ = run_edge(7, None, on_mtq)
-    state, _ = run_edge(1, known_of(earlier.archive), on_mtq)
+def test_no_pair_is_looked_for_where_known_results_are_one(earlier: EdgeRun) -> None:
+    known, _ = earlier
+    state, _ = run_edge(1, known_of(known.archive), on_mtq)
     before, after = (
         np.array([
             midpoints(rows[b.safe][None], rows[b.unsafe][None], MTQ_SPACE)[0]
             for b in found.brackets if b.status is Status.KEPT
         ])
-        for found in (earlier, state)
+        for found in (known, state)
         for rows in [dict(zip(found.archive.numbers.tolist(), found.archive.vectors, strict=True))]
     )  # fmt: skip
     assert len(after)
@@ -373,13 +393,11 @@ def test_a_stored_state_with_too_few_known_verdicts_is_refused(name: str) -> Non
         algorithm.load(space, config, broken, stored_and_restored(state.archive))
 
 
-def test_sides_of_known_pairs_are_tight() -> None:
-    earlier, _ = run_edge(7, None, on_mtq)
-    state = started(
-        Edge(), MTQ_SPACE, EdgeConfig(**ROUND), seed=1, budget=100, known=known_of(earlier.archive)
-    )
+def test_sides_of_known_pairs_are_tight(earlier: EdgeRun) -> None:
+    found, _ = earlier
+    state = started(Edge(), MTQ_SPACE, EdgeConfig(**ROUND), seed=1, budget=100, known=known_of(found.archive))
     half = len(state.prior.ends) // 2
-    assert half >= sum(b.status is Status.KEPT for b in earlier.brackets)
+    assert half >= sum(b.status is Status.KEPT for b in found.brackets)
     steps = Steps(MTQ_SPACE)
     for safe, unsafe in zip(state.prior.ends[:half], state.prior.ends[half:], strict=True):
         assert steps.is_tight(safe, unsafe, ROUND["eps"])
