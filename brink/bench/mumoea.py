@@ -643,7 +643,7 @@ def _summary(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
 
 
 def _of_stand_ins(runs: Sequence[SearchRun]) -> list[Row]:
-    """Return what seeds over the path of a language model cost: means over the searches."""
+    """Return the mean cost of a search whose seeds come from the stand-in for a language model."""
     rows = []
     for method in (STAND_IN, STAND_IN_ALWAYS):
         asking = [run for run in runs if run.method == method]

@@ -186,9 +186,9 @@ class BrinkEncounter:
     def _compared(
         self, spec: EpisodeSpec, scenario: EncounterScenario, drive: _Drive, *, record: bool
     ) -> EpisodeResult:
-        """Return the result of a drive whose violations say who would have avoided them.
+        """Drive again with the reference drivers; return the result, in which each violation says who avoids it.
 
-        The trace is accompanied by that of the first driver who avoids any of them, or else of the careful one.
+        The trace includes the drive of the first driver who avoids any of them, or else that of the careful one.
 
         Args:
             spec: The specification.

@@ -1,6 +1,6 @@
 """What a reference driver does in the system's place: in words, and as a pair of drives for pictures.
 
-The trace of a drive with violations may be accompanied by that of a reference driver among the same scripted road
+The trace of a drive with violations may include that of a reference driver among the same scripted road
 users (`brink.sim.encounter.reference`), and says which violations a reference driver would have avoided. The pictures
 are about the earliest of these, or about the collision that follows it shortly after.
 """

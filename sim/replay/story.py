@@ -230,7 +230,7 @@ def judged_requirements(trace: Trace, requirement: Judged) -> list[str]:
                 f"requirement: expected one that the trace records ({known}), got {requirement!r}"
             )
         return [requirement if requirement in matching else matching[0]]
-    # Traces of before record the former version of a requirement.
+    # Older traces record an earlier version of a requirement.
     asked = {name if name in trace.robustness else plain_name(name) for name in requirement}
     matching = [name for name in trace.robustness if {name, plain_name(name)} & asked]
     if not matching:

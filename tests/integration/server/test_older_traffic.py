@@ -27,7 +27,7 @@ def traffic(**problem: Any) -> dict[str, Any]:
 
 
 def make_older(engines: Engines, campaign: str) -> None:
-    """Store a campaign as the version did that had no parameter `distance`, and took every criticality."""
+    """Store a campaign as older versions did: without the parameter `distance`, and with any criticality."""
     table = CampaignRow.__table__
     with engines.writer.begin() as connection:
         document = connection.execute(select(table.c.document).where(table.c.id == campaign)).scalar_one()

@@ -199,7 +199,7 @@ def test_rare_behaviour_is_varied_most() -> None:
     told = {one.number: behaved(one) for one in state.pending}
     rare = parents_of(QD.tell(state, told).elites)[0][0]
     forged = tuple(replace(one, hits=1 if one == rare else 1000) for one in QD.tell(state, told).elites)
-    # Nothing new is told, so that the next generation is bred from the forged elites.
+    # No results are told in between, so the next generation is bred from the forged elites.
     state, candidates = QD.ask(replace(QD.tell(state, told), elites=forged))
     state = QD.tell(state, {one.number: Failed(reason="synthetic") for one in candidates})
     parent = GENOME.solution(state.archive.vectors[state.archive.numbers == rare.number][0])
