@@ -78,6 +78,7 @@ class Scored:
 
     Attributes:
         unsafe: Whether the campaign's requirement is violated.
+        counts: Whether a violation is of the kind that the search looks for.
         robustness: Distance to violation, negative if violated.
         objectives: Values to optimise, all minimised, by name.
         kinds: Kinds of failure that it exposed, for problems that classify them.
@@ -89,6 +90,7 @@ class Scored:
     objectives: Mapping[str, float] = field(default_factory=dict)
     kinds: frozenset[str] = frozenset()
     niches: tuple[Niche, ...] = ()
+    counts: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ has simulated. `Ledger.evidence` is both together.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Generic, Self, TypeVar
+from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,9 @@ MAX_RESTARTS: Final = 90
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryConfig:
     """Settings of every algorithm that searches for the boundary of the p_th-unsafe region."""
+
+    by_criticality: ClassVar[bool] = False
+    """Whether the search is led by the criticality of solutions."""
 
     radius: float = setting(
         0.3, label="Neighbourhood radius", help="Maximum distance of a neighbour (delta).", gt=0, le=1

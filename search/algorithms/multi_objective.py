@@ -9,7 +9,7 @@ Source: Tian et al., "An LLM-Empowered Adaptive Evolutionary Algorithm for Multi
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -43,6 +43,8 @@ def gap_objective(participant: int) -> str:
 class MultiObjectiveConfig(BoundaryConfig):
     """Settings of all multi-objective searches."""
 
+    by_criticality: ClassVar[bool] = True
+
     population_size: int = setting(
         50, help="Solutions in the population, and children per generation.", ge=4, le=1_000
     )
@@ -70,7 +72,7 @@ class History:
         rows: Solutions, shape ``(a, d)``.
         criticality: Infinite without a verdict, shape ``(a,)``.
         gaps: Smallest gap of each participant to the ego, infinite if unknown, shape ``(a, p)``.
-        unsafe: Verdicts, shape ``(a,)``.
+        unsafe: Whether there was a violation that counts, shape ``(a,)``.
         generations: Generation of each, from 0, shape ``(a,)``.
         origins: Positions in `ORIGINS`, shape ``(a,)``.
     """
@@ -121,7 +123,7 @@ class History:
                 objectives = evaluation.objectives
                 criticality.append(objectives[CRITICALITY])
                 gaps.append([objectives.get(gap_objective(p), np.inf) for p in range(1, participants + 1)])
-                unsafe.append(evaluation.unsafe)
+                unsafe.append(evaluation.unsafe and evaluation.counts)
             else:
                 criticality.append(np.inf)
                 gaps.append([np.inf] * participants)
@@ -257,6 +259,9 @@ def select_survivors(state: S, evaluations: Mapping[int, Evaluation], genome: Tr
     pool = [*state.population, *fresh]
     diversity = diversities(genome, history, pool, state.config)
     objectives = np.stack([history.criticality[pool], -diversity], axis=1)
+    # A violation that does not count comes last, by a value that must not become a bound.
+    counting = [counts(evaluations[candidate.number]) for candidate in pending]
+    criticality = history.criticality[len(state.history) :][np.array(counting, np.bool_)]
     kept = survivors(objectives, state.config.population_size).tolist()
     return replace(
         state,
@@ -265,9 +270,14 @@ def select_survivors(state: S, evaluations: Mapping[int, Evaluation], genome: Tr
         population=tuple(pool[place] for place in kept),
         diversity=frozen_array(diversity[kept]),
         queue_origins=(),
-        criticality_bounds=state.criticality_bounds.widened(history.criticality[fresh]),
+        criticality_bounds=state.criticality_bounds.widened(criticality),
         diversity_bounds=state.diversity_bounds.widened(diversity),
     )
+
+
+def counts(evaluation: Evaluation) -> bool:
+    """Return whether an evaluation's criticality leads towards what the search looks for."""
+    return isinstance(evaluation, Scored) and (evaluation.counts or not evaluation.unsafe)
 
 
 def diversities(

@@ -18,7 +18,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Final, assert_never
+from typing import Any, ClassVar, Final, assert_never
 
 import numpy as np
 
@@ -79,6 +79,8 @@ _ORIGINS: Final[Mapping[Operator, Origin]] = {
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QdConfig(BoundaryConfig):
     """Settings of MAP-Elites; the shares are relative to each other."""
+
+    by_criticality: ClassVar[bool] = True
 
     generation_size: int = setting(30, help="Solutions per generation.", ge=1, le=1_000)
     in_flight: int = setting(

@@ -214,14 +214,14 @@ def check_repeatable(plan: Plan) -> None:
 
 
 def _check_criticality(plan: Plan) -> None:
-    """Check that an algorithm that minimises criticality is led towards violations of the requirement by it.
+    """Check that an algorithm that is led by criticality is led towards violations of the requirement.
 
     Stored campaigns need not pass this: older versions accepted what is rejected here.
 
     Raises:
         InvalidInput: It is not.
     """
-    if not isinstance(plan.config, MultiObjectiveConfig) or not isinstance(plan.problem, ChecksCriticality):
+    if not getattr(plan.config, "by_criticality", False) or not isinstance(plan.problem, ChecksCriticality):
         return
     if (wrong := plan.problem.wrong_criticality()) is not None:
         name, message = wrong

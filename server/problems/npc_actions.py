@@ -253,19 +253,24 @@ class NpcActions:
         robustness = min(self._robustness(outcome, name) for name in self.requirements)
         violations = self.violations(outcome)
         objectives = dict(outcome.objectives)
-        if not self.by_gap:
-            objectives[CRITICALITY] = robustness
+        closest = outcome.features.get("closest")
         counted = violations
         if self.params.count == "avoidable":
+            # What comes close to a standing ego is not its doing. Results of older versions lack these.
+            objectives[CRITICALITY] = objectives.get("moving_criticality_m", objectives[CRITICALITY])
+            closest = outcome.features.get("closest_moving", closest)
             counted = [one for one in violations if avoidable_of(one) is Avoidable.CAREFUL]
-            if violations and not counted:
-                objectives[CRITICALITY] = UNAVOIDABLE_M
+        if not self.by_gap:
+            objectives[CRITICALITY] = robustness
+        if violations and not counted:
+            objectives[CRITICALITY] = UNAVOIDABLE_M
         return Scored(
             unsafe=robustness < 0,
             robustness=robustness,
             objectives=objectives,
             kinds=kinds_of(counted),
-            niches=self._niches(violations, outcome.features.get("closest"), objectives[CRITICALITY]),
+            niches=self._niches(violations, closest, objectives[CRITICALITY]),
+            counts=not violations or bool(counted),
         )
 
     @staticmethod

@@ -10,7 +10,8 @@ or will be, in the ego's way, and the ego comes closer than the distance within 
 short of it (Shalev-Shwartz, Shammah, Shashua, "On a formal model of safe and scalable self-driving cars", 2017,
 definition 1, with the regulation's figures). A vehicle will be in the way if it goes on moving sideways as it does,
 once it has left the middle of its lane by more than 0.375 m (the regulation's wandering zone); a person counts as
-soon as they move towards the ego's way.
+soon as they move towards the ego's way. On a wet road, a driver brakes no harder than the tyres allow, and reckons
+with it. A driver who has stopped behind somebody waits until there is room to go on.
 """
 
 import math
@@ -43,6 +44,11 @@ BUILD_UP_S: Final = 0.6
 WANDERING_M: Final = 0.375
 STANDSTILL_M: Final = 2.0
 """Gap at which the driver stops."""
+RESTART_M: Final = 5.0
+"""A driver who stands moves on once nobody in the way is closer than this."""
+STANDING_MPS: Final = 0.1
+HOLDING_MPS2: Final = 1.0
+"""Deceleration that a standing driver demands in order to stay."""
 SIDE_M: Final = 0.2
 """Room on either side that the driver wants to have."""
 HEADWAY_S: Final = 2.0
@@ -76,22 +82,22 @@ class Reactions:
     """How fast a driver reacts.
 
     Attributes:
-        judging_s: Time from a risk to the decision to brake.
+        risk_perception_s: Time from a risk to the decision to brake.
         delay_s: Time from there to the first braking.
         build_up_s: Time from there to full braking.
     """
 
-    judging_s: float
+    risk_perception_s: float
     delay_s: float
     build_up_s: float
 
 
 REACTIONS: Final[Mapping[Driver, Reactions]] = {
-    Driver.CAREFUL: Reactions(judging_s=0.4, delay_s=0.75, build_up_s=BUILD_UP_S),
-    Driver.IDEAL: Reactions(judging_s=0.0, delay_s=0.0, build_up_s=0.0),
+    Driver.CAREFUL: Reactions(risk_perception_s=0.4, delay_s=0.75, build_up_s=BUILD_UP_S),
+    Driver.IDEAL: Reactions(risk_perception_s=0.0, delay_s=0.0, build_up_s=0.0),
 }
 _CAREFUL: Final = REACTIONS[Driver.CAREFUL]
-_UNBRAKED_S: Final = _CAREFUL.judging_s + _CAREFUL.delay_s + 0.5 * _CAREFUL.build_up_s
+_UNBRAKED_S: Final = _CAREFUL.risk_perception_s + _CAREFUL.delay_s + 0.5 * _CAREFUL.build_up_s
 """The careful driver stops as if driving on for this long and then braking in full."""
 
 
@@ -113,21 +119,29 @@ def avoids(
     return all(moment_s is None or moment_s > until_s for moment_s in (*moments, contact_at_s))
 
 
-def stopping_distance_m(speed_mps: float, other_mps: float = 0.0) -> float:
+def braking_mps2(friction: float) -> float:
+    """Return the hardest deceleration of a driver on a road with this friction coefficient."""
+    return min(BRAKING_MPS2, friction * GRAVITY_MPS2)
+
+
+def stopping_distance_m(
+    speed_mps: float, other_mps: float = 0.0, hardest_mps2: float = BRAKING_MPS2
+) -> float:
     """Return the smallest gap at which the careful driver still stops short of another road user.
 
     Args:
         speed_mps: The driver's speed.
         other_mps: The other's speed along the driver's way; the other may brake as hard as the driver does. Negative
             if it comes the other way.
+        hardest_mps2: The hardest deceleration of both.
     """
-    own_m = speed_mps * _UNBRAKED_S + speed_mps * speed_mps / (2.0 * BRAKING_MPS2)
+    own_m = speed_mps * _UNBRAKED_S + speed_mps * speed_mps / (2.0 * hardest_mps2)
     if other_mps >= 0.0:
-        return STANDSTILL_M + max(0.0, own_m - other_mps * other_mps / (2.0 * BRAKING_MPS2))
-    return STANDSTILL_M + own_m - other_mps * (_UNBRAKED_S + speed_mps / BRAKING_MPS2)
+        return STANDSTILL_M + max(0.0, own_m - other_mps * other_mps / (2.0 * hardest_mps2))
+    return STANDSTILL_M + own_m - other_mps * (_UNBRAKED_S + speed_mps / hardest_mps2)
 
 
-class Sight(NamedTuple):
+class ObservedUser(NamedTuple):
     """A road user as the driver sees it, relative to the driver's way.
 
     Attributes:
@@ -151,16 +165,20 @@ class Sight(NamedTuple):
     strayed_m: float
 
 
-def is_risk(sight: Sight, speed_mps: float, car: tuple[float, float]) -> bool:
+def is_risk(
+    sight: ObservedUser, speed_mps: float, car: tuple[float, float], hardest_mps2: float = BRAKING_MPS2
+) -> bool:
     """Return whether a driver has to brake for a road user.
 
     Args:
         sight: The road user.
         speed_mps: The driver's speed.
         car: Length and width of the driver's car.
+        hardest_mps2: The driver's hardest deceleration.
     """
+    needed_m = stopping_distance_m(speed_mps, sight.along_mps, hardest_mps2)
     if sight.aside_m < SIDE_M:
-        return -sight.length_m < sight.gap_m < stopping_distance_m(speed_mps, sight.along_mps)
+        return -sight.length_m < sight.gap_m < needed_m
     if sight.towards_mps <= 0.0 or (sight.kind is not Kind.PEDESTRIAN and sight.strayed_m < WANDERING_M):
         return False
     enters_s = (sight.aside_m - SIDE_M) / sight.towards_mps
@@ -169,10 +187,10 @@ def is_risk(sight: Sight, speed_mps: float, car: tuple[float, float]) -> bool:
     leaves_s = enters_s + (sight.width_m + car[1] + 2.0 * SIDE_M) / sight.towards_mps
     if not _meets(sight, speed_mps, car[0], enters_s, leaves_s):
         return False
-    return sight.gap_m < stopping_distance_m(speed_mps, sight.along_mps)
+    return sight.gap_m < needed_m
 
 
-def _meets(sight: Sight, speed_mps: float, length_m: float, enters_s: float, leaves_s: float) -> bool:
+def _meets(sight: ObservedUser, speed_mps: float, length_m: float, enters_s: float, leaves_s: float) -> bool:
     """Return whether the driver would meet a road user while it is in the driver's way."""
     ahead_m, behind_m = sight.gap_m - STANDSTILL_M, sight.gap_m + sight.length_m + length_m
     closing_mps = speed_mps - sight.along_mps
@@ -193,6 +211,7 @@ class ReferenceDriving:
     def __init__(self, world: EncounterWorld, driver: Driver) -> None:
         self._world = world
         self._reactions = REACTIONS[driver]
+        self._hardest_mps2 = braking_mps2(world.weather.friction)
         self._alone = ModularDriving(world.route)
         self._course_m: dict[str, float] = {}
         self._risk_since_s: float | None = None
@@ -212,8 +231,10 @@ class ReferenceDriving:
         )
         sights = [sight for user in self._world.road_users if (sight := self._sight(user, ego)) is not None]
         car = (self._world.ego.length_m, self._world.ego.width_m)
-        risk = any(is_risk(sight, ego.speed_mps, car) for sight in sights)
+        risk = any(is_risk(sight, ego.speed_mps, car, self._hardest_mps2) for sight in sights)
         braking = self._brake(time_s, risk)
+        if abs(ego.speed_mps) < STANDING_MPS and any(_blocks(sight) for sight in sights):
+            braking = max(braking, HOLDING_MPS2)
         self._held = braking > 0.0
         if self._held:
             return Command(accel_mps2=min(command.accel_mps2, -braking), steer_rad=command.steer_rad)
@@ -248,7 +269,7 @@ class ReferenceDriving:
             return None
         return LightReading(state=signals.main_at(time_s), stop_line_station_m=min(ahead))
 
-    def _sight(self, user: ScriptedUser, ego: EgoState) -> Sight | None:
+    def _sight(self, user: ScriptedUser, ego: EgoState) -> ObservedUser | None:
         """Return a road user as the driver sees it; None if it is behind the middle of the car, or far away."""
         dx, dy = user.x_m - ego.x_m, user.y_m - ego.y_m
         if math.hypot(dx, dy) > SIGHT_M:
@@ -263,7 +284,7 @@ class ReferenceDriving:
         half_across_m = 0.5 * (abs(cos_turn) * user.width_m + abs(sin_turn) * user.length_m)
         across_mps = user.speed_mps * sin_turn
         side = 1.0 if offset_m >= ego.offset_m else -1.0
-        return Sight(
+        return ObservedUser(
             kind=user.kind,
             gap_m=station_m - half_along_m - ego.station_m - 0.5 * self._world.ego.length_m,
             length_m=2.0 * half_along_m,
@@ -295,15 +316,20 @@ class ReferenceDriving:
             return 0.0
         if self._braking_since_s is None:
             alert = time_s - self._calm_since_s < ALERT_S
-            wait_s = 0.0 if alert else reactions.judging_s + reactions.delay_s
+            wait_s = 0.0 if alert else reactions.risk_perception_s + reactions.delay_s
             if time_s - self._risk_since_s < wait_s - 0.5 * STEP_S:
                 return 0.0
             self._braking_since_s = time_s
         since_s = time_s - self._braking_since_s + STEP_S
         build_up = 1.0 if reactions.build_up_s == 0.0 else min(1.0, since_s / reactions.build_up_s)
-        return BRAKING_MPS2 * build_up
+        return self._hardest_mps2 * build_up
 
 
-def _is_close(sight: Sight, speed_mps: float) -> bool:
+def _blocks(sight: ObservedUser) -> bool:
+    """Return whether a road user keeps a standing driver from moving on."""
+    return sight.aside_m < SIDE_M and -sight.length_m < sight.gap_m < RESTART_M
+
+
+def _is_close(sight: ObservedUser, speed_mps: float) -> bool:
     """Return whether a driver does not accelerate behind a road user."""
     return sight.aside_m < SIDE_M and -sight.length_m < sight.gap_m < STANDSTILL_M + HEADWAY_S * speed_mps

@@ -169,12 +169,14 @@ class BrinkEncounter:
             objectives={
                 **{f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
                 "criticality_m": min(witness.criticality_m, MAX_GAP_M),
+                "moving_criticality_m": min(witness.moving_gap_m, MAX_GAP_M),
                 **gaps,
             },
             features={
                 **_features(outcome, requirements),
                 "violations": list(witness.violations),
                 "closest": witness.closest,
+                "closest_moving": witness.closest_moving,
             },
             provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
         )

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, TypeAlias
 from brink.sim.driving.interface import DrivingSystem
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Json, JsonObject
-from brink.sim.requirements import WorldSample
+from brink.sim.requirements import STANDS_BELOW_MPS, WorldSample
 from brink.sim.trace import ACTION
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.world import STEP_S
@@ -173,6 +173,7 @@ class EncounterWitness:
 
     Attributes:
         gaps_m: Smallest gap of each road user to the ego so far; infinite before the first.
+        moving_gap_m: Smallest gap of any road user to the ego while the ego moved; infinite before the first.
         contact_at_s: When a road user first touched the ego, even one that drives into a standing ego, in which it
             collides with nobody; None if none has.
         violations: Circumstances of each violation so far.
@@ -189,7 +190,9 @@ class EncounterWitness:
         self._radius_m = 0.5 * math.hypot(world.ego.length_m, world.ego.width_m)
         self._sample: WorldSample | None = None
         self._mode = ""
+        self.moving_gap_m = math.inf
         self._closest: tuple[_Moment, _OtherThen] | None = None
+        self._closest_moving: tuple[_Moment, _OtherThen] | None = None
         self.contact_at_s: float | None = None
         self._seen: set[str] = set()
         self.violations: list[JsonObject] = []
@@ -200,17 +203,21 @@ class EncounterWitness:
         self._mode = driving.plan.mode.value
         self._history.append((sample.speed_mps, sample.yaw_rad, sample.offset_m))
         ego: Rectangle | None = None
-        closest_m, closest = self.criticality_m, None
+        moves = abs(sample.speed_mps) >= STANDS_BELOW_MPS
+        closest_m, closest, closest_moving = self.criticality_m, None, None
         for index, user in enumerate(self._world.road_users):
             self._speeds[index].append(user.speed_mps)
             dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
             reach_m = self._radius_m + 0.5 * math.hypot(user.length_m, user.width_m)
-            if math.hypot(dx, dy) - reach_m < self.gaps_m[index]:
+            known_m = max(self.gaps_m[index], self.moving_gap_m) if moves else self.gaps_m[index]
+            if math.hypot(dx, dy) - reach_m < known_m:
                 ego = ego or self._ego()
                 gap_m = signed_gap_m(ego, make_rectangle(user))
                 self.gaps_m[index] = min(self.gaps_m[index], gap_m)
                 if gap_m < closest_m:
                     closest_m, closest = gap_m, index
+                if moves and gap_m < self.moving_gap_m:
+                    self.moving_gap_m, closest_moving = gap_m, index
             self._watch_way(index, user, sample)
             if self._recorder is not None and (action := user.stretch.action) != self._actions[index]:
                 self._actions[index] = action
@@ -219,6 +226,8 @@ class EncounterWitness:
             self.contact_at_s = sample.time_s
         if closest is not None:
             self._closest = self._moment(sample), self._other(closest, sample)
+        if closest_moving is not None:
+            self._closest_moving = self._moment(sample), self._other(closest_moving, sample)
 
     @property
     def criticality_m(self) -> float:
@@ -229,6 +238,11 @@ class EncounterWitness:
     def closest(self) -> Json:
         """The circumstances of the closest approach of any road user; None if there are no road users."""
         return None if self._closest is None else self._circumstances(*self._closest)
+
+    @property
+    def closest_moving(self) -> Json:
+        """The circumstances of the closest approach while the ego moved; None if there was none."""
+        return None if self._closest_moving is None else self._circumstances(*self._closest_moving)
 
     def _ego(self) -> Rectangle:
         ego = self._world.ego

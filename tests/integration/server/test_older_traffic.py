@@ -83,6 +83,8 @@ def test_a_search_by_a_gap_that_says_nothing_about_the_requirement_is_refused(
         error["message"]
         == f"expected auto or robustness: the gap to road users says nothing about {violation}"
     )
+    by_elites = {**traffic(violation=violation, criticality="gap"), "algorithm": {"id": "qd@1"}}
+    expect(client.post(API, json=by_elites), 422)
     submit(client, traffic(violation=violation))
     # Random search does not minimise anything.
     at_random = {**traffic(violation=violation, criticality="gap"), "algorithm": {"id": "random@1"}}

@@ -53,14 +53,17 @@ def test_violations_with_a_standing_ego_are_a_share_of_all() -> None:
     assert math.isnan(Measures.of(search()).standing_share)
 
 
-@pytest.mark.parametrize("method", [MAP_ELITES, "random search"])
-def test_a_search_counts_origins_and_the_time_of_reference_drivers(method: str, tmp_path: Path) -> None:
-    run = run_search(Task(method=method, seed=1, simulations=20, params=PARAMS, folder=tmp_path))
-    assert run.simulations == 20
-    assert run.origins == ({"random": 20} if method == MAP_ELITES else {})
+@pytest.mark.parametrize(("method", "seed", "simulations"), [(MAP_ELITES, 4, 20), ("random search", 3, 40)])
+def test_a_search_counts_origins_and_the_time_of_reference_drivers(
+    method: str, seed: int, simulations: int, tmp_path: Path
+) -> None:
+    task = Task(method=method, seed=seed, simulations=simulations, params=PARAMS, folder=tmp_path)
+    run = run_search(task)
+    assert run.simulations == simulations
+    assert run.origins == ({"random": simulations} if method == MAP_ELITES else {})
     assert run.failed == 0
-    assert (run.reference_cpu_s > 0) == bool(run.found)
-    assert run.reference_cpu_s < run.simulations_cpu_s < run.cpu_s
+    assert run.found
+    assert 0.0 < run.reference_cpu_s < run.simulations_cpu_s < run.cpu_s
 
 
 def test_searches_for_avoidable_violations_differ_in_the_problem_alone(tmp_path: Path) -> None:

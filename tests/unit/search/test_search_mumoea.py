@@ -93,6 +93,22 @@ def driven(candidate: Candidate) -> Evaluation:
     return Scored(unsafe=min(gaps) < 0, robustness=min(gaps), objectives=objectives)
 
 
+def test_a_violation_that_does_not_count_is_no_success_and_bounds_nothing() -> None:
+    state, candidates = MUMOEA.ask(MUMOEA.start(SPACE, MumoeaConfig(population_size=10), seed=1, budget=20))
+    worthless = candidates[0].number
+
+    def judged(candidate: Candidate) -> Scored:
+        if candidate.number == worthless:
+            objectives = {CRITICALITY: 250.0}
+            return Scored(unsafe=True, robustness=-1.0, objectives=objectives, counts=False)
+        return Scored(unsafe=False, robustness=1.0, objectives={CRITICALITY: 1.0 + candidate.number})
+
+    state = MUMOEA.tell(state, {one.number: judged(one) for one in candidates})
+    assert not state.history.unsafe.any()
+    assert state.criticality_bounds.high < 20.0
+    assert state.history.criticality[worthless] == 250.0
+
+
 def told(algorithm: Any, state: Any) -> Any:
     state, candidates = algorithm.ask(state)
     return algorithm.tell(state, {c.number: driven(c) for c in candidates})

@@ -13,7 +13,7 @@ from support.circumstances import violation
 from support.onnx_file import write_network
 
 from brink.search.algorithm import Measured, Scored
-from brink.search.analysis.violations import signature_of
+from brink.search.analysis.violations import niche_of, signature_of
 from brink.search.errors import ConfigError
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
@@ -267,6 +267,7 @@ def test_only_what_a_careful_driver_avoids_counts_if_asked_for() -> None:
         return found
 
     careful, ideal, nobody, safe = told("no", "careful"), told("ideal"), told("no"), told()
+    assert [one.counts for one in (careful, ideal, nobody, safe)] == [True, False, False, True]
     assert [len(one.kinds) for one in (careful, ideal, nobody, safe)] == [1, 0, 0, 0]
     assert [one.objectives["criticality_m"] for one in (careful, ideal, nobody, safe)] == [0.7, 250, 250, 0.7]
     assert [[niche.rank for niche in one.niches] for one in (careful, ideal, nobody, safe)] == [
@@ -276,6 +277,25 @@ def test_only_what_a_careful_driver_avoids_counts_if_asked_for() -> None:
         [1],
     ]
     assert safe.niches[0].name == ("front", "same way, cut in", "driving", "straight")
+
+
+@pytest.mark.parametrize(("count", "criticality_m", "kind"), [("all", 0.7, "car"), ("avoidable", 4.0, "van")])
+def test_coming_close_to_a_standing_ego_does_not_lead_a_search_for_what_is_avoidable(
+    count: str, criticality_m: float, kind: str
+) -> None:
+    near = [{**violation(other={"kind": kind}), "requirement": None} for kind in ("car", "van")]
+    safe = outcome().model_copy(
+        update={
+            "objectives": {"criticality_m": 0.7, "moving_criticality_m": 4.0},
+            "features": {"violations": [], "closest": near[0], "closest_moving": near[1]},
+        }
+    )
+    problem = NpcActions(NpcActionsParams(count=count))
+    evaluation = problem.evaluation(safe)
+    assert isinstance(evaluation, Scored)
+    assert evaluation.objectives["criticality_m"] == criticality_m
+    expected = violation(other={"kind": kind}) | {"requirement": ""}
+    assert [niche.name for niche in evaluation.niches] == [niche_of(expected)]
 
 
 def test_results_of_old_campaigns_can_still_be_read() -> None:

@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
-from brink.sim.encounter.reference import Driver, Sight, avoids, is_risk, stopping_distance_m
+from brink.sim.encounter.reference import (
+    Driver,
+    ObservedUser,
+    avoids,
+    braking_mps2,
+    is_risk,
+    stopping_distance_m,
+)
 from brink.sim.encounter.simulator import BrinkEncounter
-from brink.sim.encounter.specification import Kind
+from brink.sim.encounter.specification import EncounterScenario, Kind
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import Trace
@@ -57,7 +64,7 @@ def test_the_careful_driver_stops_as_the_regulation_says() -> None:
 
 
 def test_a_vehicle_beside_is_a_risk_once_it_has_left_its_course() -> None:
-    beside = Sight(
+    beside = ObservedUser(
         kind=Kind.CAR, gap_m=8.0, length_m=4.5, aside_m=1.5, width_m=1.8, along_mps=8.0, towards_mps=1.0,
         strayed_m=0.3,
     )  # fmt: skip
@@ -76,6 +83,53 @@ def test_nobody_is_hit_on_an_empty_road_nor_behind_a_standing_car(driver: Driver
     standing = simulator.run(with_driver(encounter(road_user("car", s_m=60.0)), driver))
     assert not collides(standing)
     assert standing.verdicts["front-gap@2"].robustness >= 0.0
+
+
+@pytest.mark.parametrize("weather", ["wet", "soft_rain", "hard_rain"])
+def test_the_careful_driver_knows_that_a_wet_road_needs_more_room(weather: str) -> None:
+    spec = encounter(road_user("car", s_m=60.0))
+    spec = with_driver(replace(spec, scenario={**spec.scenario, "weather": weather}), Driver.CAREFUL)
+    result = BrinkEncounter().run(spec)
+    assert not collides(result)
+    assert result.verdicts["front-gap@2"].robustness >= 0.0
+
+
+def test_tyres_limit_the_braking_that_a_driver_reckons_with() -> None:
+    assert braking_mps2(0.9) == pytest.approx(0.774 * 9.81, rel=1e-3)
+    assert braking_mps2(0.4) == pytest.approx(0.4 * 9.81, rel=1e-3)
+    assert stopping_distance_m(10.0, hardest_mps2=braking_mps2(0.4)) > stopping_distance_m(10.0)
+
+
+@pytest.mark.parametrize("driver", Driver)
+def test_a_driver_who_has_stopped_behind_a_standing_car_stays(driver: Driver) -> None:
+    result = BrinkEncounter().run(with_driver(encounter(road_user("car", s_m=40.0)), driver), record=True)
+    assert result.trace is not None
+    speed_mps = np.abs(Trace.from_bytes(result.trace).ego[:, 3])
+    starts = np.count_nonzero((speed_mps[1:] >= 0.1) & (speed_mps[:-1] < 0.1))
+    assert speed_mps[-1] < 0.1
+    assert starts <= 3, "it may creep up, but does not lurch"
+
+
+def test_a_car_that_drives_into_the_standing_ego_is_no_violation_and_no_near_miss_of_a_moving_ego() -> None:
+    ahead, behind = road_user("car", s_m=40.0), road_user("car", s_m=-30.0, speed_mps=4.0)
+    result = BrinkEncounter().run(encounter(ahead, behind))
+    contact_m, moving_m = (result.objectives[name] for name in ("criticality_m", "moving_criticality_m"))
+    assert contact_m < 0.0 < 1.0 < moving_m
+    near = facts(result.features["closest_moving"])
+    assert abs(float(str(facts(near["ego"])["speed_mps"]))) >= 0.3
+    assert facts(result.features["closest"]) != near
+
+
+def test_a_standing_driver_who_is_driven_into_has_not_avoided_anything() -> None:
+    """The contact with a standing ego is no collision of its own, but it counts against the reference driver."""
+    rammed = encounter(road_user("car", s_m=40.0), road_user("car", s_m=-30.0, speed_mps=4.0))
+    drive = BrinkEncounter()._drive(
+        with_driver(rammed, Driver.CAREFUL), EncounterScenario.from_json(rammed.scenario), record=False
+    )
+    assert not collides(drive.result)
+    assert drive.contact_at_s is not None
+    moment_s, verdicts = drive.contact_at_s - 1.0, drive.result.verdicts
+    assert not avoids("front-gap@2", moment_s, verdicts, drive.contact_at_s)
 
 
 @pytest.mark.parametrize(("s_m", "hits"), [(12.0, True), (18.0, True), (24.0, False), (60.0, False)])
@@ -228,13 +282,23 @@ def test_what_counts_as_avoided(moments: dict[str, float], contact_at_s: float |
     assert avoids("front-gap@2", 10.0, verdicts, contact_at_s) is avoided
 
 
-@pytest.mark.parametrize(("candidates", "most"), [(12, 2), pytest.param(80, 4, marks=pytest.mark.long)])
-def test_reference_drivers_cope_where_the_driving_system_does(candidates: int, most: int) -> None:
+@pytest.mark.parametrize(
+    ("weather", "candidates", "most"),
+    [
+        ("clear", 24, 2),
+        pytest.param("clear", 80, 4, marks=pytest.mark.long),
+        pytest.param("hard_rain", 80, 6, marks=pytest.mark.long),
+    ],
+)
+def test_reference_drivers_cope_where_the_driving_system_does(
+    weather: str, candidates: int, most: int
+) -> None:
     rng = np.random.default_rng(0)
     simulator = BrinkEncounter()
     safe, hit = 0, dict.fromkeys(Driver, 0)
     for seed in range(candidates):
         spec = PROBLEM.episode(PROBLEM.space.sample(rng), 1000 + seed)
+        spec = replace(spec, scenario={**spec.scenario, "weather": weather})
         if any(verdict.robustness < 0.0 for verdict in simulator.run(spec).verdicts.values()):
             continue
         safe += 1
