@@ -33,7 +33,7 @@ from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
 from brink.search.algorithms.nsga2 import Mosat, Nsga2
 from brink.search.algorithms.qd import Qd
 from brink.search.algorithms.random_search import RandomSearch
-from brink.search.analysis.avoidable import Avoidable, avoidable_of
+from brink.search.analysis.avoidable import Avoidable, AvoidedBy, avoidable_of, avoided_by_of
 from brink.search.analysis.statistics import compared
 from brink.search.analysis.violations import STANDS_MPS, kinds_of
 from brink.search.streams import episode_seed
@@ -65,6 +65,7 @@ LOWER_IS_BETTER: Final = ("per_violation", "first", "last_type", "standing_share
 LABELS: Final[Mapping[str, str]] = {
     "types": "types of violations",
     "careful_types": "types that a careful driver avoids",
+    "braking_types": "types that a careful driver avoids by braking",
     "ideal_types": "types that an ideal driver avoids",
     "standing_share": "share of violations with a standing ego",
     "per_violation": "solutions per violation",
@@ -145,6 +146,16 @@ class Found:
     def types_avoided_by(self, drivers: Collection[Avoidable]) -> set[str]:
         """Return the types of the solution's violations that one of the given drivers would have avoided."""
         return set(kinds_of(one for one in self.violations if avoidable_of(one) in drivers))
+
+    def types_avoided_by_braking(self) -> set[str]:
+        """Return the types of the solution's violations that the careful driver avoids by braking."""
+        return set(
+            kinds_of(
+                one
+                for one in self.violations
+                if avoidable_of(one) is Avoidable.CAREFUL and avoided_by_of(one) is AvoidedBy.BRAKING
+            )
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -339,6 +350,7 @@ class Measures:
     Attributes:
         types: Number of distinct types of violations.
         careful_types: Number of types with a violation that the careful driver avoids.
+        braking_types: Number of types with a violation that the careful driver avoids by braking.
         ideal_types: Number of types with a violation that the careful or the ideal driver avoids.
         standing_share: Share of violations that happen while the ego stands; NaN without any.
         per_violation: Simulations per violating solution; the whole budget if there is none.
@@ -351,6 +363,7 @@ class Measures:
 
     types: int
     careful_types: int
+    braking_types: int
     ideal_types: int
     standing_share: float
     per_violation: float
@@ -366,6 +379,7 @@ class Measures:
         return cls(
             types=len(firsts),
             careful_types=_avoided_types(run, (Avoidable.CAREFUL,)),
+            braking_types=len(set().union(*(one.types_avoided_by_braking() for one in run.found))),
             ideal_types=_avoided_types(run, (Avoidable.CAREFUL, Avoidable.IDEAL)),
             standing_share=_standing_share(run),
             per_violation=run.simulations / max(1, len(run.found)),
@@ -696,7 +710,7 @@ def _reference_costs(by_method: Mapping[str, Sequence[SearchRun]]) -> list[Row]:
 
 def _tests(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
     """Return A12, U and p-value of MAP-Elites, muMOEA and its variant `always` against each of the other methods."""
-    avoidable = ("types", "careful_types", "ideal_types")
+    avoidable = ("types", "careful_types", "braking_types", "ideal_types")
     subjects = {
         MAP_ELITES: (*avoidable, "standing_share"), ADAPTIVE: tuple(LABELS), ALWAYS: avoidable,
     }  # fmt: skip

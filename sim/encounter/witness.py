@@ -8,7 +8,7 @@ import math
 from collections import deque
 from typing import Final, NamedTuple, TypeAlias
 
-from brink.sim.driving.interface import DrivingSystem
+from brink.sim.driving.interface import DrivingSystem, PlanMode
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Json, JsonObject
 from brink.sim.requirements import STANDS_BELOW_MPS, WorldSample
@@ -176,6 +176,7 @@ class EncounterWitness:
         moving_gap_m: Smallest gap of any road user to the ego while the ego moved; infinite before the first.
         contact_at_s: When a road user first touched the ego, even one that drives into a standing ego, in which it
             collides with nobody; None if none has.
+        brakes_at_s: When the ego's driver first planned to stop, for a road user or a light; None if not so far.
         violations: Circumstances of each violation so far.
     """
 
@@ -194,13 +195,17 @@ class EncounterWitness:
         self._closest: tuple[_Moment, _OtherThen] | None = None
         self._closest_moving: tuple[_Moment, _OtherThen] | None = None
         self.contact_at_s: float | None = None
+        self.brakes_at_s: float | None = None
         self._seen: set[str] = set()
         self.violations: list[JsonObject] = []
 
     def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
         """Observe a control step, after all road users have moved."""
         self._sample = sample
-        self._mode = driving.plan.mode.value
+        mode = driving.plan.mode
+        self._mode = mode.value
+        if mode is PlanMode.STOP and self.brakes_at_s is None:
+            self.brakes_at_s = sample.time_s
         self._history.append((sample.speed_mps, sample.yaw_rad, sample.offset_m))
         ego: Rectangle | None = None
         moves = abs(sample.speed_mps) >= STANDS_BELOW_MPS

@@ -43,6 +43,18 @@ def test_a_type_counts_as_avoidable_if_one_of_its_violations_is() -> None:
     assert (measures.types, measures.careful_types, measures.ideal_types) == (3, 1, 2)
 
 
+def test_types_that_a_careful_driver_avoids_by_braking_are_counted_apart() -> None:
+    braking, driving_on = ({"avoided_by": how} for how in ("braking", "driving on"))
+    measures = Measures.of(
+        search(
+            found(1, judged("careful") | driving_on, judged("careful") | braking),
+            found(2, judged("careful", bearing_rad=1.6) | driving_on),
+            found(3, judged("ideal", bearing_rad=3.1) | braking),
+        )
+    )
+    assert (measures.careful_types, measures.braking_types) == (2, 1)
+
+
 def test_violations_with_a_standing_ego_are_a_share_of_all() -> None:
     stands = judged("no", ego={"speed_mps": 0.2})
     rolls_back = judged("no", ego={"speed_mps": -0.4})
