@@ -227,6 +227,35 @@ def mumoea(
 
 
 @bench.command()
+def drivers(
+    candidates: Annotated[int, typer.Option(min=20, help="Random candidates in each weather.")] = 220,
+    weather: Annotated[
+        list[str] | None,
+        typer.Option(help="Weather; may be given several times. [clear, soft_rain, hard_rain]"),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    processes: Processes = 2,
+    as_json: AsJson = False,
+) -> None:
+    """Check the reference drivers: do they collide on empty roads, or where the driving system is safe?
+
+    Example: brink bench drivers --candidates 50 --weather clear
+    """
+    from brink.bench.drivers import measure_drivers
+    from brink.sim.world.scenario import Weather
+
+    weathers = weather or [Weather.CLEAR.value, Weather.SOFT_RAIN.value, Weather.HARD_RAIN.value]
+    known = [one.value for one in Weather]
+    if unknown := [name for name in weathers if name not in known]:
+        raise InvalidInput.at("--weather", f"expected one of {', '.join(known)}; got {unknown[0]!r}")
+    with _progress() as progress:
+        rows = measure_drivers(
+            candidates=candidates, weathers=weathers, seed=seed, processes=processes, progress=progress
+        )
+    _conclude_rows(rows, as_json=as_json)
+
+
+@bench.command()
 def control(
     simulations: Annotated[int, typer.Option(min=100, help="Simulations per campaign.")] = 1300,
     seeds: Annotated[int, typer.Option(min=1, help="Number of campaigns of each algorithm.")] = 2,
