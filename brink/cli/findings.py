@@ -246,7 +246,8 @@ def violations(
     else:
         for one in found.violations:
             avoidable = "" if one.avoidable is None else f"; {one.avoidable.words}"
-            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}{avoidable}")
+            how = "" if one.avoided_by is None else f", who avoids it by {one.avoided_by}"
+            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}{avoidable}{how}")
         if not found.violations:
             print_line("no such violation")
 
@@ -321,10 +322,17 @@ def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOW
     """Print the first types of violations, avoidable ones first, and a summary sentence."""
     types = found.types
     numbers = ("solutions", "distinct", "example")
-    table = plain_table("avoidable by", *numbers, "type of violation", right=numbers)
+    table = plain_table("avoidable by", "how", *numbers, "type of violation", right=numbers)
     for kind in types[:shown]:
         words = Text.assemble(kind.type, (" (named)" if kind.named else "", "dim"))
-        table.add_row(kind.avoider, str(kind.solutions), str(kind.instances), str(kind.example), words)
+        table.add_row(
+            kind.avoider,
+            kind.avoided_by or "",
+            str(kind.solutions),
+            str(kind.instances),
+            str(kind.example),
+            words,
+        )
     if types:
         screen.print(table)
         if len(types) > shown:
@@ -344,12 +352,15 @@ def write_violations(found: Violations, folder: Path) -> list[Path]:
     signature = list(found.violations[0].signature) if found.violations else []
     rows = [
         [
-            one.number, one.time_s, one.type, one.name or "", one.avoidable or "", one.at_fault,
+            one.number, one.time_s, one.type, one.name or "", one.avoidable or "",
+            one.avoided_by or "", one.at_fault,
             *(one.signature[name] for name in signature),
         ]
         for one in found.violations
     ]  # fmt: skip
-    _write_csv(table, ["number", "time_s", "type", "name", "avoidable", "at_fault", *signature], rows)
+    _write_csv(
+        table, ["number", "time_s", "type", "name", "avoidable", "avoided_by", "at_fault", *signature], rows
+    )
     return [document, table]
 
 

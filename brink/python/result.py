@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 FOLLOW_UP_POLL_S: Final = 0.5
 _VIOLATION: Final[Mapping[str, type]] = {
     "number": int, "requirement": str, "time_s": float, "type": str, "name": str, "avoidable": str,
-    "at_fault": bool, "signature": dict, "circumstances": dict,
+    "avoided_by": str, "at_fault": bool, "signature": dict, "circumstances": dict,
 }  # fmt: skip
 
 
@@ -364,7 +364,8 @@ class Result(CampaignResult):
         """Return the violations that the simulator classified as a data frame, or else all unsafe solutions.
 
         The column ``avoidable`` says who would have avoided a violation: ``careful``, ``ideal``, ``no``, or None if
-        that was not measured.
+        that was not measured. ``avoided_by`` says how: by ``braking`` before the time of the violation, or by
+        ``driving on``.
         """
         return wait_for(self._async.violations)
 

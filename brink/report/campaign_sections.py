@@ -303,7 +303,7 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     fault = {True: "ego", False: "others", None: "differs"}
     rows = [
         (
-            kind.avoider, f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault],
+            kind.avoider, kind.avoided_by or "", f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault],
             str(kind.example), kind.type,
         )
         for kind in types[:MOST_ROWS]
@@ -332,9 +332,10 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
         gallery=pictures[:MOST_GALLERY],
         tables=[
             Table(
-                label="Types of violations, avoidable ones first, then by frequency", rows=rows, right=(1, 2, 4),
+                label="Types of violations, avoidable ones first, then by frequency", rows=rows, right=(2, 3, 5),
                 columns=(
-                    "avoidable by", "drives", "distinct", "at fault by the rule", "example", "type of violation",
+                    "avoidable by", "how", "drives", "distinct", "at fault by the rule", "example",
+                    "type of violation",
                 ),
                 more=f"{more:,} more: brink violations {facts.view.id} --shown {len(types)}" if more else "",
             )

@@ -45,6 +45,25 @@ EXPLANATION: Final = (
 """Who the reference drivers are, in sentences."""
 
 
+class AvoidedBy(StrEnum):
+    """How the reference driver who avoids a violation does so."""
+
+    BRAKING = "braking"
+    """By having braked, for a road user or a red light, before the time of the violation."""
+    DRIVING_ON = "driving on"
+    """Without: it had passed earlier, or kept its lane."""
+
+
+def avoided_by_of(violation: Mapping[str, Any]) -> AvoidedBy | None:
+    """Return how the driver who avoids a violation does so; None if none does, or that was not recorded.
+
+    Args:
+        violation: Its circumstances, as reported by the encounter simulators.
+    """
+    found = violation.get("avoided_by")
+    return next((one for one in AvoidedBy if one == found), None)
+
+
 def by_words(avoidable: Avoidable | None) -> str:
     """Return who would have avoided a violation, for a table."""
     return NOT_MEASURED if avoidable is None else avoidable.by

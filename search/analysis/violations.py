@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from brink.search.analysis.avoidable import Avoidable, avoidable_of
+from brink.search.analysis.avoidable import Avoidable, AvoidedBy, avoidable_of, avoided_by_of
 from brink.search.space import FloatArray, IntArray
 
 RULES_VERSION: Final = 3
@@ -235,6 +235,11 @@ class FoundViolation:
         """Who would have avoided it; None if that was not measured."""
         return avoidable_of(self.circumstances)
 
+    @property
+    def avoided_by(self) -> AvoidedBy | None:
+        """How its driver avoids it; None if none does, or that was not recorded."""
+        return avoided_by_of(self.circumstances)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViolationType:
@@ -253,6 +258,12 @@ class ViolationType:
         """The best of what its violations are; None if that was measured for none of them."""
         found = {violation.avoidable for violation in self.violations}
         return next((one for one in Avoidable if one in found), None)
+
+    @property
+    def avoided_by(self) -> AvoidedBy | None:
+        """How the best driver avoids its violations: by braking if that avoids any; None if that was not recorded."""
+        found = {one.avoided_by for one in self.violations if one.avoidable is self.avoidable}
+        return next((one for one in AvoidedBy if one in found), None)
 
     @property
     def instances(self) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.avoidable import EXPLANATION, Avoidable, avoidable_first, by_words
+from brink.search.analysis.avoidable import EXPLANATION, Avoidable, AvoidedBy, avoidable_first, by_words
 from brink.search.analysis.combinations import (
     Chain,
     Combination,
@@ -148,9 +148,17 @@ def violations_words(found: Sequence[FoundViolation]) -> str:
     avoided = len({one.type for one in careful})
     numbers = len({one.number for one in careful})
     return (
-        f"a careful driver would have avoided {avoided:,} of {all_types}, in {numbers:,} of {all_solutions} with "
-        "violations"
+        f"a careful driver would have avoided {avoided:,} of {all_types}, {_by_braking(careful)}in {numbers:,} of "
+        f"{all_solutions} with violations"
     )
+
+
+def _by_braking(careful: Sequence[FoundViolation]) -> str:
+    """Return how many types of violations a careful driver avoids by braking; empty if that was not recorded."""
+    if any(one.avoided_by is None for one in careful):
+        return ""
+    braking = len({one.type for one in careful if one.avoided_by is AvoidedBy.BRAKING})
+    return f"{braking:,} of them by braking, "
 
 
 def _type_view(kind: ViolationType) -> TypeView:
@@ -162,7 +170,7 @@ def _type_view(kind: ViolationType) -> TypeView:
         type=kind.words, solutions=len(numbers), instances=kind.instances, first=numbers[0],
         example=min(one.number for one in violations if one.avoidable is kind.avoidable), numbers=numbers,
         named=sum(violation.name is not None for violation in violations),
-        avoidable=kind.avoidable, avoider=by_words(kind.avoidable),
+        avoidable=kind.avoidable, avoider=by_words(kind.avoidable), avoided_by=kind.avoided_by,
         avoidable_by={one: counts[one] for one in Avoidable}, at_fault=faults.pop() if len(faults) == 1 else None,
     )  # fmt: skip
 
@@ -171,7 +179,7 @@ def _violation_view(one: FoundViolation) -> ViolationView:
     return ViolationView(
         number=one.number, requirement=str(one.circumstances["requirement"]),
         time_s=float(one.circumstances["time_s"]), type=one.type, name=one.name,
-        avoidable=one.avoidable, at_fault=is_at_fault(one.circumstances),
+        avoidable=one.avoidable, avoided_by=one.avoided_by, at_fault=is_at_fault(one.circumstances),
         signature=one.signature.to_json(), circumstances=dict(one.circumstances),
     )  # fmt: skip
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.avoidable import Avoidable
+from brink.search.analysis.avoidable import Avoidable, AvoidedBy
 from brink.server.campaigns.body import CampaignBody
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, OutcomeKind, SolutionVerdict
@@ -15,6 +15,10 @@ MAX_NUMBER = 2**53
 AVOIDABLE = (
     "Who would have avoided it: a careful driver (UN Regulation No. 157, Annex 3), only an ideal one who brakes at "
     "once, or neither (no); null if that was not measured."
+)
+AVOIDED_BY = (
+    "How that driver avoids it: by `braking` before the time of the violation, for a road user or a red light, or by "
+    "`driving on`, having passed earlier or kept its lane; null if no driver avoids it, or that was not recorded."
 )
 
 
@@ -344,6 +348,7 @@ class ViolationView(View):
     type: str
     name: Annotated[str | None, Field(description="Name that a person gave it.")]
     avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)]
+    avoided_by: Annotated[AvoidedBy | None, Field(description=AVOIDED_BY)] = None
     at_fault: Annotated[
         bool, Field(description="Whether the ego vehicle was at fault by a rule of thumb; see `avoidable`.")
     ]
@@ -377,6 +382,13 @@ class TypeView(View):
         Field(description="The best of what its violations are; null if that was measured for none of them."),
     ]
     avoider: Annotated[str, Field(description="The same in words, such as `careful driver`.")]
+    avoided_by: Annotated[
+        AvoidedBy | None,
+        Field(
+            description="How that driver avoids them: by `braking` if that avoids any of them; null if none does, or "
+            "that was not recorded."
+        ),
+    ] = None
     avoidable_by: Annotated[
         dict[Avoidable, int],
         Field(

@@ -71,6 +71,26 @@ NOBODY: Final = "no"
 """Neither driver would have avoided the violation."""
 
 
+class Avoidance(StrEnum):
+    """How a reference driver avoided a violation."""
+
+    BRAKING = "braking"
+    """The driver had braked, for a road user or a red light, before the time of the violation."""
+    DRIVING_ON = "driving on"
+    """The driver had not: it had passed earlier, or kept its lane."""
+
+
+def avoidance(violated_at_s: float, brakes_at_s: float | None) -> Avoidance:
+    """Return how a reference driver avoided a violation.
+
+    Args:
+        violated_at_s: When the driving system violated the requirement.
+        brakes_at_s: When the driver first braked; None if never.
+    """
+    braked = brakes_at_s is not None and brakes_at_s <= violated_at_s
+    return Avoidance.BRAKING if braked else Avoidance.DRIVING_ON
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reactions:
     """How fast a driver reacts.

@@ -17,7 +17,7 @@ from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, DrivingSystem
 from brink.sim.driving.system import ModularDriving
-from brink.sim.encounter.reference import AFTERWARDS_S, NOBODY, Driver, ReferenceDriving, avoids
+from brink.sim.encounter.reference import AFTERWARDS_S, NOBODY, Driver, ReferenceDriving, avoidance, avoids
 from brink.sim.encounter.specification import REFERENCE, EncounterScenario
 from brink.sim.encounter.witness import EncounterWitness
 from brink.sim.encounter.world import EncounterWorld, make_encounter
@@ -32,6 +32,8 @@ from brink.sim.urban.recorder import Recorder
 from brink.sim.urban.simulator import outcome_features
 
 MAX_DURATION_S: Final = 120.0
+AVOIDED_BY: Final = "avoided_by"
+"""Fact about a violation that a reference driver avoids: how, as `Avoidance`."""
 MAX_GAP_M: Final = 200.0
 """Upper bound of reported gaps, so that they are finite when no road user is present."""
 
@@ -44,21 +46,25 @@ class _Drive:
         result: Its result, without the trace.
         violations: Circumstances of its violations.
         contact_at_s: When another road user first touched the ego, even a standing one; None if none did.
+        brakes_at_s: When the driver first braked for a road user or a light; None if never.
         trace: Its trace, if it was recorded.
     """
 
     result: EpisodeResult
     violations: Sequence[JsonObject]
     contact_at_s: float | None
+    brakes_at_s: float | None
     trace: Trace | None
 
     @property
     def facts(self) -> JsonObject:
-        """When each violated requirement was first violated, and when another road user touched the ego."""
+        """When each requirement was first violated, a road user touched the ego, and the driver first braked."""
         violated: JsonObject = {
             name: one.violated_at_s for name, one in self.result.verdicts.items() if one.violated
         }
-        return {"violated_at_s": violated, "contact_at_s": self.contact_at_s}
+        return {
+            "violated_at_s": violated, "contact_at_s": self.contact_at_s, "brakes_at_s": self.brakes_at_s,
+        }  # fmt: skip
 
 
 class BrinkEncounter:
@@ -180,13 +186,14 @@ class BrinkEncounter:
         )
         trace = None if recorder is None else recorder.trace(trace_header(spec, verdicts, versions))
         return _Drive(
-            result=result, violations=witness.violations, contact_at_s=witness.contact_at_s, trace=trace
-        )
+            result=result, violations=witness.violations, contact_at_s=witness.contact_at_s,
+            brakes_at_s=witness.brakes_at_s, trace=trace,
+        )  # fmt: skip
 
     def _compared(
         self, spec: EpisodeSpec, scenario: EncounterScenario, drive: _Drive, *, record: bool
     ) -> EpisodeResult:
-        """Drive again with the reference drivers; return the result, in which each violation says who avoids it.
+        """Drive again with the reference drivers; return the result: each violation says who avoids it, and how.
 
         The trace includes the drive of the first driver who avoids any of them, or else that of the careful one.
 
@@ -212,9 +219,13 @@ class BrinkEncounter:
         shown = min(avoided_by.values(), key=list(Driver).index, default=Driver.CAREFUL)
         reference: dict[str, Json] = {driver.value: one.facts for driver, one in drives.items()}
         avoidable: dict[str, Json] = {name: str(avoided_by.get(name, NOBODY)) for name in moments}
-        violations: list[Json] = [
-            {**one, AVOIDABLE: avoidable[str(one["requirement"])]} for one in drive.violations
-        ]
+        violations: list[Json] = []
+        for one in drive.violations:
+            name = str(one["requirement"])
+            told: JsonObject = {**one, AVOIDABLE: avoidable[name]}
+            if name in avoided_by:
+                told[AVOIDED_BY] = avoidance(moments[name], drives[avoided_by[name]].brakes_at_s).value
+            violations.append(told)
         result = drive.result
         trace = drive.trace
         if trace is not None:

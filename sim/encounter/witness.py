@@ -8,7 +8,7 @@ import math
 from collections import deque
 from typing import Final, NamedTuple, TypeAlias
 
-from brink.sim.driving.interface import DrivingSystem
+from brink.sim.driving.interface import DrivingSystem, PlanMode
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Json, JsonObject
 from brink.sim.requirements import WorldSample
@@ -175,6 +175,7 @@ class EncounterWitness:
         gaps_m: Smallest gap of each road user to the ego so far; infinite before the first.
         contact_at_s: When a road user first touched the ego, even one that drives into a standing ego, in which it
             collides with nobody; None if none has.
+        brakes_at_s: When the ego's driver first planned to stop, for a road user or a light; None if not so far.
         violations: Circumstances of each violation so far.
     """
 
@@ -191,13 +192,17 @@ class EncounterWitness:
         self._mode = ""
         self._closest: tuple[_Moment, _OtherThen] | None = None
         self.contact_at_s: float | None = None
+        self.brakes_at_s: float | None = None
         self._seen: set[str] = set()
         self.violations: list[JsonObject] = []
 
     def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
         """Observe a control step, after all road users have moved."""
         self._sample = sample
-        self._mode = driving.plan.mode.value
+        mode = driving.plan.mode
+        self._mode = mode.value
+        if mode is PlanMode.STOP and self.brakes_at_s is None:
+            self.brakes_at_s = sample.time_s
         self._history.append((sample.speed_mps, sample.yaw_rad, sample.offset_m))
         ego: Rectangle | None = None
         closest_m, closest = self.criticality_m, None

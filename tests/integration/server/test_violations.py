@@ -89,9 +89,16 @@ def test_types_begin_with_what_a_careful_driver_would_have_avoided(
         assert kind["at_fault"] == (faults.pop() if len(faults) == 1 else None)
     avoided = [one for one in found["violations"] if one["avoidable"] == "careful"]
     numbers, solutions = ({one["number"] for one in some} for some in (avoided, found["violations"]))
+    assert {one["avoided_by"] for one in avoided} <= {"braking", "driving on"}
+    assert {one["avoided_by"] for one in found["violations"] if one["avoidable"] == "no"} == {None}
+    braking = {one["type"] for one in avoided if one["avoided_by"] == "braking"}
+    assert braking == {kind["type"] for kind in types if kind["avoided_by"] == "braking"} & {
+        one["type"] for one in avoided
+    }
+    careful = sum(kind["avoidable"] == "careful" for kind in types)
     assert found["words"] == (
-        f"a careful driver would have avoided {sum(kind['avoidable'] == 'careful' for kind in types)} of "
-        f"{len(types)} types of violations, in {len(numbers)} of {len(solutions)} solutions with violations"
+        f"a careful driver would have avoided {careful} of {len(types)} types of violations, "
+        f"{len(braking)} of them by braking, in {len(numbers)} of {len(solutions)} solutions with violations"
     )
     assert "Regulation No. 157, Annex 3" in found["explanation"]
 
@@ -274,6 +281,7 @@ def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_pat
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert [row["type"] for row in rows] == [one["type"] for one in found["violations"]]
     assert [row["avoidable"] for row in rows] == [one["avoidable"] for one in found["violations"]]
+    assert [row["avoided_by"] or None for row in rows] == [one["avoided_by"] for one in found["violations"]]
     assert [row["at_fault"] == "True" for row in rows] == [one["at_fault"] for one in found["violations"]]
     assert {row["place"] for row in rows} <= {"straight", "curve", "junction", "crossing"}
     assert draw_types(Violations.model_validate(found), tmp_path).stat().st_size > 5_000

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from support.circumstances import violation
 
-from brink.search.analysis.avoidable import Avoidable, avoidable_of
+from brink.search.analysis.avoidable import Avoidable, AvoidedBy, avoidable_of
 from brink.search.analysis.violations import (
     SECTORS,
     FoundViolation,
@@ -47,7 +47,12 @@ def test_a_type_is_as_avoidable_as_its_most_avoidable_violation() -> None:
     (kind,) = by_type([found(1, avoidable="no"), found(2, avoidable="careful"), found(3)])
     assert kind.avoidable is Avoidable.CAREFUL
     (old,) = by_type([found(1), found(2)])
-    assert old.avoidable is None
+    assert (old.avoidable, old.avoided_by) == (None, None)
+    told = {"avoidable": "careful", "avoided_by": "driving on"}
+    (kind,) = by_type([found(1, **told), found(2, avoidable="ideal", avoided_by="braking")])
+    assert kind.avoided_by is AvoidedBy.DRIVING_ON
+    (kind,) = by_type([found(1, **told), found(2, avoidable="careful", avoided_by="braking")])
+    assert kind.avoided_by is AvoidedBy.BRAKING
 
 
 @pytest.mark.parametrize(

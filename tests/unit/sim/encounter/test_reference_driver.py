@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
-from brink.sim.encounter.reference import Driver, Sight, avoids, is_risk, stopping_distance_m
+from brink.sim.encounter.reference import Driver, Sight, avoidance, avoids, is_risk, stopping_distance_m
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.specification import Kind
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict
@@ -181,15 +181,17 @@ def test_a_violation_says_who_would_have_avoided_it() -> None:
     assert isinstance(violations, list)
     assert isinstance(reference, dict)
     hit = next(one for one in violations if isinstance(one, dict) and one["requirement"] == "no-collision@1")
-    assert hit["avoidable"] == "ideal"
+    assert (hit["avoidable"], hit["avoided_by"]) == ("ideal", "braking")
     before = plain.features["violations"]
     assert isinstance(before, list)
-    assert {key: value for key, value in hit.items() if key != "avoidable"} in before
+    assert {key: value for key, value in hit.items() if key not in ("avoidable", "avoided_by")} in before
     assert list(reference) == ["careful", "ideal"]
     careful, ideal = facts(reference["careful"]), facts(reference["ideal"])
     assert "no-collision@1" in facts(careful["violated_at_s"])
     assert careful["contact_at_s"] == facts(careful["violated_at_s"])["no-collision@1"]
-    assert ideal == {"violated_at_s": {}, "contact_at_s": None}
+    assert (ideal["violated_at_s"], ideal["contact_at_s"]) == ({}, None)
+    assert 0.0 < float(str(ideal["brakes_at_s"])) < float(str(hit["time_s"]))
+    assert careful["brakes_at_s"] is None, "it is hit before it reaches the brake"
     assert float(str(compared.provenance["reference_cpu_s"])) > 0.0
     assert compared.trace is not None
     trace = Trace.from_bytes(compared.trace)
@@ -198,6 +200,31 @@ def test_a_violation_says_who_would_have_avoided_it() -> None:
     assert trace.reference.time_s[-1] == pytest.approx(float(str(hit["time_s"])) + 5.0, abs=0.11)
     again = simulator.run(spec, record=True)
     assert (again.features, again.trace) == (compared.features, compared.trace)
+
+
+@pytest.mark.parametrize(
+    ("brakes_at_s", "how"), [(None, "driving on"), (9.9, "braking"), (10.0, "braking"), (10.1, "driving on")]
+)
+def test_a_violation_is_avoided_by_braking_if_the_driver_brakes_before_it(
+    brakes_at_s: float | None, how: str
+) -> None:
+    assert avoidance(10.0, brakes_at_s) == how
+
+
+def test_a_driver_who_has_passed_before_a_car_moves_off_avoids_the_collision_by_driving_on() -> None:
+    # The system gives way to a van and passes late, as the car that stood beside the way moves off.
+    across = {"s_m": 47.75, "heading_rad": -math.pi / 2}
+    van = road_user("van", **across, d_m=39.0, speed_mps=5.0)
+    car = road_user("car", **across, d_m=4.5, lasts_s=10.5)
+    off = road_user("car", **across, d_m=4.5, from_s=10.5, accel_mps2=2.35)
+    result = BrinkEncounter().run(encounter({**car, "stretches": car["stretches"] + off["stretches"]}, van))
+    violations, reference = result.features["violations"], facts(result.features["reference"])
+    assert isinstance(violations, list)
+    found = [facts(one) for one in violations]
+    assert [(one["requirement"], one["avoidable"], one["avoided_by"]) for one in found] == [
+        ("no-collision@1", "careful", "driving on")
+    ]
+    assert facts(reference["careful"])["brakes_at_s"] is None
 
 
 def test_a_drive_without_a_violation_is_not_driven_again() -> None:

@@ -208,9 +208,9 @@ export function findings(context, id, tells) {
     replace(violations, h("h2", null, "Types of violations"), measured && h("p.hint", null, read.explanation),
       h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Types of violations" },
         h("table", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}`),
-          head("Type", "Avoidable by", "Solutions", "Distinct", "Fault by the rule", "Example"),
+          head("Type", "Avoidable by", measured && "How", "Solutions", "Distinct", "Fault by the rule", "Example"),
           h("tbody", null, types.map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
-            h("td", { title: avoidedWords(one) }, one.avoider), h("td", null, count(one.solutions)), h("td", null, count(one.instances)),
+            h("td", { title: avoidedWords(one) }, one.avoider), measured && h("td", null, one.avoided_by ?? "–"), h("td", null, count(one.solutions)), h("td", null, count(one.instances)),
             h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
             h("td", null, solution(one.example))))))));
   }
