@@ -553,7 +553,7 @@ def _camera(story: PairStory) -> Image.Image | None:
     image = Image.new("RGB", (size[0], size[1] + 104), PAPER)
     draw = ImageDraw.Draw(image)
     what = "when the reports differ most" if differs_s is not None else "at the moment of the violation"
-    draw.text((0, 4), f"Camera at {time_s:.1f} s, {what}", fill=INK, font=typeface(17, bold=True))
+    draw.text((0, 4), f"Camera at {clock_words(time_s)}, {what}", fill=INK, font=typeface(17, bold=True))
     image.paste(SketchView(unsafe, size_px=size).draw(sample, _joined(reports)), (0, 32))
     draw.rectangle((0, 32, size[0] - 1, 31 + size[1]), outline=HAIRLINE)
     y = 32 + size[1] + 8

@@ -92,6 +92,7 @@ class Comparison:
         system: What the system did, up to the violation, such as ``hit pedestrian-1 at 12.8 s``.
         others: What else the system violated of what was asked for, in a sentence; empty if nothing.
         violated: All violations of what was asked for, by time, for a chart.
+        words: The same in words, such as ``hit car-4 at 7.2 s``, by requirement.
         deed: What the driver does instead.
         driven: The same in words, such as ``brakes at 11.9 s and stops 3.1 m short of car-4``, and its violations.
         earlier: How much earlier the driver arrives where the violation is, in a sentence; empty if hardly.
@@ -103,6 +104,7 @@ class Comparison:
     system: str
     others: str
     violated: tuple[Mark, ...]
+    words: Mapping[str, str]
     deed: "Deed"
     driven: str
     earlier: str
@@ -201,6 +203,7 @@ def comparison_of(trace: Trace, requirement: Judged = None) -> Comparison | None
     shown = [one for one in asked if about.time_s - _LEADS_TO_S <= one.time_s <= about.time_s]
     return Comparison(
         about=about, driver=driver, deed=deed, reference=reference,
+        words={one.requirement: _system_words(trace, [one])[0] for one in asked},
         system=_listed(_system_words(trace, shown)), others=_others(trace, asked, shown),
         violated=tuple(Mark(one.time_s, _MARKS.get(plain_name(one.requirement), "violation")) for one in asked),
         driven=f"{deed.words} ({also})" if also else deed.words, earlier=_earlier(trace, about, reference, driver),
