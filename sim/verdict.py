@@ -110,30 +110,44 @@ class Impact:
 
 
 def impact_in(requirement: str, features: Mapping[str, Any]) -> Impact | None:
-    """Return how the ego and who it collided with met, by the circumstances of a violation in an episode's features.
+    """Return how the ego and who it collided with met, according to the features of an episode.
 
     Args:
         requirement: Id of the requirement.
         features: Features of the episode, which any worker may have sent.
     """
     violations = features.get("violations")
-    if plain_id(requirement) != "no-collision" or not isinstance(violations, list):
+    found = [one for one in violations if isinstance(one, Mapping)] if isinstance(violations, list) else []
+    its = next((one for one in found if one.get("requirement") == requirement), None)
+    return None if its is None else impact_of(its)
+
+
+def impact_of(violation: Mapping[str, Any]) -> Impact | None:
+    """Return how the ego and who it collided with met; None without a collision, or if that was not recorded.
+
+    Args:
+        violation: The circumstances of a violation, which any worker may have sent.
+    """
+    other, ego = violation.get("other"), violation.get("ego")
+    if plain_id(str(violation.get("requirement"))) != "no-collision":
         return None
-    its = (one for one in violations if isinstance(one, Mapping) and one.get("requirement") == requirement)
-    one = next(its, None)
-    other, ego = ({} if one is None else one.get("other"), {} if one is None else one.get("ego"))
     if not isinstance(other, Mapping) or not isinstance(ego, Mapping):
         return None
-    numbers = [other.get(name) for name in ("bearing_rad", "heading_rad", "speed_mps")] + [
-        ego.get("speed_mps")
-    ]
-    if not all(isinstance(value, int | float) for value in numbers):
+    measured = [other.get(name) for name in ("bearing_rad", "heading_rad", "speed_mps")]
+    numbers = [_number(value) for value in (*measured, ego.get("speed_mps"))]
+    if not all(map(math.isfinite, numbers)):
         return None
-    bearing_rad, heading_rad, speed_mps, ego_mps = (float(str(value)) for value in numbers)
+    bearing_rad, heading_rad, speed_mps, ego_mps = numbers
     return Impact.of(
         bearing_rad=bearing_rad, heading_rad=heading_rad, speed_mps=speed_mps, ego_mps=ego_mps,
         on_foot=other.get("kind") == "pedestrian",
     )  # fmt: skip
+
+
+def _number(value: object) -> float:
+    """Return a value as a number; NaN if it is none."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(str(value)) if is_number else math.nan
 
 
 class MeasuredRequirement(Protocol):

@@ -45,7 +45,7 @@ _LEADS_TO_S: Final = 3.0
 """A collision this soon after another violation is what that led to."""
 _STANDS_S: Final = 1.0
 _CREEPS_M: Final = 0.5
-"""A driver who stands for a shorter time, or moves up farther while standing, creeps rather than stops."""
+"""A driver who stands for a shorter time, or moves up farther afterwards, creeps rather than stops."""
 _INSTEAD: Final[Mapping[str, str]] = {
     "front-gap": "keeps the front gap",
     "no-collision": "hits nothing",
@@ -395,7 +395,7 @@ def _distance_words(trace: Trace, actor: int, first: int, until: int) -> tuple[s
         verb = "drives" if is_car(trace.actors[actor]) else "walks"
         return f"stands when {name} {verb} into it at {clock_words(float(trace.time_s[hit]))}", None
     standing = [at for at in _standing(trace, first) if at in later and at <= until]
-    if standing and np.hypot(*(trace.ego[standing[-1], :2] - trace.ego[standing[0], :2])) > _CREEPS_M:
+    if standing and np.hypot(*(trace.ego[until, :2] - trace.ego[standing[0], :2])) > _CREEPS_M:
         standing = []
     soon = standing or [at for at in later if at <= until]
     if not soon:

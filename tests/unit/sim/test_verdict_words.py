@@ -87,7 +87,21 @@ def test_a_collision_says_who_ran_into_whom(
     assert found.words() == f"{words} at 12.0 s"
 
 
-@pytest.mark.parametrize("violations", [None, [3], [{"requirement": "no-collision@1", "other": {}}]])
+@pytest.mark.parametrize(
+    "violations",
+    [
+        None,
+        [3],
+        [{"requirement": "no-collision@1", "other": {}}],
+        [
+            {
+                "requirement": "no-collision@1",
+                "ego": {"speed_mps": True},
+                "other": {"bearing_rad": 10**400, "heading_rad": 0.0, "speed_mps": 1.0},
+            }
+        ],
+    ],
+)
 def test_what_other_simulators_report_of_a_collision_is_no_error(violations: object) -> None:
     features = {"no-collision@1:collision_kind": "pedestrian", "violations": violations}
     assert EpisodeVerdict.of(verdicts(no_collision=1.0), features, ()).words() == "hit a pedestrian at 1.0 s"
