@@ -5,6 +5,7 @@ may still violate another one, for example keep its distance to the car ahead an
 therefore name the requirement: ``front gap held; hit a pedestrian at 12.8 s``.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol, Self
@@ -45,6 +46,110 @@ _COLLIDED: Final = {
 }
 
 
+_FRONT_RAD: Final = math.pi / 4 + 1e-6
+"""Half of the ego's front and rear as seen from its centre, with its body scaled to a square."""
+_MIDDLE_RAD: Final = math.pi / 12
+_CORNER_RAD: Final = math.pi / 12
+"""Who comes from the side and touches the ego this close to a rear corner runs into its side."""
+_MOVES_MPS: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Impact:
+    """How the ego and another road user met.
+
+    Attributes:
+        place: Part of the ego that was touched, such as ``front``, ``left side`` or ``right rear``.
+        by_other: Whether the other one ran into the ego: into its side or rear, and moving towards it.
+        on_foot: Whether the other one is a pedestrian.
+    """
+
+    place: str
+    by_other: bool
+    on_foot: bool
+
+    @classmethod
+    def of(
+        cls, *, bearing_rad: float, heading_rad: float, speed_mps: float, ego_mps: float, on_foot: bool
+    ) -> Self:
+        """Return how the ego and another road user met.
+
+        Args:
+            bearing_rad: Direction of the other's nearest point, with the ego's body scaled to a square.
+            heading_rad: The other's heading relative to the ego's.
+            speed_mps: The other's speed.
+            ego_mps: The ego's speed.
+            on_foot: Whether the other one is a pedestrian.
+        """
+        off_rad = abs(bearing_rad)
+        side = 1.0 if bearing_rad > 0 else -1.0
+        sideways_mps = -side * speed_mps * math.sin(heading_rad)
+        if off_rad <= _FRONT_RAD:
+            return cls(place="front", by_other=False, on_foot=on_foot)
+        at_corner = off_rad < math.pi - _FRONT_RAD + _CORNER_RAD and sideways_mps > _MOVES_MPS
+        if off_rad >= math.pi - _FRONT_RAD and not at_corner:
+            towards_mps = speed_mps * math.cos(heading_rad) - max(0.0, ego_mps)
+            return cls(place="rear", by_other=towards_mps > _MOVES_MPS, on_foot=on_foot)
+        along_rad = off_rad - math.pi / 2
+        part = "side" if abs(along_rad) < _MIDDLE_RAD else "front" if along_rad < 0 else "rear"
+        return cls(
+            place=f"{'left' if side > 0 else 'right'} {part}", on_foot=on_foot,
+            by_other=sideways_mps > _MOVES_MPS,
+        )  # fmt: skip
+
+    def words(self, who: str) -> str:
+        """Return what happened to the ego, such as ``had car-2 drive into its left rear`` or ``hit car-4``.
+
+        Args:
+            who: What the other one is called.
+        """
+        if self.by_other:
+            return f"had {who} {'walk' if self.on_foot else 'drive'} into its {self.place}"
+        with_side = "" if self.place == "front" else f" with its {self.place}"
+        return f"hit {who}{with_side}"
+
+
+def impact_in(requirement: str, features: Mapping[str, Any]) -> Impact | None:
+    """Return how the ego and who it collided with met, according to the features of an episode.
+
+    Args:
+        requirement: Id of the requirement.
+        features: Features of the episode, which any worker may have sent.
+    """
+    violations = features.get("violations")
+    found = [one for one in violations if isinstance(one, Mapping)] if isinstance(violations, list) else []
+    its = next((one for one in found if one.get("requirement") == requirement), None)
+    return None if its is None else impact_of(its)
+
+
+def impact_of(violation: Mapping[str, Any]) -> Impact | None:
+    """Return how the ego and who it collided with met; None without a collision, or if that was not recorded.
+
+    Args:
+        violation: The circumstances of a violation, which any worker may have sent.
+    """
+    other, ego = violation.get("other"), violation.get("ego")
+    if plain_id(str(violation.get("requirement"))) != "no-collision":
+        return None
+    if not isinstance(other, Mapping) or not isinstance(ego, Mapping):
+        return None
+    measured = [other.get(name) for name in ("bearing_rad", "heading_rad", "speed_mps")]
+    numbers = [_number(value) for value in (*measured, ego.get("speed_mps"))]
+    if not all(map(math.isfinite, numbers)):
+        return None
+    bearing_rad, heading_rad, speed_mps, ego_mps = numbers
+    return Impact.of(
+        bearing_rad=bearing_rad, heading_rad=heading_rad, speed_mps=speed_mps, ego_mps=ego_mps,
+        on_foot=other.get("kind") == "pedestrian",
+    )  # fmt: skip
+
+
+def _number(value: object) -> float:
+    """Return a value as a number; NaN if it is none."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(str(value)) if is_number else math.nan
+
+
 class MeasuredRequirement(Protocol):
     """The result of one requirement: `brink.sim.episode.Verdict`, or its counterpart on the wire."""
 
@@ -73,7 +178,7 @@ class Violated:
     @property
     def words_with_time(self) -> str:
         """The words with the moment, such as ``hit a pedestrian at 12.8 s``."""
-        return self.words if self.time_s is None else f"{self.words} at {self.time_s:.1f} s"
+        return self.words if self.time_s is None else f"{self.words} at {clock_words(self.time_s)}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +207,7 @@ class EpisodeVerdict:
         found = [
             Violated(
                 requirement=name, time_s=verdict.violated_at_s, decides=name in deciding,
-                words=violated_words(name, collision_kind(name, features)),
+                words=violated_words(name, collision_kind(name, features), impact_in(name, features)),
             )
             for name, verdict in verdicts.items()
             if verdict.robustness < 0
@@ -130,6 +235,11 @@ class EpisodeVerdict:
         if self.deciding and not self.unsafe:
             told.insert(0, held_words(self.deciding))
         return "; ".join(told)
+
+
+def clock_words(time_s: float) -> str:
+    """Return a simulated time in words, such as ``6.9 s``: halves are rounded up, whatever the type of the number."""
+    return f"{math.floor(10.0 * time_s + 0.5 + 1e-4) / 10.0:.1f} s"
 
 
 def plain_id(requirement: str) -> str:
@@ -166,15 +276,20 @@ def _held(requirement: str) -> tuple[str, str]:
     return _HELD.get(plain_id(requirement), (f"{words} held", f"held {words}"))
 
 
-def violated_words(requirement: str, collision: CollisionKind | None = None) -> str:
+def violated_words(
+    requirement: str, collision: CollisionKind | None = None, impact: Impact | None = None
+) -> str:
     """Return what the ego did in an episode that violates a requirement, such as ``hit a pedestrian``.
 
     Args:
         requirement: Its id, with or without version.
         collision: What the ego hit, if known.
+        impact: How the two met, if known.
     """
     name = plain_id(requirement)
     if name == "no-collision":
+        if collision is not None and impact is not None:
+            return impact.words(f"a{'n' if collision is CollisionKind.OBJECT else ''} {collision.value}")
         return _COLLIDED[collision] if collision is not None else "had a collision"
     return _VIOLATED.get(name, f"violated {_spaced(requirement)}")
 

@@ -43,6 +43,7 @@ from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
 from brink.server.problems.npc_actions import NpcActions
+from brink.sim.verdict import clock_words
 
 CHAINS_SHOWN: Final = 10
 CHAINS_DRAWN: Final = 3
@@ -247,7 +248,9 @@ def violations(
         for one in found.violations:
             avoidable = "" if one.avoidable is None else f"; {one.avoidable.words}"
             how = "" if one.avoided_by is None else f", who avoids it by {one.avoided_by}"
-            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}{avoidable}{how}")
+            print_line(
+                f"{one.number} at {clock_words(one.time_s)}, {one.requirement}: {one.type}{avoidable}{how}"
+            )
         if not found.violations:
             print_line("no such violation")
 

@@ -14,6 +14,8 @@ from pydantic import Field
 from brink.server.api.schemas import View
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
+from brink.sim.replay.motion import plan_words
+from brink.sim.replay.pair import ended_words
 from brink.sim.replay.reference import comparison_of
 from brink.sim.replay.scene import (
     LABELS,
@@ -234,6 +236,7 @@ class EpisodeWords(View):
         str, Field(description="Perturbations of the pictures; empty if there are none.")
     ]
     report: Annotated[str, Field(description="Origin of the given boxes: injected, detected or seen.")]
+    ended: Annotated[str, Field(description="How the drive ends, such as `recorded until 20.5 s`.")]
     labels: Annotated[Sequence[str], Field(description="Names of labels.")]
     sighted: Annotated[Sequence[str], Field(description="Captions of perceived obstacles that really exist.")]
     ghosts: Annotated[Sequence[str], Field(description="Captions of ghosts.")]
@@ -261,7 +264,13 @@ class EpisodeView(View):
             "`drawn_width_m`; `ghost` is 1 if nothing of its kind is there."
         ),
     ]
-    plan_mode: list[str]
+    plan_mode: Annotated[
+        list[str],
+        Field(
+            description="The driving system's plan at each sample; of a reference driver, what it does: `brakes`, "
+            "`waits` or `drives`."
+        ),
+    ]
     target_speed_mps: Column
     lights: Annotated[
         list[str],
@@ -293,7 +302,15 @@ class ReferenceView(View):
         list[str],
         Field(description="What the system did, and what the driver does instead, in a sentence each."),
     ]
-    explanation: Annotated[str, Field(description="Who the driver is, in sentences.")]
+    explanation: Annotated[str, Field(description="Who the driver is, and who the others are, in sentences.")]
+    avoided_by: Annotated[
+        str,
+        Field(description="That the driver avoids it without braking, in a sentence; empty if it brakes."),
+    ]
+    violated: Annotated[
+        dict[str, str],
+        Field(description="What the system violated and when, with the names of others, by requirement."),
+    ]
     moment_s: Annotated[float, Field(description="Time of the violation that these are about.")]
     brakes_at_s: Annotated[
         float | None, Field(description="When the driver begins to brake; null if it drives on.")
@@ -337,7 +354,7 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
             drawn_width_m=_metres(obstacles.width_m),
             ghost=obstacles.ghost.astype(int).tolist(),
         ),
-        plan_mode=[str(mode) for mode in trace.plan_mode],
+        plan_mode=plan_words(trace),
         target_speed_mps=_column(trace.target_speed_mps, 2),
         lights=[str(light) for light in trace.lights],
         robustness={str(name): _metres(series) for name, series in trace.robustness.items()},
@@ -357,6 +374,7 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
             scenario=_or_empty(scenario_words, trace),
             perturbations=_or_empty(perturbation_words, trace),
             report=report_word(trace),
+            ended=ended_words(trace),
             labels=LABELS,
             sighted=SIGHTED,
             ghosts=[ghost_words(trace, label) for label in range(len(LABELS))],
@@ -380,6 +398,8 @@ def _reference(trace: Trace, judged: Sequence[str]) -> ReferenceView | None:
         name=compared.name,
         sentences=list(compared.sentences),
         explanation=compared.explanation,
+        avoided_by=compared.avoided_by,
+        violated=dict(compared.words),
         moment_s=_length(compared.about.time_s),
         brakes_at_s=None if compared.brakes_at_s is None else _length(compared.brakes_at_s),
         drive=episode_view(compared.reference, (compared.about.requirement,)),

@@ -50,7 +50,7 @@ from brink.server.problems.changes import as_sentence
 from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
 from brink.sim.requirements import CollisionKind
-from brink.sim.verdict import violated_words
+from brink.sim.verdict import clock_words, impact_of, violated_words
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])
 
@@ -222,8 +222,8 @@ def _avoidable_examples(found: Sequence[FoundViolation]) -> list[AvoidableExampl
             break
         one = next(one for one in careful if (one.number, one.type) == (kind.example, kind.type))
         hit = next((each for each in CollisionKind if each == one.circumstances["collision"]), None)
-        did = violated_words(str(one.circumstances["requirement"]), hit)
-        words = f"{did} at {float(one.circumstances['time_s']):.1f} s"
+        did = violated_words(str(one.circumstances["requirement"]), hit, impact_of(one.circumstances))
+        words = f"{did} at {clock_words(float(one.circumstances['time_s']))}"
         examples.setdefault(one.number, AvoidableExample(number=one.number, words=words, type=one.type))
     return list(examples.values())
 

@@ -194,6 +194,7 @@ class ViolatedView(View):
     words: Annotated[str, Field(description="What the ego did, such as `hit a pedestrian`.")]
     decides: Annotated[bool, Field(description="Whether the campaign's verdict depends on it.")]
     avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)] = None
+    avoided_by: Annotated[AvoidedBy | None, Field(description=AVOIDED_BY)] = None
     avoidable_words: Annotated[
         str,
         Field(

@@ -14,7 +14,7 @@ from pydantic import Field
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
-from brink.search.analysis.avoidable import avoidable_of
+from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
 from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
 from brink.search.archive import Archive
@@ -249,7 +249,7 @@ def _violated_view(one: Violated, stored: Mapping[str, Any]) -> ViolatedView:
     avoidable = avoidable_of(circumstances)
     return ViolatedView(
         requirement=one.requirement, time_s=one.time_s, words=one.words, decides=one.decides, avoidable=avoidable,
-        avoidable_words="" if avoidable is None else avoidable.words,
+        avoided_by=avoided_by_of(circumstances), avoidable_words="" if avoidable is None else avoidable.words,
     )  # fmt: skip
 
 

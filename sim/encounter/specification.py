@@ -246,7 +246,7 @@ def get_lane_layout(place: UrbanScenario) -> LaneLayout:
     )
 
 
-_ACTIONS: Final = {
+ACTION_WORDS: Final[Mapping[str, str]] = {
     "keep": "keeps going",
     "accelerate": "accelerates",
     "decelerate": "slows down",
@@ -265,7 +265,7 @@ def describe_script(script: Mapping[str, Json]) -> str:
     assert isinstance(stretches, list)
     steps = [stretch for stretch in stretches if isinstance(stretch, Mapping)]
     telling = dict.fromkeys(str(step["action"]) for step in steps if step["action"] != "keep")
-    acts = [_ACTIONS.get(action, action.replace("_", " ")) for action in telling]
+    acts = [ACTION_WORDS.get(action, action.replace("_", " ")) for action in telling]
     shown = ", ".join(acts[:_MAX_ACTIONS]) or "keeps going"
     return f"{script['kind']} {_start(steps[0])}: {shown}{', …' if len(acts) > _MAX_ACTIONS else ''}"
 

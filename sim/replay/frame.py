@@ -50,7 +50,7 @@ from brink.sim.replay.style import (
     typeface,
 )
 from brink.sim.trace import FloatArray, Trace
-from brink.sim.verdict import held_words
+from brink.sim.verdict import clock_words, held_words
 
 Size: TypeAlias = tuple[int, int]
 Rectangle: TypeAlias = tuple[int, int, int, int]
@@ -214,7 +214,7 @@ class FramePainter:
         held = held_words([name])
         if not np.isfinite(self.story.least):
             return self.story.words.replace(held, f"{name.replace('-', ' ')} never applied", 1)
-        spare = f"{held} ({with_unit(self.story.least, name)} to spare at {time_s:.1f} s)"
+        spare = f"{held} ({with_unit(self.story.least, name)} to spare at {clock_words(time_s)})"
         return self.story.words.replace(held, spare, 1)
 
     def _told(self, violation: ViolatedHere) -> str:

@@ -53,6 +53,7 @@ from brink.sim.replay.style import (
     VIOLATION,
     Rgb,
     draw_dashed,
+    lighter,
     typeface,
 )
 from brink.sim.trace import FloatArray, Surface, Trace
@@ -62,6 +63,14 @@ LEAST_PERSON_PX: Final = 3.0
 DOTS_M: Final = 1.0
 """Distance between the dots of the path ahead."""
 _LEAST_LEADER_PX: Final = 7.0
+_ARROW_FROM_MPS: Final = 0.3
+_MARGIN_PX: Final = 5.0
+"""Room between a label and the edge of the map, where a frame is drawn."""
+_ALONG: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
+_CROSSING_COST: Final = 100.0
+"""Cost of each point in which the line of a label crosses something else, as area that is hidden."""
+_MAY_HIDE_PX: Final = 60.0
+"""Area that the label of a film may hide before it is moved."""
 
 _RINGS: Final = (SHAPES.car_body, *SHAPES.car_windows, *SHAPES.car_brake_lights)
 _CAR_CORNERS: Final = np.array([corner for ring in _RINGS for corner in ring])
@@ -73,6 +82,8 @@ _PERSON_CORNERS: Final = np.array([(0.0, 0.0), (1.6, 0.0)])
 
 Rect: TypeAlias = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels."""
+Places: TypeAlias = dict[tuple[int, Rgb], int]
+"""Number of the place of each label, by its number on the map and its colour."""
 
 
 class Label(NamedTuple):
@@ -191,11 +202,13 @@ class Marked:
         actor: Its index.
         caption: What is said of it.
         colour: Colour of the caption and, unless the front gap to it is too short, of its outline.
+        arrow: Whether an arrow shows where it goes, as long as its way in a second.
     """
 
     actor: int
     caption: str
     colour: Rgb
+    arrow: bool = False
 
 
 class ObstacleStyle(NamedTuple):
@@ -235,6 +248,7 @@ class MapView:
         font_px: Size of the labels.
         turn_rad: Rotation of the map; by default so that the drive starts out to the right.
         obstacle_style: How perceived obstacles are drawn; None leaves them out.
+        ego_colour: Colour of the ego, and in lighter shades of its way; by default blue.
     """
 
     def __init__(
@@ -247,6 +261,7 @@ class MapView:
         font_px: int,
         turn_rad: float | None = None,
         obstacle_style: ObstacleStyle | None = BY_KIND,
+        ego_colour: Rgb | None = None,
     ) -> None:
         trace = scene.trace
         self._scene = scene
@@ -258,7 +273,10 @@ class MapView:
             trace.route, trace.ego, px_per_m=px_per_m * SUPERSAMPLING, margin_m=(margin_m[0], margin_m[1]),
             turn_rad=turn_rad,
         )  # fmt: skip
-        self._canvas = _paint_canvas(scene, self._viewport)
+        self._ego_colour = EGO if ego_colour is None else ego_colour
+        self._trail_colour = EGO_TRAIL if ego_colour is None else lighter(ego_colour, 0.35)
+        route_colour = ROUTE if ego_colour is None else lighter(ego_colour, 0.65)
+        self._canvas = _paint_canvas(scene, self._viewport, route_colour)
         self._centres = self._viewport.to_px(map_centres(trace, look_ahead_m))
         self._trail = self._viewport.to_px(trace.ego[:, :2])
         self._ego, _ = _placed(_CAR_CORNERS, trace.ego, *trace.ego_size_m, self._viewport)
@@ -284,7 +302,9 @@ class MapView:
         gap: FrontGap | None = None,
         marked: Marked | None = None,
         spread: bool = False,
+        places: Places | None = None,
         ahead_gap: bool = True,
+        crossed: Points | None = None,
     ) -> Image.Image:
         """Return the map at a sample as an RGB image of the view's size.
 
@@ -295,8 +315,10 @@ class MapView:
             ahead: Samples of the ego's path after this one to show as dots.
             gap: The gap to show.
             marked: A road user to point out.
-            spread: Whether labels are moved to where they hide nothing; in a film they would jump.
+            spread: Whether labels are moved to where they hide nothing.
+            places: Where the labels of the frame before are, for a film in which they should not jump; changed.
             ahead_gap: Whether to show the front gap at the sample if no gap is given.
+            crossed: Part of the lane's edge that the ego has crossed, shape ``(k, 2)``.
         """
         wide, high = (side * SUPERSAMPLING for side in self._size)
         centre = self._centres[sample] if centre_m is None else self._viewport.to_px(centre_m[None])[0]
@@ -306,12 +328,17 @@ class MapView:
         draw = ImageDraw.Draw(image)
         labels: list[Label] = []
         gap = front_gap(self._trace, sample) if gap is None and ahead_gap else gap
+        if crossed is not None:
+            line = (self._viewport.to_px(crossed) - corner).ravel().tolist()
+            draw.line(line, fill=VIOLATION, width=2 * SUPERSAMPLING)
         self._draw_trail(draw, sample, corner)
         self._draw_ahead(draw, sample, ahead, corner)
         self._draw_actors(draw, sample, corner, gap)
         if self._style is not None:
             self._draw_obstacles(draw, self._style, sample, corner, labels)
-        self._draw_car(draw, self._ego[sample] - corner, EGO, brakes=bool(self._scene.ego_brakes[sample]))
+        self._draw_car(
+            draw, self._ego[sample] - corner, self._ego_colour, brakes=bool(self._scene.ego_brakes[sample])
+        )
         if marked is not None:
             crimson = gap is not None and gap.actor == marked.actor and gap.too_short
             outlined = marked if not crimson else replace(marked, colour=VIOLATION)
@@ -319,14 +346,18 @@ class MapView:
             label = self._marked_label(marked, sample, corner)
             if spread or not _is_off(label.named, self._size):
                 labels.append(label)
-        if gap is not None:
-            self._draw_gap(draw, gap, corner, labels)
         if twin is not None:
             self._draw_twin(draw, twin, corner, labels)
+        if gap is not None:
+            self._draw_gap(draw, gap, corner, labels)
         image = image.reduce(SUPERSAMPLING)
         if spread:
             hidden = [*self._bodies(sample, corner), *(label.named for label in labels)]
-            self._write_beside(ImageDraw.Draw(image), labels, hidden)
+            if crossed is not None:
+                hidden.append(_around(self._viewport.to_px(crossed) - corner))
+            if marked is not None and marked.arrow and (arrow := self._arrow(marked, sample)) is not None:
+                hidden.append(_around(arrow - corner))
+            self._write_beside(ImageDraw.Draw(image), labels, hidden, {} if places is None else places)
         else:
             self._write(ImageDraw.Draw(image), labels)
         return image
@@ -334,7 +365,7 @@ class MapView:
     def _draw_trail(self, draw: ImageDraw.ImageDraw, sample: int, corner: Points) -> None:
         if sample > 0:
             line = (self._trail[: sample + 1] - corner).ravel().tolist()
-            draw.line(line, fill=EGO_TRAIL, width=max(2, round(0.25 * self._viewport.px_per_m)))
+            draw.line(line, fill=self._trail_colour, width=max(2, round(0.25 * self._viewport.px_per_m)))
 
     def _draw_ahead(self, draw: ImageDraw.ImageDraw, sample: int, count: int, corner: Points) -> None:
         """Draw where the ego goes next as dots of equal spacing."""
@@ -345,7 +376,7 @@ class MapView:
         radius = max(SUPERSAMPLING, 0.16 * self._viewport.px_per_m)
         for at in np.arange(0.0, along[-1], DOTS_M * self._viewport.px_per_m):
             x, y = (float(np.interp(at, along, path[:, axis])) for axis in (0, 1))
-            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=EGO)
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=self._ego_colour)
 
     def _draw_twin(self, draw: ImageDraw.ImageDraw, twin: Twin, corner: Points, labels: list[Label]) -> None:
         corners = self._viewport.to_px(twin.ego) - corner
@@ -371,6 +402,35 @@ class MapView:
             reach = 2.2 * self._person_px
             ring = (x - reach, y - reach, x + reach, y + reach)
             draw.ellipse(ring, outline=marked.colour, width=2 * SUPERSAMPLING)
+
+        if marked.arrow:
+            self._draw_arrow(draw, marked, sample, corner)
+
+    def _draw_arrow(self, draw: ImageDraw.ImageDraw, marked: Marked, sample: int, corner: Points) -> None:
+        """Draw an arrow from the front of a moving road user."""
+        arrow = self._arrow(marked, sample)
+        if arrow is None:
+            return
+        ends = arrow - corner
+        along = (ends[1] - ends[0]) / max(1e-9, float(np.hypot(*(ends[1] - ends[0]))))
+        across, head = np.array([-along[1], along[0]]), 0.7 * self._viewport.px_per_m
+        draw.line(ends.ravel().tolist(), fill=marked.colour, width=round(1.5 * SUPERSAMPLING))
+        tip = [
+            ends[1] + along * head * 0.6,
+            ends[1] - along * head + across * head * 0.7,
+            ends[1] - along * head - across * head * 0.7,
+        ]
+        draw.polygon(np.concatenate(tip).tolist(), fill=marked.colour)
+
+    def _arrow(self, marked: Marked, sample: int) -> Points | None:
+        """Return both ends of the arrow of a moving road user in pixels of the canvas; None while it stands."""
+        actor = self._trace.actors[marked.actor]
+        x_m, y_m, yaw_rad, speed_mps = (float(value) for value in actor.motion[sample, :4])
+        if not speed_mps >= _ARROW_FROM_MPS:
+            return None
+        heading = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+        start_m = (x_m, y_m) + heading * (actor.length_m / 2 + 0.4)
+        return self._viewport.to_px(np.array([start_m, start_m + heading * max(1.2, speed_mps)]))
 
     def _marked_label(self, marked: Marked, sample: int, corner: Points) -> Label:
         corners = self._actors[marked.actor][0][sample] - corner
@@ -475,8 +535,8 @@ class MapView:
             draw.line(stroke.ravel().tolist(), fill=colour, width=round(1.5 * SUPERSAMPLING))
         x, y = ends.mean(axis=0).tolist()
         below = y + 1.7 * self._viewport.px_per_m
-        away = f"{gap.gap_m:.1f} m away" if gap.gap_m >= TOUCHES_M else "touches"
-        text = f"gap {gap_words(gap.gap_m)}" if gap.required else away
+        now = f"{gap.gap_m:.1f} m now" if gap.gap_m >= TOUCHES_M else "touches"
+        text = f"gap {gap_words(gap.gap_m)}" if gap.required else now
         labels.append(Label(_reduced((x, below), 0.6), text, colour, _around(ends)))
 
     def _bodies(self, sample: int, corner: Points) -> list[Rect]:
@@ -485,17 +545,26 @@ class MapView:
         shapes += [shape[sample] for shape, present in self._actors if present[sample]]
         return [_around(shape - corner) for shape in shapes]
 
-    def _write_beside(self, draw: ImageDraw.ImageDraw, labels: list[Label], hidden: list[Rect]) -> None:
-        """Write each label as close to what it names as is possible without hiding anything."""
+    def _write_beside(
+        self, draw: ImageDraw.ImageDraw, labels: list[Label], hidden: list[Rect], places: Places
+    ) -> None:
+        """Write each label as close to what it names as is possible without hiding anything.
+
+        A label stays on the side where it was in the frame before, unless it would hide something there.
+        """
         placed: list[Rect] = []
         written: list[Label] = []
-        for label in labels:
+        for index, label in enumerate(labels):
             half = draw.textlength(label.text, font=self._font) / 2 + 3, self._font.size * 0.62
             options = _places(label.named, half, self._size)
             if not options:
                 continue  # off the map
-            best = min(options, key=lambda rect: _cost(rect, placed, hidden))
-            placed.append(best)
+            kept = options.get(places.get((index, label.colour), -1))
+            if kept is None or _cost(kept, placed, hidden, label) > _MAY_HIDE_PX:
+                place = min(options, key=lambda one: _cost(options[one], placed, hidden, label))
+                places[index, label.colour] = place
+                kept = options[place]
+            placed.append(kept)
             written.append(label)
         for place, label in zip(placed, written, strict=True):
             _draw_leader(draw, place, label)
@@ -533,11 +602,11 @@ def _around(corners: Points) -> Rect:
     return float(left), float(top), float(right), float(bottom)
 
 
-def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) -> list[Rect]:
-    """Return where the label of a rectangle may be, closest first; empty if the rectangle is off the map."""
+def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) -> dict[int, Rect]:
+    """Return where the label of a rectangle may be by number, closest first; none if that is off the map."""
     left, top, right, bottom = named
     if _is_off(named, size_px):
-        return []
+        return {}
     left, right = max(left, 0.0), min(right, float(size_px[0]))
     top, bottom = max(top, 0.0), min(bottom, float(size_px[1]))
     wide, high = half
@@ -547,8 +616,12 @@ def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) ->
         for x in xs:
             found += [(x, y) for y in (top - high - away, bottom + high + away)]
         found += [(at, (top + bottom) / 2) for at in (left - wide - away, right + wide + away)]
-    inside = [(x, y) for x, y in found if wide <= x <= size_px[0] - wide and high <= y <= size_px[1] - high]
-    return [(x - wide, y - high, x + wide, y + high) for x, y in inside]
+    least_x, least_y = wide + _MARGIN_PX, high + _MARGIN_PX
+    return {
+        place: (x - wide, y - high, x + wide, y + high)
+        for place, (x, y) in enumerate(found)
+        if least_x <= x <= size_px[0] - least_x and least_y <= y <= size_px[1] - least_y
+    }
 
 
 def _is_off(rect: Rect, size_px: tuple[int, int]) -> bool:
@@ -557,17 +630,28 @@ def _is_off(rect: Rect, size_px: tuple[int, int]) -> bool:
     return right < 0 or bottom < 0 or left > size_px[0] or top > size_px[1]
 
 
-def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect]) -> float:
-    """Return how much a label would hide; other labels count more than bodies."""
+def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect], label: Label) -> float:
+    """Return how much a label and the line to what it names would hide; other labels count more than bodies."""
     labels, bodies = (sum(shared_area(rect, one, margin=3.0) for one in rects) for rects in (placed, hidden))
-    return 10 * labels + bodies
+    start, end = _leader(rect, label)
+    points = [
+        (start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])) for share in _ALONG
+    ]
+    others = [one for one in (*placed, *hidden) if shared_area(one, label.named) <= 0.0]
+    crossed = sum(one[0] < x < one[2] and one[1] < y < one[3] for one in others for x, y in points)
+    return 10 * labels + bodies + _CROSSING_COST * crossed
+
+
+def _leader(rect: Rect, label: Label) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the ends of the line from a label to what it names."""
+    left, top, right, bottom = label.named
+    start = min(max((left + right) / 2, rect[0]), rect[2]), min(max((top + bottom) / 2, rect[1]), rect[3])
+    return start, (min(max(start[0], left), right), min(max(start[1], top), bottom))
 
 
 def _draw_leader(draw: ImageDraw.ImageDraw, rect: Rect, label: Label) -> None:
     """Draw a line from a label to what it names, unless the two touch."""
-    left, top, right, bottom = label.named
-    start = min(max((left + right) / 2, rect[0]), rect[2]), min(max((top + bottom) / 2, rect[1]), rect[3])
-    end = min(max(start[0], left), right), min(max(start[1], top), bottom)
+    start, end = _leader(rect, label)
     if np.hypot(end[0] - start[0], end[1] - start[1]) > _LEAST_LEADER_PX:
         draw.line((*start, *end), fill=PAPER, width=3)
         draw.line((*start, *end), fill=label.colour, width=1)
@@ -596,10 +680,11 @@ def _placed(
     return viewport.to_px(world.reshape(-1, 2)).reshape(world.shape), np.isfinite(places.sum(axis=1))
 
 
-def _paint_canvas(scene: EpisodeScene, viewport: Viewport) -> Image.Image:
+def _paint_canvas(scene: EpisodeScene, viewport: Viewport, route_colour: Rgb) -> Image.Image:
     """Paint the static map of an episode (surfaces and route) as a palette image of the viewport's size."""
     colours = {
-        colour: i for i, colour in enumerate(dict.fromkeys([GROUND, ROUTE, *FILLS.values(), *EDGES.values()]))
+        colour: i
+        for i, colour in enumerate(dict.fromkeys([GROUND, route_colour, *FILLS.values(), *EDGES.values()]))
     }
     canvas = Image.new("P", viewport.size_px, colours[GROUND])
     canvas.putpalette([channel for colour in colours for channel in colour])
@@ -607,7 +692,7 @@ def _paint_canvas(scene: EpisodeScene, viewport: Viewport) -> Image.Image:
     surfaces = scene.trace.scene
     for surface in surfaces[: scene.route_layer]:
         _draw_surface(draw, surface, viewport, colours)
-    _draw_route(draw, scene.trace, viewport, colours[ROUTE])
+    _draw_route(draw, scene.trace, viewport, colours[route_colour])
     for surface in surfaces[scene.route_layer :]:
         _draw_surface(draw, surface, viewport, colours)
     return canvas

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from brink.sim.replay.motion import DRIVES, is_reference, plan_words
 from brink.sim.replay.scene import (
     LABELS,
     TOUCHES_M,
@@ -33,12 +34,15 @@ from brink.sim.replay.scene import (
 from brink.sim.replay.story import Judged, Story, measured_words, story_of, unit_of
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import FloatArray, Trace
+from brink.sim.verdict import clock_words
 
 SAFE, UNSAFE = "safe", "unsafe"
 
 _SAME_PX: Final = 0.5
 """Boxes whose sides are this close are the same."""
 _SAME_PLACE_M: Final = 0.05
+_LAST_S: Final = 0.2
+"""How long before the end of a trace that which ends the drive may happen."""
 _LEAD_UP_S: Final = 3.0
 _FOLLOW_UP_S: Final = 5.0
 _LEAST_WINDOW_S: Final = 12.0
@@ -69,6 +73,7 @@ class Side:
         chip: Word that pictures put before what happened, in capitals; by default whether it held the requirement.
         outcome: What happened, in words; by default what the trace tells.
         again: What simulating it again with other seeds showed, in words; empty leaves that to the facts.
+        shown_s: Time at which a still image shows it; by default the moment of the pair.
     """
 
     trace: Trace
@@ -78,12 +83,21 @@ class Side:
     chip: str = ""
     outcome: str = ""
     again: str = ""
+    shown_s: float | None = None
 
 
 class Mark(NamedTuple):
     """Another moment that a chart names."""
 
     time_s: float
+    words: str
+
+
+class Nearest(NamedTuple):
+    """A point of the curve of the safe drive's distance, with what is said of it."""
+
+    time_s: float
+    gap_m: float
     words: str
 
 
@@ -100,7 +114,9 @@ class DrivePair:
         requirement: Ids of the requirements that tell them apart; for the default see `story_of`.
         unsafe_first: Whether the unsafe drive is shown first.
         about_reports: Whether the drives differ in what is reported to the driving systems, which pictures then show.
-        marks: Further moments to name.
+        marks: Further moments of the safe drive to name.
+        violated: Moments of the unsafe drive to name, that of the pair included; by default that one alone.
+        nearest: How near the safe drive comes to whom the violation is about.
     """
 
     safe: Side
@@ -112,6 +128,8 @@ class DrivePair:
     unsafe_first: bool = False
     about_reports: bool = True
     marks: tuple[Mark, ...] = ()
+    violated: tuple[Mark, ...] = ()
+    nearest: Nearest | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,10 +221,20 @@ class PairStory:
         unsafe = Part(pair.unsafe.name or UNSAFE, pair.unsafe, self.unsafe, is_unsafe=True)
         return (unsafe, safe) if pair.unsafe_first else (safe, unsafe)
 
+    def shown_at(self, index: int) -> float:
+        """Return at what time a still image shows a drive."""
+        own_s = self.parts[index].side.shown_s
+        return self.shown_s if own_s is None else own_s
+
+    @property
+    def needs_gap(self) -> bool:
+        """Whether the unsafe drive violates the front gap."""
+        return any(plain_name(one.requirement) == "front-gap" for one in self.unsafe.violations)
+
     def window(self) -> Interval:
         """Return the span of time that matters: from before the reports first differ until after the moment."""
         first_s = self.differing[0].start_s if self.differing else self.moment_s
-        first_s = min([first_s, *(mark.time_s for mark in self.pair.marks)])
+        first_s = min([first_s, *(mark.time_s for mark in (*self.pair.marks, *self.pair.violated))])
         end_s = min(self.end_s, self.moment_s + _FOLLOW_UP_S)
         start_s = min(first_s - _LEAD_UP_S, self.moment_s - _LEAD_UP_S, end_s - _LEAST_WINDOW_S)
         start_s = max(0.0, start_s)
@@ -266,6 +294,15 @@ def part_state_words(story: PairStory, part: Part, time_s: float) -> str:
     return f"{motion}, {f'{gap.gap_m:.1f} m from {name}' if gap.gap_m >= TOUCHES_M else f'touches {name}'}"
 
 
+def ended_words(trace: Trace) -> str:
+    """Return how a drive ends, such as ``collision at 7.2 s`` or ``recorded until 20.5 s``."""
+    end_s = float(trace.time_s[-1])
+    kinds = [event.kind for event in trace.events if event.time_s > end_s - _LAST_S]
+    if "collision" in kinds:
+        return f"ends with the collision at {clock_words(end_s)}"
+    return f"{'end of the route' if 'goal' in kinds else 'recorded until'} {clock_words(end_s)}"
+
+
 def sample_at(trace: Trace, time_s: float) -> int:
     """Return the sample nearest to a time."""
     return int(np.abs(np.asarray(trace.time_s, dtype=np.float64) - time_s).argmin())
@@ -294,9 +331,13 @@ def state_words(side: Side, story: Story, time_s: float) -> str:
 def motion_words(trace: Trace, time_s: float) -> str:
     """Return what a drive does at a time: speed and plan."""
     if has_ended(trace, time_s):
-        return f"ended at {float(trace.time_s[-1]):.1f} s"
+        return ended_words(trace)
     sample = sample_at(trace, time_s)
-    return f"{float(trace.ego[sample, 3]):.1f} m/s, plan: {trace.plan_mode[sample]}".replace("-", "−")
+    does = plan_words(trace)[sample]
+    speed = f"{float(trace.ego[sample, 3]):.1f} m/s".replace("-", "−")
+    if is_reference(trace):
+        return speed if does == DRIVES else f"{speed}, {does}"
+    return f"{speed}, plan: {does}"
 
 
 def _margin_words(title: str, value: float) -> str:

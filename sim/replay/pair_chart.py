@@ -18,27 +18,31 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from brink.sim.replay.pair import Interval, PairStory
-from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, gap_to, obstacles_on
+from brink.sim.replay.motion import distances, plan_words, scripts_of
+from brink.sim.replay.pair import Interval, Mark, PairStory, ended_words
+from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
 from brink.sim.replay.story import margin_name, report_word, reported, runs, unit_of
 from brink.sim.replay.style import (
-    GHOST,
     INK,
     MUTED,
     PAPER,
     PLAN_MODES,
+    REFERENCE_DOES,
     SAFE_DRIVE,
     UNKNOWN_MODE,
     UNSAFE_DRIVE,
     VEHICLE,
     VIOLATION,
     Rgb,
+    action_colour,
     hexadecimal,
     readable_on,
+    typeface,
 )
-from brink.sim.replay.timeline import DPI, GREATEST_ROBUSTNESS, QUIET, scripts_of, style_axes
+from brink.sim.replay.timeline import DPI, GREATEST_ROBUSTNESS, style_axes
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import Trace
+from brink.sim.verdict import clock_words
 
 _LANE: Final = 0.4
 _LANE_PX: Final = 17
@@ -52,7 +56,11 @@ _ROW_NAME_LETTERS: Final = 10
 """Letters of the name of a row that fit beside it."""
 _CROWDED: Final = 0.55
 """Share of a panel's height above which a word beside it would hide its name."""
-_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 118, 26, 44
+_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 158, 118, 26, 44
+_ABOVE_PX: Final = round(9.4 * DPI / 72)
+"""Size of the words above the lanes."""
+_SECOND_ROW_PX: Final = 15
+"""Height of a second row of words above the lanes."""
 DIFFERENCE: Final[Rgb] = (253, 238, 214)
 """Shading of the time in which the reports of the drives differ."""
 _COLOURS: Final = {False: SAFE_DRIVE, True: UNSAFE_DRIVE}
@@ -136,16 +144,17 @@ def draw_pair_chart(
     rows = [row for row in _rows(story, window) if row.colour is not None or _is_in(row, story, window)]
     lanes_px = len(rows) * (2 * _LANE_PX + _GAP_PX)
     left, span = _LEFT_PX / wide, (wide - _LEFT_PX - _RIGHT_PX) / wide
-    bands = figure.add_axes((left, 1 - (_TOP_PX + lanes_px) / high, span, lanes_px / high))
-    rest_px = high - _TOP_PX - lanes_px - _BOTTOM_PX - _GAP_PX * 2
+    above_px = _TOP_PX + (_SECOND_ROW_PX if story.pair.marks and len(_moments(story)) > 1 else 0)
+    bands = figure.add_axes((left, 1 - (above_px + lanes_px) / high, span, lanes_px / high))
+    rest_px = high - above_px - lanes_px - _BOTTOM_PX - _GAP_PX * 2
     whole = sum(_SHARES[panel] for panel in panels)
     drawn: list[Axes] = []
-    top_px = float(_TOP_PX + lanes_px + _GAP_PX * 2)
+    top_px = float(above_px + lanes_px + _GAP_PX * 2)
     for panel in panels:
         panel_px = rest_px * _SHARES[panel] / whole - (_GAP_PX if len(panels) > 1 else 0)
         drawn.append(figure.add_axes((left, 1 - (top_px + panel_px) / high, span, panel_px / high)))
         top_px += panel_px + _GAP_PX * 2
-    _plot_bands(bands, story, rows, window)
+    _plot_bands(bands, story, rows, window, width_px=wide - _LEFT_PX - _RIGHT_PX)
     for panel, axes in zip(panels, drawn, strict=True):
         if panel is Panel.SPEED:
             _plot_speeds(axes, story)
@@ -157,13 +166,13 @@ def draw_pair_chart(
         axes.set_xlim(window.start_s, window.end_s)
         _mark(axes, story, window)
         axes.tick_params(labelbottom=axes is drawn[-1])
-    _name_marks(bands, story, window)
+    _name_marks(bands, story, window, width_px=wide - _LEFT_PX - _RIGHT_PX)
     drawn[-1].set_xlabel("simulated time (s)", color=hexadecimal(MUTED), fontsize=9)
     canvas.draw()  # type: ignore[no-untyped-call]
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
     return PairChart(
         image=Image.fromarray(pixels).convert("RGB").resize(size), window=window, left_px=_LEFT_PX * scale,
-        right_px=width - _RIGHT_PX * scale, top_px=_TOP_PX * scale, bottom_px=height - _BOTTOM_PX * scale,
+        right_px=width - _RIGHT_PX * scale, top_px=above_px * scale, bottom_px=height - _BOTTOM_PX * scale,
     )  # fmt: skip
 
 
@@ -181,13 +190,12 @@ def _rows(story: PairStory, window: Interval) -> list[_Row]:
                 rows.append(_Row(name=f"{word}\n{LABELS[label]}", lanes=(lanes[0], lanes[1]), colour=None))
     for name in _scripted(story, scripts):
         lanes = [_words(actions.get(name, [])) for actions in scripts]
-        named = name if len(name) <= _ROW_NAME_LETTERS else name.replace("-", "\n", 1)
-        rows.append(_Row(name=named, lanes=(lanes[0], lanes[1]), colour=_action_colour))
+        rows.append(_Row(name=f"script of\n{name}", lanes=(lanes[0], lanes[1]), colour=action_colour))
     if story.unsafe.title == "front-gap" and story.pair.about_reports:
         ahead = [_ahead(trace, window) for trace in traces]
         if any(ahead):
             rows.append(_Row(name="vehicle\nahead", lanes=(ahead[0], ahead[1]), colour=_ahead_colour))
-    plans = [_words(trace.plan_mode) for trace in traces]
+    plans = [_words(plan_words(trace)) for trace in traces]
     rows.append(_Row(name="plan", lanes=(plans[0], plans[1]), colour=_plan_colour))
     return rows
 
@@ -211,11 +219,7 @@ def _is_in(row: _Row, story: PairStory, window: Interval) -> bool:
 
 
 def _plan_colour(mode: str) -> Rgb:
-    return PLAN_MODES.get(mode, UNKNOWN_MODE)
-
-
-def _action_colour(action: str) -> Rgb:
-    return VEHICLE if action in QUIET else GHOST
+    return PLAN_MODES.get(mode) or REFERENCE_DOES.get(mode, UNKNOWN_MODE)
 
 
 def _ahead(trace: Trace, window: Interval) -> list[Run]:
@@ -248,14 +252,14 @@ def _words(values: Sequence[str]) -> list[Run]:
     return [(word, first, last) for word, first, last in runs(values) if word]
 
 
-def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval) -> None:
+def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval, *, width_px: float) -> None:
     style_axes(axes)
     axes.grid(visible=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
     step = 2 * _LANE + _LANE * _GAP_PX / _LANE_PX
     ticks, names = [], []
-    lines_s = [story.moment_s, *(mark.time_s for mark in story.pair.marks)]
+    lines_s = [mark.time_s for mark in (*_moments(story), *story.pair.marks)]
     for index, row in enumerate(rows):
         for lane, (name, side, _, is_unsafe) in enumerate(story.parts):
             y = index * step + lane * _LANE
@@ -267,15 +271,19 @@ def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval
                 colour = own if row.colour is None else row.colour(run[0])
                 _band(axes, trace, y, run, colour, window, lines_s)
             if end_s < story.end_s - 0.5 and end_s < window.end_s - 0.5 and index == len(rows) - 1:
+                words = ended_words(trace)
+                fits = end_s + 2 * _half_s(words, window, width_px) < window.end_s
                 axes.text(
-                    end_s, y + _LANE / 2, " drive ends", va="center", fontsize=8, color=hexadecimal(MUTED)
-                )
+                    end_s, y + _LANE / 2, f" {words} ", va="center", ha="left" if fits else "right", fontsize=8,
+                    color=hexadecimal(MUTED if fits else INK),
+                )  # fmt: skip
             ticks.append(y + _LANE / 2)
             names.append(name)
         middle = index * step + _LANE
         axes.annotate(
             row.name, (0, middle), xycoords=("axes fraction", "data"), xytext=(-44, 0), textcoords="offset points",
-            ha="right", va="center", fontsize=9.5 if len(row.name) <= _ROW_NAME_LETTERS else 8.5, fontweight="bold",
+            ha="right", va="center", fontweight="bold",
+            fontsize=9.5 if max(map(len, row.name.split("\n"))) <= _ROW_NAME_LETTERS else 8.5,
             color=hexadecimal(INK), linespacing=1.1,
         )  # fmt: skip
     axes.set_ylim(len(rows) * step, 0)
@@ -371,22 +379,35 @@ def _plot_distance(axes: Axes, story: PairStory, actor: int) -> None:
     style_axes(axes)
     highest = 1.0
     for _, trace, colour in _drives(story):
-        gaps = [gap_to(trace, sample, actor) for sample in range(len(trace.time_s))]
-        gap_m = np.array([np.nan if gap is None else gap.gap_m for gap in gaps])
+        gap_m = distances(trace, actor)
         axes.plot(trace.time_s, gap_m, color=hexadecimal(colour), linewidth=2.0, zorder=3)
         highest = max(highest, float(np.nanmax(gap_m, initial=1.0)))
     highest = min(highest, GREATEST_ROBUSTNESS)
-    least_m = REQUIRED_GAP_M if story.unsafe.title == "front-gap" else 0.0
     axes.set_ylim(-0.12 * highest, 1.08 * highest)
-    axes.axhspan(-highest, least_m, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
-    axes.axhline(least_m, color=hexadecimal(VIOLATION), linewidth=1.1)
+    axes.axhspan(-highest, 0.0, color=hexadecimal(VIOLATION), alpha=0.12, linewidth=0)
+    limits = [(0.0, "contact")]
+    if story.needs_gap:
+        limits.append((REQUIRED_GAP_M, f"{REQUIRED_GAP_M:g} m required\nwhile moving"))
+        axes.axhspan(0.0, REQUIRED_GAP_M, color=hexadecimal(VIOLATION), alpha=0.05, linewidth=0)
+    for limit_m, words in limits:
+        axes.axhline(limit_m, color=hexadecimal(VIOLATION), linewidth=1.1)
+        axes.annotate(
+            words, (1, limit_m), xycoords=("axes fraction", "data"), xytext=(6, 3 if limit_m else -3),
+            textcoords="offset points", va="bottom" if limit_m else "center", fontsize=8.5 if limit_m else 9,
+            color=hexadecimal(VIOLATION), linespacing=1.05,
+        )  # fmt: skip
+    nearest = story.pair.nearest
+    if nearest is not None and nearest.gap_m <= highest:
+        colour = hexadecimal(SAFE_DRIVE)
+        axes.plot([nearest.time_s], [nearest.gap_m], "o", color=colour, markersize=5, zorder=6)
+        axes.annotate(
+            nearest.words, (nearest.time_s, nearest.gap_m), xytext=(0, 5), textcoords="offset points", ha="center",
+            va="bottom", fontsize=9, fontweight="bold", color=colour, zorder=7,
+            path_effects=[withStroke(linewidth=3, foreground="white")],
+        )  # fmt: skip
     axes.set_ylabel("m", fontsize=9)
     name = story.pair.unsafe.trace.actors[actor].name
     _name_panel(axes, "\n".join(["distance to", *wrap(name, _PANEL_NAME_LETTERS)]))
-    axes.annotate(
-        f"{least_m:g} m required" if least_m else "contact", (1, least_m), xycoords=("axes fraction", "data"),
-        xytext=(6, 0), textcoords="offset points", va="center", fontsize=9, color=hexadecimal(VIOLATION),
-    )  # fmt: skip
 
 
 def _drives(story: PairStory) -> list[tuple[str, Trace, Rgb]]:
@@ -413,35 +434,64 @@ def _mark(axes: Axes, story: PairStory, window: Interval) -> None:
         axes.axvspan(start_s, end_s, color=hexadecimal(DIFFERENCE), linewidth=0, zorder=0)
     for at in story.pair.marks:
         axes.axvline(at.time_s, color=hexadecimal(SAFE_DRIVE), linewidth=1.1, linestyle=(0, (3, 2)), zorder=4)
-    axes.axvline(story.moment_s, color=hexadecimal(VIOLATION), linewidth=1.1, linestyle=(0, (3, 2)), zorder=4)
+    for at in _moments(story):
+        is_shown = at.time_s == story.moment_s
+        axes.axvline(
+            at.time_s, color=hexadecimal(VIOLATION), linewidth=1.1 if is_shown else 0.8,
+            linestyle=(0, (3, 2) if is_shown else (1, 2)), zorder=4,
+        )  # fmt: skip
 
 
-def _name_marks(axes: Axes, story: PairStory, window: Interval) -> None:
-    """Name the marks above the lanes; the moment has precedence."""
-    moment = f"{'violation' if story.unsafe.violated else 'closest'} {story.moment_s:.1f} s"
-    span_s = window.end_s - window.start_s
-    taken = [(story.moment_s, 0.011 * span_s * len(moment) / 2)]
-    _above(axes, story.moment_s, moment, VIOLATION)
+def _moments(story: PairStory) -> tuple[Mark, ...]:
+    """Return the moments of the unsafe drive to name: that of the pair, and perhaps further violations."""
+    named = "violation" if story.unsafe.violated else "closest"
+    found = story.pair.violated or (Mark(story.moment_s, named),)
+    return tuple(
+        at._replace(time_s=story.moment_s) if abs(at.time_s - story.moment_s) < 1e-3 else at for at in found
+    )
+
+
+def _half_s(words: str, window: Interval, width_px: float) -> float:
+    """Return half of the width of words above the lanes, as a span of time on a chart of some width."""
+    letters_px = typeface(_ABOVE_PX).getlength(f"  {words}  ")
+    return 0.5 * letters_px / width_px * (window.end_s - window.start_s)
+
+
+def _name_marks(axes: Axes, story: PairStory, window: Interval, *, width_px: float) -> None:
+    """Name the marks above the lanes; the moment first, and those of the safe drive in a row of their own."""
+    moments = _moments(story)
+    higher = bool(story.pair.marks) and len(moments) > 1
+    rows: dict[int, list[tuple[float, float]]] = {0: [], 1: []}
+
+    def write(mark: Mark, row: int, colour: Rgb) -> None:
+        words = f"{mark.words} {clock_words(mark.time_s)}"
+        half = _half_s(words, window, width_px)
+        middle = max(mark.time_s, window.start_s + half)
+        for taken, its in sorted(rows[row], reverse=mark.time_s <= story.moment_s):
+            if abs(middle - taken) < half + its:
+                middle = taken - half - its if mark.time_s <= story.moment_s else taken + half + its
+        rows[row].append((middle, half))
+        _above(axes, middle, words, colour, row)
+
+    for mark in sorted(moments, key=lambda one: abs(one.time_s - story.moment_s)):
+        if window.start_s <= mark.time_s <= window.end_s:
+            write(mark, 0, VIOLATION)
     for mark in story.pair.marks:
-        words = f"{mark.words} {mark.time_s:.1f} s"
-        apart = taken[0][1] + 0.011 * span_s * len(words) / 2
-        earlier = mark.time_s <= story.moment_s
-        nearest = story.moment_s - apart if earlier else story.moment_s + apart
-        middle = min(mark.time_s, nearest) if earlier else max(mark.time_s, nearest)
-        taken.append((middle, apart - taken[0][1]))
-        _above(axes, middle, words, SAFE_DRIVE)
+        write(mark, 1 if higher else 0, SAFE_DRIVE)
+    taken = rows[0]
     for span in story.differing:
         start_s, end_s = max(span.start_s, window.start_s), min(span.end_s, window.end_s)
         words = "reports differ"
-        middle, half = (start_s + end_s) / 2, 0.011 * span_s * len(words) / 2
+        middle, half = (start_s + end_s) / 2, _half_s(words, window, width_px)
         middle = min(max(middle, window.start_s + half), window.end_s - half)
         if end_s > start_s and all(abs(middle - at) > half + other for at, other in taken):
             taken.append((middle, half))
             _above(axes, middle, words, (150, 95, 0))
 
 
-def _above(axes: Axes, time_s: float, words: str, colour: Rgb) -> None:
+def _above(axes: Axes, time_s: float, words: str, colour: Rgb, row: int = 0) -> None:
     axes.annotate(
-        words, (time_s, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 4), textcoords="offset points",
+        words, (time_s, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 4 + 11 * row),
+        textcoords="offset points",
         ha="center", va="bottom", fontsize=9, color=hexadecimal(colour),
     )  # fmt: skip

@@ -1,5 +1,6 @@
 """Pictures of a pair: a still image of both drives at the moment that matters, and the frames of a film of both."""
 
+import re
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -9,7 +10,8 @@ from PIL import Image, ImageDraw
 
 from brink.sim.replay.camera_view import FilmView, Reported, SketchView
 from brink.sim.replay.frame import Size
-from brink.sim.replay.map_view import DOTS_M, MapView, Marked, ObstacleStyle, Twin, road_heading
+from brink.sim.replay.map_view import DOTS_M, MapView, Marked, ObstacleStyle, Places, Twin, road_heading
+from brink.sim.replay.motion import is_reference, lane_edge, motion_of
 from brink.sim.replay.pair import (
     DrivePair,
     Interval,
@@ -28,6 +30,7 @@ from brink.sim.replay.pair_chart import DIFFERENCE, PairChart, Panel, draw_pair_
 from brink.sim.replay.scene import (
     LABELS,
     PARKED,
+    TOUCHES_M,
     EpisodeScene,
     FrontGap,
     front_gap,
@@ -35,12 +38,11 @@ from brink.sim.replay.scene import (
     is_car,
     label_index,
     outline,
+    plain_name,
 )
 from brink.sim.replay.story import report_word, scenario_words
 from brink.sim.replay.style import (
     EDGES,
-    EGO,
-    EGO_TRAIL,
     FILLS,
     HAIRLINE,
     INK,
@@ -48,18 +50,36 @@ from brink.sim.replay.style import (
     OTHER_VIOLATED,
     PAPER,
     PEDESTRIAN,
+    PLAN_MODES,
     SAFE_DRIVE,
+    UNKNOWN_MODE,
     UNSAFE_DRIVE,
     VEHICLE,
     VIOLATION,
     Rgb,
     draw_dashed,
+    lighter,
     typeface,
     wrapped,
 )
-from brink.sim.replay.timeline import scripts_of
+from brink.sim.replay.timeline import GREATEST_ROBUSTNESS
+from brink.sim.trace import Trace
+from brink.sim.verdict import clock_words
 
 STILL_WIDTH_PX: Final = 1600
+_PLANS: Final = {
+    "follow": "keeps behind a vehicle",
+    "yield": "slows for crossing traffic",
+    "nudge": "passes within the lane",
+    "overtake": "passes in the other lane",
+    "stop": "stops at a light",
+}
+"""What the driving system's plans mean, in half a line each."""
+_LEAST_LEGEND_PX: Final = 10
+_ROAD_NUMBER: Final = re.compile(r" \(road \d+\)")
+_UNIT: Final = re.compile(r"(\d) (s|m|m/s)\b")
+_EDGE_M: Final = 9.0
+"""How much of the edge of a lane is drawn on either side of a car that crosses it."""
 FILM_SIZE: Final[Size] = (1280, 720)
 MAP_SIZE: Final[Size] = (720, 340)
 """Size of the picture of one drive on its own."""
@@ -123,7 +143,8 @@ class PairPainter:
             y += 22 * unit
         words_px, top = round(42 * unit), round(60 * unit)
         gap = round(10 * unit)
-        chart_px = round(256 * unit)
+        compares = not pair.about_reports and self.story.target is not None
+        chart_px = round((330 if compares else 256) * unit)
         self._map_size = (width - 3 * gap) // 2, height - top - words_px - chart_px
         self._lefts = (gap, 2 * gap + self._map_size[0])
         self._words_y, self._map_y = top, top + words_px
@@ -132,8 +153,10 @@ class PairPainter:
         shown = Interval(start_s=float(self.time_s[0]), end_s=max(float(self.time_s[-1]), 1.0))
         panel = Panel.MARGIN if pair.about_reports else Panel.SPEED
         self._chart = draw_pair_chart(
-            self.story, size=(width, chart_px), window=shown, panels=(panel,), scale=0.92 * unit
-        )
+            self.story, size=(width, chart_px), window=shown, panels=tuple(Panel) if compares else (panel,),
+            scale=0.92 * unit,
+        )  # fmt: skip
+        self._places: tuple[Places, Places] = ({}, {})
         self._still.paste(self._chart.image, (0, height - chart_px))
         self._chart_top = height - chart_px
         for part, left in zip(self.story.parts, self._lefts, strict=True):
@@ -156,12 +179,19 @@ class PairPainter:
         for index, part in enumerate(self.story.parts):
             side, story = part.side, part.story
             left = self._lefts[index]
-            marked = None if self.story.pair.about_reports else _marked(self.story, index, time_s)
-            image = _draw_map(self.story, self._maps, index, time_s, centres[index], ahead=0, marked=marked)
+            compares = not self.story.pair.about_reports
+            image = _draw_map(
+                self.story, self._maps, index, time_s, centres[index], ahead=0, spread=compares,
+                marked=_marked(self.story, index, time_s) if compares else None, places=self._places[index],
+                gap=_gap_now(self.story, index, time_s) if compares else None,
+            )  # fmt: skip
             frame.paste(image, (left, self._map_y))
             bad = story.violated and time_s >= float(side.trace.time_s[story.shown]) - 1e-3
+            heavy = bad and _is_violated(self.story, part, time_s)
             box = (left, self._map_y, left + self._map_size[0] - 1, self._map_y + self._map_size[1] - 1)
-            draw.rectangle(box, outline=VIOLATION if bad else HAIRLINE, width=round((4 if bad else 1) * unit))
+            draw.rectangle(
+                box, outline=VIOLATION if bad else HAIRLINE, width=round((4 if heavy else 1) * unit)
+            )
             at, font = (left + 98 * unit, self._words_y + 20 * unit), typeface(round(12 * unit))
             draw.text(
                 at, part_state_words(self.story, part, time_s), fill=VIOLATION if bad else MUTED, font=font
@@ -219,8 +249,7 @@ def pair_maps(pair: DrivePair, size: Size = MAP_SIZE) -> tuple[Image.Image, Imag
     story = pair_story(pair)
     turn_rad = _turn_rad(story)
     maps = _maps(story, size, size[0] / _MAP_UNIT_PX, turn_rad)
-    centres = middles(story, story.shown_s, turn_rad)
-    first, second = (_still_map(story, maps, index, centres[index]) for index in (0, 1))
+    first, second = (_still_map(story, maps, index, _middle(story, index, turn_rad)) for index in (0, 1))
     return first, second
 
 
@@ -228,12 +257,20 @@ def _still_map(
     story: PairStory, maps: list[MapView], index: int, centre_m: NDArray[np.float64]
 ) -> Image.Image:
     """Return the map of one drive at the moment, with the gap and the road user that the violation is about."""
-    side = story.parts[index].side
-    ahead = sample_at(side.trace, story.shown_s + AHEAD_S) - sample_at(side.trace, story.shown_s)
+    side, shown_s = story.parts[index].side, story.shown_at(index)
+    ahead = sample_at(side.trace, shown_s + AHEAD_S) - sample_at(side.trace, shown_s)
     return _draw_map(
-        story, maps, index, story.shown_s, centre_m, ahead=ahead, gap=_gap(story, index),
-        marked=_marked(story, index, story.shown_s), spread=True,
+        story, maps, index, shown_s, centre_m, ahead=ahead, gap=_gap(story, index),
+        marked=_marked(story, index, shown_s), spread=True,
     )  # fmt: skip
+
+
+def _middle(story: PairStory, index: int, turn_rad: float) -> NDArray[np.float64]:
+    """Return the middle of the map of a drive in a still image, shape ``(2,)``."""
+    shown_s = story.shown_at(index)
+    if shown_s == story.shown_at(1 - index):
+        return middles(story, shown_s, turn_rad)[index]
+    return story.centres[index][sample_at(story.parts[index].side.trace, shown_s)]
 
 
 def _clock(pair: DrivePair) -> NDArray[np.float64]:
@@ -245,7 +282,8 @@ def _header(story: PairStory) -> Image.Image:
     """Return the change in words as a headline, with the scenario and further facts below."""
     probe = ImageDraw.Draw(Image.new("RGB", (1, 1)))
     room = STILL_WIDTH_PX - 2 * _MARGIN
-    about = [f"Scenario: {scenario_words(story.pair.unsafe.trace).partition('; ')[0]}."]
+    place = scenario_words(story.pair.unsafe.trace).partition("; ")[0]
+    about = [f"Scenario: {_ROAD_NUMBER.sub('', place)}."]
     if story.pair.about_reports and story.same_seed is not None:
         about.append(
             "Same episode seed: without the change, both drives would be identical."
@@ -278,8 +316,9 @@ def _maps(story: PairStory, size: Size, unit: float, turn_rad: float) -> list[Ma
             EpisodeScene.of(side.trace), size_px=size, px_per_m=size[0] / MAP_WIDTH_M, look_ahead_m=_REACH_M,
             font_px=round(12.5 * unit), turn_rad=turn_rad,
             obstacle_style=_OBSTACLES if _shows_reports(story, side) else None,
+            ego_colour=UNSAFE_DRIVE if is_unsafe else SAFE_DRIVE,
         )
-        for _, side, _, _ in story.parts
+        for _, side, _, is_unsafe in story.parts
     ]  # fmt: skip
 
 
@@ -299,6 +338,7 @@ def _draw_map(
     gap: FrontGap | None = None,
     marked: Marked | None = None,
     spread: bool = False,
+    places: Places | None = None,
 ) -> Image.Image:
     """Return the map of one drive at a time, with the outline of the other drive's car."""
     side, (other_name, other, _, is_unsafe) = story.parts[index].side, story.parts[1 - index]
@@ -315,7 +355,7 @@ def _draw_map(
             twin = None  # the cars are in the same place
     return maps[index].draw(
         sample_at(side.trace, time_s), centre_m=centre_m, twin=twin, ahead=ahead, gap=gap, marked=marked,
-        spread=spread, ahead_gap=story.pair.about_reports,
+        spread=spread, places=places, ahead_gap=story.pair.about_reports, crossed=_crossed(side.trace, time_s),
     )  # fmt: skip
 
 
@@ -331,12 +371,11 @@ def _side_by_side(story: PairStory) -> Image.Image:
     draw = ImageDraw.Draw(image)
     turn_rad = _turn_rad(story)
     maps = _maps(story, size, 1.25, turn_rad)
-    centres = middles(story, story.shown_s, turn_rad)
     for index, part in enumerate(story.parts):
         left = _MARGIN + index * (wide + gap)
         _draw_chip(draw, part, (left, 4), 1.25)
         _write(draw, verdicts[index], (left + chip_px, 5))
-        image.paste(_still_map(story, maps, index, centres[index]), (left, words_px))
+        image.paste(_still_map(story, maps, index, _middle(story, index, turn_rad)), (left, words_px))
         box = (left, words_px, left + wide - 1, words_px + size[1] - 1)
         violated = part.story.violated
         edge = VIOLATION if violated else _chip_colour(part)
@@ -359,8 +398,8 @@ class _Line(NamedTuple):
 def _lines(
     draw: ImageDraw.ImageDraw, text: str, size_px: int, colour: Rgb, width_px: float, *, bold: bool = False
 ) -> list[_Line]:
-    """Return a text as lines of at most a width."""
-    lines = wrapped(draw, text, typeface(size_px, bold=bold), width_px)
+    """Return a text as lines of at most a width, without breaks between numbers and units."""
+    lines = wrapped(draw, _UNIT.sub("\\1\u00a0\\2", text), typeface(size_px, bold=bold), width_px)
     return [_Line(line, size_px, bold, colour) for line in lines if line]
 
 
@@ -379,16 +418,12 @@ def _marked(story: PairStory, index: int, time_s: float) -> Marked | None:
     target, is_unsafe = story.target, story.parts[index].is_unsafe
     if target is None or (story.pair.about_reports and not is_unsafe):
         return None
-    if has_ended(story.parts[index].side.trace, time_s) and not is_unsafe:
-        return None
     if story.pair.about_reports:
         return Marked(actor=target.actor, caption=target.words, colour=INK if target.reported else VIOLATION)
     trace = story.parts[index].side.trace
     actor = trace.actors[target.actor]
-    actions = scripts_of(trace).get(actor.name, [])
-    action = actions[sample_at(trace, time_s)].replace("_", " ") if actions else ""
-    caption = ": ".join(filter(None, (actor.name, action)))
-    return Marked(actor=target.actor, caption=caption, colour=VIOLATION if is_unsafe else INK)
+    caption = ": ".join(filter(None, (actor.name, motion_of(trace, target.actor, sample_at(trace, time_s)))))
+    return Marked(actor=target.actor, caption=caption, colour=VIOLATION if is_unsafe else INK, arrow=True)
 
 
 def _gap(story: PairStory, index: int) -> FrontGap | None:
@@ -400,19 +435,57 @@ def _gap(story: PairStory, index: int) -> FrontGap | None:
     if is_unsafe and story.target is not None:
         return story.target.gap
     if not story.pair.about_reports:
-        shown = sample_at(side.trace, story.shown_s)
-        target = None if has_ended(side.trace, story.shown_s) else story.target
-        gap = None if target is None else gap_to(side.trace, shown, target.actor)
-        return None if gap is None else replace(gap, required=story.unsafe.title == "front-gap")
+        return _gap_now(story, index, story.shown_at(index))
     gap = front_gap(side.trace, sample_at(side.trace, story.sample_s))
     return gap and gap_to(side.trace, sample_at(side.trace, story.shown_s), gap.actor, gap.gap_m)
+
+
+def _gap_now(story: PairStory, index: int, time_s: float) -> FrontGap | None:
+    """Return the distance of a drive to the road user that the violation is about at a time, if it is near."""
+    trace, is_unsafe = story.parts[index].side.trace, story.parts[index].is_unsafe
+    if story.target is None or has_ended(trace, time_s):
+        return None
+    sample = sample_at(trace, time_s)
+    gap = gap_to(trace, sample, story.target.actor)
+    if gap is None or not TOUCHES_M <= gap.gap_m < GREATEST_ROBUSTNESS:
+        return None
+    series = next(
+        (values for name, values in trace.robustness.items() if plain_name(name) == "front-gap"), None
+    )
+    violated = series is not None and bool(series[sample] < 0)
+    return replace(gap, required=is_unsafe and violated)
+
+
+def _is_violated(story: PairStory, part: Part, time_s: float) -> bool:
+    """Return whether a drive violates the requirement at a time; a collision is never over."""
+    trace = part.side.trace
+    if part.story.title == "no-collision":
+        return True
+    value = float(trace.robustness[part.story.requirement][sample_at(trace, time_s)])
+    return value < 0 and not has_ended(trace, time_s)
+
+
+def _crossed(trace: Trace, time_s: float) -> NDArray[np.float64] | None:
+    """Return the edge of the lane that a drive has crossed at a time."""
+    sample = sample_at(trace, time_s)
+    series = next(
+        (values for name, values in trace.robustness.items() if plain_name(name) == "lane-keeping"), None
+    )
+    if series is None or not series[sample] < 0:
+        return None
+    return lane_edge(trace, sample, _EDGE_M)
 
 
 def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, width_px: float) -> list[_Line]:
     """Return what happened in a drive, what simulating it again showed, and how it was at the moment."""
     part = story.parts[index]
     side = part.side
-    state = f"at {story.moment_s:.1f} s: {part_state_words(story, part, _judged_s(story))}"
+    time_s, judged_s = story.moment_s, _judged_s(story)
+    nearest = part.side.shown_s is not None
+    if part.side.shown_s is not None:
+        time_s = judged_s = part.side.shown_s
+    when = f"{clock_words(time_s)}{', its nearest' if nearest else ''}"
+    state = f"at {when}: {part_state_words(story, part, judged_s)}"
     state = f"A{state[1:]}" if side.number is None else f"Solution {side.number} {state}"
     again = side.again[:1].upper() + side.again[1:]
     return [
@@ -480,7 +553,7 @@ def _camera(story: PairStory) -> Image.Image | None:
     image = Image.new("RGB", (size[0], size[1] + 104), PAPER)
     draw = ImageDraw.Draw(image)
     what = "when the reports differ most" if differs_s is not None else "at the moment of the violation"
-    draw.text((0, 4), f"Camera at {time_s:.1f} s, {what}", fill=INK, font=typeface(17, bold=True))
+    draw.text((0, 4), f"Camera at {clock_words(time_s)}, {what}", fill=INK, font=typeface(17, bold=True))
     image.paste(SketchView(unsafe, size_px=size).draw(sample, _joined(reports)), (0, 32))
     draw.rectangle((0, 32, size[0] - 1, 31 + size[1]), outline=HAIRLINE)
     y = 32 + size[1] + 8
@@ -534,27 +607,49 @@ def _films(story: PairStory) -> Image.Image:
 
 def _legend(story: PairStory) -> Image.Image:
     """Return the keys of the maps in one row."""
-    image = Image.new("RGB", (STILL_WIDTH_PX, 44), PAPER)
+    rows = [row for row in (_legend_entries(story), _plan_entries(story)) if row]
+    image = Image.new("RGB", (STILL_WIDTH_PX, 18 + 26 * len(rows)), PAPER)
     draw = ImageDraw.Draw(image)
-    font = typeface(14)
-    x, y = float(_MARGIN), 18.0
-    for key, words in _legend_entries(story):
-        _draw_key(draw, key, x, y)
-        draw.text((x + 40, y), words, fill=MUTED, font=font, anchor="lm")
-        x += 40 + draw.textlength(words, font=font) + 26
+    for place, row in enumerate(rows):
+        size = 14
+        while size > _LEAST_LEGEND_PX and _row_width(draw, row, size) > STILL_WIDTH_PX - 2 * _MARGIN:
+            size -= 1
+        x, y, font = float(_MARGIN), 18.0 + 26 * place, typeface(size)
+        for key, words in row:
+            _draw_key(draw, key, x, y)
+            draw.text((x + 40, y), words, fill=MUTED, font=font, anchor="lm")
+            x += 40 + draw.textlength(words, font=font) + 26
     return image
+
+
+def _row_width(draw: ImageDraw.ImageDraw, row: list[tuple[str, str]], size_px: int) -> float:
+    return sum(66 + draw.textlength(words, font=typeface(size_px)) for _, words in row) - 26
+
+
+def _plan_entries(story: PairStory) -> list[tuple[str, str]]:
+    """Return the keys of the plans that need an explanation, as far as the chart shows them."""
+    window = story.window()
+    shown: set[str] = set()
+    for part in story.parts:
+        trace = part.side.trace
+        inside = (trace.time_s >= window.start_s) & (trace.time_s <= window.end_s)
+        if not is_reference(trace):
+            shown |= {str(trace.plan_mode[sample]) for sample in np.flatnonzero(inside)}
+    return [(f"plan {mode}", f"{mode}: {words}") for mode, words in _PLANS.items() if mode in shown]
 
 
 def _legend_entries(story: PairStory) -> list[tuple[str, str]]:
     """Return the keys of what the maps and the chart show, each with its words."""
     seen = [_in_view(story, index) for index in (0, 1)]
-    dots = f"; dots: its next {AHEAD_S:g} s" if any("dots" in one for one in seen) else ""
-    car = "car under test" if story.pair.about_reports else "car of the drive"
-    entries = [("ego", f"{car}{dots}")]
+    entries = [
+        ("unsafe" if part.is_unsafe else "safe", part.side.car or f"{part.name} drive")
+        for part in story.parts
+    ]
     entries += [
         (key, words)
         for key, words in (
-            ("twin", "car of the other drive"), ("vehicle", "vehicle"), ("parked", "parked"), ("person", "person"),
+            ("twin", "filled: this drive; outline: the other one at the same time"),
+            ("dots", f"its next {AHEAD_S:g} s"), ("vehicle", "vehicle"), ("parked", "parked"), ("person", "person"),
             ("ghost", "reported obstacle; crossed: not there"),
         )
         if any(key in one for one in seen)
@@ -568,8 +663,9 @@ def _legend_entries(story: PairStory) -> list[tuple[str, str]]:
 def _in_view(story: PairStory, index: int) -> set[str]:
     """Return which keys of the legend a map at the moment needs."""
     trace, other = story.parts[index].side.trace, story.parts[1 - index].side.trace
-    turn_rad, sample = _turn_rad(story), sample_at(trace, story.shown_s)
-    centre = middles(story, story.shown_s, turn_rad)[index]
+    shown_s = story.shown_at(index)
+    turn_rad, sample = _turn_rad(story), sample_at(trace, shown_s)
+    centre = _middle(story, index, turn_rad)
     cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
     turn = np.array([[cosine, sine], [-sine, cosine]])
     half = np.array([MAP_WIDTH_M / 2, MAP_WIDTH_M / 2 * _MAP_HEIGHT_PX / _STILL_MAP_WIDTH_PX])
@@ -591,10 +687,10 @@ def _in_view(story: PairStory, index: int) -> set[str]:
     ):
         found.add("ghost")
     if story.same_road:
-        there = other.ego[sample_at(other, story.shown_s), :2].astype(np.float64)
+        there = other.ego[sample_at(other, shown_s), :2].astype(np.float64)
         if visible(there) and float(np.hypot(*(there - trace.ego[sample, :2]))) >= _SAME_CAR_M:
             found.add("twin")
-    last = sample_at(trace, story.shown_s + AHEAD_S)
+    last = sample_at(trace, shown_s + AHEAD_S)
     path = np.hypot(*np.diff(trace.ego[sample : last + 1, :2], axis=0).T).sum()
     if path > trace.ego_size_m[0] / 2 + DOTS_M:
         found.add("dots")
@@ -604,10 +700,17 @@ def _in_view(story: PairStory, index: int) -> set[str]:
 def _draw_key(draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
     box = (x + 8, y - 6, x + 34, y + 6)
     corners = np.array([(box[0], box[1]), (box[2], box[1]), (box[2], box[3]), (box[0], box[3])])
-    if key == "ego":
-        draw.line((x, y, x + 10, y), fill=EGO_TRAIL, width=3)
-    if key in ("ego", "vehicle"):
-        draw.rounded_rectangle(box, radius=4, fill=EGO if key == "ego" else VEHICLE)
+    if key in ("safe", "unsafe"):
+        colour = SAFE_DRIVE if key == "safe" else UNSAFE_DRIVE
+        draw.line((x, y, x + 10, y), fill=lighter(colour, 0.35), width=3)
+        draw.rounded_rectangle(box, radius=4, fill=colour)
+    elif key == "vehicle":
+        draw.rounded_rectangle(box, radius=4, fill=VEHICLE)
+    elif key == "dots":
+        for at in (x + 12, x + 21, x + 30):
+            draw.ellipse((at - 2, y - 2, at + 2, y + 2), fill=MUTED)
+    elif key.startswith("plan "):
+        draw.rectangle((x + 12, y - 6, x + 30, y + 6), fill=PLAN_MODES.get(key[5:], UNKNOWN_MODE))
     elif key == "parked":
         draw.rectangle(box, fill=FILLS[PARKED], outline=EDGES[PARKED])
     elif key == "shading":

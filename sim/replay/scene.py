@@ -20,6 +20,7 @@ from brink.sim.errors import SimulatorError
 from brink.sim.perception_errors import MODE
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import ActorTrack, Film, Trace
+from brink.sim.verdict import Impact
 
 Points: TypeAlias = NDArray[np.float64]
 """Corners, shape ``(k, 2)``."""
@@ -430,6 +431,27 @@ def gap_to(trace: Trace, sample: int, actor: int, gap_m: float | None = None) ->
     return FrontGap(
         actor=actor, ends=np.vstack([start, end]), gap_m=clearance_m if gap_m is None else max(0.0, gap_m)
     )
+
+
+def impact_at(trace: Trace, sample: int, actor: int) -> Impact | None:
+    """Return how the ego and a road user met at a sample; None if they do not touch there."""
+    gap = gap_to(trace, sample, actor)
+    if gap is None or gap.gap_m > _TOUCHING_M:
+        return None
+    other = trace.actors[actor]
+    x_m, y_m, yaw_rad, speed_mps = (float(value) for value in other.motion[sample, :4])
+    ego = np.asarray(trace.ego[sample, :4], dtype=np.float64)
+    body = outline(x_m, y_m, yaw_rad, other.length_m, other.width_m)
+    _, feet, distance = _corners_to_edges(ego[None, :2], body)
+    dx, dy = (feet[distance.argmin()] - ego[:2]).tolist()
+    cosine, sine = np.cos(ego[2]), np.sin(ego[2])
+    length_m, width_m = trace.ego_size_m
+    return Impact.of(
+        bearing_rad=float(
+            np.arctan2((dy * cosine - dx * sine) / width_m, (dx * cosine + dy * sine) / length_m)
+        ),
+        heading_rad=yaw_rad - float(ego[2]), speed_mps=speed_mps, ego_mps=float(ego[3]), on_foot=not is_car(other),
+    )  # fmt: skip
 
 
 def is_injected(trace: Trace) -> bool:

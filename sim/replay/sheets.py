@@ -25,6 +25,7 @@ from brink.sim.replay.style import (
 )
 from brink.sim.replay.timeline import timeline_image
 from brink.sim.trace import Trace
+from brink.sim.verdict import clock_words
 
 GAP: Final = 12
 CLOSE_UP_M: Final = 30.0
@@ -112,7 +113,7 @@ def _frame_moment(
     line = round((3 if decisive else 1) * unit)
     draw.rectangle((left, top, left + wide, top + high), outline=edge, width=max(1, line))
     sample_s = float(painter.trace.time_s[moment.sample])
-    text = f"{sample_s if moment.time_s is None else moment.time_s:.1f} s"
+    text = clock_words(sample_s if moment.time_s is None else moment.time_s)
     ink = VIOLATION if bad else INK
     draw.text((left, top + high + 5 * unit), text, fill=ink, font=typeface(round(13 * unit), bold=True))
     draw.text(

@@ -16,6 +16,7 @@ from brink.sim.replay.scene import (
     count_wrong,
     gap_words,
     has_errors,
+    impact_at,
     is_injected,
     plain_name,
     spec_part,
@@ -23,7 +24,7 @@ from brink.sim.replay.scene import (
 from brink.sim.requirements import REQUIRED_GAP_M, CollisionKind
 from brink.sim.trace import ACTION, VIOLATED_AT_S, WORDS, Event, Trace
 from brink.sim.urban.detection_errors import errors_from_json
-from brink.sim.verdict import held_words, violated_words
+from brink.sim.verdict import Impact, clock_words, held_words, violated_words
 from brink.sim.world.scenario import words_of_scenario
 
 PREFERRED: Final = ("front-gap", "no-collision")
@@ -169,9 +170,10 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
         if below.size:
             sample = int(below[0])
             hit = _collision(trace, name)
-            what = violated_words(name, None if hit is None else _kind_of(trace, hit))
+            impact = None if hit is None else _impact_of(trace, hit)
+            what = violated_words(name, None if hit is None else _kind_of(trace, hit), impact)
             time_s = _violated_at_s(trace, name, sample)
-            words = f"{what} at {time_s:.1f} s"
+            words = f"{what} at {clock_words(time_s)}"
             shown = _reads_as(trace, time_s, sample)
             found.append(
                 ViolatedHere(
@@ -185,7 +187,8 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
 def _reads_as(trace: Trace, time_s: float, sample: int) -> int:
     """Return which sample of a violation or after it has a time that reads as a given one; by default the former."""
     following = range(sample, min(sample + 2, len(trace.time_s)))
-    return next((one for one in following if f"{float(trace.time_s[one]):.1f}" == f"{time_s:.1f}"), sample)
+    read = clock_words(time_s)
+    return next((one for one in following if clock_words(float(trace.time_s[one])) == read), sample)
 
 
 def _violated_at_s(trace: Trace, requirement: str, sample: int) -> float:
@@ -210,6 +213,15 @@ def _kind_of(trace: Trace, hit: Event) -> CollisionKind | None:
     kinds = {actor.name: actor.kind for actor in trace.actors}
     kind = next((kinds[word] for word in hit.text.split() if word in kinds), CollisionKind.OBJECT)
     return next((one for one in CollisionKind if one == kind), None)
+
+
+def _impact_of(trace: Trace, hit: Event) -> Impact | None:
+    """Return how the ego and a road user met in a collision; None if it hit something else."""
+    names = {actor.name: index for index, actor in enumerate(trace.actors)}
+    actor = next((names[word] for word in hit.text.split() if word in names), None)
+    if actor is None:
+        return None
+    return impact_at(trace, int(np.abs(np.asarray(trace.time_s) - hit.time_s).argmin()), actor)
 
 
 def judged_requirements(trace: Trace, requirement: Judged) -> list[str]:

@@ -5,6 +5,7 @@ differ in their lines. Blue is the ego, vermilion what was reported to the drivi
 """
 
 import math
+import re
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -75,6 +76,24 @@ PLAN_MODES: Final[dict[str, Rgb]] = {
     "overtake": (204, 121, 167),
 }
 UNKNOWN_MODE: Final[Rgb] = (150, 150, 150)
+REFERENCE_DOES: Final[dict[str, Rgb]] = {
+    "brakes": (70, 82, 94), "waits": (134, 145, 156), "drives": (203, 212, 219),
+}  # fmt: skip
+"""What a reference driver does: braking as a plan to stop."""
+_UNCHANGED: Final[dict[str, Rgb]] = {"stands": (226, 228, 231), "keeps going": (182, 189, 195)}
+_ACTION: Final[Rgb] = (199, 190, 217)
+
+
+def action_colour(words: str) -> Rgb:
+    """Return the colour of what a script has a road user do: grey if it changes nothing, and that of no drive."""
+    return _UNCHANGED.get(words, _ACTION)
+
+
+def lighter(colour: Rgb, share: float) -> Rgb:
+    """Return a colour mixed with a share of white."""
+    red, green, blue = (round(value + share * (255 - value)) for value in colour)
+    return red, green, blue
+
 
 LIGHTS: Final[dict[str, Rgb]] = {"red": (204, 32, 32), "amber": (240, 170, 20), "green": (0, 158, 105)}
 LAMP_OFF: Final[Rgb] = (78, 84, 90)
@@ -105,7 +124,7 @@ def wrapped(
 ) -> list[str]:
     """Split words into lines that are at most so wide; a single word may be wider."""
     lines = [""]
-    for word in words.split():
+    for word in filter(None, re.split(r"[ \n\t]+", words)):  # not at non-breaking spaces
         longer = f"{lines[-1]} {word}".strip()
         if lines[-1] and draw.textlength(longer, font=font) > width_px:
             lines.append(word)

@@ -8,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from brink.sim.replay.motion import scripts_of
 from brink.sim.replay.scene import LABELS, PERSON, count_wrong, has_errors
 from brink.sim.replay.story import (
     Judged,
@@ -29,19 +30,17 @@ from brink.sim.replay.style import (
     MUTED,
     PLAN_MODES,
     UNKNOWN_MODE,
-    VEHICLE,
     VIOLATION,
     Rgb,
+    action_colour,
     hexadecimal,
     readable_on,
 )
-from brink.sim.trace import ACTION, Trace
+from brink.sim.trace import Trace
 
 DPI: Final = 100
 GREATEST_ROBUSTNESS: Final = 12.0
 """Robustness is drawn up to this value: beyond it there is no danger, and the rest would look flat."""
-QUIET: Final = ("keep",)
-"""Actions in which a scripted road user simply keeps going."""
 
 
 def timeline_figure(
@@ -160,9 +159,8 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
                 if state:
                     _band(axes, trace, row, first, last, LIGHTS.get(state, UNKNOWN_MODE), state)
         elif name in scripts:
-            for action, first, last in runs(scripts[name]):
-                colour = VEHICLE if action in QUIET else GHOST
-                _band(axes, trace, row, first, last, colour, action.replace("_", " "))
+            for words, first, last in runs(scripts[name]):
+                _band(axes, trace, row, first, last, action_colour(words), words)
         else:
             counts = count_wrong(trace) if has_errors(trace) else reported(trace, reports[name])
             for count, first, last in runs(counts.tolist()):
@@ -174,18 +172,6 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
     axes.grid(visible=False)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
-
-
-def scripts_of(trace: Trace) -> dict[str, list[str]]:
-    """Return the action of each scripted road user at each sample, by name; empty if there are no scripts."""
-    scripts: dict[str, list[str]] = {}
-    for event in trace.events:
-        if event.kind == ACTION:
-            name, _, action = event.text.partition(":")
-            actions = scripts.setdefault(name, [""] * len(trace.time_s))
-            first = int(np.searchsorted(trace.time_s, event.time_s - 0.06))
-            actions[first:] = [action] * (len(actions) - first)
-    return dict(sorted(scripts.items(), key=lambda item: int(item[0].rpartition("-")[2])))
 
 
 def _band(axes: Axes, trace: Trace, row: int, first: int, last: int, colour: Rgb, text: str) -> None:

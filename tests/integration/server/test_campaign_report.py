@@ -297,7 +297,8 @@ def test_a_campaign_on_traffic_shows_types_of_violations(database_url: str) -> N
     assert types
     assert "Types of violations" in found.headings
     assert types[0]["type"] in found.text
-    assert f"of {len(types)} type{'s' if len(types) > 1 else ''} of violations, in" in found.text
+    assert f"of {len(types)} type{'s' if len(types) > 1 else ''} of violations, " in found.text
+    assert "of them by braking, in" in found.text
     assert "p*.kind (3 parameters)" in found.text
     assert not any(one.startswith("The pairs") for one in found.headings)
 

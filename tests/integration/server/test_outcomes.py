@@ -58,7 +58,7 @@ def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
 
 
 WORDS = {
-    0: ("unsafe", "violated", "violated the front gap at 4.0 s"),
+    0: ("unsafe", "violated", "violated the front gap at 4.1 s"),
     1: ("safe", "other", "front gap held; hit a pedestrian at 12.8 s"),
     2: ("safe", "held", "front gap held"),
 }
@@ -74,7 +74,7 @@ def test_every_solution_says_what_its_verdict_is_about(driven: tuple[httpx.Clien
     [violated] = hit["violated"]
     assert violated == {
         "requirement": "no-collision@1", "time_s": 12.84, "words": "hit a pedestrian", "decides": False,
-        "avoidable": None, "avoidable_words": "",
+        "avoidable": None, "avoided_by": None, "avoidable_words": "",
     }  # fmt: skip
 
 

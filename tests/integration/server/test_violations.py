@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -153,7 +154,12 @@ def test_an_episode_has_the_drive_of_the_careful_driver_who_avoids_its_violation
     reference = episode["reference"]
     assert (reference["driver"], reference["name"]) == ("careful", "careful driver")
     system, instead = reference["sentences"]
-    assert system.startswith(f"The system {violated[0]['words']}")
+    named = re.sub(r"\ba (vehicle|pedestrian)\b", r"\\S+", violated[0]["words"])
+    assert re.match(f"The system (.* and )?{named}", system)
+    assert set(reference["violated"]) == {one["requirement"] for one in violated}
+    assert reference["violated"][violated[0]["requirement"]] in system
+    assert (reference["avoided_by"] == "") is (violated[0]["avoided_by"] == "braking")
+    assert set(reference["drive"]["plan_mode"]) <= {"brakes", "waits", "drives"}
     assert instead.startswith("A careful driver ")
     assert pytest.approx(reference["moment_s"]) in [one["time_s"] for one in violated]
     drive = reference["drive"]

@@ -1,10 +1,19 @@
 """Verdicts in words: they name the requirement, and every other one that was violated."""
 
+import numpy as np
 import pytest
 
 from brink.sim.episode import Verdict
 from brink.sim.requirements import CollisionKind
-from brink.sim.verdict import EpisodeVerdict, drives_held, held_words, unsafe_words, violated_words
+from brink.sim.verdict import (
+    EpisodeVerdict,
+    Impact,
+    clock_words,
+    drives_held,
+    held_words,
+    unsafe_words,
+    violated_words,
+)
 
 SIX = ("front-gap@1", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")
 
@@ -53,6 +62,59 @@ def test_without_a_deciding_requirement_only_violations_are_named() -> None:
 @pytest.mark.parametrize("kind", CollisionKind)
 def test_a_collision_says_with_what(kind: CollisionKind) -> None:
     assert kind.value in violated_words("no-collision@1", kind)
+
+
+@pytest.mark.parametrize(
+    ("bearing_rad", "heading_rad", "speed_mps", "words"),
+    [
+        (0.1, -1.57, 2.0, "hit a vehicle"),
+        (1.5, -1.57, 2.0, "had a vehicle drive into its left side"),
+        (2.2, -1.57, 2.0, "had a vehicle drive into its left rear"),
+        (-1.0, 1.57, 2.0, "had a vehicle drive into its right front"),
+        (-1.0, -1.57, 2.0, "hit a vehicle with its right front"),
+        (1.5, -1.57, 0.0, "hit a vehicle with its left side"),
+        (3.1, 0.0, 9.0, "had a vehicle drive into its rear"),
+        (3.1, 0.0, 4.0, "hit a vehicle with its rear"),
+    ],
+)
+def test_a_collision_says_who_ran_into_whom(
+    bearing_rad: float, heading_rad: float, speed_mps: float, words: str
+) -> None:
+    other = {"bearing_rad": bearing_rad, "heading_rad": heading_rad, "speed_mps": speed_mps, "kind": "car"}
+    violation = {"requirement": "no-collision@1", "ego": {"speed_mps": 5.0}, "other": other}
+    features = {"no-collision@1:collision_kind": "vehicle", "violations": [{}, violation]}
+    found = EpisodeVerdict.of(verdicts(no_collision=12.0), features, ())
+    assert found.words() == f"{words} at 12.0 s"
+
+
+@pytest.mark.parametrize(
+    "violations",
+    [
+        None,
+        [3],
+        [{"requirement": "no-collision@1", "other": {}}],
+        [
+            {
+                "requirement": "no-collision@1",
+                "ego": {"speed_mps": True},
+                "other": {"bearing_rad": 10**400, "heading_rad": 0.0, "speed_mps": 1.0},
+            }
+        ],
+    ],
+)
+def test_what_other_simulators_report_of_a_collision_is_no_error(violations: object) -> None:
+    features = {"no-collision@1:collision_kind": "pedestrian", "violations": violations}
+    assert EpisodeVerdict.of(verdicts(no_collision=1.0), features, ()).words() == "hit a pedestrian at 1.0 s"
+
+
+def test_people_walk_into_a_car() -> None:
+    met = Impact.of(bearing_rad=1.5, heading_rad=-1.57, speed_mps=1.0, ego_mps=3.0, on_foot=True)
+    assert met.words("pedestrian-4") == "had pedestrian-4 walk into its left side"
+
+
+def test_a_time_has_the_same_words_whatever_the_type_of_the_number() -> None:
+    assert {clock_words(6.85), clock_words(float(np.float32(6.85))), clock_words(6.9)} == {"6.9 s"}
+    assert clock_words(12.84) == "12.8 s"
 
 
 def test_requirements_of_plug_ins_are_named_by_their_id() -> None:

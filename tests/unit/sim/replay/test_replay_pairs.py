@@ -124,7 +124,7 @@ def test_a_drive_that_ended_says_so() -> None:
     assert state_words(story.pair.unsafe, story.unsafe, 18.9).endswith(
         "front gap 0.9 m, 0.6 m short of 1.5 m"
     )
-    assert state_words(story.pair.unsafe, story.unsafe, 19.5) == "ended at 18.9 s"
+    assert state_words(story.pair.unsafe, story.unsafe, 19.5) == "recorded until 18.9 s"
     assert story.end_s == pytest.approx(19.9, abs=1e-3)
 
 
@@ -268,8 +268,13 @@ def test_the_still_image_frames_the_unsafe_drive_in_crimson_and_shows_each_car_i
     row = int(np.flatnonzero((right == VIOLATION).all(axis=2).sum(axis=1) > 500)[0])
     assert (left[row] == SAFE_DRIVE).all(axis=1).sum() > 500
     maps = slice(row + 6, row + 380)
-    assert (left[maps, 40:] == UNSAFE_DRIVE).all(axis=2).sum() > 50
-    assert not (right[maps, :-40] == UNSAFE_DRIVE).all(axis=2).any()
+    outlines, cars = (left, UNSAFE_DRIVE), (right, UNSAFE_DRIVE)
+    outline, car = ((half[maps, 40:-40] == colour).all(axis=2).sum() for half, colour in (outlines, cars))
+    assert outline > 50
+    assert car > outline + 200, "the car of a drive is filled with the colour of the drive"
+    assert (left[maps, 40:-40] == SAFE_DRIVE).all(axis=2).sum() > (right[maps, 40:-40] == SAFE_DRIVE).all(
+        axis=2
+    ).sum()
 
 
 def test_a_frame_of_the_film_shows_both_drives_at_one_time() -> None:

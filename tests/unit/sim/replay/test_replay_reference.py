@@ -15,9 +15,11 @@ from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.episode import Json
 from brink.sim.replay import render
 from brink.sim.replay.frame import FramePainter
+from brink.sim.replay.motion import brakings, distances, motion_of, plan_words, scripts_of
 from brink.sim.replay.pair import pair_story, part_state_words
 from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
 from brink.sim.replay.reference import Comparison, comparison_of
+from brink.sim.replay.story import runs
 from brink.sim.replay.style import VIOLATION
 from brink.sim.trace import AVOIDABLE, Event, Trace
 
@@ -72,11 +74,17 @@ def test_the_words_say_what_the_system_did_and_what_a_careful_driver_does_instea
     found = compared(hits_a_person(), driven(stops_at_m=50.0))
     short_m = PERSON_M - HALF_CAR_M - 50.0
     assert found.sentences == (
-        "The system hit a pedestrian at 7.0 s.",
-        f"A careful driver brakes at 3.5 s and stops {short_m:.1f} m short.",
+        "The system hit pedestrian-1 at 7.0 s.",
+        f"A careful driver brakes at 3.5 s and stops {short_m:.1f} m short of pedestrian-1.",
     )
     assert "UN Regulation No. 157, Annex 3" in found.explanation
     assert found.brakes_at_s == pytest.approx(3.5)
+    assert found.avoided_by == ""
+    nearest = found.deed.nearest
+    assert nearest is not None
+    assert nearest.gap_m == pytest.approx(short_m, abs=0.05), (
+        "the number in the words is a point of the curve"
+    )
 
 
 def test_an_ideal_driver_is_called_so() -> None:
@@ -86,10 +94,14 @@ def test_an_ideal_driver_is_called_so() -> None:
     assert "A careful driver" in found.explanation
 
 
-def test_a_driver_who_need_not_brake_drives_on() -> None:
-    found = compared(hits_a_person(), driven(stops_at_m=None))
-    assert found.driven.startswith("drives on and stays ")
+def test_a_driver_who_need_not_brake_says_why_and_is_shown_when_it_passes() -> None:
+    system = hits_a_person()
+    found = compared(system, driven(stops_at_m=None))
+    assert found.driven == "does not need to brake: it passes pedestrian-1 at 4.5 s, 1.5 m clear"
     assert found.brakes_at_s is None
+    assert found.avoided_by.startswith("Avoided by having passed, not by braking")
+    story = pair_story(found.pair(system))
+    assert [story.shown_at(index) for index in (0, 1)] == pytest.approx([7.0, 4.5])
     early = driven(stops_at_m=None)
     early = replace(
         early, time_s=early.time_s[:51], ego=early.ego[:51], plan_mode=early.plan_mode[:51],
@@ -97,13 +109,15 @@ def test_a_driver_who_need_not_brake_drives_on() -> None:
         actors=tuple(replace(actor, motion=actor.motion[:51]) for actor in early.actors),
         events=(Event(time_s=5.0, kind="goal", text="the ego reaches the end of its route"),),
     )  # fmt: skip
-    gone = compared(hits_a_person(), early)
-    assert gone.driven == "drives on and has reached the end of its route at 5.0 s"
+    gone = compared(system, early)
+    assert gone.driven == found.driven, "also if its drive has ended by then"
+    story = pair_story(gone.pair(system))
+    assert part_state_words(story, story.parts[1], 7.0) == "end of the route 5.0 s"
 
 
 def test_a_standing_driver_who_is_hit_is_said_to_be_hit() -> None:
     found = compared(hits_a_person(), driven(stops_at_m=PERSON_M - HALF_CAR_M + 0.3))
-    assert found.driven.startswith("brakes at 3.5 s and stands when the pedestrian hits it at ")
+    assert found.driven.startswith("brakes at 3.5 s and stands when pedestrian-1 walks into it at ")
 
 
 def test_what_the_driver_violates_in_turn_is_said() -> None:
@@ -111,16 +125,69 @@ def test_what_the_driver_violates_in_turn_is_said() -> None:
     near = np.where(reference.time_s >= 9.0 - 1e-4, -0.2, 3.0).astype(np.float32)
     reference = replace(reference, robustness={**reference.robustness, "front-gap@2": near})
     found = compared(hits_a_person(), reference)
-    assert found.driven.endswith(" m short (violated the front gap at 9.0 s)")
+    assert found.driven.endswith(" m short of pedestrian-1 (violated the front gap at 9.0 s)")
 
 
 def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
     system = hits_a_person(gap_too=True)
     found = compared(system, driven(stops_at_m=50.0), ("no-collision@1", "front-gap@2"))
-    assert found.system == "violated the front gap at 6.5 s and hit a pedestrian at 7.0 s"
+    assert found.system == "came within 1.5 m of lead at 6.5 s and hit pedestrian-1 at 7.0 s"
     assert found.about.requirement == "no-collision@1"
+    assert [mark.words for mark in found.violated] == ["within 1.5 m", "collision"]
+    assert found.others == ""
     gap = compared(system, driven(stops_at_m=50.0), "front-gap@2")
-    assert (gap.system, gap.about.requirement) == ("violated the front gap at 6.5 s", "front-gap@2")
+    assert (gap.system, gap.about.requirement) == ("came within 1.5 m of lead at 6.5 s", "front-gap@2")
+
+
+def test_what_comes_later_is_no_part_of_the_headline() -> None:
+    system = hits_a_person()
+    late = np.where(system.time_s >= 9.0 - 1e-4, -0.1, 0.5).astype(np.float32)
+    system = replace(system, robustness={**system.robustness, "lane-keeping@1": late})
+    found = compared(system, driven(stops_at_m=50.0))
+    assert found.system == "hit pedestrian-1 at 7.0 s"
+    assert found.others == "The system then left the lane at 9.0 s."
+    assert found.others in found.pair(system).facts
+
+
+def test_who_moves_up_while_waiting_stays_behind_and_brakes_once() -> None:
+    reference = driven(stops_at_m=50.0)
+    ego, modes = reference.ego.copy(), list(reference.plan_mode)
+    for number in range(5):  # lets go of the brake for half a second, and moves up by 0.4 m
+        begin = 50 + 15 * number
+        modes[begin : begin + 5] = ["cruise"] * 5
+        ego[begin : begin + 5, 3] = 0.8
+        ego[begin:, 0] += 0.4
+    moves_up = replace(reference, ego=ego, plan_mode=tuple(modes))
+    words = plan_words(moves_up)
+    assert [word for word, _, _ in runs(words)] == ["drives", "brakes", "waits"]
+    assert brakings(moves_up) == [(35, len(words) - 1)]
+    found = compared(hits_a_person(), moves_up)
+    person = next(index for index, actor in enumerate(moves_up.actors) if actor.name == "pedestrian-1")
+    least_m = float(np.nanmin(distances(moves_up, person)[35:]))
+    assert found.driven == f"brakes at 3.5 s and stays at least {least_m:.1f} m clear of pedestrian-1"
+
+
+def test_who_brakes_for_the_second_time_brakes_again() -> None:
+    reference = driven(stops_at_m=50.0)
+    modes = ["stop" if 5 <= sample < 10 else mode for sample, mode in enumerate(reference.plan_mode)]
+    found = compared(hits_a_person(), replace(reference, plan_mode=tuple(modes)))
+    assert found.driven.startswith("brakes again at 3.5 s and stops ")
+
+
+def test_a_script_that_moves_nobody_is_no_motion() -> None:
+    trace = hits_a_person()
+    lead = trace.actors[0]
+    motion = lead.motion.copy()
+    motion[50:, 3] = 0.0
+    events = tuple(
+        Event(time_s=at_s, kind="action", text=f"car-1:{action}")
+        for at_s, action in ((0.0, "keep"), (3.0, "decelerate"), (5.5, "change_right"))
+    )
+    trace = replace(trace, actors=(replace(lead, name="car-1", motion=motion),), events=events)
+    found = [words for words, _, _ in runs(scripts_of(trace)["car-1"])]
+    assert found == ["keeps going", "slows down", "stands"]
+    assert motion_of(trace, 0, 60) == "stands"
+    assert motion_of(trace, 0, 10).startswith("drives at ")
 
 
 def test_what_nobody_avoids_is_shown_alone_and_says_so() -> None:
@@ -140,7 +207,7 @@ def test_both_drives_are_side_by_side_with_the_systems_on_the_left(tmp_path: Pat
     assert [part.is_unsafe for part in story.parts] == [True, False]
     assert story.moment_s == pytest.approx(7.0)
     left, right = (part_state_words(story, part, 7.0) for part in story.parts)
-    assert right == "0.0 m/s, plan: stop, 8.5 m from pedestrian-1"
+    assert right == "0.0 m/s, waits, 8.5 m from pedestrian-1"
     assert "pedestrian-1" in left
     picture = np.asarray(pair_still(pair))
     red = np.flatnonzero((picture == VIOLATION).all(axis=2).sum(axis=0) > 200)
@@ -179,6 +246,6 @@ def test_a_recorded_drive_says_who_avoids_what() -> None:
     assert found is not None
     system, instead = found.sentences
     assert re.fullmatch(
-        r"The system violated the front gap at \d+\.\d s and hit a vehicle at \d+\.\d s\.", system
+        r"The system came within 1\.5 m of car-4 at \d+\.\d s and hit it at \d+\.\d s\.", system
     )
-    assert re.fullmatch(r"A careful driver brakes at \d+\.\d s and stops \d+\.\d m short\.", instead)
+    assert re.fullmatch(r"A careful driver brakes at \d+\.\d s and stops \d+\.\d m short of car-4\.", instead)

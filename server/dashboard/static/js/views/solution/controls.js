@@ -3,7 +3,7 @@
 import { attribute, h, text } from "../../dom.js";
 import { minus, plainId, spaced } from "../../format.js";
 import { facts, segments } from "../../parts/elements.js";
-import { seconds } from "./episode.js";
+import { seconds, tenths } from "./episode.js";
 
 const SPEEDS = [["0.5", "0.5×"], ["1", "1×"], ["2", "2×"], ["4", "4×"]];
 const TAKES_SPACE = "input:not([type=range]), textarea, select, button, a, summary, [role=region]";
@@ -33,7 +33,7 @@ export function controls(player, marks, stage) {
   const jump = violation && h("button", { type: "button", onclick: () => player.hold(violation.time_s) }, `Go to ${seconds(violation.time_s)}: ${violation.words.replace(/ at [\d.]+ s$/, "")}`);
 
   player.listen((_, changed) => {
-    if (changed.time) text(clock, `${player.time_s.toFixed(1)} / ${seconds(episode.end_s)}`);
+    if (changed.time) text(clock, `${tenths(player.time_s)} / ${seconds(episode.end_s)}`);
     if (changed.sample) {
       if (Number(scrubber.value) !== player.sample) scrubber.value = String(player.sample);
       attribute(scrubber, "aria-valuetext", seconds(episode.times[player.sample]));

@@ -76,9 +76,14 @@ export function rowCount(rows) {
   return rows.first.at(-1);
 }
 
+/** Return a time in tenths of a second as text: ``3.2``. Halves are rounded up, as by the server. */
+export function tenths(time_s) {
+  return (Math.floor(10 * time_s + 0.5 + 1e-4) / 10).toFixed(1);
+}
+
 /** Return a time as text: ``3.2 s``. */
 export function seconds(time_s) {
-  return `${time_s.toFixed(1)} s`;
+  return `${tenths(time_s)} s`;
 }
 
 /** Plays an episode: owns the time that is shown. */

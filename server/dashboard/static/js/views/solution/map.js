@@ -19,8 +19,8 @@ const SAME_PLACE_M = 0.3;
  * Return the map of a player's episode, its legend and its switches.
  *
  * @param {import("./episode.js").Player} player
- * @param {{twin: import("./episode.js").Episode, words: string, colour: string}} [second] A second drive on the same road whose
- *   car is shown as an outline, with its name and the name of its colour.
+ * @param {{twin: import("./episode.js").Episode, words: string, colour: string, own: string, ownWords: string}} [second] A second
+ *   drive on the same road whose car is shown as an outline, with its name and the name of its colour, and the same of the own car.
  */
 export function map(player, second = null) {
   const { episode, signal } = player;
@@ -47,8 +47,9 @@ export function map(player, second = null) {
   const node = h("div.replay-map", null, sheet,
     h("div.map-zoom", { role: "group", "aria-label": "Zoom" }, button("+", "Zoom in", () => zoomBy(ZOOM)),
       button("−", "Zoom out", () => zoomBy(1 / ZOOM)), button("1:1", "Reset zoom", () => zoomBy(0))));
-  const legend = h("ul.legend.replay-legend", null,
-    key("ego", "ego (car under test)"), key("vehicle", "vehicle"), key("pedestrian round", "person"), key("route line", "route of the ego"),
+  const keys = second === null ? [key("ego", "ego (car under test)")] : [[second.own, second.ownWords], [second.colour, second.words]]
+    .map(([name, words]) => key(name.slice(2), words));
+  const legend = h("ul.legend.replay-legend", null, keys, second && key("outlined", "outline: the other drive at the same time"), key("vehicle", "vehicle"), key("pedestrian round", "person"), key("route line", "route of the ego"),
     hasPerceived && key("injected dashed", "perceived (crossed out: ghost)"));
   const switches = h("div.inline", null,
     hasPerceived && check("Perceived obstacles", true, (on) => (perceived = on)), check("Names", false, (on) => (names = on)));
@@ -74,9 +75,11 @@ export function map(player, second = null) {
     const metresPerPx = 1 / pxPerM;
     pen.lineJoin = "round";
     drawSurfaces(pen, below, colours, metresPerPx);
-    pen.strokeStyle = colours.route;
+    pen.strokeStyle = second ? ownColour() : colours.route;
+    pen.globalAlpha = second ? 0.4 : 1;
     pen.lineWidth = 0.3;
     pen.stroke(route);
+    pen.globalAlpha = 1;
     drawSurfaces(pen, above, colours, metresPerPx);
     const ego = episode.pose(data.ego, at);
     drawTrail(pen, ego, at, metresPerPx);
@@ -90,10 +93,14 @@ export function map(player, second = null) {
     drawScaleBar(pen, pxPerM, width, height);
   }
 
+  function ownColour() {
+    return second ? colour(second.own) : colours.ego;
+  }
+
   function drawTrail(pen, ego, { sample }, metresPerPx) {
     if (!ego || sample === 0) return;
-    pen.strokeStyle = colours.ego;
-    pen.globalAlpha = 0.5;
+    pen.strokeStyle = ownColour();
+    pen.globalAlpha = 0.7;
     pen.lineWidth = Math.max(0.22, 1.5 * metresPerPx);
     pen.beginPath();
     let drawing = false;
@@ -111,7 +118,7 @@ export function map(player, second = null) {
   }
 
   function drawEgo(pen, pose, { sample }, metresPerPx) {
-    drawCar(pen, car, pose, data.ego, colours, colours.ego, data.ego.brakes[sample]);
+    drawCar(pen, car, pose, data.ego, colours, ownColour(), data.ego.brakes[sample]);
     const violated = Object.values(data.robustness).some((series) => series[sample] !== null && series[sample] < 0);
     if (!violated) return;
     pen.strokeStyle = colours.violation;

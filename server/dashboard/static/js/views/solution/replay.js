@@ -121,7 +121,8 @@ export function replay(context, data, solution, path, actions) {
 function compared(stage, player, reference, solution, about) {
   const driver = new Player(new Episode(reference.drive), player.signal);
   const [system, instead] = reference.sentences;
-  stage.append(...[h("p.lead", null, system, h("br"), instead), avoidance(solution), about].filter(Boolean));
+  stage.append(...[h("p.lead", null, system, h("br"), instead), reference.avoided_by && h("p", null, reference.avoided_by),
+    avoidance(solution, reference.violated), about].filter(Boolean));
   const lead = twoDrives(stage, [
     { player, badge: ["unsafe", "system"], words: "system", colour: "--unsafe" },
     { player: driver, badge: ["safe", reference.name], words: reference.name, colour: "--safe" },
@@ -135,11 +136,19 @@ function braking({ brakes_at_s, name }) {
   return brakes_at_s === null ? [] : [{ time_s: brakes_at_s, words: `the ${name} brakes` }];
 }
 
-/** Return the violations of a solution, and who would have avoided them; null if that was not measured. */
-function avoidance({ violated }) {
+/**
+ * Return the violations of a solution, and who would have avoided them; null if that was not measured.
+ *
+ * @param {object} solution
+ * @param {Record<string, string>} [named] Words with the moment and the names of other road users, by requirement.
+ */
+function avoidance({ violated }, named = {}) {
   if (!violated.some(({ avoidable }) => avoidable)) return null;
-  return h("ul.avoidance", { "aria-label": "Who would have avoided the violations" }, violated.map(({ words, time_s, avoidable, avoidable_words: by }) =>
-    h("li", { class: avoidable }, `${capital(words)}${time_s === null ? "" : ` at ${seconds(time_s)}`}${by ? `: ${by}` : ""}.`)));
+  return h("ul.avoidance", { "aria-label": "Who would have avoided the violations" },
+    violated.map(({ requirement, words, time_s, avoidable, avoidable_words: by, avoided_by: how }) => {
+      const told = named[requirement] ?? `${words}${time_s === null ? "" : ` at ${seconds(time_s)}`}`;
+      return h("li", { class: avoidable }, `${capital(told)}${by ? `: ${by}${how === "driving on" ? ", by driving on" : ""}` : ""}.`);
+    }));
 }
 
 /** Return the marks of the scrubber in order of time: the violations of the verdicts, and events. */

@@ -10,7 +10,7 @@ import { map } from "./map.js";
  *
  * @param {Element} stage The card.
  * @param {{player: import("./episode.js").Player, badge: string[], words: string, colour: string}[]} drives In the order in which
- *   they are shown: player, badge, what the car is called on the other drive's map, name of its colour there.
+ *   they are shown: player, badge, what the car is called, name of its colour.
  * @param {{time_s: number, words: string, bad?: boolean}[]} marks Of the scrubber.
  */
 export function twoDrives(stage, drives, marks) {
@@ -19,7 +19,7 @@ export function twoDrives(stage, drives, marks) {
   const lead = first.episode.end_s >= second.episode.end_s ? first : second;
   const maps = drives.map(({ player }, index) => {
     const { player: { episode: twin }, words, colour } = drives[1 - index];
-    return map(player, { twin, words, colour });
+    return map(player, { twin, words, colour, own: drives[index].colour, ownWords: drives[index].words });
   });
   stage.append(
     h("div.grid-2.both", null, drives.map((drive, index) => h("div.drive", null,
@@ -44,7 +44,7 @@ function follow(lead, other) {
 
 /** Return a note that shows once a drive has ended while the other one goes on. */
 function ended(player, lead) {
-  const node = h("span.small.muted", { hidden: true }, `ended at ${player.episode.end_s.toFixed(1)} s`);
+  const node = h("span.small.muted", { hidden: true }, player.episode.words.ended);
   lead.listen((_, changed) => {
     if (changed.time) node.hidden = lead.time_s <= player.episode.end_s + 1e-6;
   });
