@@ -57,6 +57,8 @@ _ROW_NAME_LETTERS: Final = 10
 _CROWDED: Final = 0.55
 """Share of a panel's height above which a word beside it would hide its name."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 158, 118, 26, 44
+_NEAR_END: Final = 0.05
+"""Share of the width of the chart at whose end a word in the middle would not fit."""
 _ABOVE_PX: Final = round(9.4 * DPI / 72)
 """Size of the words above the lanes."""
 _SECOND_ROW_PX: Final = 15
@@ -161,7 +163,7 @@ def draw_pair_chart(
         elif story.pair.about_reports or story.target is None:
             _plot_robustness(axes, story, window)
         else:
-            _plot_distance(axes, story, story.target.actor)
+            _plot_distance(axes, story, story.target.actor, window)
     for axes in (bands, *drawn):
         axes.set_xlim(window.start_s, window.end_s)
         _mark(axes, story, window)
@@ -374,7 +376,7 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
     )  # fmt: skip
 
 
-def _plot_distance(axes: Axes, story: PairStory, actor: int) -> None:
+def _plot_distance(axes: Axes, story: PairStory, actor: int, window: Interval) -> None:
     """Plot how far the cars are from a road user that is in both drives."""
     style_axes(axes)
     highest = 1.0
@@ -398,11 +400,12 @@ def _plot_distance(axes: Axes, story: PairStory, actor: int) -> None:
         )  # fmt: skip
     nearest = story.pair.nearest
     if nearest is not None and nearest.gap_m <= highest:
-        colour = hexadecimal(SAFE_DRIVE)
-        axes.plot([nearest.time_s], [nearest.gap_m], "o", color=colour, markersize=5, zorder=6)
+        its = hexadecimal(SAFE_DRIVE)
+        axes.plot([nearest.time_s], [nearest.gap_m], "o", color=its, markersize=5, zorder=6)
+        late = nearest.time_s > window.end_s - _NEAR_END * (window.end_s - window.start_s)
         axes.annotate(
-            nearest.words, (nearest.time_s, nearest.gap_m), xytext=(0, 5), textcoords="offset points", ha="center",
-            va="bottom", fontsize=9, fontweight="bold", color=colour, zorder=7,
+            nearest.words, (nearest.time_s, nearest.gap_m), xytext=(0, 5), textcoords="offset points",
+            ha="right" if late else "center", va="bottom", fontsize=9, fontweight="bold", color=its, zorder=7,
             path_effects=[withStroke(linewidth=3, foreground="white")],
         )  # fmt: skip
     axes.set_ylabel("m", fontsize=9)
