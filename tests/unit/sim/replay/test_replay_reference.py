@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 from support.traces import make_trace
 
@@ -20,7 +21,7 @@ from brink.sim.replay.pair import pair_story, part_state_words
 from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
 from brink.sim.replay.reference import Comparison, comparison_of
 from brink.sim.replay.story import runs
-from brink.sim.replay.style import VIOLATION
+from brink.sim.replay.style import INK, VIOLATION
 from brink.sim.trace import AVOIDABLE, Event, Trace
 
 PERSON_M = 60.75
@@ -225,6 +226,30 @@ def test_a_film_begins_shortly_before_the_driver_brakes() -> None:
     painter = PairPainter(found.pair(late))
     assert 3.0 < painter.time_s[0] < 7.0
     assert painter.time_s[-1] == pytest.approx(19.9, abs=1e-3)
+
+
+def test_a_film_has_a_thin_frame_after_recovery_and_marks_the_counterpart_to_the_end() -> None:
+    system = hits_a_person(gap_too=True)
+    near = np.where((system.time_s >= 6.5 - 1e-4) & (system.time_s < 8.0), -0.2, 3.0).astype(np.float32)
+    held = np.full_like(near, 3.0)
+    system = replace(system, robustness={"front-gap@2": near, "no-collision@1": held}, events=())
+    reference = driven(stops_at_m=50.0)
+    painter = PairPainter(compared(system, reference).pair(system))
+
+    def frame(time_s: float) -> NDArray[np.uint8]:
+        return np.asarray(painter.frame(int(np.abs(painter.time_s - time_s).argmin())))
+
+    def edge_px(picture: NDArray[np.uint8]) -> int:
+        """Return how wide the crimson edge at the left of the system's map is."""
+        row = picture[250, : painter.size[0] // 4]
+        return int((row == VIOLATION).all(axis=1)[:40].sum())
+
+    assert [edge_px(frame(time_s)) for time_s in (5.0, 7.0, 9.0)] == [0, 4, 1]
+    right = frame(float(painter.time_s[-1]))[110:400, painter.size[0] // 2 + 20 : -20]
+    assert float(painter.time_s[-1]) > float(reference.time_s[-1]) + 1.0
+    lead = reference.actors[0]
+    assert lead.name == "lead"
+    assert (right == INK).all(axis=2).sum() > 200, "the counterpart is outlined and named"
 
 
 @cache
