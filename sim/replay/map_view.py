@@ -67,8 +67,8 @@ _ARROW_FROM_MPS: Final = 0.3
 _MARGIN_PX: Final = 5.0
 """Room between a label and the edge of the map, where a frame is drawn."""
 _ALONG: Final = tuple(0.1 * place for place in range(1, 10))
-_CROSSING_COST: Final = 60.0
-"""Cost of each point in which the line of a label crosses something else, as area that is hidden."""
+_CROSSING_COST: Final = 10.0
+"""Cost of each pixel of the line of a label that crosses something else, as area that is hidden."""
 _MAY_HIDE_PX: Final = 60.0
 """Area that the label of a film may hide before it is moved."""
 
@@ -640,8 +640,9 @@ def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect], label: Label) -> f
         (start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])) for share in _ALONG
     ]
     outside = [point for point in points if not _is_within(point, label.named)]
-    crossed = sum(_is_within(point, one) for one in (*placed, *placed, *placed, *hidden) for point in outside)
-    return 10 * labels + bodies + _CROSSING_COST * crossed
+    crossed = sum(_is_within(point, one) for one in (*placed, *placed, *hidden) for point in outside)
+    crossed_px = crossed * float(np.hypot(end[0] - start[0], end[1] - start[1])) / len(_ALONG)
+    return 10 * labels + bodies + _CROSSING_COST * crossed_px
 
 
 def _is_within(point: tuple[float, float], rect: Rect) -> bool:
