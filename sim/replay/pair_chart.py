@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from brink.sim.replay.motion import distances, plan_words, scripts_of
-from brink.sim.replay.pair import Interval, Mark, PairStory, ended_words
+from brink.sim.replay.pair import Interval, Mark, Nearest, PairStory, ended_words
 from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
 from brink.sim.replay.story import margin_name, report_word, reported, runs, unit_of
 from brink.sim.replay.style import (
@@ -387,30 +387,36 @@ def _plot_distance(axes: Axes, story: PairStory, actor: int, window: Interval) -
     highest = min(highest, GREATEST_ROBUSTNESS)
     axes.set_ylim(-0.12 * highest, 1.08 * highest)
     axes.axhspan(-highest, 0.0, color=hexadecimal(VIOLATION), alpha=0.12, linewidth=0)
-    limits = [(0.0, "contact")]
-    if story.needs_gap:
-        limits.append((REQUIRED_GAP_M, f"{REQUIRED_GAP_M:g} m required\nwhile moving"))
+    _draw_limit(axes, 0.0, "contact", above=False)
+    if story.gap_required:
         axes.axhspan(0.0, REQUIRED_GAP_M, color=hexadecimal(VIOLATION), alpha=0.05, linewidth=0)
-    for limit_m, words in limits:
-        axes.axhline(limit_m, color=hexadecimal(VIOLATION), linewidth=1.1)
-        axes.annotate(
-            words, (1, limit_m), xycoords=("axes fraction", "data"), xytext=(6, 3 if limit_m else -3),
-            textcoords="offset points", va="bottom" if limit_m else "center", fontsize=8.5 if limit_m else 9,
-            color=hexadecimal(VIOLATION), linespacing=1.05,
-        )  # fmt: skip
+        _draw_limit(axes, REQUIRED_GAP_M, story.gap_required, above=True)
     nearest = story.pair.nearest
     if nearest is not None and nearest.gap_m <= highest:
-        its = hexadecimal(SAFE_DRIVE)
-        axes.plot([nearest.time_s], [nearest.gap_m], "o", color=its, markersize=5, zorder=6)
-        late = nearest.time_s > window.end_s - _NEAR_END * (window.end_s - window.start_s)
-        axes.annotate(
-            nearest.words, (nearest.time_s, nearest.gap_m), xytext=(0, 5), textcoords="offset points",
-            ha="right" if late else "center", va="bottom", fontsize=9, fontweight="bold", color=its, zorder=7,
-            path_effects=[withStroke(linewidth=3, foreground="white")],
-        )  # fmt: skip
+        _mark_nearest(axes, nearest, window)
     axes.set_ylabel("m", fontsize=9)
     name = story.pair.unsafe.trace.actors[actor].name
     _name_panel(axes, "\n".join(["distance to", *wrap(name, _PANEL_NAME_LETTERS)]))
+
+
+def _draw_limit(axes: Axes, limit_m: float, words: str, *, above: bool) -> None:
+    axes.axhline(limit_m, color=hexadecimal(VIOLATION), linewidth=1.1)
+    axes.annotate(
+        words, (1, limit_m), xycoords=("axes fraction", "data"), xytext=(6, 3 if above else -3),
+        textcoords="offset points", va="bottom" if above else "center", fontsize=8.5 if above else 9,
+        color=hexadecimal(VIOLATION), linespacing=1.05,
+    )  # fmt: skip
+
+
+def _mark_nearest(axes: Axes, nearest: Nearest, window: Interval) -> None:
+    colour = hexadecimal(SAFE_DRIVE)
+    axes.plot([nearest.time_s], [nearest.gap_m], "o", color=colour, markersize=5, zorder=6)
+    late = nearest.time_s > window.end_s - _NEAR_END * (window.end_s - window.start_s)
+    axes.annotate(
+        nearest.words, (nearest.time_s, nearest.gap_m), xytext=(0, 5), textcoords="offset points",
+        ha="right" if late else "center", va="bottom", fontsize=9, fontweight="bold", color=colour, zorder=7,
+        path_effects=[withStroke(linewidth=3, foreground="white")],
+    )  # fmt: skip
 
 
 def _drives(story: PairStory) -> list[tuple[str, Trace, Rgb]]:

@@ -16,7 +16,7 @@ from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.episode import Json
 from brink.sim.replay import render
 from brink.sim.replay.frame import FramePainter
-from brink.sim.replay.motion import brakings, distances, motion_of, plan_words, scripts_of
+from brink.sim.replay.motion import brakings, distances, lane_edge, motion_of, plan_words, scripts_of
 from brink.sim.replay.pair import pair_story, part_state_words
 from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
 from brink.sim.replay.reference import Comparison, comparison_of
@@ -140,6 +140,19 @@ def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
     assert (gap.system, gap.about.requirement) == ("came within 1.5 m of lead at 6.5 s", "front-gap@2")
 
 
+@pytest.mark.parametrize(
+    ("requirement", "words"),
+    [("front-gap@2", "1.5 m required\nwhile moving"), ("front-gap@1", "1.5 m required"), ("progress@1", "")],
+)
+def test_the_chart_says_which_front_gap_is_required(requirement: str, words: str) -> None:
+    system = hits_a_person(gap_too=True)
+    robustness = dict(system.robustness)
+    robustness[requirement] = robustness.pop("front-gap@2")
+    about = {**system.about, AVOIDABLE: dict.fromkeys(robustness, "careful")}
+    system = replace(system, robustness=robustness, about=about)
+    assert pair_story(compared(system, driven(stops_at_m=50.0)).pair(system)).gap_required == words
+
+
 def test_what_comes_later_is_no_part_of_the_headline() -> None:
     system = hits_a_person()
     late = np.where(system.time_s >= 9.0 - 1e-4, -0.1, 0.5).astype(np.float32)
@@ -226,6 +239,22 @@ def test_a_film_begins_shortly_before_the_driver_brakes() -> None:
     painter = PairPainter(found.pair(late))
     assert 3.0 < painter.time_s[0] < 7.0
     assert painter.time_s[-1] == pytest.approx(19.9, abs=1e-3)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_edge_of_the_lane_is_drawn_where_the_margin_has_it(side: float) -> None:
+    trace = make_trace(violated=False)
+    ego = trace.ego.copy()
+    offset_m = np.linspace(0.0, 1.6, len(ego))
+    ego[:, 1], ego[:, 2] = -1.75 + side * offset_m, 0.0
+    half_lane_m, tolerance_m = 1.9, 0.2
+    margin = half_lane_m + tolerance_m - offset_m - trace.ego_size_m[1] / 2
+    trace = replace(trace, ego=ego, robustness={"lane-keeping@1": margin.astype(np.float32)})
+    edge = lane_edge(trace, 100, 9.0)
+    assert edge is not None
+    assert edge[:, 1] == pytest.approx(-1.75 + side * half_lane_m, abs=0.01)
+    assert np.abs(edge[:, 0] - ego[100, 0]).max() < 11.0
+    assert lane_edge(replace(trace, robustness={}), 100, 9.0) is None
 
 
 def test_a_film_has_a_thin_frame_after_recovery_and_marks_the_counterpart_to_the_end() -> None:
