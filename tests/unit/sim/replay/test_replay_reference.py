@@ -148,7 +148,8 @@ def test_the_chart_says_which_front_gap_is_required(requirement: str, words: str
     system = hits_a_person(gap_too=True)
     robustness = dict(system.robustness)
     robustness[requirement] = robustness.pop("front-gap@2")
-    about = {**system.about, AVOIDABLE: dict.fromkeys(robustness, "careful")}
+    avoidable: dict[str, Json] = dict.fromkeys(robustness, "careful")
+    about: dict[str, Json] = {**system.about, AVOIDABLE: avoidable}
     system = replace(system, robustness=robustness, about=about)
     assert pair_story(compared(system, driven(stops_at_m=50.0)).pair(system)).gap_required == words
 
