@@ -59,6 +59,8 @@ _CROWDED: Final = 0.55
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 158, 118, 26, 44
 _NEAR_END: Final = 0.05
 """Share of the width of the chart at whose end a word in the middle would not fit."""
+_LAST_S: Final = 0.3
+"""A line this shortly after the end of a drive strikes nothing through that is written behind it."""
 _ABOVE_PX: Final = round(9.4 * DPI / 72)
 """Size of the words above the lanes."""
 _SECOND_ROW_PX: Final = 15
@@ -274,7 +276,9 @@ def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval
                 _band(axes, trace, y, run, colour, window, lines_s)
             if end_s < story.end_s - 0.5 and end_s < window.end_s - 0.5 and index == len(rows) - 1:
                 words = ended_words(trace)
-                fits = end_s + 2 * _half_s(words, window, width_px) < window.end_s
+                until_s = end_s + 2 * _half_s(words, window, width_px)
+                room_s = window.end_s + _RIGHT_PX / width_px * (window.end_s - window.start_s)
+                fits = until_s < room_s and not any(end_s + _LAST_S < at < until_s for at in lines_s)
                 axes.text(
                     end_s, y + _LANE / 2, f" {words} ", va="center", ha="left" if fits else "right", fontsize=8,
                     color=hexadecimal(MUTED if fits else INK),
