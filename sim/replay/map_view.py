@@ -66,9 +66,9 @@ _LEAST_LEADER_PX: Final = 7.0
 _ARROW_FROM_MPS: Final = 0.3
 _MARGIN_PX: Final = 5.0
 """Room between a label and the edge of the map, where a frame is drawn."""
-_ALONG: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
-_CROSSING_COST: Final = 100.0
-"""Cost of each point in which the line of a label crosses something else, as area that is hidden."""
+_ALONG: Final = tuple(0.1 * place for place in range(1, 10))
+_CROSSING_COST: Final = 10.0
+"""Cost of each pixel of the line of a label that crosses something else, as area that is hidden."""
 _MAY_HIDE_PX: Final = 60.0
 """Area that the label of a film may hide before it is moved."""
 
@@ -561,9 +561,11 @@ class MapView:
                 continue  # off the map
             kept = options.get(places.get((index, label.colour), -1))
             if kept is None or _cost(kept, placed, hidden, label) > _MAY_HIDE_PX:
-                place = min(options, key=lambda one: _cost(options[one], placed, hidden, label))
-                places[index, label.colour] = place
-                kept = options[place]
+                _, chosen = min(
+                    (_cost(rect, placed, hidden, label), number) for number, rect in options.items()
+                )
+                places[index, label.colour] = chosen
+                kept = options[chosen]
             placed.append(kept)
             written.append(label)
         for place, label in zip(placed, written, strict=True):
@@ -637,9 +639,14 @@ def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect], label: Label) -> f
     points = [
         (start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])) for share in _ALONG
     ]
-    others = [one for one in (*placed, *hidden) if shared_area(one, label.named) <= 0.0]
-    crossed = sum(one[0] < x < one[2] and one[1] < y < one[3] for one in others for x, y in points)
-    return 10 * labels + bodies + _CROSSING_COST * crossed
+    outside = [point for point in points if not _is_within(point, label.named)]
+    crossed = sum(_is_within(point, one) for one in (*placed, *placed, *hidden) for point in outside)
+    crossed_px = crossed * float(np.hypot(end[0] - start[0], end[1] - start[1])) / len(_ALONG)
+    return 10 * labels + bodies + _CROSSING_COST * crossed_px
+
+
+def _is_within(point: tuple[float, float], rect: Rect) -> bool:
+    return rect[0] < point[0] < rect[2] and rect[1] < point[1] < rect[3]
 
 
 def _leader(rect: Rect, label: Label) -> tuple[tuple[float, float], tuple[float, float]]:

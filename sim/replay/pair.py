@@ -227,9 +227,14 @@ class PairStory:
         return self.shown_s if own_s is None else own_s
 
     @property
-    def needs_gap(self) -> bool:
-        """Whether the unsafe drive violates the front gap."""
-        return any(plain_name(one.requirement) == "front-gap" for one in self.unsafe.violations)
+    def gap_required(self) -> str:
+        """What front gap the unsafe drive violates, in words; empty if none."""
+        names = {
+            one.requirement for one in self.unsafe.violations if plain_name(one.requirement) == "front-gap"
+        }
+        if not names:
+            return ""
+        return f"{REQUIRED_GAP_M:g} m required" + ("" if "front-gap@1" in names else "\nwhile moving")
 
     def window(self) -> Interval:
         """Return the span of time that matters: from before the reports first differ until after the moment."""

@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from brink.sim.replay.motion import distances, plan_words, scripts_of
-from brink.sim.replay.pair import Interval, Mark, PairStory, ended_words
+from brink.sim.replay.pair import Interval, Mark, Nearest, PairStory, ended_words
 from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
 from brink.sim.replay.story import margin_name, report_word, reported, runs, unit_of
 from brink.sim.replay.style import (
@@ -57,6 +57,10 @@ _ROW_NAME_LETTERS: Final = 10
 _CROWDED: Final = 0.55
 """Share of a panel's height above which a word beside it would hide its name."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 158, 118, 26, 44
+_NEAR_END: Final = 0.05
+"""Share of the width of the chart at whose end a word in the middle would not fit."""
+_LAST_S: Final = 0.3
+"""A line this shortly after the end of a drive strikes nothing through that is written behind it."""
 _ABOVE_PX: Final = round(9.4 * DPI / 72)
 """Size of the words above the lanes."""
 _SECOND_ROW_PX: Final = 15
@@ -161,7 +165,7 @@ def draw_pair_chart(
         elif story.pair.about_reports or story.target is None:
             _plot_robustness(axes, story, window)
         else:
-            _plot_distance(axes, story, story.target.actor)
+            _plot_distance(axes, story, story.target.actor, window)
     for axes in (bands, *drawn):
         axes.set_xlim(window.start_s, window.end_s)
         _mark(axes, story, window)
@@ -272,7 +276,9 @@ def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval
                 _band(axes, trace, y, run, colour, window, lines_s)
             if end_s < story.end_s - 0.5 and end_s < window.end_s - 0.5 and index == len(rows) - 1:
                 words = ended_words(trace)
-                fits = end_s + 2 * _half_s(words, window, width_px) < window.end_s
+                until_s = end_s + 2 * _half_s(words, window, width_px)
+                room_s = window.end_s + _RIGHT_PX / width_px * (window.end_s - window.start_s)
+                fits = until_s < room_s and not any(end_s + _LAST_S < at < until_s for at in lines_s)
                 axes.text(
                     end_s, y + _LANE / 2, f" {words} ", va="center", ha="left" if fits else "right", fontsize=8,
                     color=hexadecimal(MUTED if fits else INK),
@@ -374,7 +380,7 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
     )  # fmt: skip
 
 
-def _plot_distance(axes: Axes, story: PairStory, actor: int) -> None:
+def _plot_distance(axes: Axes, story: PairStory, actor: int, window: Interval) -> None:
     """Plot how far the cars are from a road user that is in both drives."""
     style_axes(axes)
     highest = 1.0
@@ -385,29 +391,36 @@ def _plot_distance(axes: Axes, story: PairStory, actor: int) -> None:
     highest = min(highest, GREATEST_ROBUSTNESS)
     axes.set_ylim(-0.12 * highest, 1.08 * highest)
     axes.axhspan(-highest, 0.0, color=hexadecimal(VIOLATION), alpha=0.12, linewidth=0)
-    limits = [(0.0, "contact")]
-    if story.needs_gap:
-        limits.append((REQUIRED_GAP_M, f"{REQUIRED_GAP_M:g} m required\nwhile moving"))
+    _draw_limit(axes, 0.0, "contact", above=False)
+    if story.gap_required:
         axes.axhspan(0.0, REQUIRED_GAP_M, color=hexadecimal(VIOLATION), alpha=0.05, linewidth=0)
-    for limit_m, words in limits:
-        axes.axhline(limit_m, color=hexadecimal(VIOLATION), linewidth=1.1)
-        axes.annotate(
-            words, (1, limit_m), xycoords=("axes fraction", "data"), xytext=(6, 3 if limit_m else -3),
-            textcoords="offset points", va="bottom" if limit_m else "center", fontsize=8.5 if limit_m else 9,
-            color=hexadecimal(VIOLATION), linespacing=1.05,
-        )  # fmt: skip
+        _draw_limit(axes, REQUIRED_GAP_M, story.gap_required, above=True)
     nearest = story.pair.nearest
     if nearest is not None and nearest.gap_m <= highest:
-        colour = hexadecimal(SAFE_DRIVE)
-        axes.plot([nearest.time_s], [nearest.gap_m], "o", color=colour, markersize=5, zorder=6)
-        axes.annotate(
-            nearest.words, (nearest.time_s, nearest.gap_m), xytext=(0, 5), textcoords="offset points", ha="center",
-            va="bottom", fontsize=9, fontweight="bold", color=colour, zorder=7,
-            path_effects=[withStroke(linewidth=3, foreground="white")],
-        )  # fmt: skip
+        _mark_nearest(axes, nearest, window)
     axes.set_ylabel("m", fontsize=9)
     name = story.pair.unsafe.trace.actors[actor].name
     _name_panel(axes, "\n".join(["distance to", *wrap(name, _PANEL_NAME_LETTERS)]))
+
+
+def _draw_limit(axes: Axes, limit_m: float, words: str, *, above: bool) -> None:
+    axes.axhline(limit_m, color=hexadecimal(VIOLATION), linewidth=1.1)
+    axes.annotate(
+        words, (1, limit_m), xycoords=("axes fraction", "data"), xytext=(6, 3 if above else -3),
+        textcoords="offset points", va="bottom" if above else "center", fontsize=8.5 if above else 9,
+        color=hexadecimal(VIOLATION), linespacing=1.05,
+    )  # fmt: skip
+
+
+def _mark_nearest(axes: Axes, nearest: Nearest, window: Interval) -> None:
+    colour = hexadecimal(SAFE_DRIVE)
+    axes.plot([nearest.time_s], [nearest.gap_m], "o", color=colour, markersize=5, zorder=6)
+    late = nearest.time_s > window.end_s - _NEAR_END * (window.end_s - window.start_s)
+    axes.annotate(
+        nearest.words, (nearest.time_s, nearest.gap_m), xytext=(0, 5), textcoords="offset points",
+        ha="right" if late else "center", va="bottom", fontsize=9, fontweight="bold", color=colour, zorder=7,
+        path_effects=[withStroke(linewidth=3, foreground="white")],
+    )  # fmt: skip
 
 
 def _drives(story: PairStory) -> list[tuple[str, Trace, Rgb]]:

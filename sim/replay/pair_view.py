@@ -270,7 +270,8 @@ def _middle(story: PairStory, index: int, turn_rad: float) -> NDArray[np.float64
     shown_s = story.shown_at(index)
     if shown_s == story.shown_at(1 - index):
         return middles(story, shown_s, turn_rad)[index]
-    return story.centres[index][sample_at(story.parts[index].side.trace, shown_s)]
+    middle: NDArray[np.float64] = story.centres[index][sample_at(story.parts[index].side.trace, shown_s)]
+    return middle
 
 
 def _clock(pair: DrivePair) -> NDArray[np.float64]:

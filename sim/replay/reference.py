@@ -68,6 +68,8 @@ _LOOK_BACK_S: Final = 5.0
 """How long before the violation a driver may have braked who is not slow then."""
 _BEFORE_S: Final = 1.5
 """How long before the violation a driver may be slow already who avoids it by being slow."""
+_AS_NEAR_M: Final = 0.02
+"""Distances this close are the same: the first one is shown."""
 _AFTERWARDS_S: Final = 1.0
 """How long after the violation a driver's distance still matters."""
 _ALONG: Final = 0.3
@@ -145,7 +147,7 @@ class Comparison:
             trace: The system's drive.
         """
         deed = self.deed
-        marks = ()
+        marks: tuple[Mark, ...] = ()
         if deed.brakes_at_s is not None:
             marks = (Mark(deed.brakes_at_s, f"{self.name} brakes{' again' if deed.again else ''}"),)
         return DrivePair(
@@ -394,21 +396,21 @@ def _distance_words(trace: Trace, actor: int, first: int, until: int) -> tuple[s
     if hit is not None:
         verb = "drives" if is_car(trace.actors[actor]) else "walks"
         return f"stands when {name} {verb} into it at {clock_words(float(trace.time_s[hit]))}", None
-    standing = [at for at in _standing(trace, first) if at in later and at <= until]
+    standing = [at for at in _standing(trace, first, until) if at in later]
     if standing and np.hypot(*(trace.ego[until, :2] - trace.ego[standing[0], :2])) > _CREEPS_M:
         standing = []
-    soon = standing or [at for at in later if at <= until]
-    if not soon:
+    if not standing and not any(at <= until for at in later):
         return f"does not meet {name}", None
-    least = min(soon if standing else later, key=lambda at: gaps_m[at])
-    away = f"{gaps_m[least]:.1f} m"
+    lowest_m = min(gaps_m[at] for at in (standing or later))
+    least = next(at for at in (standing or later) if gaps_m[at] <= lowest_m + _AS_NEAR_M)
+    away = f"{lowest_m:.1f} m"
     ahead = _is_ahead(trace, actor, least)
     if standing:
         words = f"stops {away} short of {name}" if ahead else f"stops, {away} clear of {name}"
     else:
         behind = ahead and _goes_along(trace, actor, least)
         words = f"stays at least {away} {'behind' if behind else 'clear of'} {name}"
-    return words, Nearest(float(trace.time_s[least]), float(gaps_m[least]), away)
+    return words, Nearest(float(trace.time_s[least]), float(lowest_m), away)
 
 
 def _goes_along(trace: Trace, actor: int, sample: int) -> bool:
@@ -417,13 +419,17 @@ def _goes_along(trace: Trace, actor: int, sample: int) -> bool:
     return is_car(trace.actors[actor]) and bool(np.cos(turn_rad) > _ALONG)
 
 
-def _standing(trace: Trace, first: int) -> list[int]:
-    """Return the samples from one on in which a driver stands for more than a moment."""
+def _standing(trace: Trace, first: int, until: int) -> list[int]:
+    """Return the samples from one on in which a driver stands for long, having stopped by another one."""
     stands = (np.abs(trace.ego[first:, 3]) < STANDS_MPS).tolist()
     found: list[int] = []
     for standing, begins, ends in runs(stands):
         lasts_s = float(trace.time_s[first + ends] - trace.time_s[first + begins])
-        if standing and (lasts_s >= _STANDS_S or first + ends == len(trace.time_s) - 1):
+        if (
+            standing
+            and first + begins <= until
+            and (lasts_s >= _STANDS_S or first + ends == len(trace.time_s) - 1)
+        ):
             found += range(first + begins, first + ends + 1)
     return found
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 from support.traces import make_trace
 
@@ -15,12 +16,12 @@ from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.episode import Json
 from brink.sim.replay import render
 from brink.sim.replay.frame import FramePainter
-from brink.sim.replay.motion import brakings, distances, motion_of, plan_words, scripts_of
+from brink.sim.replay.motion import brakings, distances, lane_edge, motion_of, plan_words, scripts_of
 from brink.sim.replay.pair import pair_story, part_state_words
 from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
 from brink.sim.replay.reference import Comparison, comparison_of
 from brink.sim.replay.story import runs
-from brink.sim.replay.style import VIOLATION
+from brink.sim.replay.style import INK, VIOLATION
 from brink.sim.trace import AVOIDABLE, Event, Trace
 
 PERSON_M = 60.75
@@ -139,6 +140,20 @@ def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
     assert (gap.system, gap.about.requirement) == ("came within 1.5 m of lead at 6.5 s", "front-gap@2")
 
 
+@pytest.mark.parametrize(
+    ("requirement", "words"),
+    [("front-gap@2", "1.5 m required\nwhile moving"), ("front-gap@1", "1.5 m required"), ("progress@1", "")],
+)
+def test_the_chart_says_which_front_gap_is_required(requirement: str, words: str) -> None:
+    system = hits_a_person(gap_too=True)
+    robustness = dict(system.robustness)
+    robustness[requirement] = robustness.pop("front-gap@2")
+    avoidable: dict[str, Json] = dict.fromkeys(robustness, "careful")
+    about: dict[str, Json] = {**system.about, AVOIDABLE: avoidable}
+    system = replace(system, robustness=robustness, about=about)
+    assert pair_story(compared(system, driven(stops_at_m=50.0)).pair(system)).gap_required == words
+
+
 def test_what_comes_later_is_no_part_of_the_headline() -> None:
     system = hits_a_person()
     late = np.where(system.time_s >= 9.0 - 1e-4, -0.1, 0.5).astype(np.float32)
@@ -225,6 +240,46 @@ def test_a_film_begins_shortly_before_the_driver_brakes() -> None:
     painter = PairPainter(found.pair(late))
     assert 3.0 < painter.time_s[0] < 7.0
     assert painter.time_s[-1] == pytest.approx(19.9, abs=1e-3)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_edge_of_the_lane_is_drawn_where_the_margin_has_it(side: float) -> None:
+    trace = make_trace(violated=False)
+    ego = trace.ego.copy()
+    offset_m = np.linspace(0.0, 1.6, len(ego))
+    ego[:, 1], ego[:, 2] = -1.75 + side * offset_m, 0.0
+    half_lane_m, tolerance_m = 1.9, 0.2
+    margin = half_lane_m + tolerance_m - offset_m - trace.ego_size_m[1] / 2
+    trace = replace(trace, ego=ego, robustness={"lane-keeping@1": margin.astype(np.float32)})
+    edge = lane_edge(trace, 100, 9.0)
+    assert edge is not None
+    assert edge[:, 1] == pytest.approx(-1.75 + side * half_lane_m, abs=0.01)
+    assert np.abs(edge[:, 0] - ego[100, 0]).max() < 11.0
+    assert lane_edge(replace(trace, robustness={}), 100, 9.0) is None
+
+
+def test_a_film_has_a_thin_frame_after_recovery_and_marks_the_counterpart_to_the_end() -> None:
+    system = hits_a_person(gap_too=True)
+    near = np.where((system.time_s >= 6.5 - 1e-4) & (system.time_s < 8.0), -0.2, 3.0).astype(np.float32)
+    held = np.full_like(near, 3.0)
+    system = replace(system, robustness={"front-gap@2": near, "no-collision@1": held}, events=())
+    reference = driven(stops_at_m=50.0)
+    painter = PairPainter(compared(system, reference).pair(system))
+
+    def frame(time_s: float) -> NDArray[np.uint8]:
+        return np.asarray(painter.frame(int(np.abs(painter.time_s - time_s).argmin())))
+
+    def edge_px(picture: NDArray[np.uint8]) -> int:
+        """Return how wide the crimson edge at the left of the system's map is."""
+        row = picture[250, : painter.size[0] // 4]
+        return int((row == VIOLATION).all(axis=1)[:40].sum())
+
+    assert [edge_px(frame(time_s)) for time_s in (5.0, 7.0, 9.0)] == [0, 4, 1]
+    right = frame(float(painter.time_s[-1]))[110:400, painter.size[0] // 2 + 20 : -20]
+    assert float(painter.time_s[-1]) > float(reference.time_s[-1]) + 1.0
+    lead = reference.actors[0]
+    assert lead.name == "lead"
+    assert (right == INK).all(axis=2).sum() > 200, "the counterpart is outlined and named"
 
 
 @cache
