@@ -295,7 +295,8 @@ def _plot_parameter(
 
 def _name_parameter(axes: Axes, column: ParameterColumn, dependence: Dependence) -> None:
     unit = "" if isinstance(column.parameter, Categorical) else column.parameter.unit
-    name = column.parameter.name.replace("_", " ").replace(".", ": ").removesuffix(f" {unit}")
+    parameter = column.parameter
+    name = parameter.title or parameter.name.replace("_", " ").replace(".", ": ").removesuffix(f" {unit}")
     facts = [unit, f"V = {dependence.strength:.2f}", f"n = {int(dependence.counts.sum()):,}"]
     # There is room for about forty characters; a long unit is more important than the component.
     if len("".join([column.component, *facts])) < 34:

@@ -21,7 +21,6 @@ from brink.report.tolerance import KEY, tolerated_words
 from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
-from brink.search.parameters import name_in_words
 from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
 from brink.server.api.schemas import TypeView
 from brink.server.api.tolerance import Finding, ToleranceView
@@ -440,8 +439,9 @@ def _rules(facts: Facts) -> list[str]:
     if rules is None or rules.balanced is None or rules.balanced <= USELESS:
         return []
     overall = rules.inside / rules.solutions
+    titles = facts.fetched.plan.problem.space.titles()
     told = [
-        f"{', '.join(map(_readable, rule.conditions))}: {rule.inside} of {rule.solutions} unsafe "
+        f"{', '.join(_readable(one, titles) for one in rule.conditions)}: {rule.inside} of {rule.solutions} unsafe "
         f"({rule.share:.0%}, interval {rule.low:.0%} to {rule.high:.0%})."
         for rule in rules.rules[:MOST_RULES]
         if rule.conditions and rule.low > overall
@@ -457,10 +457,10 @@ def _rules(facts: Facts) -> list[str]:
     ]
 
 
-def _readable(condition: str) -> str:
-    """Return a condition on a parameter with its name in words."""
+def _readable(condition: str, titles: Mapping[str, str]) -> str:
+    """Return a condition on a parameter with its title in place of its name."""
     name, rest = condition.split(" ", 1)
-    return f"{name_in_words(name)} {rest}"
+    return f"{titles[name]} {rest}"
 
 
 def outcomes_section(facts: Facts) -> Section | None:

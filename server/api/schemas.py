@@ -265,6 +265,13 @@ class SolutionView(View):
         dict[str, dict[str, Any]],
         Field(description="Values by component, then by name, as they were chosen."),
     ]
+    titles: Annotated[
+        dict[str, str],
+        Field(
+            description="What people read in place of a parameter's name, by component.parameter; names in words do "
+            "for the others. Only for a single solution."
+        ),
+    ] = {}
     activity: Annotated[
         ActivityView | None,
         Field(description="Which of them had a part in the episode; null if that was not recorded."),

@@ -149,7 +149,7 @@ function panel(one, overall, top) {
   const x = (at) => LEFT + ((at - (scale ? 0 : first) - low) / (high - low || 1)) * (WIDTH - 2 * LEFT);
   const y = (share) => HEIGHT - 4 - (Math.min(share, top) / top) * (HEIGHT - 12);
   const colour = one.detectable ? "var(--unsafe)" : "var(--pending)";
-  const name = `${spaced(one.parameter).replace(".", ": ")}`;
+  const name = one.title || spaced(one.parameter).replace(".", ": ");
   const words = groups.map((group) => `${group.label ?? figure(group.at)}: ${percent(group.hits / group.all)} of ${group.all}`).join("; ");
   const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${name}. Unsafe: ${words || "no solution has a value"}.` },
     h("line", { x1: 0, x2: WIDTH, y1: y(overall), y2: y(overall), stroke: "var(--muted)", "stroke-width": 1, "stroke-dasharray": "3 3" }),

@@ -50,7 +50,7 @@ export function verdicts(solution, judged, goTo) {
 }
 
 /** Return the cards of a solution's parameters, one per component; names with a common prefix become columns. If known, values are those that the drive had, and the others are left out. */
-export function parameters({ parameters: given, activity }) {
+export function parameters({ parameters: given, activity, titles }) {
   const inactive = new Set(activity?.inactive);
   return Object.entries(activity?.effective ?? given).map(([component, values]) => {
     const shown = Object.fromEntries(Object.entries(values).map(([name, one]) => [name, inactive.has(`${component}.${name}`) ? null : one]));
@@ -60,7 +60,7 @@ export function parameters({ parameters: given, activity }) {
       h("h2", null, capital(spaced(component))),
       idle ? h("p", null, `The ${component === "behaviour" ? "injected behaviour" : spaced(component)} had no part in this drive.`)
         : h("div.scroll.tall", { tabindex: 0, role: "region", "aria-label": `Table of ${spaced(component)}` },
-          grouped(shown).map((group) => (group.prefixes ? crossTable(group) : plainTable(group, component)))),
+          grouped(shown).map((group) => (group.prefixes ? crossTable(group, component, titles) : plainTable(group, component, titles)))),
       !idle && partial && h("p.hint", null, "–: had no part in this drive."),
       !idle && !same(values, given[component], inactive, component) && h("p.hint", null, "The drive ended before a time window did; the table shows the window up to there."));
   });
@@ -70,18 +70,20 @@ function same(values, given, inactive, component) {
   return Object.entries(values).every(([name, one]) => one === given[name] || inactive.has(`${component}.${name}`));
 }
 
-function plainTable({ entries }, component) {
+function plainTable({ entries }, component, titles) {
   return h("table", null, h("caption.read-out", null, `Parameters of ${spaced(component)}`),
-    h("tbody", null, entries.map(([name, one]) => h("tr", null, h("th", { scope: "row" }, spaced(name)), h("td", null, value(one))))));
+    h("tbody", null, entries.map(([name, one]) => h("tr", null, h("th", { scope: "row" }, titles[`${component}.${name}`] ?? spaced(name)), h("td", null, value(one))))));
 }
 
 /** Return a table of groups that have the same parameters; its longer side goes down. */
-function crossTable({ prefixes, names, at }) {
+function crossTable({ prefixes, names, at }, component, titles) {
+  const parts = (prefix, name) => titles[`${component}.${prefix}.${name}`]?.split(": ") ?? [readable(prefix), readable(name)];
+  const told = new Map([...prefixes.map((prefix) => [prefix, parts(prefix, names[0])[0]]), ...names.map((name) => [name, parts(prefixes[0], name)[1]])]);
   const groupsDown = prefixes.length > names.length;
   const [rows, columns] = groupsDown ? [prefixes, names] : [names, prefixes];
   return h("table", null, h("caption.read-out", null, `${prefixes.length} groups of parameters`),
-    h("thead", null, h("tr", null, h("td"), columns.map((name) => h("th", { scope: "col" }, readable(name))))),
-    h("tbody", null, rows.map((row) => h("tr", null, h("th", { scope: "row" }, readable(row)),
+    h("thead", null, h("tr", null, h("td"), columns.map((name) => h("th", { scope: "col" }, told.get(name))))),
+    h("tbody", null, rows.map((row) => h("tr", null, h("th", { scope: "row" }, told.get(row)),
       columns.map((column) => h("td", null, value(groupsDown ? at(row, column) : at(column, row))))))));
 }
 
