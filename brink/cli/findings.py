@@ -42,7 +42,7 @@ from brink.server.api.schemas import Combinations, SolutionPage, StepTally, Viol
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
-from brink.server.problems.npc_actions import NpcActions
+from brink.server.problems.npc_actions import UNAVOIDABLE_M, NpcActions
 
 CHAINS_SHOWN: Final = 10
 CHAINS_DRAWN: Final = 3
@@ -416,6 +416,7 @@ def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path)
     figure = figure_fronts(
         fetched.body.name, problem.space, fetched.archive.vectors, fetched.generations,
         criticality, fetched.plan.config, by_gap=not isinstance(problem, NpcActions) or problem.by_gap,
+        unavoidable=UNAVOIDABLE_M,
     )  # fmt: skip
     path = folder / "fronts.png"
     figure.savefig(path)

@@ -344,6 +344,7 @@ def figure_fronts(
     config: MultiObjectiveConfig,
     *,
     by_gap: bool = True,
+    unavoidable: float = np.inf,
 ) -> Figure:
     """Plot the Pareto fronts of criticality and diversity after some of the generations.
 
@@ -355,13 +356,21 @@ def figure_fronts(
         criticality: Criticality, shape ``(n,)``.
         config: Settings of the algorithm.
         by_gap: Whether criticality is the smallest gap to a road user, not the robustness.
+        unavoidable: Criticality of solutions whose violations do not count; these are left out.
     """
+    shown = criticality < unavoidable
+    hidden = int(np.count_nonzero(~shown))
     figure = new_figure(
         FRONTS_HEIGHT_PX,
         f"{title}: criticality and diversity",
         "Each line is the Pareto front of all solutions known after a generation: no other solution is closer to a\n"
         "violation and also farther from the solutions of earlier generations. Left of 0, "
-        f"{'a collision occurs' if by_gap else 'it is violated'}.",
+        f"{'a collision occurs' if by_gap else 'it is violated'}."
+        + (
+            f" Without the {hidden:,} whose violations a careful driver could not have avoided."
+            if hidden
+            else ""
+        ),
     )
     axes = figure.add_subplot()
     figure.subplots_adjust(left=100 / WIDTH_PX, right=1 - 60 / WIDTH_PX, top=0.82, bottom=0.1)
@@ -374,12 +383,13 @@ def figure_fronts(
         show_message(axes, "no generation finished yet")
         return figure
     diversity = recorded_diversities(space, vectors, ends, config)
-    axes.scatter(criticality, diversity, s=9, color=MUTED, alpha=0.25, linewidths=0)
+    axes.scatter(criticality[shown], diversity[shown], s=9, color=MUTED, alpha=0.25, linewidths=0)
     axes.axvline(0.0, color=UNSAFE, linewidth=1)
     chosen = np.unique(np.linspace(0, len(known) - 1, FRONTS_SHOWN).round().astype(int)).tolist()
     for place, shade in zip(chosen, _FRONT_SHADES[-len(chosen) :], strict=True):
         end = known[place]
-        front = first_front(criticality[:end], -diversity[:end])
+        rows = np.flatnonzero(shown[:end])
+        front = rows[first_front(criticality[rows], -diversity[rows])]
         axes.plot(
             criticality[front], diversity[front], "o-", color=shade, markersize=4, linewidth=1.6,
             label=f"{end} solutions",

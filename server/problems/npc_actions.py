@@ -70,7 +70,8 @@ class NpcActionsParams:
     )
     count: str = setting(
         "all",
-        help="Violations that the search is for: all, or those that a careful driver would have avoided.",
+        help="Violations that the search is for: all, or those that a careful driver would have avoided. Guides "
+        "qd@1, mumoea@1, mosat@1 and nsga2@1 only; verdicts and the violations found are the same.",
         choices=("all", "avoidable"),
     )
     criticality: str = setting(

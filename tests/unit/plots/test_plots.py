@@ -450,6 +450,16 @@ def test_fronts_name_what_criticality_is() -> None:
     assert ["gap" in label for label in labels] == [True, False]
 
 
+def test_fronts_leave_out_solutions_whose_violations_do_not_count() -> None:
+    rows = np.stack([TRAFFIC.join(TRAFFIC.sample(np.random.default_rng(seed))) for seed in range(4)])
+    criticality = np.array([1.0, 250.0, 2.0, 250.0])
+    (axes,) = figure_fronts("npcs", TRAFFIC, rows, [4], criticality, CONFIG, unavoidable=250.0).axes
+    drawn = [*axes.collections[0].get_offsets()[:, 0], *axes.lines[-1].get_xdata()]  # type: ignore[misc, call-overload, index]
+    assert set(drawn) == {1.0, 2.0}
+    told = [text.get_text() for text in axes.figure.texts]
+    assert any("Without the 2 whose violations" in words for words in told)
+
+
 def test_fronts_without_a_generation_say_so() -> None:
     figure = figure_fronts("npcs", TRAFFIC, np.empty((0, TRAFFIC.dimension)), [], np.empty(0), CONFIG)
     assert any("no generation" in text.get_text() for axes in figure.axes for text in axes.texts)
