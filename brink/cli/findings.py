@@ -38,11 +38,19 @@ from brink.search.analysis.avoidable import Avoidable
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
-from brink.server.api.schemas import Combinations, SolutionPage, StepTally, Violations
+from brink.server.api.schemas import (
+    Combinations,
+    SolutionPage,
+    SolutionView,
+    StepTally,
+    Violations,
+    ViolationView,
+)
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
 from brink.server.problems.npc_actions import UNAVOIDABLE_M, NpcActions
+from brink.server.states import SolutionVerdict
 
 CHAINS_SHOWN: Final = 10
 CHAINS_DRAWN: Final = 3
@@ -211,14 +219,23 @@ def violations(
     unname: Annotated[
         bool, typer.Option("--unname", help="Remove the name; the rules determine the type again.")
     ] = False,
-    shown: Annotated[int, typer.Option(min=1, help="Number of rows in the table.")] = TYPES_SHOWN,
+    avoidable: Annotated[
+        Avoidable | None,
+        typer.Option(
+            help="Show only violations that this driver would have avoided (no: neither would have), and the types "
+            "with one."
+        ),
+    ] = None,
+    shown: Annotated[
+        int | None, typer.Option(min=1, help="Number of rows, or of violations; without it, all.")
+    ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show which types of violations a campaign found, and name them.
+    """Show all types of violations that a campaign found, and name violations.
 
-    Example: brink violations 3f2a --number 71 --name "overtakes into oncoming traffic"
+    Example: brink violations 3f2a --number 71 --requirement no-collision@1 --name "overtakes into oncoming traffic"
     """
     if (name is not None or unname) and number is None:
         raise InvalidInput.at(
@@ -231,12 +248,13 @@ def violations(
         if number is not None and (name is not None or unname):
             await _name(api, campaign, number, requirement, name)
         found = await api.read(Violations, f"/campaigns/{campaign}/violations")
-        selected = [
-            one
-            for one in found.violations
-            if number in (None, one.number) and requirement in (None, one.requirement)
-        ]
-        return found.model_copy(update={"violations": selected})
+        selected = await _selected(api, campaign, found, number, requirement)
+        if avoidable is not None:
+            params = {"avoidable": avoidable.value, "types_only": True}
+            found = await api.read(Violations, f"/campaigns/{campaign}/violations", params)
+        return found.model_copy(
+            update={"violations": [one for one in selected if avoidable in (None, one.avoidable)]}
+        )
 
     found = with_api(server, database, work)
     if as_json:
@@ -244,22 +262,47 @@ def violations(
     elif number is None and requirement is None:
         print_violations(console(), found, shown)
     else:
-        for one in found.violations:
-            avoidable = "" if one.avoidable is None else f"; {one.avoidable.words}"
-            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}{avoidable}")
-        if not found.violations:
-            print_line("no such violation")
+        for one in found.violations[:shown]:
+            by = "" if one.avoidable is None else f"; {one.avoidable.words}"
+            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}{by}")
+        more = len(found.violations) - len(found.violations[:shown])
+        if more or not found.violations:
+            print_line(f"… and {more:,} more" if more else "none of these violations")
+
+
+async def _selected(
+    api: Api, campaign: str, found: Violations, number: int | None, requirement: str | None
+) -> list[ViolationView]:
+    """Return the violations of a solution, of a requirement, or of both.
+
+    Raises:
+        InvalidInput: There are none.
+        Missing: There is no such solution.
+    """
+    of_number = [one for one in found.violations if number in (None, one.number)]
+    if not of_number and number is not None:
+        solution = await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")
+        safe = solution.verdict is SolutionVerdict.SAFE
+        raise InvalidInput.at(
+            "--number", f"solution {number} {'violates nothing' if safe else f'is {solution.verdict}'}"
+        )
+    chosen = [one for one in of_number if requirement in (None, one.requirement)]
+    if not chosen and requirement is not None:
+        violated = ", ".join(sorted({one.requirement for one in of_number}))
+        raise InvalidInput.at(
+            "--requirement",
+            f"expected one of {violated or 'none, as nothing was violated'}; got {requirement!r}",
+        )
+    return chosen
 
 
 async def _name(api: Api, campaign: str, number: int, requirement: str | None, name: str | None) -> None:
     """Name a violation; None removes the name."""
     if requirement is None:
         found = await api.read(Violations, f"/campaigns/{campaign}/violations")
-        violated = [one.requirement for one in found.violations if one.number == number]
+        violated = [one.requirement for one in await _selected(api, campaign, found, number, None)]
         if len(violated) != 1:
-            one_of = f"expected one of {', '.join(violated)}"
-            message = one_of if violated else f"solution {number} has no violation"
-            raise InvalidInput.at("--requirement", message)
+            raise InvalidInput.at("--requirement", f"expected one of {', '.join(violated)}")
         requirement = violated[0]
     path = f"/campaigns/{campaign}/violations/{number}/{requirement}/name"
     if name is None:
@@ -290,7 +333,7 @@ class ViolationFindings:
 
     def show(self, screen: Console) -> None:
         """Print the first types, and the summary sentence."""
-        print_violations(screen, self._found)
+        print_violations(screen, self._found, TYPES_SHOWN, more=f"brink violations {self._fetched.id[:8]}")
 
     def write(self, folder: Path) -> list[Path]:
         """Write the findings to files; return the files."""
@@ -317,21 +360,32 @@ class ViolationFindings:
         return hints
 
 
-def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOWN) -> None:
-    """Print the first types of violations, avoidable ones first, and a summary sentence."""
+def print_violations(
+    screen: Console,
+    found: Violations,
+    shown: int | None = None,
+    *,
+    more: str = "without --shown, all of them",
+) -> None:
+    """Print types of violations, avoidable ones first, and a summary sentence.
+
+    Args:
+        screen: Where to print.
+        found: The violations.
+        shown: Number of types to print; None prints all.
+        more: How to see the others.
+    """
     types = found.types
     numbers = ("solutions", "distinct", "example")
     table = plain_table("avoidable by", *numbers, "type of violation", right=numbers)
     for kind in types[:shown]:
         words = Text.assemble(kind.type, (" (named)" if kind.named else "", "dim"))
-        table.add_row(kind.avoider, str(kind.solutions), str(kind.instances), str(kind.example), words)
+        table.add_row(kind.avoider, kind.avoided, str(kind.instances), str(kind.example), words)
     if types:
         screen.print(table)
-        if len(types) > shown:
-            screen.print(
-                f"… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run",
-                style="dim",
-            )
+        hidden = len(types) - len(types[:shown])
+        if hidden:
+            screen.print(f"… and {hidden} more types: {more}", style="dim")
         if any(kind.avoidable for kind in types):
             screen.print(found.explanation, style="dim")
     screen.print(found.words)

@@ -302,7 +302,7 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     fault = {True: "ego", False: "others", None: "differs"}
     rows = [
         (
-            kind.avoider, f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault],
+            kind.avoider, kind.avoided, f"{kind.instances:,}", fault[kind.at_fault],
             str(kind.example), kind.type,
         )
         for kind in types[:MOST_ROWS]
@@ -335,7 +335,7 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
                 columns=(
                     "avoidable by", "drives", "distinct", "at fault by the rule", "example", "type of violation",
                 ),
-                more=f"{more:,} more: brink violations {facts.view.id} --shown {len(types)}" if more else "",
+                more=f"{more:,} more: brink violations {facts.view.id}" if more else "",
             )
         ],
     )  # fmt: skip

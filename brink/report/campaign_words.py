@@ -165,7 +165,9 @@ def findings(facts: Facts) -> list[str]:
             if most.avoidable is None
             else f"The most frequent type {most.avoidable.words}"
         )
-        told.append(f"{which}, in {count(most.solutions, noun(facts))}: {most.type}.")
+        told.append(
+            f"{which}, in {most.avoided} {noun(facts)}{'' if most.solutions == 1 else 's'}: {most.type}."
+        )
     pairs = facts.pairs
     if isinstance(pairs, PairsView) and pairs.pairs and facts.finding.of is None:
         if facts.searched_pairs:

@@ -367,6 +367,13 @@ class TypeView(View):
 
     type: str
     solutions: Annotated[int, Field(description="Number of solutions with a violation of this type.")]
+    avoided: Annotated[
+        str,
+        Field(
+            description="In how many of these solutions `avoider` would have avoided it, such as `15 of 20`; their "
+            "number alone if nobody would have, or if that was not measured."
+        ),
+    ]
     instances: Annotated[int, Field(description="Distinct instances: clusters of similar circumstances.")]
     first: Annotated[
         int, Field(description="Number of the first solution, in which the type was discovered.")

@@ -210,7 +210,7 @@ export function findings(context, id, tells) {
         h("table", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}`),
           head("Type", "Avoidable by", "Solutions", "Distinct", "Fault by the rule", "Example"),
           h("tbody", null, types.map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
-            h("td", { title: avoidedWords(one) }, one.avoider), h("td", null, count(one.solutions)), h("td", null, count(one.instances)),
+            h("td", { title: avoidedWords(one) }, one.avoider), h("td", null, one.avoided), h("td", null, count(one.instances)),
             h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
             h("td", null, solution(one.example))))))));
   }
