@@ -299,7 +299,7 @@ def _name_parameter(axes: Axes, column: ParameterColumn, dependence: Dependence)
     name = parameter.title or parameter.name.replace("_", " ").replace(".", ": ").removesuffix(f" {unit}")
     facts = [unit, f"V = {dependence.strength:.2f}", f"n = {int(dependence.counts.sum()):,}"]
     # There is room for about forty characters; a long unit is more important than the component.
-    if len("".join([column.component, *facts])) < 34:
+    if not parameter.title and len("".join([column.component, *facts])) < 34:
         facts.insert(0, column.component)
     axes.text(
         0, 1.25, name, transform=axes.transAxes, fontsize=TICK_PT, fontweight="bold", color=INK, va="bottom"
@@ -453,7 +453,7 @@ def write_campaign_figures(
 ) -> list[Path]:
     """Write the figures of a campaign to a folder, creating it if needed and replacing existing files.
 
-    After a search for pairs, which does not look for boundary solutions, the figures of these are left out.
+    After a search for something else than boundary solutions, such as pairs, the figures of these are left out.
 
     Args:
         inputs: The campaign.
@@ -474,7 +474,8 @@ def write_campaign_figures(
             raise ValueError(f"formats: expected some of {', '.join(FORMATS)}; got {name!r}")
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
-    left_out = frozenset() if inputs.pairs is None else _OF_THE_BOUNDARY
+    about_boundary = inputs.searched_boundary and inputs.pairs is None
+    left_out = frozenset() if about_boundary else _OF_THE_BOUNDARY
     stems = [stem for stem in FIGURES if stem in only and stem not in left_out]
     for done, stem in enumerate(stems):
         if on_progress is not None:

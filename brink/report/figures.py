@@ -12,6 +12,7 @@ from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace, run_episode
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView
+from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.errors import InvalidInput
 from brink.server.states import OutcomeKind
 from brink.sim.errors import SimulatorError
@@ -104,6 +105,7 @@ def _inputs(
         words=_verdict_words(fetched),
         pairs=None if pairs is None else _numbers_of(pairs),
         too_many_pairs=isinstance(pairs, TooManyPairs),
+        searched_boundary=looks_for_boundary(fetched.body.algorithm.id),
     )
 
 

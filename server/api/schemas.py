@@ -55,6 +55,12 @@ class CampaignView(View):
     finished_at: datetime | None
     tags: list[str] = []
     notes: str = ""
+    looks_for_boundary: Annotated[
+        bool,
+        Field(
+            description="Whether it searches for the hazard boundary; otherwise fitness is of no interest."
+        ),
+    ]
     body: CampaignBody
     thresholds: Thresholds
 

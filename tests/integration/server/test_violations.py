@@ -244,6 +244,14 @@ def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, cap
     assert "best fitness" not in said
 
 
+def test_nothing_is_said_of_a_boundary_that_was_not_searched_for(client: httpx.Client, campaign: str) -> None:
+    place = ["--server", str(client.base_url)]
+    assert "boundary" not in CliRunner().invoke(app, ["status", campaign, *place]).stdout
+    shown = CliRunner().invoke(app, ["results", campaign, *place]).stdout
+    assert shown.startswith("this campaign did not look for a boundary")
+    assert expect(client.get(f"/api/v1/campaigns/{campaign}"))["looks_for_boundary"] is False
+
+
 def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     body = {
         "name": "m",

@@ -481,6 +481,19 @@ def test_figures_of_the_boundary_are_left_out_after_a_search_for_pairs(tmp_path:
     assert [path.name for path in files] == ["map.png", "parameters.png"]
 
 
+def test_a_search_for_something_else_has_no_figures_of_the_boundary(tmp_path: Path) -> None:
+    inputs = replace(mtq_campaign(120), searched_boundary=False)
+    files = write_campaign_figures(inputs, tmp_path)
+    assert [path.name for path in files] == ["map.png", "parameters.png"]
+    drawn = figure_embedding(inputs)
+    legends = [text.get_text() for legend in drawn.legends for text in legend.get_texts()]
+    ticks = [label.get_text() for axes in drawn.axes for label in axes.get_xticklabels()]
+    told = "\n".join([*(text.get_text() for text in drawn.texts), *legends, *ticks])
+    assert "unsafe" in told
+    assert not any(word in told for word in ("ring", "boundary", "fitness", "p_th")), told
+    assert not any(str(one.get_gid()).startswith("ring") for axes in drawn.axes for one in axes.collections)
+
+
 @pytest.mark.long("draws every figure twice")
 def test_equal_campaigns_give_equal_files_without_changing_global_state(tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
