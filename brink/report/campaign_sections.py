@@ -317,9 +317,9 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     paragraphs = [f"{found.words[:1].upper()}{found.words[1:]}."]
     if any(kind.avoidable for kind in types):
         paragraphs.append(
-            "To tell what the system should have avoided, each violation was driven again by reference drivers among "
-            "the same road users, which follow the same scripts. A violation is avoided if the driver has neither it "
-            f"nor a collision until 5 s afterwards. {found.explanation}"
+            "To tell what the system should have avoided, each drive with a violation was driven again by reference "
+            "drivers among the same road users, which follow the same scripts. A violation is avoided if the driver "
+            f"has neither it nor a collision until 5 s afterwards. {found.explanation}"
         )
     paragraphs.append(
         "Violations with the same circumstances are of one type. Who is at fault by the rule follows from who moved "

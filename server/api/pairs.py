@@ -600,8 +600,10 @@ def _result_words(
             else f"{len(found.pairs):,} distinct pairs across the boundary"
         )
         if not computed:  # chance has no part in computed verdicts: there is nothing to check
-            checked = "checked" if found.checked else "not checked"
-            words += f", {checked if single else f'{found.checked:,} checked'}"
+            if found.checked:
+                words += ", checked" if single else f", {found.checked:,} checked"
+            elif not counts["tried"] and not counts["pending"]:
+                words += f", {'not' if single else 'none'} simulated again yet"
         if counts["tried"]:
             words += (
                 f"; of {counts['tried']:,} simulated again with other seeds, {counts['confirmed']:,} confirmed and "
