@@ -89,6 +89,8 @@ def replay(
 ) -> None:
     """Draw one episode: the top view, the camera image, and the detections given to the driving system.
 
+    If a reference driver would have avoided a violation of scripted traffic, that drive is shown beside it.
+
     Without --server, this machine runs the episode again; with it, the coordinator's workers do.
 
     Example: brink replay 3f2a 17 --out replay.mp4

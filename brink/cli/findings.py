@@ -31,8 +31,8 @@ from brink.cli.options import (
 )
 from brink.cli.tolerance import fetch_tolerance_findings
 from brink.report.combinations import claim_words, draw_chains, tally_words
-from brink.report.figures import Drawing
-from brink.report.violations import draw_gallery
+from brink.report.figures import VIOLATION_TYPES, Drawing
+from brink.report.violations import draw_gallery, figure_types
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
 from brink.search.analysis.avoidable import Avoidable
 from brink.search.errors import UnsupportedSpace
@@ -398,7 +398,7 @@ def write_violations(found: Violations, folder: Path) -> list[Path]:
     signature = list(found.violations[0].signature) if found.violations else []
     rows = [
         [
-            one.number, one.time_s, one.type, one.name or "", one.avoidable or "", one.at_fault,
+            one.number, round(one.time_s, 3), one.type, one.name or "", one.avoidable or "", one.at_fault,
             *(one.signature[name] for name in signature),
         ]
         for one in found.violations
@@ -415,36 +415,9 @@ def _write_csv(file: Path, header: Sequence[str], rows: Sequence[Sequence[Any]])
 
 def draw_types(found: Violations, folder: Path) -> Path:
     """Plot how the numbers of known types and of avoidable ones grow with the solutions; return the file."""
-    # matplotlib takes half a second to load: only commands that draw wait for it.
-    from matplotlib.figure import Figure
-
-    firsts = sorted(kind.first for kind in found.types)
-    curves = [(firsts, "#0072b2", "all types")]
-    if any(kind.avoidable for kind in found.types):
-        curves.append((_first_avoidable(found), "#d55e00", "avoidable by a careful driver"))
-    last = max((one.number for one in found.violations), default=0)
-    figure = Figure(figsize=(6, 3.4), layout="constrained")
-    axes = figure.subplots()
-    for numbers, colour, label in curves:
-        axes.step(
-            [0, *numbers, last], [0, *range(1, len(numbers) + 1), len(numbers)], where="post", color=colour,
-            label=label,
-        )  # fmt: skip
-    axes.set(xlabel="solutions proposed", ylabel="types of violations known", xlim=(0, None), ylim=(0, None))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
-    path = folder / "violation-types.png"
-    figure.savefig(path, dpi=120)
+    path = folder / f"{VIOLATION_TYPES}.png"
+    figure_types(found).savefig(path, dpi=120)
     return path
-
-
-def _first_avoidable(found: Violations) -> list[int]:
-    """Return the solutions with which types became known as avoidable by a careful driver, ascending."""
-    firsts: dict[str, int] = {}
-    for one in found.violations:
-        if one.avoidable is Avoidable.CAREFUL:
-            firsts[one.type] = min(one.number, firsts.get(one.type, one.number))
-    return sorted(firsts.values())
 
 
 async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -62,6 +62,10 @@ def draw_figures(
     )  # fmt: skip
 
 
+VIOLATION_TYPES: Final = "violation-types"
+"""Figure of the types of violations (`brink.report.violations.figure_types`)."""
+
+
 def campaign_figure(
     name: str,
     fetched: FetchedArchive,
@@ -85,7 +89,9 @@ def campaign_figure(
     from brink.plots import FIGURES
 
     if name not in FIGURES:
-        raise InvalidInput.at("what", f"expected one of {', '.join(FIGURES)}; got {name!r}")
+        raise InvalidInput.at(
+            "what", f"expected one of {', '.join([*FIGURES, VIOLATION_TYPES])}; got {name!r}"
+        )
     return FIGURES[name](_inputs(fetched, t_b, d_th, pairs))
 
 

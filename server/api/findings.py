@@ -133,7 +133,9 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
 def violation_types(
     found: Sequence[FoundViolation], among: Sequence[FoundViolation] | None = None
 ) -> list[TypeView]:
-    """Return the types of violations: those that a careful driver would have avoided first, then by frequency.
+    """Return the types of violations, each with an example of its own where it has one.
+
+    First come those that a person named, then those that a careful driver would have avoided; each by frequency.
 
     Args:
         found: The violations.
@@ -143,7 +145,28 @@ def violation_types(
     for one in found if among is None else among:
         solutions.setdefault(one.type, set()).add(one.number)
     types = [_type_view(kind, len(solutions[kind.words])) for kind in by_type(found)]
-    return sorted(types, key=lambda kind: (avoidable_first(kind.avoidable), -kind.solutions, kind.first))
+    types.sort(
+        key=lambda kind: (not kind.named, avoidable_first(kind.avoidable), -kind.solutions, kind.first)
+    )
+    return _with_examples(types, found)
+
+
+def _with_examples(types: Sequence[TypeView], found: Sequence[FoundViolation]) -> list[TypeView]:
+    """Return types, each with the first fitting solution as its example that is not the example of an earlier type.
+
+    Where there is none, it is the first fitting one: a drive may violate two requirements at once.
+    """
+    fitting: dict[tuple[str, Avoidable | None], set[int]] = {}
+    for one in found:
+        fitting.setdefault((one.type, one.avoidable), set()).add(one.number)
+    taken: set[int] = set()
+    chosen = []
+    for kind in types:
+        numbers = fitting[kind.type, kind.avoidable]
+        example = min(numbers - taken or numbers)
+        taken.add(example)
+        chosen.append(kind.model_copy(update={"example": example}))
+    return chosen
 
 
 def violations_words(found: Sequence[FoundViolation]) -> str:
@@ -174,8 +197,7 @@ def _type_view(kind: ViolationType, solutions: int) -> TypeView:
     counts = Counter(violation.avoidable for violation in violations)
     return TypeView(
         type=kind.words, solutions=len(numbers), avoided=_avoided_words(kind, solutions),
-        instances=kind.instances, first=numbers[0],
-        example=min(one.number for one in violations if one.avoidable is kind.avoidable), numbers=numbers,
+        instances=kind.instances, first=numbers[0], example=numbers[0], numbers=numbers,
         named=sum(violation.name is not None for violation in violations),
         avoidable=kind.avoidable, avoider=by_words(kind.avoidable),
         avoidable_by={one: counts[one] for one in Avoidable}, at_fault=faults.pop() if len(faults) == 1 else None,

@@ -387,7 +387,8 @@ class TypeView(View):
     example: Annotated[
         int,
         Field(
-            description="Number of the first solution with a violation that is `avoidable` as the type is."
+            description="Number of the first solution with a violation that is `avoidable` as the type is, other "
+            "than the examples of earlier types, if there is one."
         ),
     ]
     numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
@@ -420,8 +421,8 @@ class Violations(View):
     types: Annotated[
         list[TypeView],
         Field(
-            description="First those that a careful driver would have avoided, then those that take braking at once, "
-            "then the rest; each by frequency. `first` tells the order of discovery."
+            description="First those that a person named, then those that a careful driver would have avoided, those "
+            "that take braking at once, and the rest; each by frequency. `first` tells the order of discovery."
         ),
     ]
     violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]

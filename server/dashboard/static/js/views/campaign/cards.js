@@ -169,6 +169,7 @@ function panel(one, overall, top) {
 }
 
 const MOST = 12;
+const MOST_TYPES = 20;
 
 /**
  * Return the cards of findings in one element; ``news(sequence)`` loads them.
@@ -185,6 +186,7 @@ export function findings(context, id, tells) {
 
   let told = "";
   let later = null;
+  let allTypes = false;
 
   const load = loadOnNews(async () => {
     const [broken, chains, again] = await Promise.all([optional("violations", "?types_only=true"), optional("combinations"), context.get(`campaigns/${id}/repeats`)]);
@@ -205,14 +207,16 @@ export function findings(context, id, tells) {
     violations.hidden = read.types.length === 0;
     const { types } = read;
     const measured = types.some((one) => one.avoidable !== null);
+    const folded = !allTypes && types.length > MOST_TYPES;
     replace(violations, h("h2", null, "Types of violations"), measured && h("p.hint", null, read.explanation),
       h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Types of violations" },
-        h("table", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}`),
+        h("table.types", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}${folded ? `; the first ${MOST_TYPES}` : ""}`),
           head("Type", "Avoidable by", "Solutions", "Distinct", "Fault by the rule", "Example"),
-          h("tbody", null, types.map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
+          h("tbody", null, (folded ? types.slice(0, MOST_TYPES) : types).map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
             h("td", { title: avoidedWords(one) }, one.avoider), h("td", null, one.avoided), h("td", null, count(one.instances)),
             h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
-            h("td", null, solution(one.example))))))));
+            h("td", null, solution(one.example))))))),
+      folded && h("button", { type: "button", onclick: () => { allTypes = true; showViolations(read); } }, `Show all ${count(types.length)} types`));
   }
 
   function showCombinations(read) {
