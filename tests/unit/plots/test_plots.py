@@ -454,8 +454,8 @@ def test_fronts_leave_out_solutions_whose_violations_do_not_count() -> None:
     rows = np.stack([TRAFFIC.join(TRAFFIC.sample(np.random.default_rng(seed))) for seed in range(4)])
     criticality = np.array([1.0, 250.0, 2.0, 250.0])
     (axes,) = figure_fronts("npcs", TRAFFIC, rows, [4], criticality, CONFIG, unavoidable=250.0).axes
-    drawn = [*axes.collections[0].get_offsets()[:, 0], *axes.lines[-1].get_xdata()]  # type: ignore[misc, call-overload, index]
-    assert set(drawn) == {1.0, 2.0}
+    dots, front = (np.asarray(one) for one in (axes.collections[0].get_offsets(), axes.lines[-1].get_xdata()))
+    assert {*dots[:, 0].tolist(), *front.tolist()} == {1.0, 2.0}
     told = [text.get_text() for text in axes.figure.texts]
     assert any("Without the 2 whose violations" in words for words in told)
 
