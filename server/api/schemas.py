@@ -274,8 +274,8 @@ class SolutionView(View):
     titles: Annotated[
         dict[str, str],
         Field(
-            description="What people read in place of a parameter's name, by component.parameter; names in words do "
-            "for the others. Only for a single solution."
+            description="What people read in place of a parameter's name, with its unit, by component.parameter; the "
+            "others are read by name. Only for a single solution."
         ),
     ] = {}
     activity: Annotated[

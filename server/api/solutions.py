@@ -231,12 +231,13 @@ def _solution(
 
 
 def _titles(space: SearchSpace) -> dict[str, str]:
-    """Return the titles of the parameters that have one of their own, by full name."""
+    """Return the titles of the parameters that have one of their own, with units, by full name."""
     return {
-        f"{component.name}.{parameter.name}": parameter.title
+        f"{component.name}.{parameter.name}": f"{parameter.title} ({unit})" if unit else parameter.title
         for component in space.components
         for parameter in component.parameters
         if parameter.title
+        for unit in ["" if isinstance(parameter, Categorical) else parameter.unit]
     }
 
 
