@@ -26,6 +26,7 @@ from brink.cli.options import (
     plain_table,
     print_json,
     print_line,
+    program,
     with_api,
     write_json,
 )
@@ -333,7 +334,7 @@ class ViolationFindings:
 
     def show(self, screen: Console) -> None:
         """Print the first types, and the summary sentence."""
-        print_violations(screen, self._found, TYPES_SHOWN, more=f"brink violations {self._fetched.id[:8]}")
+        print_violations(screen, self._found, TYPES_SHOWN, more=f"{program()} violations {self._fetched.id}")
 
     def write(self, folder: Path) -> list[Path]:
         """Write the findings to files; return the files."""
