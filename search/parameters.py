@@ -14,7 +14,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
@@ -69,6 +69,7 @@ class Number:
         high: Largest value, > low.
         unit: ``px``, ``m/s``, …; empty for a dimensionless number.
         sigma: Standard deviation of the Gaussian mutation, before rounding; defaults to a tenth of the range.
+        title: What people read in place of the full name; empty for the full name in words.
     """
 
     name: str
@@ -76,6 +77,7 @@ class Number:
     high: float
     unit: str = ""
     sigma: float | None = None
+    title: str = field(default="", compare=False, repr=False, kw_only=True)
     _type: ClassVar[str]
 
     def __post_init__(self) -> None:
@@ -212,10 +214,12 @@ class Categorical:
     Attributes:
         name: Unique in its component.
         choices: One or more, all different.
+        title: What people read in place of the full name; empty for the full name in words.
     """
 
     name: str
     choices: tuple[str, ...]
+    title: str = field(default="", compare=False, repr=False, kw_only=True)
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
@@ -262,6 +266,11 @@ class Categorical:
 
 
 Parameter: TypeAlias = Real | Integer | Categorical
+
+
+def parameter_title(component: str, parameter: Parameter) -> str:
+    """Return what people read in place of a parameter's full name: its title, or else its full name in words."""
+    return parameter.title or name_in_words(f"{component}.{parameter.name}")
 
 
 class Constraint(Protocol):

@@ -30,6 +30,7 @@ from brink.search.parameters import (
     Values,
     check_name,
     did_you_mean,
+    parameter_title,
 )
 
 __all__ = [
@@ -443,6 +444,14 @@ class SearchSpace:
             names = ", ".join(component.name for component in self.components)
             raise SpaceError(f"expected {len(self.components)} vectors ({names}), got {len(vectors)}")
         return vectors
+
+    def titles(self) -> dict[str, str]:
+        """Return what people read in place of each parameter's full name, in the order of the genome."""
+        return {
+            f"{component.name}.{parameter.name}": parameter_title(component.name, parameter)
+            for component in self.components
+            for parameter in component.parameters
+        }
 
     def join(self, vectors: Sequence[FloatArray]) -> FloatArray:
         """Return a complete solution as one row, shape ``(dimension,)``, read-only.

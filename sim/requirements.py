@@ -247,7 +247,7 @@ class FrontGap(Margin):
 
 
 class MovingFrontGap(FrontGap):
-    """`front-gap@2`: as `FrontGap`, but only while the ego moves, at 0.3 m/s or faster.
+    """`front-gap@2`: the ego keeps at least 1.5 m to the nearest vehicle ahead, while it moves at 0.3 m/s or faster.
 
     Who stands cannot keep others from coming close. Robustness: that of `FrontGap`; 0 where a standing ego would
     violate it.

@@ -297,5 +297,5 @@ def violated_words(
 def unsafe_words(requirements: Sequence[str]) -> str:
     """Return what the unsafe episodes of a campaign have in common, such as ``violated the front gap``."""
     if len(requirements) > MOST_NAMED:
-        return f"violated one of {len(requirements)} requirements"
+        return f"violated at least one of {len(requirements)} requirements"
     return " or ".join(violated_words(name) for name in requirements)

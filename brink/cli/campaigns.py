@@ -281,7 +281,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
     )
     if progress.looks_for_pairs:
         screen.print(where_pairs_are(progress, place), soft_wrap=True)
-    elif series:
+    elif series and progress.looks_for_boundary:
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
             f"{progress.t_b:g}, {progress.d_th:g} apart) {spark([one.dbs for one in series])}"
@@ -356,6 +356,11 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
         return
     if found.looks_for_pairs:
         screen.print(where_pairs_are(found, place), soft_wrap=True)
+    if not found.looks_for_boundary:
+        command = f"{program()} report {found.id}{place}"
+        screen.print(
+            f"this campaign did not look for a boundary; see what it found with: {command}", soft_wrap=True
+        )
     screen.print(
         f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict{within_budget(boundary)}"
     )

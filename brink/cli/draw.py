@@ -50,8 +50,8 @@ def plot(
 ) -> None:
     """Draw the figures of a campaign.
 
-    They show the archive embedded in two dimensions, how the verdict depends on each parameter and, unless the
-    campaign searched for pairs, DBS against simulations for several thresholds, and fitness over generations.
+    They show the archive embedded in two dimensions, how the verdict depends on each parameter and, if the campaign
+    searched for boundary solutions, DBS against simulations for several thresholds, and fitness over generations.
 
     Example: brink plot 3f2a --out figures
     """
@@ -88,6 +88,8 @@ def replay(
     server: Server = None,
 ) -> None:
     """Draw one episode: the top view, the camera image, and the detections given to the driving system.
+
+    If a reference driver would have avoided a violation of scripted traffic, that drive is shown beside it.
 
     Without --server, this machine runs the episode again; with it, the coordinator's workers do.
 

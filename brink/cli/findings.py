@@ -26,23 +26,32 @@ from brink.cli.options import (
     plain_table,
     print_json,
     print_line,
+    program,
     with_api,
     write_json,
 )
 from brink.cli.tolerance import fetch_tolerance_findings
 from brink.report.combinations import claim_words, draw_chains, tally_words
-from brink.report.figures import Drawing
-from brink.report.violations import draw_gallery
+from brink.report.figures import VIOLATION_TYPES, Drawing
+from brink.report.violations import draw_gallery, figure_types
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
 from brink.search.analysis.avoidable import Avoidable
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
-from brink.server.api.schemas import Combinations, SolutionPage, StepTally, Violations
+from brink.server.api.schemas import (
+    Combinations,
+    SolutionPage,
+    SolutionView,
+    StepTally,
+    Violations,
+    ViolationView,
+)
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
-from brink.server.problems.npc_actions import NpcActions
+from brink.server.problems.npc_actions import UNAVOIDABLE_M, NpcActions
+from brink.server.states import SolutionVerdict
 from brink.sim.verdict import clock_words
 
 CHAINS_SHOWN: Final = 10
@@ -212,14 +221,23 @@ def violations(
     unname: Annotated[
         bool, typer.Option("--unname", help="Remove the name; the rules determine the type again.")
     ] = False,
-    shown: Annotated[int, typer.Option(min=1, help="Number of rows in the table.")] = TYPES_SHOWN,
+    avoidable: Annotated[
+        Avoidable | None,
+        typer.Option(
+            help="Show only violations that this driver would have avoided (no: neither would have), and the types "
+            "with one."
+        ),
+    ] = None,
+    shown: Annotated[
+        int | None, typer.Option(min=1, help="Number of rows, or of violations; without it, all.")
+    ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show which types of violations a campaign found, and name them.
+    """Show all types of violations that a campaign found, and name violations.
 
-    Example: brink violations 3f2a --number 71 --name "overtakes into oncoming traffic"
+    Example: brink violations 3f2a --number 71 --requirement no-collision@1 --name "overtakes into oncoming traffic"
     """
     if (name is not None or unname) and number is None:
         raise InvalidInput.at(
@@ -232,12 +250,13 @@ def violations(
         if number is not None and (name is not None or unname):
             await _name(api, campaign, number, requirement, name)
         found = await api.read(Violations, f"/campaigns/{campaign}/violations")
-        selected = [
-            one
-            for one in found.violations
-            if number in (None, one.number) and requirement in (None, one.requirement)
-        ]
-        return found.model_copy(update={"violations": selected})
+        selected = await _selected(api, campaign, found, number, requirement)
+        if avoidable is not None:
+            params = {"avoidable": avoidable.value, "types_only": True}
+            found = await api.read(Violations, f"/campaigns/{campaign}/violations", params)
+        return found.model_copy(
+            update={"violations": [one for one in selected if avoidable in (None, one.avoidable)]}
+        )
 
     found = with_api(server, database, work)
     if as_json:
@@ -245,25 +264,48 @@ def violations(
     elif number is None and requirement is None:
         print_violations(console(), found, shown)
     else:
-        for one in found.violations:
-            avoidable = "" if one.avoidable is None else f"; {one.avoidable.words}"
+        for one in found.violations[:shown]:
+            by = "" if one.avoidable is None else f"; {one.avoidable.words}"
             how = "" if one.avoided_by is None else f", who avoids it by {one.avoided_by}"
-            print_line(
-                f"{one.number} at {clock_words(one.time_s)}, {one.requirement}: {one.type}{avoidable}{how}"
-            )
-        if not found.violations:
-            print_line("no such violation")
+            print_line(f"{one.number} at {clock_words(one.time_s)}, {one.requirement}: {one.type}{by}{how}")
+        more = len(found.violations) - len(found.violations[:shown])
+        if more or not found.violations:
+            print_line(f"… and {more:,} more" if more else "none of these violations")
+
+
+async def _selected(
+    api: Api, campaign: str, found: Violations, number: int | None, requirement: str | None
+) -> list[ViolationView]:
+    """Return the violations of a solution, of a requirement, or of both.
+
+    Raises:
+        InvalidInput: There are none.
+        Missing: There is no such solution.
+    """
+    of_number = [one for one in found.violations if number in (None, one.number)]
+    if not of_number and number is not None:
+        solution = await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")
+        safe = solution.verdict is SolutionVerdict.SAFE
+        raise InvalidInput.at(
+            "--number", f"solution {number} {'violates nothing' if safe else f'is {solution.verdict}'}"
+        )
+    chosen = [one for one in of_number if requirement in (None, one.requirement)]
+    if not chosen and requirement is not None:
+        violated = ", ".join(sorted({one.requirement for one in of_number}))
+        raise InvalidInput.at(
+            "--requirement",
+            f"expected one of {violated or 'none, as nothing was violated'}; got {requirement!r}",
+        )
+    return chosen
 
 
 async def _name(api: Api, campaign: str, number: int, requirement: str | None, name: str | None) -> None:
     """Name a violation; None removes the name."""
     if requirement is None:
         found = await api.read(Violations, f"/campaigns/{campaign}/violations")
-        violated = [one.requirement for one in found.violations if one.number == number]
+        violated = [one.requirement for one in await _selected(api, campaign, found, number, None)]
         if len(violated) != 1:
-            one_of = f"expected one of {', '.join(violated)}"
-            message = one_of if violated else f"solution {number} has no violation"
-            raise InvalidInput.at("--requirement", message)
+            raise InvalidInput.at("--requirement", f"expected one of {', '.join(violated)}")
         requirement = violated[0]
     path = f"/campaigns/{campaign}/violations/{number}/{requirement}/name"
     if name is None:
@@ -294,7 +336,7 @@ class ViolationFindings:
 
     def show(self, screen: Console) -> None:
         """Print the first types, and the summary sentence."""
-        print_violations(screen, self._found)
+        print_violations(screen, self._found, TYPES_SHOWN, more=f"{program()} violations {self._fetched.id}")
 
     def write(self, folder: Path) -> list[Path]:
         """Write the findings to files; return the files."""
@@ -321,28 +363,34 @@ class ViolationFindings:
         return hints
 
 
-def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOWN) -> None:
-    """Print the first types of violations, avoidable ones first, and a summary sentence."""
+def print_violations(
+    screen: Console,
+    found: Violations,
+    shown: int | None = None,
+    *,
+    more: str = "without --shown, all of them",
+) -> None:
+    """Print types of violations, avoidable ones first, and a summary sentence.
+
+    Args:
+        screen: Where to print.
+        found: The violations.
+        shown: Number of types to print; None prints all.
+        more: How to see the others.
+    """
     types = found.types
     numbers = ("solutions", "distinct", "example")
     table = plain_table("avoidable by", "how", *numbers, "type of violation", right=numbers)
     for kind in types[:shown]:
         words = Text.assemble(kind.type, (" (named)" if kind.named else "", "dim"))
         table.add_row(
-            kind.avoider,
-            kind.avoided_by or "",
-            str(kind.solutions),
-            str(kind.instances),
-            str(kind.example),
-            words,
+            kind.avoider, kind.avoided_by or "", kind.avoided, str(kind.instances), str(kind.example), words
         )
     if types:
         screen.print(table)
-        if len(types) > shown:
-            screen.print(
-                f"… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run",
-                style="dim",
-            )
+        hidden = len(types) - len(types[:shown])
+        if hidden:
+            screen.print(f"… and {hidden} more types: {more}", style="dim")
         if any(kind.avoidable for kind in types):
             screen.print(found.explanation, style="dim")
     screen.print(found.words)
@@ -355,7 +403,7 @@ def write_violations(found: Violations, folder: Path) -> list[Path]:
     signature = list(found.violations[0].signature) if found.violations else []
     rows = [
         [
-            one.number, one.time_s, one.type, one.name or "", one.avoidable or "",
+            one.number, round(one.time_s, 3), one.type, one.name or "", one.avoidable or "",
             one.avoided_by or "", one.at_fault,
             *(one.signature[name] for name in signature),
         ]
@@ -375,36 +423,9 @@ def _write_csv(file: Path, header: Sequence[str], rows: Sequence[Sequence[Any]])
 
 def draw_types(found: Violations, folder: Path) -> Path:
     """Plot how the numbers of known types and of avoidable ones grow with the solutions; return the file."""
-    # matplotlib takes half a second to load: only commands that draw wait for it.
-    from matplotlib.figure import Figure
-
-    firsts = sorted(kind.first for kind in found.types)
-    curves = [(firsts, "#0072b2", "all types")]
-    if any(kind.avoidable for kind in found.types):
-        curves.append((_first_avoidable(found), "#d55e00", "avoidable by a careful driver"))
-    last = max((one.number for one in found.violations), default=0)
-    figure = Figure(figsize=(6, 3.4), layout="constrained")
-    axes = figure.subplots()
-    for numbers, colour, label in curves:
-        axes.step(
-            [0, *numbers, last], [0, *range(1, len(numbers) + 1), len(numbers)], where="post", color=colour,
-            label=label,
-        )  # fmt: skip
-    axes.set(xlabel="solutions proposed", ylabel="types of violations known", xlim=(0, None), ylim=(0, None))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
-    path = folder / "violation-types.png"
-    figure.savefig(path, dpi=120)
+    path = folder / f"{VIOLATION_TYPES}.png"
+    figure_types(found).savefig(path, dpi=120)
     return path
-
-
-def _first_avoidable(found: Violations) -> list[int]:
-    """Return the solutions with which types became known as avoidable by a careful driver, ascending."""
-    firsts: dict[str, int] = {}
-    for one in found.violations:
-        if one.avoidable is Avoidable.CAREFUL:
-            firsts[one.type] = min(one.number, firsts.get(one.type, one.number))
-    return sorted(firsts.values())
 
 
 async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
@@ -430,6 +451,7 @@ def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path)
     figure = figure_fronts(
         fetched.body.name, problem.space, fetched.archive.vectors, fetched.generations,
         criticality, fetched.plan.config, by_gap=not isinstance(problem, NpcActions) or problem.by_gap,
+        unavoidable=UNAVOIDABLE_M,
     )  # fmt: skip
     path = folder / "fronts.png"
     figure.savefig(path)

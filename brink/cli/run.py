@@ -394,7 +394,7 @@ def _print_next(
     width = max((len(command) for command, _ in hints), default=0)
     for command, what in hints:  # not in a table, which would break commands that are to be pasted
         screen.print(Text.assemble(f"  {program()} {command:{width}}  ", (what, "dim")), soft_wrap=True)
-    if boundary.strict_dbs == 0 and not report.findings and not searched:
+    if about_boundary and boundary.strict_dbs == 0 and not report.findings:
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
         )
@@ -410,7 +410,5 @@ def _print_other_requirements(screen: Console, file: Path, pairs: PairFindings) 
 
 
 def _about_the_boundary(progress: Progress, report: Report) -> bool:
-    """Return whether the boundary is worth showing: the search looked for it, or found some and nothing better."""
-    if report.pairs.searched or progress.looks_for_tolerances:
-        return False
-    return progress.looks_for_boundary or report.boundary.dbs > 0
+    """Return whether the boundary is worth showing: whether the search looked for it."""
+    return progress.looks_for_boundary and not report.pairs.searched

@@ -295,10 +295,11 @@ def _plot_parameter(
 
 def _name_parameter(axes: Axes, column: ParameterColumn, dependence: Dependence) -> None:
     unit = "" if isinstance(column.parameter, Categorical) else column.parameter.unit
-    name = column.parameter.name.replace("_", " ").replace(".", ": ").removesuffix(f" {unit}")
+    parameter = column.parameter
+    name = parameter.title or parameter.name.replace("_", " ").replace(".", ": ").removesuffix(f" {unit}")
     facts = [unit, f"V = {dependence.strength:.2f}", f"n = {int(dependence.counts.sum()):,}"]
     # There is room for about forty characters; a long unit is more important than the component.
-    if len("".join([column.component, *facts])) < 34:
+    if not parameter.title and len("".join([column.component, *facts])) < 34:
         facts.insert(0, column.component)
     axes.text(
         0, 1.25, name, transform=axes.transAxes, fontsize=TICK_PT, fontweight="bold", color=INK, va="bottom"
@@ -343,6 +344,7 @@ def figure_fronts(
     config: MultiObjectiveConfig,
     *,
     by_gap: bool = True,
+    unavoidable: float = np.inf,
 ) -> Figure:
     """Plot the Pareto fronts of criticality and diversity after some of the generations.
 
@@ -354,13 +356,21 @@ def figure_fronts(
         criticality: Criticality, shape ``(n,)``.
         config: Settings of the algorithm.
         by_gap: Whether criticality is the smallest gap to a road user, not the robustness.
+        unavoidable: Criticality of solutions whose violations do not count; these are left out.
     """
+    shown = criticality < unavoidable
+    hidden = int(np.count_nonzero(~shown))
     figure = new_figure(
         FRONTS_HEIGHT_PX,
         f"{title}: criticality and diversity",
         "Each line is the Pareto front of all solutions known after a generation: no other solution is closer to a\n"
         "violation and also farther from the solutions of earlier generations. Left of 0, "
-        f"{'a collision occurs' if by_gap else 'it is violated'}.",
+        f"{'a collision occurs' if by_gap else 'it is violated'}."
+        + (
+            f" Without the {hidden:,} whose violations a careful driver could not have avoided."
+            if hidden
+            else ""
+        ),
     )
     axes = figure.add_subplot()
     figure.subplots_adjust(left=100 / WIDTH_PX, right=1 - 60 / WIDTH_PX, top=0.82, bottom=0.1)
@@ -373,12 +383,13 @@ def figure_fronts(
         show_message(axes, "no generation finished yet")
         return figure
     diversity = recorded_diversities(space, vectors, ends, config)
-    axes.scatter(criticality, diversity, s=9, color=MUTED, alpha=0.25, linewidths=0)
+    axes.scatter(criticality[shown], diversity[shown], s=9, color=MUTED, alpha=0.25, linewidths=0)
     axes.axvline(0.0, color=UNSAFE, linewidth=1)
     chosen = np.unique(np.linspace(0, len(known) - 1, FRONTS_SHOWN).round().astype(int)).tolist()
     for place, shade in zip(chosen, _FRONT_SHADES[-len(chosen) :], strict=True):
         end = known[place]
-        front = first_front(criticality[:end], -diversity[:end])
+        rows = np.flatnonzero(shown[:end])
+        front = rows[first_front(criticality[rows], -diversity[rows])]
         axes.plot(
             criticality[front], diversity[front], "o-", color=shade, markersize=4, linewidth=1.6,
             label=f"{end} solutions",
@@ -442,7 +453,7 @@ def write_campaign_figures(
 ) -> list[Path]:
     """Write the figures of a campaign to a folder, creating it if needed and replacing existing files.
 
-    After a search for pairs, which does not look for boundary solutions, the figures of these are left out.
+    After a search for something else than boundary solutions, such as pairs, the figures of these are left out.
 
     Args:
         inputs: The campaign.
@@ -463,7 +474,8 @@ def write_campaign_figures(
             raise ValueError(f"formats: expected some of {', '.join(FORMATS)}; got {name!r}")
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
-    left_out = frozenset() if inputs.pairs is None else _OF_THE_BOUNDARY
+    about_boundary = inputs.searched_boundary and inputs.pairs is None
+    left_out = frozenset() if about_boundary else _OF_THE_BOUNDARY
     stems = [stem for stem in FIGURES if stem in only and stem not in left_out]
     for done, stem in enumerate(stems):
         if on_progress is not None:

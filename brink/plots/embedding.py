@@ -58,7 +58,8 @@ _BACKGROUND = LinearSegmentedColormap.from_list(
 class _Map:
     """Positions of the solutions and the rings, and the axes: meanings, or own coordinates.
 
-    The rings are around pairs if the campaign searched for them, otherwise around distinct boundary solutions.
+    The rings are around pairs if the campaign searched for them, or around distinct boundary solutions if it searched
+    for these; otherwise there are none.
     """
 
     points: FloatArray
@@ -73,17 +74,20 @@ class _Map:
 
 def figure_embedding(inputs: CampaignFigures) -> Figure:
     """Plot the map of the archive: verdicts as colours, boundary solutions marked, distinct ones or pairs ringed."""
-    parts = " + ".join(part.name for part in inputs.space.components)
+    parts = " + ".join(part.name.replace("_", " ") for part in inputs.space.components)
     if inputs.pairs is None:
         dot = f"complete solution ({parts}), evaluated once"
         result = "distinct solutions on the hazard boundary, between safe and unsafe."
+        result = f"\nThe rings are the result: {result}" if inputs.searched_boundary else ""
     else:  # a search for pairs evaluates some solutions again, with other seeds
         dot = f"evaluation of a complete solution ({parts})"
-        result = "pairs of almost equal solutions, one on either side of the boundary."
+        result = (
+            "\nThe rings are the result: pairs of almost equal solutions, one on either side of the boundary."
+        )
     figure = new_figure(
         HEIGHT_PX,
         f"{inputs.title}: map of the search",
-        f"Each dot is one {dot}. {_placement(inputs)}\nThe rings are the result: {result}",
+        f"Each dot is one {dot}. {_placement(inputs)}{result}",
     )
     axes = figure.add_axes(
         (
@@ -131,6 +135,8 @@ def _embed(inputs: CampaignFigures) -> _Map:
     if inputs.pairs is not None:
         sides = np.searchsorted(archive.numbers, np.array(inputs.pairs, dtype=np.int64).reshape(-1, 2))
         rings, near = points[sides].mean(axis=1), near[:0]
+    elif not inputs.searched_boundary:
+        rings, near, distinct = rings[:0], near[:0], distinct[:0]
     return _Map(
         points=points,
         rings=rings,
@@ -259,10 +265,14 @@ def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
         *(Line2D([], [], color=hue, label=text, **dot) for hue, text in _verdict_keys(inputs)),  # type: ignore[arg-type]
         *(
             [Line2D([], [], markersize=9, markeredgewidth=1.0, label=near, **hollow)]  # type: ignore[arg-type]
-            if inputs.pairs is None
+            if inputs.pairs is None and inputs.searched_boundary
             else []
         ),
-        Line2D([], [], markersize=14, markeredgewidth=2.0, label=_ring_text(inputs, drawn), **hollow),  # type: ignore[arg-type]
+        *(
+            [Line2D([], [], markersize=14, markeredgewidth=2.0, label=_ring_text(inputs, drawn), **hollow)]  # type: ignore[arg-type]
+            if inputs.searched_boundary
+            else []
+        ),
     ]
     extra_px = 30 * (len(handles) - 4) + 18 * sum("\n" in text for _, text in _verdict_keys(inputs))
     top = 1 - MAP_TOP_PX / HEIGHT_PX
@@ -322,7 +332,7 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
     axes = figure.add_axes((left, top - 26 / HEIGHT_PX, width, height))
     axes.imshow(_BACKGROUND(np.linspace(0, 1, 256))[None], aspect="auto", extent=(0, 1, 0, 1))
     axes.set_yticks([])
-    middle = f"p_th = {p_th:g}" if inputs.pairs is None else f"{p_th:g}"
+    middle = f"p_th = {p_th:g}" if inputs.pairs is None and inputs.searched_boundary else f"{p_th:g}"
     axes.set_xticks([0, 0.5, 1], ["0", middle, "1"], fontsize=SMALL_PT, color=MUTED)
     axes.tick_params(length=0, pad=5)
     for spine in axes.spines.values():

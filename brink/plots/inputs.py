@@ -41,6 +41,8 @@ class CampaignFigures:
         pairs: Numbers of the safe and the unsafe side of each distinct pair, in the order of their list, if the
             campaign searched for pairs; None if it searched for something else.
         too_many_pairs: Whether there are too many pairs to mark any.
+        searched_boundary: Whether the campaign searched for the boundary, or for pairs across it; otherwise nothing
+            about it is shown.
     """
 
     archive: Archive
@@ -53,6 +55,7 @@ class CampaignFigures:
     active: BoolArray | None = None
     pairs: tuple[tuple[int, int], ...] | None = None
     too_many_pairs: bool = False
+    searched_boundary: bool = True
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.generation_ends, dtype=np.int64)

@@ -26,7 +26,7 @@ from brink.plots.style import (
     set_panel_title,
     style_axes,
 )
-from brink.search.parameters import Categorical, Number, Parameter, name_in_words
+from brink.search.parameters import Categorical, Number, Parameter
 from brink.search.space import BoolArray, FloatArray
 
 PLANE_HEIGHT_PX: Final = 860
@@ -191,10 +191,10 @@ def _by_parameter(
     axes.set_xlim(0, 1)
     axes.set_ylim(max(1, len(differing)) - 0.5, -0.5)
     axes.set_axis_off()
-    names = inputs.space.column_names()
+    titles = list(inputs.space.titles().values())
     for place, column in enumerate(differing):
-        _plot_row(axes, place, names[column], parameters[column], [float(row[column]) for row in rows])
-    same = len(names) - len(differing)
+        _plot_row(axes, place, titles[column], parameters[column], [float(row[column]) for row in rows])
+    same = len(titles) - len(differing)
     hidden = int((different & ~shown).sum())
     words = f"The other {same} parameters are the same." if same > 1 else ""
     if hidden:
@@ -214,10 +214,10 @@ def _active(inputs: CampaignFigures, pair: PairFigure) -> BoolArray:
     return np.asarray(inputs.active[places].any(axis=0), np.bool_)
 
 
-def _plot_row(axes: Axes, place: int, name: str, parameter: Parameter, values: list[float]) -> None:
+def _plot_row(axes: Axes, place: int, title: str, parameter: Parameter, values: list[float]) -> None:
     """Plot both values of a parameter on its range."""
     axes.annotate(
-        name_in_words(name), (0, place), xytext=(-16, 0), textcoords="offset points", ha="right", va="center",
+        title, (0, place), xytext=(-16, 0), textcoords="offset points", ha="right", va="center",
         fontsize=LABEL_PT, color=INK,
     )  # fmt: skip
     axes.plot([0, 1], [place, place], color=HAIRLINE, linewidth=5, solid_capstyle="round", zorder=1)

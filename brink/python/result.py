@@ -32,13 +32,14 @@ from brink.python.frames import archive_frame, data_frame, typed_frame, types_of
 from brink.python.picture import Picture
 from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
 from brink.report.campaign import campaign_report, write_page
-from brink.report.figures import campaign_figure
+from brink.report.figures import VIOLATION_TYPES, campaign_figure
 from brink.report.pair_pictures import headline, write_pair
+from brink.report.violations import figure_types
 from brink.search.errors import TooManyPairs
 from brink.server.api.boundary_table import boundary_columns, boundary_rows
 from brink.server.api.pair_table import pair_columns, pair_rows
 from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, PairsView
-from brink.server.api.schemas import Boundary, CampaignView, Progress, SolutionView
+from brink.server.api.schemas import Boundary, CampaignView, Progress, SolutionView, Violations
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.errors import InvalidInput, ServerError
 from brink.server.states import CampaignStatus
@@ -234,6 +235,10 @@ class AsyncResult(CampaignResult):
 
     async def plot(self, what: str = "map") -> "Figure":
         """Draw a figure."""
+        if what == VIOLATION_TYPES:
+            async with self._connection.open() as api:
+                found = await api.read(Violations, f"/campaigns/{self.id}/violations")
+            return await asyncio.to_thread(figure_types, found)
         fetched = await self.archive()
         pairs: PairsView | TooManyPairs | None = None
         if self._progress.looks_for_pairs:
@@ -382,10 +387,12 @@ class Result(CampaignResult):
 
         Args:
             what: ``map`` (similar solutions lie close together), ``parameters`` (how the verdict depends on each),
-                ``dbs`` (boundary solutions against simulations), or ``fitness``.
+                ``dbs`` (boundary solutions against simulations), ``fitness``, or, of scripted traffic,
+                ``violation-types`` (known types against solutions).
 
         Raises:
             InvalidInput: There is no such figure.
+            CoordinatorError: The campaign has no types of violations.
         """
         return wait_for(lambda: self._async.plot(what))
 

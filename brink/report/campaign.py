@@ -205,7 +205,10 @@ def _space(facts: Facts) -> Table | None:
     if not facts.evaluated:
         return None
     found: list[Range] = ranges(facts.columns)
-    rows = [(one.component, one.names.replace("_", " "), one.values) for one in found[:MOST_PARAMETERS]]
+    rows = [
+        (one.component.replace("_", " "), one.names.replace("_", " "), one.values)
+        for one in found[:MOST_PARAMETERS]
+    ]
     more = len(found) - len(rows)
     return Table(
         label="What was varied", columns=("component", "parameter", "range"), rows=rows,

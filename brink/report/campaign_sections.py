@@ -21,7 +21,6 @@ from brink.report.tolerance import KEY, tolerated_words
 from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
-from brink.search.parameters import name_in_words
 from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
 from brink.server.api.schemas import TypeView
 from brink.server.api.tolerance import Finding, ToleranceView
@@ -303,7 +302,7 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     fault = {True: "ego", False: "others", None: "differs"}
     rows = [
         (
-            kind.avoider, kind.avoided_by or "", f"{kind.solutions:,}", f"{kind.instances:,}", fault[kind.at_fault],
+            kind.avoider, kind.avoided_by or "", kind.avoided, f"{kind.instances:,}", fault[kind.at_fault],
             str(kind.example), kind.type,
         )
         for kind in types[:MOST_ROWS]
@@ -318,9 +317,9 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     paragraphs = [f"{found.words[:1].upper()}{found.words[1:]}."]
     if any(kind.avoidable for kind in types):
         paragraphs.append(
-            "To tell what the system should have avoided, each violation was driven again by reference drivers among "
-            "the same road users, which follow the same scripts. A violation is avoided if the driver has neither it "
-            f"nor a collision until 5 s afterwards. {found.explanation}"
+            "To tell what the system should have avoided, each drive with a violation was driven again by reference "
+            "drivers among the same road users, which follow the same scripts. A violation is avoided if the driver "
+            f"has neither it nor a collision until 5 s afterwards. {found.explanation}"
         )
     paragraphs.append(
         "Violations with the same circumstances are of one type. Who is at fault by the rule follows from who moved "
@@ -337,7 +336,7 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
                     "avoidable by", "how", "drives", "distinct", "at fault by the rule", "example",
                     "type of violation",
                 ),
-                more=f"{more:,} more: brink violations {facts.view.id} --shown {len(types)}" if more else "",
+                more=f"{more:,} more: brink violations {facts.view.id}" if more else "",
             )
         ],
     )  # fmt: skip
@@ -441,8 +440,9 @@ def _rules(facts: Facts) -> list[str]:
     if rules is None or rules.balanced is None or rules.balanced <= USELESS:
         return []
     overall = rules.inside / rules.solutions
+    titles = facts.fetched.plan.problem.space.titles()
     told = [
-        f"{', '.join(map(_readable, rule.conditions))}: {rule.inside} of {rule.solutions} unsafe "
+        f"{', '.join(_readable(one, titles) for one in rule.conditions)}: {rule.inside} of {rule.solutions} unsafe "
         f"({rule.share:.0%}, interval {rule.low:.0%} to {rule.high:.0%})."
         for rule in rules.rules[:MOST_RULES]
         if rule.conditions and rule.low > overall
@@ -458,10 +458,10 @@ def _rules(facts: Facts) -> list[str]:
     ]
 
 
-def _readable(condition: str) -> str:
-    """Return a condition on a parameter with its name in words."""
+def _readable(condition: str, titles: Mapping[str, str]) -> str:
+    """Return a condition on a parameter with its title in place of its name."""
     name, rest = condition.split(" ", 1)
-    return f"{name_in_words(name)} {rest}"
+    return f"{titles[name]} {rest}"
 
 
 def outcomes_section(facts: Facts) -> Section | None:

@@ -165,7 +165,9 @@ def findings(facts: Facts) -> list[str]:
             if most.avoidable is None
             else f"The most frequent type {most.avoidable.words}"
         )
-        told.append(f"{which}, in {count(most.solutions, noun(facts))}: {most.type}.")
+        told.append(
+            f"{which}, in {most.avoided} {noun(facts)}{'' if most.solutions == 1 else 's'}: {most.type}."
+        )
     pairs = facts.pairs
     if isinstance(pairs, PairsView) and pairs.pairs and facts.finding.of is None:
         if facts.searched_pairs:
@@ -405,7 +407,7 @@ def requirement_words(requirement: str) -> str:
 
 
 def ranges(columns: Sequence[ParameterColumn]) -> list[Range]:
-    """Return what was varied; parameters that differ in nothing but digits in their names share a row.
+    """Return what was varied; parameters that differ in nothing but digits in their titles share a row.
 
     Of the choices of a parameter, these are the ones that occurred: a search may have left out others.
 
@@ -428,7 +430,7 @@ def _used(column: ParameterColumn) -> FloatArray:
 def _together(columns: Sequence[ParameterColumn]) -> list[Range]:
     found: dict[tuple[str, str, str], list[str]] = {}
     for column in columns:
-        name = column.parameter.name
+        name = column.parameter.title or column.parameter.name
         pattern = re.sub(r"\d+", "*", name)
         found.setdefault((column.component, pattern, _values(column)), []).append(name)
     return [

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace, run_episode
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView
+from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.errors import InvalidInput
 from brink.server.states import OutcomeKind
 from brink.sim.errors import SimulatorError
@@ -61,6 +62,10 @@ def draw_figures(
     )  # fmt: skip
 
 
+VIOLATION_TYPES: Final = "violation-types"
+"""Figure of the types of violations (`brink.report.violations.figure_types`)."""
+
+
 def campaign_figure(
     name: str,
     fetched: FetchedArchive,
@@ -84,7 +89,9 @@ def campaign_figure(
     from brink.plots import FIGURES
 
     if name not in FIGURES:
-        raise InvalidInput.at("what", f"expected one of {', '.join(FIGURES)}; got {name!r}")
+        raise InvalidInput.at(
+            "what", f"expected one of {', '.join([*FIGURES, VIOLATION_TYPES])}; got {name!r}"
+        )
     return FIGURES[name](_inputs(fetched, t_b, d_th, pairs))
 
 
@@ -104,6 +111,7 @@ def _inputs(
         words=_verdict_words(fetched),
         pairs=None if pairs is None else _numbers_of(pairs),
         too_many_pairs=isinstance(pairs, TooManyPairs),
+        searched_boundary=looks_for_boundary(fetched.body.algorithm.id),
     )
 
 

@@ -1,11 +1,16 @@
-"""Types of violations as a gallery of replays."""
+"""Types of violations: how many are known over time, and a gallery of replays."""
 
 import asyncio
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from brink.report.figures import Drawing
+from brink.search.analysis.avoidable import Avoidable
 from brink.server.api.schemas import Violations
 from brink.sim.replay import render
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 async def draw_gallery(found: Violations, drawing: Drawing, most: int) -> list[Path]:
@@ -30,3 +35,35 @@ async def draw_gallery(found: Violations, drawing: Drawing, most: int) -> list[P
         await asyncio.to_thread(render, trace, path, requirement=requirement[kind.example, kind.type])
         files.append(path)
     return files
+
+
+def figure_types(found: Violations) -> "Figure":
+    """Plot how the numbers of known types and of avoidable ones grow with the solutions."""
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from matplotlib.figure import Figure
+
+    firsts = sorted(kind.first for kind in found.types)
+    curves = [(firsts, "#0072b2", "all types")]
+    if any(kind.avoidable for kind in found.types):
+        curves.append((_first_avoidable(found), "#d55e00", "avoidable by a careful driver"))
+    last = max((one.number for one in found.violations), default=0)
+    figure = Figure(figsize=(6, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for numbers, colour, label in curves:
+        axes.step(
+            [0, *numbers, last], [0, *range(1, len(numbers) + 1), len(numbers)], where="post", color=colour,
+            label=label,
+        )  # fmt: skip
+    axes.set(xlabel="solutions proposed", ylabel="types of violations known", xlim=(0, None), ylim=(0, None))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False)
+    return figure
+
+
+def _first_avoidable(found: Violations) -> list[int]:
+    """Return the solutions with which types became known as avoidable by a careful driver, ascending."""
+    firsts: dict[str, int] = {}
+    for one in found.violations:
+        if one.avoidable is Avoidable.CAREFUL:
+            firsts[one.type] = min(one.number, firsts.get(one.type, one.number))
+    return sorted(firsts.values())

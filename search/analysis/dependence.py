@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.archive import Archive
-from brink.search.parameters import name_in_words
+from brink.search.parameters import parameter_title
 from brink.search.space import (
     BoolArray,
     Categorical,
@@ -56,6 +56,11 @@ class ParameterColumn:
     def name(self) -> str:
         """``component.parameter``."""
         return f"{self.component}.{self.parameter.name}"
+
+    @property
+    def title(self) -> str:
+        """What people read in place of the name."""
+        return parameter_title(self.component, self.parameter)
 
 
 def parameter_columns(
@@ -200,18 +205,18 @@ class AxisMeaning:
     """The parameter that explains most of an axis of a map.
 
     Attributes:
-        name: ``component.parameter``.
+        title: Title of the parameter.
         explained: Share of the variance along the axis, in (0, 1].
     """
 
-    name: str
+    title: str
     explained: float
 
     @property
     def text(self) -> str:
         """The meaning in words, such as ``mostly scenario: weather (explains 81% of this axis)``."""
         how = "mostly" if self.explained >= 0.5 else "partly"
-        return f"{how} {name_in_words(self.name)} (explains {self.explained:.0%} of this axis)"
+        return f"{how} {self.title} (explains {self.explained:.0%} of this axis)"
 
 
 def axis_meanings(
@@ -229,7 +234,7 @@ def axis_meanings(
     columns = parameter_columns(space, vectors)
     found: list[AxisMeaning | None] = []
     for axis in (0, 1):
-        scored = [AxisMeaning(name=c.name, explained=_explained(c, points[:, axis])) for c in columns]
+        scored = [AxisMeaning(title=c.title, explained=_explained(c, points[:, axis])) for c in columns]
         best = max(scored, key=lambda meaning: meaning.explained, default=None)
         found.append(best if best is not None and best.explained >= LEAST_EXPLAINED else None)
     return found[0], found[1]

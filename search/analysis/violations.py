@@ -25,7 +25,7 @@ import numpy as np
 from brink.search.analysis.avoidable import Avoidable, AvoidedBy, avoidable_of, avoided_by_of
 from brink.search.space import FloatArray, IntArray
 
-RULES_VERSION: Final = 3
+RULES_VERSION: Final = 4
 NOTHING: Final = "nothing"
 
 SECTORS: Final = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
@@ -52,6 +52,15 @@ _FRONT_GAP: Final = ("front-gap@1", "front-gap@2")
 _ALONE: Final = ("red-light@1", "speed-limit@1")
 """Requirements that the ego violates on its own, regardless of others nearby."""
 
+_HAPPENED: Final[Mapping[str, tuple[str, str]]] = {
+    "no-collision": ("collision", "collision with"),
+    "front-gap": ("too close", "too close to"),
+    "lane-keeping": ("lane left", "lane left beside"),
+    "progress": ("stuck", "blocked by"),
+    "red-light": ("red light run", "red light run beside"),
+    "speed-limit": ("too fast", "too fast beside"),
+}
+"""What the violation of a requirement is, without a counterpart and before one."""
 _PASSING: Final = {"overtake": "overtaking", "nudge": "nudging around"}
 _CLASSES: Final = {"car": "vehicle", "van": "vehicle", "pedestrian": "pedestrian"}
 
@@ -82,12 +91,14 @@ class Signature:
     place: str
 
     def __str__(self) -> str:
-        who = (
-            ""
-            if self.counterpart == NOTHING
-            else f" with {self.counterpart} at the {self.sector} ({self.other})"
-        )
-        return f"{self.requirement.partition('@')[0]}{who}, ego {self.ego}, {self.place}"
+        name = self.requirement.partition("@")[0]
+        happened, happened_with = _HAPPENED.get(name, (f"{name} violated", f"{name} violated beside"))
+        if self.counterpart != NOTHING:
+            article = "an" if self.counterpart[0] in "aeiou" else "a"
+            happened = f"{happened_with} {article} {self.counterpart}"
+        if self.sector != NOTHING:
+            happened += f" at the {self.sector} ({self.other})"
+        return f"{happened}, ego {self.ego}, {self.place}"
 
     def to_json(self) -> dict[str, str]:
         """Return the signature as a JSON object."""

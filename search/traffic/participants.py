@@ -243,17 +243,20 @@ class ParameterNames:
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the parameters with these names."""
         station, offset, heading, speed = self.start
+        who = f"road user {self.kind.partition('.')[0].removeprefix('p')}"
+        kinds, actions = (tuple(map(str, choices)) for choices in (KIND_CHOICES, ACTION_CHOICES))
         parameters: list[Parameter] = [
-            Categorical(self.kind, tuple(str(kind) for kind in KIND_CHOICES)),
-            Real(station, -REACH_M, REACH_M, "m"),
-            Real(offset, -REACH_M, REACH_M, "m"),
-            Real(heading, -math.pi, math.pi, "rad"),
-            Real(speed, 0.0, max(MAX_SPEEDS_MPS.values()), "m/s"),
+            Categorical(self.kind, kinds, title=f"{who}: kind"),
+            Real(station, -REACH_M, REACH_M, "m", title=f"{who}: start along the road"),
+            Real(offset, -REACH_M, REACH_M, "m", title=f"{who}: start to the left"),
+            Real(heading, -math.pi, math.pi, "rad", title=f"{who}: heading at the start"),
+            Real(speed, 0.0, max(MAX_SPEEDS_MPS.values()), "m/s", title=f"{who}: speed at the start"),
         ]
-        for action, duration, magnitude in self.genes:
-            parameters.append(Categorical(action, tuple(str(choice) for choice in ACTION_CHOICES)))
-            parameters.append(Real(duration, 0.0, MAX_DURATION_S, "s"))
-            parameters.append(Real(magnitude, 0.0, 1.0))
+        for number, (action, duration, magnitude) in enumerate(self.genes, start=1):
+            of = f"{who}, action {number}"
+            parameters.append(Categorical(action, actions, title=f"{of}: manoeuvre"))
+            parameters.append(Real(duration, 0.0, MAX_DURATION_S, "s", title=f"{of}: duration"))
+            parameters.append(Real(magnitude, 0.0, 1.0, title=f"{of}: magnitude"))
         return tuple(parameters)
 
     def decode(self, values: Mapping[str, float]) -> Participant | None:

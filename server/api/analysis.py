@@ -320,6 +320,9 @@ class DependenceView(View):
 
     component: str
     parameter: str
+    title: Annotated[
+        str, Field(description="What people read in place of its name; empty for its name in words.")
+    ]
     unit: str
     places: Annotated[
         list[float],
@@ -376,8 +379,8 @@ def _dependence(one: Dependence, parameters: int) -> DependenceView:
         one.unsafe, np.maximum(one.counts, 1)
     )  # groups without solutions are not drawn
     return DependenceView(
-        component=one.column.component, parameter=parameter.name, unit=scale.unit if scale else "",
-        places=one.places.tolist(), labels=list(one.labels),
+        component=one.column.component, parameter=parameter.name, title=parameter.title,
+        unit=scale.unit if scale else "", places=one.places.tolist(), labels=list(one.labels),
         low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
         counts=one.counts.tolist(), unsafe=one.unsafe.tolist(),
         intervals=list(zip(low.tolist(), high.tolist(), strict=True)),

@@ -267,7 +267,8 @@ def campaign_view(campaign: Campaign) -> CampaignView:
         budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
         measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
         finished_at=campaign.finished_at, tags=campaign.body.tags, notes=campaign.body.notes,
-        body=campaign.body, thresholds=THRESHOLDS,
+        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id), body=campaign.body,
+        thresholds=THRESHOLDS,
     )  # fmt: skip
 
 

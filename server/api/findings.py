@@ -70,14 +70,18 @@ async def get_violations(
     types_only: Annotated[bool, Query(description="Return the types only.")] = False,
     avoidable: Annotated[
         Avoidable | None,
-        Query(description="Return only violations that this driver would have avoided; `no` for neither."),
+        Query(
+            description="Return only violations that this driver would have avoided (`no` for neither), and the "
+            "types with one, even if another driver would have avoided others of the type. Counts are those of these "
+            "violations, but `avoided` says of how many solutions."
+        ),
     ] = None,
 ) -> Violations:
     """Return the violations of a campaign, grouped by type; those that a careful driver would have avoided first."""
     campaign = await services.campaigns.get(campaign_id)
     found = await _found(services, campaign)
     chosen = found if avoidable is None else [one for one in found if one.avoidable is avoidable]
-    types = await asyncio.get_running_loop().run_in_executor(None, violation_types, chosen)
+    types = await asyncio.get_running_loop().run_in_executor(None, violation_types, chosen, found)
     return Violations(
         rules_version=RULES_VERSION, words=violations_words(found), explanation=EXPLANATION, types=types,
         violations=[] if types_only else [_violation_view(one) for one in chosen],
@@ -126,10 +130,43 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
     return await read(services.engines, lambda connection: read_violations(connection, campaign.id, problem))
 
 
-def violation_types(found: Sequence[FoundViolation]) -> list[TypeView]:
-    """Return the types of violations: those that a careful driver would have avoided first, then by frequency."""
-    types = [_type_view(kind) for kind in by_type(found)]
-    return sorted(types, key=lambda kind: (avoidable_first(kind.avoidable), -kind.solutions, kind.first))
+def violation_types(
+    found: Sequence[FoundViolation], among: Sequence[FoundViolation] | None = None
+) -> list[TypeView]:
+    """Return the types of violations, each with an example of its own where it has one.
+
+    First come those that a person named, then those that a careful driver would have avoided; each by frequency.
+
+    Args:
+        found: The violations.
+        among: All violations, if `found` is a choice among them.
+    """
+    solutions: dict[str, set[int]] = {}
+    for one in found if among is None else among:
+        solutions.setdefault(one.type, set()).add(one.number)
+    types = [_type_view(kind, len(solutions[kind.words])) for kind in by_type(found)]
+    types.sort(
+        key=lambda kind: (not kind.named, avoidable_first(kind.avoidable), -kind.solutions, kind.first)
+    )
+    return _with_examples(types, found)
+
+
+def _with_examples(types: Sequence[TypeView], found: Sequence[FoundViolation]) -> list[TypeView]:
+    """Return types, each with the first fitting solution as its example that is not the example of an earlier type.
+
+    Where there is none, it is the first fitting one: a drive may violate two requirements at once.
+    """
+    fitting: dict[tuple[str, Avoidable | None], set[int]] = {}
+    for one in found:
+        fitting.setdefault((one.type, one.avoidable), set()).add(one.number)
+    taken: set[int] = set()
+    chosen = []
+    for kind in types:
+        numbers = fitting[kind.type, kind.avoidable]
+        example = min(numbers - taken or numbers)
+        taken.add(example)
+        chosen.append(kind.model_copy(update={"example": example}))
+    return chosen
 
 
 def violations_words(found: Sequence[FoundViolation]) -> str:
@@ -161,18 +198,25 @@ def _by_braking(careful: Sequence[FoundViolation]) -> str:
     return f"{braking:,} of them by braking, "
 
 
-def _type_view(kind: ViolationType) -> TypeView:
+def _type_view(kind: ViolationType, solutions: int) -> TypeView:
     violations = kind.violations
     numbers = sorted({violation.number for violation in violations})
     faults = {is_at_fault(violation.circumstances) for violation in violations}
     counts = Counter(violation.avoidable for violation in violations)
     return TypeView(
-        type=kind.words, solutions=len(numbers), instances=kind.instances, first=numbers[0],
-        example=min(one.number for one in violations if one.avoidable is kind.avoidable), numbers=numbers,
+        type=kind.words, solutions=len(numbers), avoided=_avoided_words(kind, solutions),
+        instances=kind.instances, first=numbers[0], example=numbers[0], numbers=numbers,
         named=sum(violation.name is not None for violation in violations),
         avoidable=kind.avoidable, avoider=by_words(kind.avoidable), avoided_by=kind.avoided_by,
         avoidable_by={one: counts[one] for one in Avoidable}, at_fault=faults.pop() if len(faults) == 1 else None,
     )  # fmt: skip
+
+
+def _avoided_words(kind: ViolationType, solutions: int) -> str:
+    """Return in how many of a type's solutions the violation is as avoidable as the type."""
+    avoided = len({one.number for one in kind.violations if one.avoidable is kind.avoidable})
+    nobody = kind.avoidable in (None, Avoidable.NO)
+    return f"{solutions:,}" if nobody and avoided == solutions else f"{avoided:,} of {solutions:,}"
 
 
 def _violation_view(one: FoundViolation) -> ViolationView:

@@ -81,6 +81,7 @@ class ChangeView(View):
     """A parameter in which the sides differ, or two that a constraint ties together."""
 
     names: Annotated[list[str], Field(description="Names as component.parameter, of those that differ.")]
+    titles: Annotated[list[str], Field(description="What people read in place of each name.")]
     units: list[str]
     safe: Annotated[list[Any], Field(description="Value of each in the safe side, as it was chosen.")]
     unsafe: list[Any]

@@ -363,7 +363,8 @@ def _changes(
 ) -> tuple[list[ChangeView], str]:
     """Return the differences between two solutions, active ones first, and the change in words."""
     changes = sorted(changes_between(problem, safe, unsafe, units), key=lambda change: change.active is False)
-    return [_change(change) for change in changes], change_words(problem, safe, unsafe, changes)
+    titles = problem.space.titles()
+    return [_change(change, titles) for change in changes], change_words(problem, safe, unsafe, changes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -530,10 +531,10 @@ def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, Componen
     return found
 
 
-def _change(change: Change) -> ChangeView:
+def _change(change: Change, titles: Mapping[str, str]) -> ChangeView:
     return ChangeView(
-        names=list(change.names), units=list(change.units), safe=list(change.safe),
-        unsafe=list(change.unsafe), active=change.active, words=change.words,
+        names=list(change.names), titles=[titles[name] for name in change.names], units=list(change.units),
+        safe=list(change.safe), unsafe=list(change.unsafe), active=change.active, words=change.words,
     )  # fmt: skip
 
 
@@ -599,8 +600,10 @@ def _result_words(
             else f"{len(found.pairs):,} distinct pairs across the boundary"
         )
         if not computed:  # chance has no part in computed verdicts: there is nothing to check
-            checked = "checked" if found.checked else "not checked"
-            words += f", {checked if single else f'{found.checked:,} checked'}"
+            if found.checked:
+                words += ", checked" if single else f", {found.checked:,} checked"
+            elif not counts["tried"] and not counts["pending"]:
+                words += f", {'not' if single else 'none'} simulated again yet"
         if counts["tried"]:
             words += (
                 f"; of {counts['tried']:,} simulated again with other seeds, {counts['confirmed']:,} confirmed and "

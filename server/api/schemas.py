@@ -59,6 +59,12 @@ class CampaignView(View):
     finished_at: datetime | None
     tags: list[str] = []
     notes: str = ""
+    looks_for_boundary: Annotated[
+        bool,
+        Field(
+            description="Whether it searches for the hazard boundary; otherwise fitness is of no interest."
+        ),
+    ]
     body: CampaignBody
     thresholds: Thresholds
 
@@ -270,6 +276,13 @@ class SolutionView(View):
         dict[str, dict[str, Any]],
         Field(description="Values by component, then by name, as they were chosen."),
     ]
+    titles: Annotated[
+        dict[str, str],
+        Field(
+            description="What people read in place of a parameter's name, with its unit, by component.parameter; the "
+            "others are read by name. Only for a single solution."
+        ),
+    ] = {}
     activity: Annotated[
         ActivityView | None,
         Field(description="Which of them had a part in the episode; null if that was not recorded."),
@@ -366,6 +379,13 @@ class TypeView(View):
 
     type: str
     solutions: Annotated[int, Field(description="Number of solutions with a violation of this type.")]
+    avoided: Annotated[
+        str,
+        Field(
+            description="In how many of these solutions `avoider` would have avoided it, such as `15 of 20`; their "
+            "number alone if nobody would have, or if that was not measured."
+        ),
+    ]
     instances: Annotated[int, Field(description="Distinct instances: clusters of similar circumstances.")]
     first: Annotated[
         int, Field(description="Number of the first solution, in which the type was discovered.")
@@ -373,7 +393,8 @@ class TypeView(View):
     example: Annotated[
         int,
         Field(
-            description="Number of the first solution with a violation that is `avoidable` as the type is."
+            description="Number of the first solution with a violation that is `avoidable` as the type is, other "
+            "than the examples of earlier types, if there is one."
         ),
     ]
     numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
@@ -413,8 +434,8 @@ class Violations(View):
     types: Annotated[
         list[TypeView],
         Field(
-            description="First those that a careful driver would have avoided, then those that take braking at once, "
-            "then the rest; each by frequency. `first` tells the order of discovery."
+            description="First those that a person named, then those that a careful driver would have avoided, those "
+            "that take braking at once, and the rest; each by frequency. `first` tells the order of discovery."
         ),
     ]
     violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]

@@ -222,11 +222,23 @@ def _solution(
         interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
         seed=row.seed, attempts=row.attempt,
         words=describe_candidate(problem, vectors, activity), parameters=problem.space.decode(vectors),
+        titles=_titles(problem.space) if full else {},
         activity=None if activity is None else activity_view(problem.space, activity),
         verdicts=result.get("verdicts") if full else None, features=result.get("features") if full else None,
         provenance=result.get("provenance") if full else None,
         spec=json.loads(row.spec) if full and row.spec else None,
     )  # fmt: skip
+
+
+def _titles(space: SearchSpace) -> dict[str, str]:
+    """Return the titles of the parameters that have one of their own, with units, by full name."""
+    return {
+        f"{component.name}.{parameter.name}": f"{parameter.title} ({unit})" if unit else parameter.title
+        for component in space.components
+        for parameter in component.parameters
+        if parameter.title
+        for unit in ["" if isinstance(parameter, Categorical) else parameter.unit]
+    }
 
 
 def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, Any]) -> Mapping[str, Any]:

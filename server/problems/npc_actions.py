@@ -4,7 +4,7 @@ A candidate is one to six participants with timed actions on a road. The search 
 kinematic roll-out, which is also the script that they follow in the simulator.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Final
 
@@ -20,7 +20,8 @@ from brink.search.space import SearchSpace
 from brink.search.traffic.constraint import participants_component, participants_of
 from brink.search.traffic.motion import roll_out, waypoints
 from brink.search.traffic.participants import MAX_PARTICIPANTS, ParameterNames, Participant, RoadLimits
-from brink.server.problems.base import Activity, Vectors, wrong_detector
+from brink.server.problems.base import Activity, SimulatedSolution, Vectors, wrong_detector
+from brink.server.problems.traffic_changes import words_of_traffic_change
 from brink.sim.encounter.specification import (
     PLACE_FIELDS,
     REFERENCE,
@@ -69,7 +70,8 @@ class NpcActionsParams:
     )
     count: str = setting(
         "all",
-        help="Violations that the search is for: all, or those that a careful driver would have avoided.",
+        help="Violations that the search is for: all, or those that a careful driver would have avoided. Guides "
+        "qd@1, mumoea@1, mosat@1 and nsga2@1 only; verdicts and the violations found are the same.",
         choices=("all", "avoidable"),
     )
     criticality: str = setting(
@@ -213,6 +215,13 @@ class NpcActions:
         return "; ".join(
             describe_script(script) for script in self.scripts(vectors) if isinstance(script, dict)
         )
+
+    def words_of_change(
+        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
+    ) -> str:
+        """Describe the largest differences by road user, and count the others."""
+        names = {name.removeprefix(f"{ROAD_USERS}.") for name in changed}
+        return words_of_traffic_change(self._rule, safe.vectors[0], unsafe.vectors[0], names)
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
         """Return which road users and actions had a part in an episode: actions that began before it ended.

@@ -169,7 +169,7 @@ def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
     own.post(f"{API}/workers/{worker.id}/drain")
     page.reload()
     shown(best).to_contain_text("a worker must simulate them again")
-    shown(best).to_contain_text(f"brink worker --server {origin(own)}")
+    shown(best.locator("code")).to_have_text(f"brink worker --server {origin(own)}")
     worker = FakeWorker(own, id="second", capabilities=(URBAN,), judge=filmed)
     recorded = 0
 

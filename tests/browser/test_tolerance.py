@@ -88,7 +88,12 @@ def test_the_card_shows_a_curve_for_each_error_and_says_each_requirement(
 
 def test_what_a_search_for_tolerances_does_not_look_for_is_hidden(page: Page) -> None:
     shown(page.get_by_role("heading", name="Unsafe share")).to_be_visible()
-    for name in ("Fitness by generation", "Distinct boundary solutions", "Boundary solutions"):
+    for name in (
+        "Fitness by generation",
+        "Criticality by generation",
+        "Distinct boundary solutions",
+        "Boundary solutions",
+    ):
         shown(page.get_by_role("heading", name=name, exact=True)).to_be_hidden()
 
 

@@ -98,6 +98,7 @@ def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result)
     assert {"number", "unsafe", "robustness", "outcome"} <= set(result.to_pandas().columns)
     assert list(result.violations().columns)[:4] == ["number", "requirement", "time_s", "type"]
     assert str(result.violations()["time_s"].dtype) == "float64"
+    assert result.plot("violation-types").axes[0].get_ylabel() == "types of violations known"
     assert str(result.to_pandas()["unsafe"].dtype) == "bool"
     assert result.finding == "No simulation has a verdict yet."
     waiting.cancel()
@@ -140,8 +141,12 @@ def test_a_result_shows_itself_in_a_notebook(circle: brink.Result) -> None:
 
 
 def test_what_is_not_there_is_named(circle: brink.Result) -> None:
-    with pytest.raises(InvalidInput, match=r"expected one of map, dbs, fitness, parameters; got 'mpa'"):
+    with pytest.raises(InvalidInput, match=r"expected one of .*, parameters, violation-types; got 'mpa'"):
         circle.plot("mpa")
+    with pytest.raises(
+        Exception, match="violations are sorted into types only where other traffic causes them"
+    ):
+        circle.plot("violation-types")
     with pytest.raises(InvalidInput, match=r"expected the number of one of \d+ pairs, from 1; got 0"):
         circle.pair(0)
     with pytest.raises(InvalidInput, match="expected confirm=10, component=True or minimise=True"):

@@ -58,7 +58,7 @@ def test_pairs_are_close_have_opposite_verdicts_and_lie_apart(client: httpx.Clie
     assert view["tight"] >= view["distinct"] >= 3
     assert (view["safe"] + view["unsafe"], view["chancy"]) == (200, 0)
     assert view["rule"] == {"least_drives": 10, "safe_at_most": 0.2, "unsafe_at_least": 0.8}
-    assert view["note"] == f"{view['distinct']} distinct pairs across the boundary, 0 checked"
+    assert view["note"] == f"{view['distinct']} distinct pairs across the boundary, none simulated again yet"
     middles = []
     for place, pair in enumerate(view["pairs"], start=1):
         (x, y, safe), (u, v, unsafe) = (where[pair[side]["number"]] for side in ("safe", "unsafe"))
@@ -292,7 +292,7 @@ def test_the_command_shows_and_writes_pairs_that_a_monitor_is_judged_on(
     wide = ("--eps", "0.1", "--d-th", "0.1")
     view = json.loads(brink("pairs", campaign, *wide, "--json"))
     shown = brink("pairs", campaign, *wide, "--limit", "2")
-    assert f"{view['distinct']} distinct pairs across the boundary, 0 checked" in shown
+    assert f"{view['distinct']} distinct pairs across the boundary, none simulated again yet" in shown
     assert "found once" in shown
     assert f"and {view['distinct'] - 2} more: --limit {view['distinct']}" in shown
     file = tmp_path / "pairs.jsonl"

@@ -81,11 +81,17 @@ def test_types_begin_with_what_a_careful_driver_would_have_avoided(
         (kind["avoidable"] == "no", kind["avoidable"], -kind["solutions"], kind["first"]) for kind in types
     ]
     assert order == sorted(order)
+    examples: set[int] = set()
     for kind in types:
         its = [one for one in found["violations"] if one["type"] == kind["type"]]
         assert kind["avoidable_by"] == {by: sum(one["avoidable"] == by for one in its) for by in BEST}
         assert kind["avoidable"] == next(by for by in BEST if kind["avoidable_by"][by])
-        assert kind["example"] == min(one["number"] for one in its if one["avoidable"] == kind["avoidable"])
+        fitting = {one["number"] for one in its if one["avoidable"] == kind["avoidable"]}
+        assert kind["example"] == min(fitting - examples or fitting)
+        examples.add(kind["example"])
+        all_of_them = str(len({one["number"] for one in its}))
+        words = f"{len(fitting)} of {all_of_them}"
+        assert kind["avoided"] == (all_of_them if kind["avoidable"] == "no" else words)
         faults = {one["at_fault"] for one in its}
         assert kind["at_fault"] == (faults.pop() if len(faults) == 1 else None)
     avoided = [one for one in found["violations"] if one["avoidable"] == "careful"]
@@ -114,6 +120,10 @@ def test_violations_can_be_filtered_by_who_would_have_avoided_them(
         assert chosen["violations"] == [one for one in found["violations"] if one["avoidable"] == by]
         assert {kind["type"] for kind in chosen["types"]} == {one["type"] for one in chosen["violations"]}
         assert all(kind["avoidable"] == by for kind in chosen["types"])
+        solutions = {kind["type"]: kind["solutions"] for kind in found["types"]}
+        for kind in chosen["types"]:
+            words = f"{kind['solutions']} of {solutions[kind['type']]}"
+            assert kind["avoided"] in ((words, words.partition(" ")[0]) if by == "no" else (words,))
         assert chosen["words"] == found["words"]
     expect(client.get(path, params={"avoidable": "nobody"}), 422)
 
@@ -215,6 +225,7 @@ def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaig
     named = expect(client.get(path))
     (kind,) = [kind for kind in named["types"] if kind["type"] == "squeezed <b>out</b>"]
     assert (kind["numbers"], kind["named"]) == ([one["number"]], 1)
+    assert named["types"][0] == kind, "what a person named comes first"
     assert named["violations"][0]["signature"] == one["signature"]
     expect(client.delete(name), 204)
     assert expect(client.get(path)) == before
@@ -247,6 +258,14 @@ def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, cap
     assert "best fitness" not in said
 
 
+def test_nothing_is_said_of_a_boundary_that_was_not_searched_for(client: httpx.Client, campaign: str) -> None:
+    place = ["--server", str(client.base_url)]
+    assert "boundary" not in CliRunner().invoke(app, ["status", campaign, *place]).stdout
+    shown = CliRunner().invoke(app, ["results", campaign, *place]).stdout
+    assert shown.startswith("this campaign did not look for a boundary")
+    assert expect(client.get(f"/api/v1/campaigns/{campaign}"))["looks_for_boundary"] is False
+
+
 def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     body = {
         "name": "m",
@@ -269,15 +288,43 @@ def test_command_line_names_them(
     shown = CliRunner().invoke(app, ["violations", campaign, *place])
     assert shown.exit_code == 0, shown.output
     assert found["words"] in shown.stdout
+    assert all(kind["type"] in shown.stdout for kind in found["types"])
+    few = CliRunner().invoke(app, ["violations", campaign, "--shown", "1", *place])
+    assert f"… and {len(found['types']) - 1} more types" in few.stdout
+    careful = CliRunner().invoke(app, ["violations", campaign, "--avoidable", "careful", "--json", *place])
+    path = f"/api/v1/campaigns/{campaign}/violations"
+    assert json.loads(careful.stdout) == expect(client.get(path, params={"avoidable": "careful"}))
     one = found["violations"][0]
     which = ["--number", str(one["number"]), "--requirement", one["requirement"], *place]
     named = CliRunner().invoke(app, ["violations", campaign, "--name", "squeezed out", *which])
     assert f"{one['requirement']}: squeezed out" in named.stdout
     unnamed = CliRunner().invoke(app, ["violations", campaign, "--unname", *which])
     assert one["type"] in unnamed.stdout
+    by_requirement = ["--requirement", one["requirement"], "--shown", "1", *place]
+    listed = CliRunner().invoke(app, ["violations", campaign, *by_requirement]).stdout.splitlines()
+    assert [line.partition(" ")[0] for line in listed] == [str(one["number"]), "…"]
     for wrong in (["--name", "x"], ["--number", "0", "--name", "x", "--unname"]):
         refused = CliRunner().invoke(app, ["violations", campaign, *wrong, *place])
         assert refused.exit_code != 0
+
+
+def test_the_command_line_says_which_violation_is_not_there(client: httpx.Client, campaign: str) -> None:
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))["violations"]
+    safe = next(number for number in range(40) if number not in {one["number"] for one in found})
+    own = [one["requirement"] for one in found if one["number"] == found[0]["number"]]
+    for given, message in [
+        (["--number", "9999"], f"campaign {campaign} has no solution 9999"),
+        (["--number", str(safe)], f"solution {safe} violates nothing"),
+        (["--number", str(safe), "--name", "x"], f"solution {safe} violates nothing"),
+        (["--requirement", "front-gap@1"], "got 'front-gap@1'"),
+        (
+            ["--number", str(found[0]["number"]), "--requirement", "comfort@1"],
+            f"--requirement: expected one of {', '.join(sorted(own))}; got 'comfort@1'",
+        ),
+    ]:
+        said = CliRunner().invoke(app, ["violations", campaign, *given, "--server", str(client.base_url)])
+        assert (said.exit_code, said.stdout) == (1, "")
+        assert message in str(said.exception)
 
 
 def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_path: Path) -> None:
@@ -289,5 +336,9 @@ def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_pat
     assert [row["avoidable"] for row in rows] == [one["avoidable"] for one in found["violations"]]
     assert [row["avoided_by"] or None for row in rows] == [one["avoided_by"] for one in found["violations"]]
     assert [row["at_fault"] == "True" for row in rows] == [one["at_fault"] for one in found["violations"]]
+    assert all(
+        float(row["time_s"]) == round(one["time_s"], 3)
+        for row, one in zip(rows, found["violations"], strict=True)
+    )
     assert {row["place"] for row in rows} <= {"straight", "curve", "junction", "crossing"}
     assert draw_types(Violations.model_validate(found), tmp_path).stat().st_size > 5_000

@@ -450,6 +450,16 @@ def test_fronts_name_what_criticality_is() -> None:
     assert ["gap" in label for label in labels] == [True, False]
 
 
+def test_fronts_leave_out_solutions_whose_violations_do_not_count() -> None:
+    rows = np.stack([TRAFFIC.join(TRAFFIC.sample(np.random.default_rng(seed))) for seed in range(4)])
+    criticality = np.array([1.0, 250.0, 2.0, 250.0])
+    (axes,) = figure_fronts("npcs", TRAFFIC, rows, [4], criticality, CONFIG, unavoidable=250.0).axes
+    dots, front = (np.asarray(one) for one in (axes.collections[0].get_offsets(), axes.lines[-1].get_xdata()))
+    assert {*dots[:, 0].tolist(), *front.tolist()} == {1.0, 2.0}
+    told = [text.get_text() for text in axes.figure.texts]
+    assert any("Without the 2 whose violations" in words for words in told)
+
+
 def test_fronts_without_a_generation_say_so() -> None:
     figure = figure_fronts("npcs", TRAFFIC, np.empty((0, TRAFFIC.dimension)), [], np.empty(0), CONFIG)
     assert any("no generation" in text.get_text() for axes in figure.axes for text in axes.texts)
@@ -469,6 +479,19 @@ def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:
 def test_figures_of_the_boundary_are_left_out_after_a_search_for_pairs(tmp_path: Path) -> None:
     files = write_campaign_figures(replace(mtq_campaign(120), pairs=()), tmp_path)
     assert [path.name for path in files] == ["map.png", "parameters.png"]
+
+
+def test_a_search_for_something_else_has_no_figures_of_the_boundary(tmp_path: Path) -> None:
+    inputs = replace(mtq_campaign(120), searched_boundary=False)
+    files = write_campaign_figures(inputs, tmp_path)
+    assert [path.name for path in files] == ["map.png", "parameters.png"]
+    drawn = figure_embedding(inputs)
+    legends = [text.get_text() for legend in drawn.legends for text in legend.get_texts()]
+    ticks = [label.get_text() for axes in drawn.axes for label in axes.get_xticklabels()]
+    told = "\n".join([*(text.get_text() for text in drawn.texts), *legends, *ticks])
+    assert "unsafe" in told
+    assert not any(word in told for word in ("ring", "boundary", "fitness", "p_th")), told
+    assert not any(str(one.get_gid()).startswith("ring") for axes in drawn.axes for one in axes.collections)
 
 
 @pytest.mark.long("draws every figure twice")

@@ -47,6 +47,14 @@ def test_parameters_that_differ_in_digits_alone_share_a_row() -> None:
     ]  # fmt: skip
 
 
+def test_parameters_that_were_varied_have_their_titles() -> None:
+    component = Component(
+        "users", (Real("p1.v", 0, 15, title="user 1: speed"), Real("p2.v", 0, 15, title="user 2: speed"))
+    )
+    (both,) = ranges(parameter_columns(SearchSpace((component,)), np.array([[1.0, 2.0], [3.0, 4.0]])))
+    assert both.names == "user *: speed (2 parameters)"
+
+
 def test_only_what_occurred_was_varied() -> None:
     kind = Categorical("type", ("none", "miss", "late", "ghost"))
     dormant = Dormant(label="type", null_choice="none", members=("severity", "onset_s"))

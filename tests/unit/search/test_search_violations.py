@@ -32,7 +32,7 @@ def test_signature_has_six_words() -> None:
         "requirement": "no-collision@1", "counterpart": "vehicle", "sector": "front", "ego": "driving",
         "other": "same way, cut in", "place": "straight",
     }  # fmt: skip
-    assert str(found) == "no-collision with vehicle at the front (same way, cut in), ego driving, straight"
+    assert str(found) == "collision with a vehicle at the front (same way, cut in), ego driving, straight"
     assert niche_of(violation()) == ("front", "same way, cut in", "driving", "straight")
 
 
@@ -100,8 +100,35 @@ def test_manoeuvre_of_the_counterpart() -> None:
     assert (crossing.counterpart, crossing.other) == ("pedestrian", "cross")
     alone = signature_of(violation("speed-limit@1", collision=None))
     assert (alone.counterpart, alone.sector, alone.other) == ("nothing", "nothing", "nothing")
-    assert str(alone) == "speed-limit, ego driving, straight"
+    assert str(alone) == "too fast, ego driving, straight"
     assert signature_of(violation(nobody=True, collision="object")).counterpart == "object"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "collision with a vehicle at the front (same way, cut in)"),
+        ({"nobody": True, "collision": "object"}, "collision with an object"),
+        (
+            {"requirement": "front-gap@2", "collision": None},
+            "too close to a vehicle at the front (same way, cut in)",
+        ),
+        (
+            {"requirement": "lane-keeping@1", "collision": None},
+            "lane left beside a vehicle at the front (same way, cut in)",
+        ),
+        ({"requirement": "lane-keeping@1", "collision": None, "nobody": True}, "lane left"),
+        (
+            {"requirement": "progress@1", "collision": None},
+            "blocked by a vehicle at the front (same way, cut in)",
+        ),
+        ({"requirement": "progress@1", "collision": None, "nobody": True}, "stuck"),
+        ({"requirement": "red-light@1", "collision": None}, "red light run"),
+        ({"requirement": "own@1", "collision": None, "nobody": True}, "own violated"),
+    ],
+)
+def test_a_type_names_what_happened_not_what_was_required(changes: dict[str, Any], words: str) -> None:
+    assert str(signature_of(violation(**changes))) == f"{words}, ego driving, straight"
 
 
 def test_sectors_surround_the_ego() -> None:

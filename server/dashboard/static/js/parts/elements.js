@@ -51,7 +51,7 @@ export function command(words) {
 
 /** Return the command that starts a worker for this coordinator. */
 export function workerCommand() {
-  return command(`brink worker --server ${location.origin}`);
+  return command("brink worker");
 }
 
 /**

@@ -149,7 +149,7 @@ function panel(one, overall, top) {
   const x = (at) => LEFT + ((at - (scale ? 0 : first) - low) / (high - low || 1)) * (WIDTH - 2 * LEFT);
   const y = (share) => HEIGHT - 4 - (Math.min(share, top) / top) * (HEIGHT - 12);
   const colour = one.detectable ? "var(--unsafe)" : "var(--pending)";
-  const name = `${spaced(one.parameter).replace(".", ": ")}`;
+  const name = one.title || spaced(one.parameter).replace(".", ": ");
   const words = groups.map((group) => `${group.label ?? figure(group.at)}: ${percent(group.hits / group.all)} of ${group.all}`).join("; ");
   const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${name}. Unsafe: ${words || "no solution has a value"}.` },
     h("line", { x1: 0, x2: WIDTH, y1: y(overall), y2: y(overall), stroke: "var(--muted)", "stroke-width": 1, "stroke-dasharray": "3 3" }),
@@ -169,6 +169,7 @@ function panel(one, overall, top) {
 }
 
 const MOST = 12;
+const MOST_TYPES = 20;
 
 /**
  * Return the cards of findings in one element; ``news(sequence)`` loads them.
@@ -185,6 +186,7 @@ export function findings(context, id, tells) {
 
   let told = "";
   let later = null;
+  let allTypes = false;
 
   const load = loadOnNews(async () => {
     const [broken, chains, again] = await Promise.all([optional("violations", "?types_only=true"), optional("combinations"), context.get(`campaigns/${id}/repeats`)]);
@@ -205,14 +207,16 @@ export function findings(context, id, tells) {
     violations.hidden = read.types.length === 0;
     const { types } = read;
     const measured = types.some((one) => one.avoidable !== null);
+    const folded = !allTypes && types.length > MOST_TYPES;
     replace(violations, h("h2", null, "Types of violations"), measured && h("p.hint", null, read.explanation),
       h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Types of violations" },
-        h("table", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}`),
+        h("table.types", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}${folded ? `; the first ${MOST_TYPES}` : ""}`),
           head("Type", "Avoidable by", measured && "How", "Solutions", "Distinct", "Fault by the rule", "Example"),
-          h("tbody", null, types.map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
-            h("td", { title: avoidedWords(one) }, one.avoider), measured && h("td", null, one.avoided_by ?? "–"), h("td", null, count(one.solutions)), h("td", null, count(one.instances)),
+          h("tbody", null, (folded ? types.slice(0, MOST_TYPES) : types).map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
+            h("td", { title: avoidedWords(one) }, one.avoider), measured && h("td", null, one.avoided_by ?? "–"), h("td", null, one.avoided), h("td", null, count(one.instances)),
             h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
-            h("td", null, solution(one.example))))))));
+            h("td", null, solution(one.example))))))),
+      folded && h("button", { type: "button", onclick: () => { allTypes = true; showViolations(read); } }, `Show all ${count(types.length)} types`));
   }
 
   function showCombinations(read) {
@@ -316,7 +320,7 @@ function inWords(progress, generations, algorithm) {
     told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
   } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");
   if (!progress.looks_for_tolerances && last?.best_fitness !== null && last?.best_fitness !== undefined) {
-    told.push(`Fitness of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
+    told.push(`${progress.looks_for_boundary ? "Fitness" : "Criticality"} of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
   }
   const origins = Object.entries(progress.origins);
   if (origins.length) told.push(`Origins of solutions: ${origins.map(([name, number]) => `${spaced(name)} ${count(number)}`).join(", ")}.`);

@@ -40,7 +40,7 @@ export function convergenceCards(context, id, query, thresholds) {
     series: [{ label: "unsafe, %", colour: "--series-2" }],
   });
   const fitness = chart({
-    label: "Fitness by generation", x: "generation", signal: context.signal, height: 200,
+    label: "What the algorithm minimises, by generation", x: "generation", signal: context.signal, height: 200,
     series: [{ label: "best", colour: "--series-1" }, { label: "median", colour: "--series-6", dash: [6, 4] }],
   });
   const note = h("p.hint", { "aria-live": "polite" });
@@ -48,8 +48,9 @@ export function convergenceCards(context, id, query, thresholds) {
   const dbsCard = h("section.card", { "aria-label": "Boundary solutions against the number of simulations" },
     h("div.inline", null, h("h2", null, "Distinct boundary solutions"), t_b.label, d_th.label, reset), dbs, note);
   const shareCard = h("section.card", null, h("h2", null, "Unsafe share"), shares);
-  const fitnessCard = h("section.card", null, h("h2", null, "Fitness by generation"), fitness,
-    h("p.hint", null, "The quantity that the algorithm minimises. In a search for the boundary, 0 is on the boundary."));
+  const fitnessTitle = h("h2");
+  const fitnessHint = h("p.hint");
+  const fitnessCard = h("section.card", null, fitnessTitle, fitness, fitnessHint);
   const card = h("div.grid-wide", { hidden: true }, dbsCard, h("div.stack", null, shareCard, fitnessCard));
 
   for (const field of [t_b, d_th]) {
@@ -109,6 +110,8 @@ export function convergenceCards(context, id, query, thresholds) {
       // In a search for pairs the boundary is a side line, and there may be none.
       dbsCard.hidden = !progress.looks_for_boundary || (progress.looks_for_pairs && isDefault() && known.list.every((one) => one.dbs === 0));
       fitnessCard.hidden = progress.looks_for_tolerances; // it minimises nothing
+      text(fitnessTitle, `${progress.looks_for_boundary ? "Fitness" : "Criticality"} by generation`);
+      text(fitnessHint, `The quantity that the algorithm minimises.${progress.looks_for_boundary ? " 0 is on the boundary." : ""}`);
       if (generations !== known || known.next !== this.drawn) {
         generations = known;
         this.drawn = known.next;

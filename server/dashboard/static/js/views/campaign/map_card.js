@@ -69,7 +69,7 @@ export function mapCard(context, id, query) {
     const groups = Map.groupBy?.(parameters, (one) => one.component) ?? new Map([["parameters", parameters]]);
     replace(colours, own.map(([value, words]) => h("option", { value }, words)),
       [...groups].map(([component, some]) => h("optgroup", { label: spaced(component) },
-        some.map((one) => h("option", { value: `${one.component}.${one.parameter}` }, spaced(one.parameter).replace(".", ": "))))));
+        some.map((one) => h("option", { value: `${one.component}.${one.parameter}` }, one.title || spaced(one.parameter).replace(".", ": "))))));
     if (isParameter(by) && !parameters.some((one) => `${one.component}.${one.parameter}` === by)) {
       colours.append(h("option", { value: by }, by));
     }

@@ -78,7 +78,7 @@ export function differences(pair) {
     h("caption", null, `${several ? "Parameters" : "The parameter"} in which the two differ, ${figure(pair.distance)} apart.`),
     h("thead", null, h("tr", null, ["Parameter", "Safe", "Unsafe", "Had a part"].map((name) => h("th", { scope: "col" }, name)))),
     h("tbody", null, pair.changes.map((change) => h("tr", { class: change.active === false ? "muted" : null },
-      h("th", { scope: "row" }, change.names.map((name) => h("div", null, name.replaceAll("_", " ").replaceAll(".", " ")))),
+      h("th", { scope: "row" }, change.titles.map((title) => h("div", null, title))),
       ["safe", "unsafe"].map((side) => h("td", null, change[side].map((value, place) => h("div", null, `${written(value)} ${change.units[place] ?? ""}`.trim())))),
       h("td", null, change.active === null ? "not recorded" : change.active ? "yes" : "no"))))));
 }

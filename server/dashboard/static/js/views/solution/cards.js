@@ -50,7 +50,7 @@ export function verdicts(solution, judged, goTo) {
 }
 
 /** Return the cards of a solution's parameters, one per component; names with a common prefix become columns. If known, values are those that the drive had, and the others are left out. */
-export function parameters({ parameters: given, activity }) {
+export function parameters({ parameters: given, activity, titles }) {
   const inactive = new Set(activity?.inactive);
   return Object.entries(activity?.effective ?? given).map(([component, values]) => {
     const shown = Object.fromEntries(Object.entries(values).map(([name, one]) => [name, inactive.has(`${component}.${name}`) ? null : one]));
@@ -60,7 +60,7 @@ export function parameters({ parameters: given, activity }) {
       h("h2", null, capital(spaced(component))),
       idle ? h("p", null, `The ${component === "behaviour" ? "injected behaviour" : spaced(component)} had no part in this drive.`)
         : h("div.scroll.tall", { tabindex: 0, role: "region", "aria-label": `Table of ${spaced(component)}` },
-          grouped(shown).map((group) => (group.prefixes ? crossTable(group) : plainTable(group, component)))),
+          grouped(shown).map((group) => (group.prefixes ? crossTable(group, component, titles) : plainTable(group, component, titles)))),
       !idle && partial && h("p.hint", null, "–: had no part in this drive."),
       !idle && !same(values, given[component], inactive, component) && h("p.hint", null, "The drive ended before a time window did; the table shows the window up to there."));
   });
@@ -70,18 +70,20 @@ function same(values, given, inactive, component) {
   return Object.entries(values).every(([name, one]) => one === given[name] || inactive.has(`${component}.${name}`));
 }
 
-function plainTable({ entries }, component) {
+function plainTable({ entries }, component, titles) {
   return h("table", null, h("caption.read-out", null, `Parameters of ${spaced(component)}`),
-    h("tbody", null, entries.map(([name, one]) => h("tr", null, h("th", { scope: "row" }, spaced(name)), h("td", null, value(one))))));
+    h("tbody", null, entries.map(([name, one]) => h("tr", null, h("th", { scope: "row" }, titles[`${component}.${name}`] ?? spaced(name)), h("td", null, value(one))))));
 }
 
 /** Return a table of groups that have the same parameters; its longer side goes down. */
-function crossTable({ prefixes, names, at }) {
+function crossTable({ prefixes, names, at }, component, titles) {
+  const parts = (prefix, name) => titles[`${component}.${prefix}.${name}`]?.split(": ") ?? [readable(prefix), readable(name)];
+  const told = new Map([...prefixes.map((prefix) => [prefix, parts(prefix, names[0])[0]]), ...names.map((name) => [name, parts(prefixes[0], name)[1]])]);
   const groupsDown = prefixes.length > names.length;
   const [rows, columns] = groupsDown ? [prefixes, names] : [names, prefixes];
   return h("table", null, h("caption.read-out", null, `${prefixes.length} groups of parameters`),
-    h("thead", null, h("tr", null, h("td"), columns.map((name) => h("th", { scope: "col" }, readable(name))))),
-    h("tbody", null, rows.map((row) => h("tr", null, h("th", { scope: "row" }, readable(row)),
+    h("thead", null, h("tr", null, h("td"), columns.map((name) => h("th", { scope: "col" }, told.get(name))))),
+    h("tbody", null, rows.map((row) => h("tr", null, h("th", { scope: "row" }, told.get(row)),
       columns.map((column) => h("td", null, value(groupsDown ? at(row, column) : at(column, row))))))));
 }
 
@@ -118,14 +120,14 @@ function getOr(mapping, key, make) {
 export function neighbourhood(campaign) {
   const opposite = h("section.card.opposite", { "aria-label": "Nearest opposite", hidden: true });
   const words = h("p", { id: "neighbourhood-words" });
-  const bar = intervalBar();
+  const bar = intervalBar(campaign.looks_for_boundary);
   const card = h("section.card", { "aria-label": "Neighbourhood" }, h("h2", null, "Neighbourhood"), words, bar);
   const caption = h("caption");
   const rows = h("tbody");
   const table = h("section.card", { "aria-label": "Nearest solutions" }, h("h2", null, "Nearest solutions"),
     h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of the nearest solutions" }, h("table", null, caption,
       h("thead", null, h("tr", null, h("th", { scope: "col" }, "Solution"), h("th", { scope: "col" }, "Verdict"),
-        ["Distance", "Robustness", "Fitness"].map((name) => h("th.right", { scope: "col" }, name)))),
+        ["Distance", "Robustness", campaign.looks_for_boundary && "Fitness"].filter(Boolean).map((name) => h("th.right", { scope: "col" }, name)))),
       rows)));
 
   function showOpposite({ opposite: other }) {
@@ -152,27 +154,27 @@ export function neighbourhood(campaign) {
       h("th", { scope: "row" }, h("a.row", { href: link("campaigns", campaign.id, "solutions", one.number) }, String(one.number))),
       h("td", null, outcomeBadge(one)),
       h("td.right", null, figure(one.distance), h("span.read-out", null, one.within ? ", a neighbour" : ""), !one.within && h("span.small.muted", null, " beyond")),
-      h("td.right", null, figure(one.robustness)), h("td.right", null, figure(one.fitness)))));
+      h("td.right", null, figure(one.robustness)), campaign.looks_for_boundary && h("td.right", null, figure(one.fitness)))));
   }
   return { opposite, card, table, update };
 }
 
-/** Return a bar from 0 to 1 with an unsafe share, its interval and p_th; ``update`` takes other values. */
-function intervalBar() {
+/** Return a bar from 0 to 1 with an unsafe share, its interval and, in a search for the boundary, p_th; ``update`` takes other values. */
+function intervalBar(aboutBoundary) {
   const range = h("i.range");
   const share = h("i.share");
   const edge = h("i.p-th");
-  const bar = h("div.interval", { role: "img" }, range, edge, share);
+  const bar = h("div.interval", { role: "img" }, range, aboutBoundary && edge, share);
   const node = h("div.interval-box", null, bar,
     h("div.interval-scale.small.muted", { "aria-hidden": "true" }, [0, 0.25, 0.5, 0.75, 1].map((at) => h("span", null, percent(at)))),
     h("ul.legend", null, h("li", null, h("i.key.share"), "unsafe share"), h("li", null, h("i.key.range"), "its interval"),
-      h("li", null, h("i.key.p-th"), "boundary (p_th)")));
+      aboutBoundary && h("li", null, h("i.key.p-th"), "boundary (p_th)")));
   node.update = ({ low, high, part, p_th }) => {
     range.style.left = `${100 * low}%`;
     range.style.width = `${100 * (high - low)}%`;
     share.style.left = `${100 * part}%`;
     edge.style.left = `${100 * p_th}%`;
-    bar.setAttribute("aria-label", `${percent(part)} unsafe, interval ${percent(low)} to ${percent(high)}; the boundary is at ${percent(p_th)}`);
+    bar.setAttribute("aria-label", `${percent(part)} unsafe, interval ${percent(low)} to ${percent(high)}${aboutBoundary ? `; the boundary is at ${percent(p_th)}` : ""}`);
   };
   return node;
 }
