@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from brink.server.settings import Settings
 
 T = TypeVar("T")
-PLAIN_WIDTH = 140
+PLAIN_WIDTH = 160
 IDS_SHOWN = 3
 """Ids to name where one was not found."""
 _LISTS = {"campaign": "status", "experiment": "experiment list"}
