@@ -98,13 +98,13 @@ class Impact:
         )  # fmt: skip
 
     def words(self, who: str) -> str:
-        """Return what happened to the ego, such as ``had car-2 drive into its left rear`` or ``hit car-4``.
+        """Return what happened to the ego, such as ``was driven into by car-2 at its left rear`` or ``hit car-4``.
 
         Args:
             who: What the other one is called.
         """
         if self.by_other:
-            return f"had {who} {'walk' if self.on_foot else 'drive'} into its {self.place}"
+            return f"was {'walked' if self.on_foot else 'driven'} into by {who} at its {self.place}"
         with_side = "" if self.place == "front" else f" with its {self.place}"
         return f"hit {who}{with_side}"
 

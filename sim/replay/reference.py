@@ -29,17 +29,17 @@ _NOTES: Final[Mapping[str, str]] = {
 """What is said of violations, by who avoids them."""
 _EXPLANATIONS: Final[Mapping[str, str]] = {
     "careful": (
-        "The careful driver is that of UN Regulation No. 157, Annex 3: sees everybody, takes 0.4 s to judge a risk "
-        "and 0.75 s to reach the brake, brakes with up to 0.774 g, and never swerves."
+        "The careful driver is that of UN Regulation No. 157, Annex 3: sees all road users, takes 0.4 s to judge a "
+        "risk and 0.75 s to reach the brake, brakes with up to 0.774 g, and never swerves."
     ),
     "ideal": (
-        "The ideal driver sees everybody, brakes at once with 0.774 g, and never swerves. A careful driver (UN "
+        "The ideal driver sees all road users, brakes at once with 0.774 g, and never swerves. A careful driver (UN "
         "Regulation No. 157, Annex 3), who needs time to react, would not have avoided it."
     ),
 }
 _SETTING: Final = (
     "Other road users follow a script and do not watch for the car. There are no priority signs, and the reference "
-    "driver knows no right of way."
+    "driver applies no rules of priority."
 )
 _LEADS_TO_S: Final = 3.0
 """A collision this soon after another violation is what that led to."""
@@ -127,7 +127,7 @@ class Comparison:
         """That the driver has not braked before the violation, in a sentence; empty if it has."""
         if self.deed.braked:
             return ""
-        how = "having passed" if self.deed.passes else "driving on"
+        how = "having passed earlier" if self.deed.passes else "driving on"
         return f"Avoided by {how}, not by braking: the {self.name} has not braked for anybody."
 
     @property

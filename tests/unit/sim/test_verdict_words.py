@@ -68,12 +68,12 @@ def test_a_collision_says_with_what(kind: CollisionKind) -> None:
     ("bearing_rad", "heading_rad", "speed_mps", "words"),
     [
         (0.1, -1.57, 2.0, "hit a vehicle"),
-        (1.5, -1.57, 2.0, "had a vehicle drive into its left side"),
-        (2.2, -1.57, 2.0, "had a vehicle drive into its left rear"),
-        (-1.0, 1.57, 2.0, "had a vehicle drive into its right front"),
+        (1.5, -1.57, 2.0, "was driven into by a vehicle at its left side"),
+        (2.2, -1.57, 2.0, "was driven into by a vehicle at its left rear"),
+        (-1.0, 1.57, 2.0, "was driven into by a vehicle at its right front"),
         (-1.0, -1.57, 2.0, "hit a vehicle with its right front"),
         (1.5, -1.57, 0.0, "hit a vehicle with its left side"),
-        (3.1, 0.0, 9.0, "had a vehicle drive into its rear"),
+        (3.1, 0.0, 9.0, "was driven into by a vehicle at its rear"),
         (3.1, 0.0, 4.0, "hit a vehicle with its rear"),
     ],
 )
@@ -109,7 +109,7 @@ def test_what_other_simulators_report_of_a_collision_is_no_error(violations: obj
 
 def test_people_walk_into_a_car() -> None:
     met = Impact.of(bearing_rad=1.5, heading_rad=-1.57, speed_mps=1.0, ego_mps=3.0, on_foot=True)
-    assert met.words("pedestrian-4") == "had pedestrian-4 walk into its left side"
+    assert met.words("pedestrian-4") == "was walked into by pedestrian-4 at its left side"
 
 
 def test_a_time_has_the_same_words_whatever_the_type_of_the_number() -> None:

@@ -100,7 +100,7 @@ def test_a_driver_who_need_not_brake_says_why_and_is_shown_when_it_passes() -> N
     found = compared(system, driven(stops_at_m=None))
     assert found.driven == "does not need to brake: it passes pedestrian-1 at 4.5 s, 1.5 m clear"
     assert found.brakes_at_s is None
-    assert found.avoided_by.startswith("Avoided by having passed, not by braking")
+    assert found.avoided_by.startswith("Avoided by having passed earlier, not by braking")
     story = pair_story(found.pair(system))
     assert [story.shown_at(index) for index in (0, 1)] == pytest.approx([7.0, 4.5])
     early = driven(stops_at_m=None)
