@@ -299,7 +299,7 @@ def test_a_campaign_on_traffic_shows_types_of_violations(database_url: str) -> N
     assert types[0]["type"] in found.text
     assert f"of {len(types)} type{'s' if len(types) > 1 else ''} of violations, " in found.text
     assert "of them by braking, in" in found.text
-    assert "p*.kind (3 parameters)" in found.text
+    assert "road user *: kind (3 parameters)" in found.text
     assert not any(one.startswith("The pairs") for one in found.headings)
 
 
