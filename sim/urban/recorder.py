@@ -76,8 +76,7 @@ class Recorder:
         """
         ego = self._world.ego
         self._shown = seen, given
-        if self._times:
-            self._close_step()
+        self._close_sample()
         self._times.append(time_s)
         self._ego.append((ego.x_m, ego.y_m, ego.yaw_rad, ego.speed_mps, ego.accel_mps2))
         for motion, actor in zip(self._motions, self._actors, strict=True):
@@ -120,18 +119,17 @@ class Recorder:
         self.sample(time_s, driving, *self._shown, light)
 
     def judge(self, requirement: str, robustness: float) -> None:
-        """Record a requirement's robustness at a control step; the next sample keeps the smallest until then."""
+        """Record a requirement's robustness at a control step; each sample keeps the smallest since the last."""
         if robustness < self._least[requirement]:
             self._least[requirement] = robustness
 
-    def _close_step(self) -> None:
-        """Keep the smallest robustness since the last sample, as that of the sample that is being recorded.
-
-        The first sample has the same value as the second: requirements are evaluated after a step.
-        """
-        for name, series in self._robustness.items():
-            series.extend([self._least[name]] * (1 if series else 2))
-            self._least[name] = math.inf
+    def _close_sample(self) -> None:
+        if len(self._times) > len(next(iter(self._robustness.values()), self._times)):
+            for name, series in self._robustness.items():
+                least = self._least[name]
+                # Requirements are not evaluated after the end, so the last value stays.
+                series.append(series[-1] if series and math.isinf(least) else least)
+                self._least[name] = math.inf
 
     def event(self, time_s: float, kind: str, text: str) -> None:
         """Record an event.
@@ -157,6 +155,7 @@ class Recorder:
 
     def trace(self, about: Mapping[str, Json]) -> Trace:
         """Return the trace of the whole episode."""
+        self._close_sample()
         world = self._world
         line = world.route.line
         count = math.ceil((line.length_m + ROUTE_BEYOND_M) / ROUTE_EVERY_M)

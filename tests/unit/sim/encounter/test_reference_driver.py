@@ -282,16 +282,6 @@ def test_a_driver_who_has_passed_before_a_car_moves_off_avoids_the_collision_by_
     assert facts(reference["careful"])["brakes_at_s"] is None
 
 
-def test_the_robustness_of_a_sample_is_that_of_its_moment_not_of_the_next() -> None:
-    result = BrinkEncounter().run(encounter(cut_in(6.0, 1.0, 1.5, 21.4)), record=True)
-    assert result.trace is not None
-    trace = Trace.from_bytes(result.trace)
-    for name, verdict in result.verdicts.items():
-        if verdict.violated_at_s is not None:
-            first_s = float(trace.time_s[np.flatnonzero(trace.robustness[name] < 0.0)[0]])
-            assert verdict.violated_at_s - 1e-4 <= first_s < verdict.violated_at_s + 0.1
-
-
 def test_a_drive_without_a_violation_is_not_driven_again() -> None:
     found = BrinkEncounter().run(encounter(), record=True)
     assert "reference" not in found.features
