@@ -446,7 +446,7 @@ class SearchSpace:
         return vectors
 
     def titles(self) -> dict[str, str]:
-        """Return what people read in place of each parameter's full name, in the order of the genome."""
+        """Return the title of each parameter by its full name, in the order of the genome."""
         return {
             f"{component.name}.{parameter.name}": parameter_title(component.name, parameter)
             for component in self.components

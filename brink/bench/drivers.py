@@ -5,16 +5,14 @@ A reference driver decides what was avoidable, so it should cope wherever the sy
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Final
 
 import numpy as np
 
 from brink.bench.measurement import Progress, Row, at_most
-from brink.bench.trials import process_pool, single_threaded
+from brink.bench.trials import process_pool, run_record, single_threaded
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.encounter.reference import COLLISION, Driver
-from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.episode import EpisodeSpec
 
 MAX_SHARE: Final[dict[Driver, float]] = {Driver.CAREFUL: 0.05, Driver.IDEAL: 0.0}
@@ -37,23 +35,17 @@ class Outcome:
     hit: frozenset[Driver]
 
 
-@cache
-def _simulator() -> BrinkEncounter:
-    return BrinkEncounter()
-
-
 def drive(spec: EpisodeSpec) -> Outcome:
     """Let the system drive, and the reference drivers where it is safe."""
     weather = str(spec.scenario["weather"])
-    verdicts = _simulator().run(spec).verdicts.values()
-    if any(verdict.violated for verdict in verdicts):
+    if run_record(spec).unsafe:
         return Outcome(weather=weather, safe=False, hit=frozenset())
     return Outcome(weather=weather, safe=True, hit=frozenset(who for who in Driver if _collides(spec, who)))
 
 
 def _collides(spec: EpisodeSpec, driver: Driver) -> bool:
     its = replace(spec, behaviour={"mode": "reference", "driver": driver.value}, options={})
-    return _simulator().run(its).verdicts[COLLISION].violated
+    return run_record(its).robustness[COLLISION] < 0
 
 
 def specs(candidates: int, weathers: Sequence[str], seed: int) -> list[EpisodeSpec]:

@@ -265,7 +265,7 @@ class NpcActions:
         closest = outcome.features.get("closest")
         counted = violations
         if self.params.count == "avoidable":
-            # What comes close to a standing ego is not its doing. Results of older versions lack these.
+            # A standing ego is not to blame for what comes close to it. Results of older versions lack these values.
             objectives[CRITICALITY] = objectives.get("moving_criticality_m", objectives[CRITICALITY])
             closest = outcome.features.get("closest_moving", closest)
             counted = [one for one in violations if avoidable_of(one) is Avoidable.CAREFUL]

@@ -10,14 +10,14 @@ import numpy as np
 from brink.sim.encounter.specification import ACTION_WORDS, REFERENCE
 from brink.sim.replay.scene import Points, gap_to, is_car, plain_name, spec_part
 from brink.sim.replay.story import runs
-from brink.sim.requirements import LANE_TOLERANCE_M
+from brink.sim.requirements import LANE_TOLERANCE_M, STANDS_BELOW_MPS
 from brink.sim.trace import ACTION, Trace
 
 STANDS: Final = "stands"
 KEEPS: Final = ACTION_WORDS["keep"]
 BRAKES, WAITS, DRIVES = "brakes", "waits", "drives"
 """What a reference driver does."""
-STANDS_MPS: Final = 0.3
+STANDS_MPS: Final = STANDS_BELOW_MPS
 CREEPS_MPS: Final = 2.0
 """Below this speed, a driver who goes on a little after having braked has not left off."""
 _LETS_GO_S: Final = 1.5
@@ -133,7 +133,7 @@ def lane_edge(trace: Trace, sample: int, reach_m: float) -> Points | None:
     if series is None or len(trace.route) < 3:
         return None
     found = [_offset(trace, at) for at in range(0, len(trace.time_s), 5)]
-    # The margin is that of the body's outermost corner, which is where the edge is in most samples.
+    # The margin is measured from the outermost corner of the body; the median tells where the edge is.
     half_m = float(
         np.median(
             [abs(offset_m) + corner_m + float(series[5 * i]) for i, (offset_m, corner_m) in enumerate(found)]

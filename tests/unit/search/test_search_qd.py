@@ -1,4 +1,4 @@
-"""MAP-Elites on traffic: elites by niche, how children are made, what a stored state refuses."""
+"""MAP-Elites on traffic: elites by niche, how children are made, what is refused when a state is restored."""
 
 from collections.abc import Sequence
 from dataclasses import replace
