@@ -302,6 +302,7 @@ class FaultyProxy:
         self._ledger = ledger
         self._rng = rng
         self._late: set[asyncio.Task[_Message | None]] = set()
+        self._connections: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
 
     @property
@@ -317,10 +318,18 @@ class FaultyProxy:
     async def __aexit__(self, *_: object) -> None:
         assert self._server is not None
         self._server.close()
-        for task in self._late:
+        # A connection that was just accepted gets its task some iterations of the event loop later.
+        await asyncio.sleep(0.1)
+        tasks = [*self._late, *self._connections]
+        for task in tasks:
             task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections.add(task)
+        task.add_done_callback(self._connections.discard)
         try:
             while True:
                 answer, keep_alive = await self._answer(await _read(reader))
