@@ -3,7 +3,7 @@
 The images show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
 disjoint appearances (colours, textures, shapes). People stand and walk where the emergency-braking episode places
 them, and elsewhere at all distances. Unusual bodies and perturbations never occur, so that both remain unknown to the
-detector; training varies only the exposure.
+detector; see `brink.sim.perception.augmentation` for what training does to the images.
 
 The evaluator measures a detector on a data set seen through perturbations. It has the interface of a simulator, so
 data-set evaluations are jobs like any other. Perturbations are applied to each frame in order, and the same
@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
+from brink.sim.aeb.labels import label_frame
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
     CROSSING_M,
@@ -42,19 +43,12 @@ from brink.sim.perception.detector import LABELS, Picture, find_detector
 from brink.sim.perception.user_files import CocoPicture, DatasetError, read_coco, sample_evenly
 from brink.sim.perturbations import Pipeline
 from brink.sim.provenance import provenance
-from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
+from brink.sim.rendering.scene import Body, BodyKind, Light, PictureCamera, StreetScene, Viewpoint
 from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10
-MIN_HEIGHT_SHARE: Final = 12.0 / 360.0
-"""Boxes lower than this share of the image are ignored: 6 px in the network's half-size input."""
-MIN_WIDTH_SHARE: Final = 6.0 / 640.0
-"""Boxes narrower than this share of the image are ignored: 3 px in the network's half-size input."""
-MIN_VISIBLE: Final = 0.25
-_LABELS: Final = {BodyKind.VEHICLE: 0, BodyKind.PERSON: 1}
 
 
 class Split(IntEnum):
@@ -65,20 +59,23 @@ class Split(IntEnum):
     TEST = 3
 
 
-def labelled_frames(split: Split, count: int, seed: int = 0) -> Iterator[LabelledFrame]:
+def labelled_frames(
+    split: Split, count: int, seed: int = 0, *, width_px: int = SIZE_PX[0]
+) -> Iterator[LabelledFrame]:
     """Yield labelled images; the same arguments always give the same images.
 
     Args:
         split: One of the three disjoint sets.
         count: Number of images.
         seed: Selects the images within the set.
+        width_px: Width of the images, which are 16:9.
     """
     for street in range(-(-count // FRAMES_A_STREET)):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(split), street)))
-        yield from islice(_street_frames(split, rng), count - street * FRAMES_A_STREET)
+        yield from islice(_street_frames(split, rng, width_px), count - street * FRAMES_A_STREET)
 
 
-def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledFrame]:
+def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Iterator[LabelledFrame]:
     scenario = AebScenario(
         time_of_day=list(TimeOfDay)[int(rng.integers(len(TimeOfDay)))],
         weather=list(Weather)[int(rng.integers(len(Weather)))],
@@ -92,7 +89,7 @@ def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledF
     renderer = Renderer(
         scene,
         Light(time_of_day=scenario.time_of_day, weather=scenario.weather),
-        PictureCamera(width_px=SIZE_PX[0], height_px=SIZE_PX[1]),
+        PictureCamera(width_px=width_px, height_px=width_px * SIZE_PX[1] // SIZE_PX[0]),
         int(split) * 10**6 + int(rng.integers(10**6)),
     )
     people_from = 10_000
@@ -152,28 +149,6 @@ def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator)
         height_m=height_m + float(rng.uniform(-0.25, 0.15)), look=int(rng.integers(1000)) + 1000 * int(split),
         phase=float(rng.uniform(0.0, 2.0 * math.pi)),
     )  # fmt: skip
-
-
-def label_frame(frame: Frame) -> LabelledFrame:
-    """Return a rendered image with its ground truth.
-
-    A box covers the whole body within the image, including hidden parts; bodies that are almost hidden are ignored.
-    """
-    seen = [body for body in visible_bodies(frame) if body.box is not None and body.kind in _LABELS]
-    boxes = np.array([body.whole_box for body in seen], np.float32).reshape(len(seen), 4)
-    height_px, width_px = frame.image.shape[:2]
-    low = (boxes[:, 3] - boxes[:, 1]) < MIN_HEIGHT_SHARE * height_px
-    low |= (boxes[:, 2] - boxes[:, 0]) < MIN_WIDTH_SHARE * width_px
-    hidden = np.array([body.visible_share < MIN_VISIBLE for body in seen], np.bool_)
-    return LabelledFrame(
-        picture=frame.image,
-        truth=GroundTruth(
-            labels=np.array([_LABELS[body.kind] for body in seen], np.int64),
-            boxes=boxes,
-            ignored=low | hidden,
-        ),
-        depths_m=np.array([body.depth_m for body in seen], np.float32),
-    )
 
 
 EVALUATOR_ID: Final = "brink-dataset@1"

@@ -1,31 +1,28 @@
 """What the brake perceives: ground truth, nothing, injected boxes, or a detector's boxes."""
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
+from brink.sim.aeb.labels import label_frame
 from brink.sim.aeb.scores import Scores, score_episode
 from brink.sim.aeb.street import Street
 from brink.sim.driving.camera import Body as Prism
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
-from brink.sim.perception.boxes import Detections, GroundTruth
+from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, Detections, GroundTruth
 from brink.sim.perception.detector import LABELS, Detector
 from brink.sim.perturbations import Mode, Perturbation, Pipeline
-from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, Viewpoint
+from brink.sim.rendering.scene import Body, BodyKind, Light, PictureCamera, Viewpoint
 from brink.sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, PERCEPTION_STEP_S, InjectedTrajectory
 from brink.sim.world.ego import EgoCar
 
 Picture: TypeAlias = NDArray[np.uint8]
-
-MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
-"""Ground-truth boxes below this share of the image's height are ignored: 8 px in an image of 640 x 360."""
 
 
 class CameraShot(NamedTuple):
@@ -146,9 +143,6 @@ def boxes_of(detections: Sequence[Detection]) -> list[tuple[float, float, float,
     return [(float(d.label == PERSON), d.x_min_px, d.x_max_px, d.y_min_px, d.y_max_px) for d in detections]
 
 
-MIN_VISIBLE: Final = 0.25
-
-
 class CameraSight:
     """Renders and perturbs each frame and runs a detector on it; keeps all ground truth and detections.
 
@@ -189,46 +183,26 @@ class CameraSight:
         """Observe a frame; see `Sight`."""
         view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
         picture = self._renderer.frame(view, [actor.current_body() for actor in street.actors], time_s)
-        truth, ignored = visible_boxes(picture)
+        truth = label_frame(picture).truth
         shown = self._pipeline(picture.image, frame)
-        shot = CameraShot(shown, _rows(truth, ignored), self._detector.detect(shown))
+        shot = CameraShot(shown, truth, self._detector.detect(shown))
         found = shot.found
         self._truths.append(shot.truth)
         self._found.append(found)
         sure = np.flatnonzero(found.scores >= self._threshold).tolist()
         detections = tuple(_detection(found, place) for place in sure)
-        counting = tuple(box for box, skip in zip(truth, ignored, strict=True) if not skip)
-        return Observation(counting, detections, shot)
+        counting = np.flatnonzero(~truth.ignored).tolist()
+        return Observation(tuple(_true_box(truth, place) for place in counting), detections, shot)
 
     def scores(self) -> Scores:
         """Return the detector's scores over all frames so far."""
         return score_episode(self._truths, self._found, self._threshold, self._warning)
 
 
-def visible_boxes(frame: Frame) -> tuple[list[Detection], list[bool]]:
-    """Return the boxes of all visible bodies, and whether each is ignored as too low or almost hidden.
-
-    A fallen tree is labelled as a vehicle, since it blocks the road like one.
-    """
-    boxes, ignored = [], []
-    least_px = MIN_HEIGHT_SHARE * frame.image.shape[0]
-    for body in visible_bodies(frame):
-        if body.box is None:
-            continue
-        label = PERSON if body.kind is BodyKind.PERSON else VEHICLE
-        boxes.append(Detection(label, *(float(edge) for edge in body.box)))
-        ignored.append(body.box.y_max_px - body.box.y_min_px < least_px or body.visible_share < MIN_VISIBLE)
-    return boxes, ignored
+def _true_box(truth: GroundTruth, place: int) -> Detection:
+    return Detection(LABELS[truth.labels[place]], *truth.boxes[place].tolist())
 
 
 def _detection(found: Detections, place: int) -> Detection:
     x_min, y_min, x_max, y_max = found.boxes[place].tolist()
     return Detection(LABELS[found.labels[place]], x_min, y_min, x_max, y_max, float(found.scores[place]))
-
-
-def _rows(boxes: Sequence[Detection], ignored: Sequence[bool]) -> GroundTruth:
-    return GroundTruth(
-        labels=np.array([LABELS.index(box.label) for box in boxes], np.int64),
-        boxes=np.array([box[1:5] for box in boxes], np.float32).reshape(len(boxes), 4),
-        ignored=np.array(ignored, np.bool_),
-    )

@@ -67,6 +67,26 @@ MATCH_IOU: Final = 0.5
 RECALLS: Final = np.linspace(0.0, 1.0, 101)
 
 
+MIN_HEIGHT_SHARE: Final = 12.0 / 360.0
+"""Boxes lower than this share of the image's height are ignored: 6 px in the input of `brink-det`."""
+MIN_WIDTH_SHARE: Final = 6.0 / 640.0
+"""Boxes narrower than this share of the image's width are ignored: 3 px in the input of `brink-det`."""
+
+
+def too_small(boxes: FloatArray, width_px: int, height_px: int) -> BoolArray:
+    """Return which boxes are too low or too narrow to count, shape ``(n,)``.
+
+    Args:
+        boxes: Shape ``(n, 4)``, in px.
+        width_px: Width of the image.
+        height_px: Height of the image.
+    """
+    sides = boxes[:, 2:] - boxes[:, :2]
+    return np.asarray(
+        (sides[:, 0] < MIN_WIDTH_SHARE * width_px) | (sides[:, 1] < MIN_HEIGHT_SHARE * height_px), np.bool_
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundTruth:
     """The true boxes of an image.
@@ -105,11 +125,13 @@ class LabelledFrame:
         picture: RGB, shape ``(h, w, 3)``.
         truth: Labels 0 (vehicle) and 1 (person).
         depths_m: Distance of each box, shape ``(n,)``.
+        visible: Visible share of each body, in [0, 1], shape ``(n,)``.
     """
 
     picture: NDArray[np.uint8]
     truth: GroundTruth
     depths_m: FloatArray
+    visible: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

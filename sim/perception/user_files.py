@@ -28,7 +28,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from brink.sim.errors import SimulatorError
-from brink.sim.perception.boxes import GroundTruth
+from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, GroundTruth, too_small
 
 MAX_BYTES: Final = 2 * 1024**3
 LOAD_TIMEOUT_S: Final = 120.0
@@ -39,8 +39,6 @@ CATEGORY_LABELS: Final[Mapping[str, int]] = {
 }  # fmt: skip
 """Label of each known category: 0 for a vehicle, 1 for a person."""
 LABEL_WORDS: Final = ("vehicles", "persons")
-MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
-"""Boxes lower than this share of the image's height are ignored."""
 MAX_LISTED: Final = 3
 """Number of faults that a message lists."""
 _SYSTEM_FOLDERS: Final = ("/proc", "/sys")
@@ -223,7 +221,7 @@ def _read_coco(file: Path, _modified_ns: int, _size: int) -> CocoDataset:
             f"{file}: images not found in its folder or in images/: {', '.join(missing[:MAX_LISTED])}{more}"
         )
     pictures = tuple(
-        CocoPicture(file=path, width_px=wide, height_px=high, truth=_truth(boxes[key], high))
+        CocoPicture(file=path, width_px=wide, height_px=high, truth=_truth(boxes[key], wide, high))
         for (key, path), (_, wide, high) in zip(paths.items(), sizes.values(), strict=True)
         if path is not None
     )
@@ -311,13 +309,13 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
-def _truth(boxes: list[_Box], height_px: int) -> GroundTruth:
+def _truth(boxes: list[_Box], width_px: int, height_px: int) -> GroundTruth:
     corners = np.array([box for _, box, _ in boxes], np.float32).reshape(len(boxes), 4)
-    low = (corners[:, 3] - corners[:, 1]) < MIN_HEIGHT_SHARE * height_px
     return GroundTruth(
         labels=np.array([label for label, _, _ in boxes], np.int64),
         boxes=corners,
-        ignored=low | np.array([crowd for _, _, crowd in boxes], np.bool_),
+        ignored=too_small(corners, width_px, height_px)
+        | np.array([crowd for _, _, crowd in boxes], np.bool_),
     )
 
 
@@ -367,7 +365,7 @@ def check_sample(data: CocoDataset, count: int, labels: Collection[int] | None) 
     if not counted:
         raise DatasetError(
             f"{data.file}: expected boxes that count in the {len(chosen)} images to use, got none: crowds and boxes "
-            f"lower than {MIN_HEIGHT_SHARE:.1%} of the image are ignored"
+            f"lower than {MIN_HEIGHT_SHARE:.1%} or narrower than {MIN_WIDTH_SHARE:.1%} of the image are ignored"
         )
     if labels is not None and not counted & set(labels):
         found, there = (" and ".join(LABEL_WORDS[one] for one in sorted(some)) for some in (labels, counted))

@@ -1,0 +1,41 @@
+"""Which boxes of a rendered image count: one policy for training, evaluation and episodes.
+
+A box covers the visible pixels of a body, because hidden parts cannot be detected and say nothing about how near the
+body is to the lane. Bodies that are almost hidden and boxes that are too small are *ignored*: a detection on them
+counts neither for nor against a detector, and training leaves them out.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from brink.sim.perception.boxes import GroundTruth, LabelledFrame, too_small
+from brink.sim.perception.detector import LABELS
+from brink.sim.rendering.canvas import visible_bodies
+from brink.sim.rendering.scene import BodyKind, Frame
+
+MIN_VISIBLE: Final = 0.25
+"""Bodies of which a smaller share is visible are ignored."""
+VEHICLE, PERSON = (LABELS.index(name) for name in ("vehicle", "person"))
+
+
+def label_frame(frame: Frame) -> LabelledFrame:
+    """Return a rendered image with the boxes of all visible bodies, sorted by the bodies' ids.
+
+    All bodies other than people are labelled as vehicles; so is a fallen tree, since it blocks the road like one.
+    """
+    seen = [(body, body.box) for body in visible_bodies(frame) if body.box is not None]
+    boxes = np.array([box for _, box in seen], np.float32).reshape(len(seen), 4)
+    visible = np.array([body.visible_share for body, _ in seen], np.float32)
+    height_px, width_px = frame.image.shape[:2]
+    labels = [PERSON if body.kind is BodyKind.PERSON else VEHICLE for body, _ in seen]
+    return LabelledFrame(
+        picture=frame.image,
+        truth=GroundTruth(
+            labels=np.array(labels, np.int64),
+            boxes=boxes,
+            ignored=too_small(boxes, width_px, height_px) | (visible < MIN_VISIBLE),
+        ),
+        depths_m=np.array([body.depth_m for body, _ in seen], np.float32),
+        visible=visible,
+    )
