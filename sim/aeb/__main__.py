@@ -1,17 +1,19 @@
-"""Train or evaluate `brink-det@1` on images of the emergency-braking street.
+"""Train `brink-det@2` on images of the emergency-braking street.
 
 python -m brink.sim.aeb train --out FOLDER      writes the weights and training.json
-python -m brink.sim.aeb evaluate --out FOLDER   writes evaluation.json and evaluation.png
+
+A run that was interrupted goes on from its last complete epoch when it is started again. `brink bench detector`
+measures the result.
 """
 
 import argparse
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
-import cv2
-
-from brink.sim.aeb.dataset import Split, labelled_frames
+from brink.sim.aeb.dataset import Split, render_frames
 
 TRAINING_FRAMES: Final = 10_000
 HELD_OUT_FRAMES: Final = 600
@@ -30,41 +32,28 @@ def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
     from brink.sim.perception import training  # loads torch
 
     training.make_deterministic()
-    validation = training.collect(
-        labelled_frames(Split.VALIDATION, HELD_OUT_FRAMES), HELD_OUT_FRAMES, "validation"
-    )
-    pictures = training.collect(labelled_frames(Split.TRAIN, frames), frames, "training")
-    network, validation_map = training.train(pictures, validation, epochs=epochs, seed=seed)
-    test = training.collect(labelled_frames(Split.TEST, HELD_OUT_FRAMES), HELD_OUT_FRAMES, "test")
-    settings = {"frames": frames, "epochs": epochs, "seed": seed}
-    training.write_results(network, test, out, settings=settings, validation_map=validation_map)
-
-
-def evaluate(out: Path, *, detector: str, frames: int) -> None:
-    """Evaluate a detector on test images and write the report.
-
-    Args:
-        out: Output folder.
-        detector: Id of the detector.
-        frames: Number of test images.
-    """
-    from brink.sim.perception.detector import find_detector  # loads onnxruntime
-    from brink.sim.perception.evaluation import write_report  # loads matplotlib
-
-    cv2.setNumThreads(1)
-    write_report(detector, find_detector(detector), list(labelled_frames(Split.TEST, frames)), out)
+    out.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        validation, test, pictures = (
+            training.collect(render_frames(pool, split, count), count, split.name.lower())
+            for split, count in (
+                (Split.VALIDATION, HELD_OUT_FRAMES), (Split.TEST, HELD_OUT_FRAMES), (Split.TRAIN, frames)
+            )
+        )  # fmt: skip
+    settings = training.Settings(frames=frames, epochs=epochs, seed=seed)
+    network, record = training.train(pictures, validation, settings, out)
+    training.write_results(network, test, out, record=record)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Parse the arguments and run `train` or `evaluate`."""
+    """Parse the arguments and train."""
     parser = argparse.ArgumentParser(
         prog="python -m brink.sim.aeb",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(required=True)
-    training = commands.add_parser("train", help="train brink-det@1 and write its weights")
-    training.set_defaults(run=train)
+    training = commands.add_parser("train", help="train brink-det@2 and write its weights")
     training.add_argument(
         "--out", type=Path, required=True, help="output folder for the weights and their metrics"
     )
@@ -78,16 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=0,
         help="seed of the initial weights, image order and augmentation (%(default)s)",
     )
-    evaluation = commands.add_parser("evaluate", help="evaluate a detector on test images")
-    evaluation.set_defaults(run=evaluate)
-    evaluation.add_argument("--out", type=Path, required=True, help="output folder for the metrics and plots")
-    evaluation.add_argument("--detector", default="brink-det@1", help="id of the detector (%(default)s)")
-    evaluation.add_argument(
-        "--frames", type=int, default=HELD_OUT_FRAMES, help="number of test images (%(default)s)"
-    )
-    given = vars(parser.parse_args(arguments))
-    given["out"].mkdir(parents=True, exist_ok=True)
-    given.pop("run")(**given)
+    train(**vars(parser.parse_args(arguments)))
 
 
 if __name__ == "__main__":

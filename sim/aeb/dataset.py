@@ -13,10 +13,11 @@ specification gives the same result.
 import math
 import time
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from dataclasses import replace
 from enum import IntEnum
 from functools import lru_cache
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -51,6 +52,10 @@ SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10
 
 
+SMALL_SHARE: Final = 4
+"""`render_frames` renders one image in this many at half the size, which is that of the episodes."""
+
+
 class Split(IntEnum):
     """Split that an image belongs to; its value also offsets the image's seeds and `look` values."""
 
@@ -60,7 +65,7 @@ class Split(IntEnum):
 
 
 def labelled_frames(
-    split: Split, count: int, seed: int = 0, *, width_px: int = SIZE_PX[0]
+    split: Split, count: int, seed: int = 0, *, width_px: int = SIZE_PX[0], first_street: int = 0
 ) -> Iterator[LabelledFrame]:
     """Yield labelled images; the same arguments always give the same images.
 
@@ -69,10 +74,37 @@ def labelled_frames(
         count: Number of images.
         seed: Selects the images within the set.
         width_px: Width of the images, which are 16:9.
+        first_street: Number of streets to leave out, each of `FRAMES_A_STREET` images.
     """
     for street in range(-(-count // FRAMES_A_STREET)):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(split), street)))
+        rng = np.random.default_rng(
+            np.random.SeedSequence(seed, spawn_key=(int(split), first_street + street))
+        )
         yield from islice(_street_frames(split, rng, width_px), count - street * FRAMES_A_STREET)
+
+
+def render_frames(pool: Executor, split: Split, count: int) -> Iterator[LabelledFrame]:
+    """Yield labelled images rendered by several processes, first those of full size, then some of half the size.
+
+    Args:
+        pool: Processes, or threads.
+        split: One of the three disjoint sets.
+        count: Number of images.
+    """
+    small = count // SMALL_SHARE
+    jobs = [
+        (split, min(FRAMES_A_STREET, part - start), seed, width_px, start // FRAMES_A_STREET)
+        for part, seed, width_px in ((count - small, 0, SIZE_PX[0]), (small, 1, SIZE_PX[0] // 2))
+        for start in range(0, part, FRAMES_A_STREET)
+    ]
+    return chain.from_iterable(pool.map(_render_street, jobs))
+
+
+def _render_street(job: tuple[Split, int, int, int, int]) -> list[LabelledFrame]:
+    """Return the images of one street, given split, number of images, seed, width in px and number of the street."""
+    split, count, seed, width_px, street = job
+    cv2.setNumThreads(1)
+    return list(labelled_frames(split, count, seed, width_px=width_px, first_street=street))
 
 
 def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Iterator[LabelledFrame]:

@@ -1,7 +1,7 @@
-"""Detectors of vehicles and people: `brink-det@1`, networks from users' files, and the lookup by id.
+"""Detectors of vehicles and people: `brink-det@1` and `@2`, networks from users' files, and the lookup by id.
 
-A detector takes an RGB image of any size and returns boxes in its pixels. `brink-det@1` runs with onnxruntime on
-one thread; its weights ship with the package.
+A detector takes an RGB image of any size and returns boxes in its pixels. The two run with onnxruntime on
+one thread; their weights ship with the package.
 
 Users name their own detectors as ``onnx:FILE``, ``torchscript:FILE`` or ``ultralytics:FILE``. The network in an
 ONNX or TorchScript file takes one RGB image, shape ``(1, 3, h, w)``, float32 in [0, 1], scaled to fit and padded
@@ -47,12 +47,11 @@ Picture: TypeAlias = NDArray[np.uint8]
 DETECTORS: Final = "brink.detectors"
 LABELS: Final = ("vehicle", "person")
 INPUT_PX: Final = (320, 192)
-"""Width and height of the input of `brink-det@1`."""
+"""Width and height of the input of `brink-det`."""
 STRIDE: Final = 4
 MIN_SCORE: Final = 0.001
 MAX_DETECTIONS: Final = 100
 NMS_OVERLAP: Final = 0.6
-WEIGHTS: Final = "weights/brink-det-1.onnx"
 MAX_NAMED: Final = 5
 """Number of classes that a message names."""
 MAX_INPUT_PX: Final = 4096
@@ -140,7 +139,7 @@ def _load_onnx(file: Path) -> onnxruntime.InferenceSession:
 
 
 def fit_picture(picture: Picture) -> tuple[Picture, float]:
-    """Return an image in the input format of `brink-det@1`, shape ``(192, 320, 3)``, and its scale factor.
+    """Return an image in the input format of `brink-det`, shape ``(192, 320, 3)``, and its scale factor.
 
     The image is scaled with its aspect ratio kept and padded with grey on the right or below.
 
@@ -175,7 +174,7 @@ def decode(heat: FloatArray, edges: FloatArray) -> Detections:
 
 
 class NetworkDetector:
-    """Runs the network of `brink-det@1` with onnxruntime on one thread.
+    """Runs a network of `brink-det` with onnxruntime on one thread.
 
     Args:
         weights: An ONNX file with one input of shape ``(1, 3, 192, 320)`` and the outputs described in
@@ -211,18 +210,27 @@ def _limits(picture: Picture) -> FloatArray:
     return np.array([picture.shape[1], picture.shape[0]] * 2, np.float32)
 
 
-@cache
-def load_brink_det() -> NetworkDetector:
-    """Return `brink-det@1` with the weights that ship with the package.
+def load_brink_det_1() -> NetworkDetector:
+    """Return `brink-det@1`, which was trained without augmentation; see `load_brink_det_2`."""
+    return _load_own(1)
+
+
+def load_brink_det_2() -> NetworkDetector:
+    """Return `brink-det@2` with the weights that ship with the package.
 
     Raises:
         DetectorError: The weights are missing.
     """
-    weights = Path(str(files("brink.sim.perception").joinpath(WEIGHTS)))
+    return _load_own(2)
+
+
+@cache
+def _load_own(version: int) -> NetworkDetector:
+    weights = Path(str(files("brink.sim.perception").joinpath(f"weights/brink-det-{version}.onnx")))
     if not weights.is_file():
         raise DetectorError(
-            f"brink-det@1: weights are missing; train them with `python -m brink.sim.aeb train --out "
-            f"{weights.parent}`, which takes about an hour"
+            f"brink-det@{version}: weights are missing; expected {weights}. Those of brink-det@2 are trained by "
+            f"`python -m brink.sim.aeb train --out {weights.parent}` in one to two hours"
         )
     return NetworkDetector(weights)
 

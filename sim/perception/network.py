@@ -1,8 +1,10 @@
-"""The network of `brink-det@1`, its training targets and its loss.
+"""The network of `brink-det@2`, its training targets and its loss.
 
-The network is anchor-free and has about half a million parameters, for images of 320 x 192. For each cell of a
-grid at a quarter of the image's resolution and each class, it predicts how likely the cell is to hold a box centre,
-and the distances to the four edges of that box.
+The network is anchor-free and has about half a million parameters, for images of 320 x 192. Beside the image it sees
+two planes computed from the brightness: its logarithm, and the logarithm normalised by mean and spread in the
+surroundings, which changes little with exposure, haze and uneven light. For each cell of a grid at a quarter of the
+image's resolution and each class, it predicts how likely the cell is to hold a box centre, and the distances to the
+four edges of that box.
 
 The heat map's target is a Gaussian around each box centre, as wide as the shift that leaves a box an IoU of 0.5
 with itself. Edges are trained in the cells near a centre. Cells inside ignored boxes are not trained.
@@ -21,10 +23,12 @@ from torch import Tensor, nn
 from brink.sim.perception.boxes import FloatArray, GroundTruth
 from brink.sim.perception.detector import INPUT_PX, LABELS, STRIDE
 
-ACROSS: Final = INPUT_PX[0] // STRIDE
-DOWN: Final = INPUT_PX[1] // STRIDE
 WIDTHS: Final = (16, 24, 48, 96)
 HEAD_WIDTH: Final = 32
+PLANES: Final = 5
+"""Red, green, blue, logarithm of the brightness, locally normalised logarithm."""
+SURROUNDINGS_PX: Final = 8
+"""Mean and spread are taken over squares of three times this side."""
 INITIAL_HEAT: Final = -4.0
 """Initial bias of the heat map, because few cells hold a centre."""
 EDGES_FROM_HEAT: Final = 0.6
@@ -61,7 +65,10 @@ class Network(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         first, second, third, fourth = WIDTHS
-        self.stem = _conv(3, first, stride=2)
+        self.register_buffer(
+            "brightness_weights", torch.tensor([0.299, 0.587, 0.114]).reshape(1, 3, 1, 1), persistent=False
+        )
+        self.stem = _conv(PLANES, first, stride=2)
         self.quarter = nn.Sequential(_conv(first, second, stride=2), _Residual(second))
         self.eighth = nn.Sequential(_conv(second, third, stride=2), _Residual(third), _Residual(third))
         self.sixteenth = nn.Sequential(_conv(third, fourth, stride=2), _Residual(fourth), _Residual(fourth))
@@ -79,12 +86,29 @@ class Network(nn.Module):
 
     def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
         """Return the heat map and the edges."""
-        quarter = self.quarter(self.stem(pictures - 0.45))
+        quarter = self.quarter(self.stem(self._with_brightness(pictures)))
         eighth = self.eighth(quarter)
         sixteenth = self.sixteenth(eighth)
         wide = self.join_eighth(eighth + _upsample(self.down_fourth(sixteenth)))
         fine = self.join_quarter(self.lateral(quarter) + _upsample(self.down_third(wide)))
         return self.heat(fine), _edges(self.box(fine))
+
+    def _with_brightness(self, pictures: Tensor) -> Tensor:
+        """Return the image with its brightness and its normalised brightness, shape ``(n, 5, h, w)``."""
+        brightness = torch.log((pictures * self.get_buffer("brightness_weights")).sum(1, keepdim=True) + 0.03)
+        mean, square = _surroundings(brightness), _surroundings(brightness * brightness)
+        spread = torch.sqrt((square - mean * mean).clamp(min=0.0) + 0.01)
+        normalised = (brightness - mean) / spread
+        return torch.cat((pictures - 0.45, 0.3 * (brightness + 1.2), 0.5 * normalised), dim=1)
+
+
+def _surroundings(plane: Tensor) -> Tensor:
+    """Return the mean over each pixel's surroundings, shape ``(n, 1, h, w)``."""
+    coarse = nn.functional.avg_pool2d(plane, SURROUNDINGS_PX)
+    smooth = nn.functional.avg_pool2d(coarse, 3, stride=1, padding=1, count_include_pad=False)
+    return nn.functional.interpolate(
+        smooth, scale_factor=float(SURROUNDINGS_PX), mode="bilinear", align_corners=False
+    )
 
 
 def _edges(box: Tensor) -> Tensor:
@@ -120,13 +144,19 @@ class Target:
     weight: Tensor
 
 
-def make_target(truths: list[GroundTruth]) -> Target:
-    """Return the training target for a batch with this ground truth, in px of the network's input."""
+def make_target(truths: list[GroundTruth], size_px: tuple[int, int] = INPUT_PX) -> Target:
+    """Return the training target for a batch with this ground truth.
+
+    Args:
+        truths: Boxes in px of the network's input.
+        size_px: Width and height of the network's input.
+    """
     count, classes = len(truths), len(LABELS)
-    heat = np.zeros((count, classes, DOWN, ACROSS), np.float32)
-    heat_mask = np.ones((count, 1, DOWN, ACROSS), np.float32)
-    edges = np.zeros((count, classes, 4, DOWN, ACROSS), np.float32)
-    weight = np.zeros((count, classes, DOWN, ACROSS), np.float32)
+    across, down = size_px[0] // STRIDE, size_px[1] // STRIDE
+    heat = np.zeros((count, classes, down, across), np.float32)
+    heat_mask = np.ones((count, 1, down, across), np.float32)
+    edges = np.zeros((count, classes, 4, down, across), np.float32)
+    weight = np.zeros((count, classes, down, across), np.float32)
     for index, truth in enumerate(truths):
         sizes = np.prod(truth.boxes[:, 2:] - truth.boxes[:, :2], axis=1)
         # Small boxes come last, because they win the cells that they share with larger ones.
@@ -155,13 +185,14 @@ def _draw_box(
     heat: FloatArray, heat_mask: FloatArray, edges: FloatArray, weight: FloatArray, box: FloatArray
 ) -> None:
     left, upper, right, lower = box.tolist()
-    column = min(int(0.5 * (left + right) / STRIDE), ACROSS - 1)
-    row = min(int(0.5 * (upper + lower) / STRIDE), DOWN - 1)
+    end_row, end_column = heat.shape
+    column = min(int(0.5 * (left + right) / STRIDE), end_column - 1)
+    row = min(int(0.5 * (upper + lower) / STRIDE), end_row - 1)
     # A shift by a sixth of the size along each axis still leaves an IoU of 0.5.
     spread = [max(0.6, (high - low) / STRIDE / 6.0) / 1.5 for low, high in ((left, right), (upper, lower))]
     reach = [int(np.ceil(3.0 * sigma)) for sigma in spread]
-    columns = np.arange(max(0, column - reach[0]), min(ACROSS, column + reach[0] + 1))
-    rows = np.arange(max(0, row - reach[1]), min(DOWN, row + reach[1] + 1))
+    columns = np.arange(max(0, column - reach[0]), min(end_column, column + reach[0] + 1))
+    rows = np.arange(max(0, row - reach[1]), min(end_row, row + reach[1] + 1))
     across = np.exp(-0.5 * ((columns - column) / spread[0]) ** 2)
     down = np.exp(-0.5 * ((rows - row) / spread[1]) ** 2)
     bump = (down[:, None] * across[None, :]).astype(np.float32)

@@ -1,7 +1,8 @@
-"""Training of `brink-det@1`: batches, exposure variation, the optimiser loop, and the export to ONNX.
+"""Training of `brink-det@2`: augmented batches, the optimiser loop, checkpoints, and the export to ONNX.
 
-Initial weights and the order of images come from a seed and everything runs on one thread, so that a second run
-on the same kind of processor gives the same weights.
+Initial weights, the order of images and their augmentation come from a seed and everything runs on one thread, so
+that a second run on the same kind of processor gives the same weights, bit for bit. The output folder keeps the state
+after each epoch in `training.pt`: a run that was interrupted goes on from there, with the same result.
 """
 
 import copy
@@ -9,19 +10,25 @@ import json
 import time
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
+from brink.sim.perception.augmentation import augment
 from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame, curves, mean_average_precision
 from brink.sim.perception.detector import INPUT_PX, LABELS, Picture, decode, fit_picture
 from brink.sim.perception.network import Network, detection_loss, make_target
 
-BATCH: Final = 8
+BATCH: Final = 16
+SECTION_PX: Final = (224, 160)
+"""Size of the sections that most epochs are trained on, which takes about 60% of the time that whole images do."""
+WHOLE_EPOCHS: Final = 4
+"""Number of epochs at the end that are trained on whole images."""
 LEARNING_RATE: Final = 3e-3
 AVERAGE_DECAY: Final = 0.999
 """Decay of the moving average of all weights, which is the trained network."""
@@ -70,92 +77,154 @@ def collect(frames: Iterable[LabelledFrame], count: int, name: str) -> TrainingS
     return TrainingSet(planes=planes, truths=tuple(truths))
 
 
-def _flip(truth: GroundTruth) -> GroundTruth:
-    boxes = truth.boxes.copy()
-    boxes[:, [0, 2]] = INPUT_PX[0] - truth.boxes[:, [2, 0]]
-    return GroundTruth(labels=truth.labels, boxes=boxes, ignored=truth.ignored)
-
-
-def _vary_exposure(planes: Picture, rng: np.random.Generator) -> Picture:
-    """Randomly vary gain, offset, white balance and noise in about two thirds of the images.
-
-    These differ between cameras. The variation is no stronger than the weakest levels of contrast; all other
-    perturbations stay unknown to the detector.
-    """
-    count = len(planes)
-    gain = rng.uniform(0.8, 1.2, (count, 1, 1, 1)) * rng.uniform(0.93, 1.07, (count, 1, 1, 3))
-    offset = rng.uniform(-20.0, 20.0, (count, 1, 1, 1))
-    noise = rng.standard_normal((1, *planes.shape[1:]), np.float32) * rng.uniform(0.0, 6.0, (count, 1, 1, 1))
-    varied = np.clip(planes * gain + offset + noise, 0.0, 255.0).astype(np.uint8)
-    unchanged = rng.random(count) < 1 / 3
-    varied[unchanged] = planes[unchanged]
-    return varied
-
-
 def to_tensor(planes: Picture) -> torch.Tensor:
     """Return images as the network's input, shape ``(n, 3, 192, 320)``, in [0, 1]."""
     tensor = torch.from_numpy(np.ascontiguousarray(planes.transpose(0, 3, 1, 2))).float() / 255.0
     return tensor.contiguous(memory_format=torch.channels_last)
 
 
+@dataclass(slots=True, kw_only=True, eq=False)
+class _State:
+    """All that an epoch changes.
+
+    Attributes:
+        network: The network that is trained.
+        average: Moving average of its weights.
+        optimiser: The optimiser.
+        schedule: Learning rate of each step.
+        validation_map: mAP on the validation images after each epoch so far.
+        cpu_s: CPU time of the epochs so far.
+    """
+
+    network: Network
+    average: Network
+    optimiser: torch.optim.Optimizer
+    schedule: torch.optim.lr_scheduler.LRScheduler
+    validation_map: list[float] = field(default_factory=list)
+    cpu_s: float = 0.0
+
+    @classmethod
+    def initial(cls, settings: "Settings") -> "_State":
+        torch.manual_seed(settings.seed)
+        network = Network()
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] # the stubs lack it
+        optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-4)
+        steps = max(1, settings.epochs * (settings.frames // BATCH))
+        schedule = torch.optim.lr_scheduler.OneCycleLR(
+            optimiser, LEARNING_RATE, total_steps=steps, pct_start=0.1
+        )
+        average = copy.deepcopy(network)
+        return cls(network=network, average=average, optimiser=optimiser, schedule=schedule)
+
+    def _parts(self) -> dict[str, Any]:
+        return {
+            "network": self.network, "average": self.average, "optimiser": self.optimiser,
+            "schedule": self.schedule,
+        }  # fmt: skip
+
+    def save(self, file: Path, settings: "Settings") -> None:
+        content = {name: part.state_dict() for name, part in self._parts().items()}
+        content |= {"settings": asdict(settings), "validation_map": self.validation_map, "cpu_s": self.cpu_s}
+        torch.save(content, file.with_suffix(".new"))
+        file.with_suffix(".new").replace(file)
+
+    def load(self, file: Path, settings: "Settings") -> None:
+        content = torch.load(file, weights_only=True)
+        if content["settings"] != asdict(settings):
+            raise ValueError(
+                f"{file}: expected a run with the settings {asdict(settings)}, got one with {content['settings']}; "
+                f"delete the file to start anew, or choose another output folder"
+            )
+        for name, part in self._parts().items():
+            part.load_state_dict(content[name])
+        self.validation_map, self.cpu_s = content["validation_map"], content["cpu_s"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """Settings of a training run.
+
+    Attributes:
+        frames: Number of training images.
+        epochs: Number of passes over the training images.
+        seed: Seed of the initial weights, the order of the images and the augmentation.
+    """
+
+    frames: int
+    epochs: int
+    seed: int
+
+
 def train(
-    pictures: TrainingSet, validation: TrainingSet, *, epochs: int, seed: int
-) -> tuple[Network, list[float]]:
-    """Train a network.
+    pictures: TrainingSet, validation: TrainingSet, settings: Settings, out: Path
+) -> tuple[Network, dict[str, Any]]:
+    """Train a network, going on from the last complete epoch in the output folder, if there is one.
 
     Args:
         pictures: Training images.
         validation: Validation images.
-        epochs: Number of passes over the training images.
-        seed: Seed of the initial weights, the order of the images and the augmentation.
+        settings: Settings.
+        out: Output folder.
 
     Returns:
-        The network, and its mAP on the validation images after each epoch.
+        The network, and a record of the training as plain JSON values.
+
+    Raises:
+        ValueError: The output folder has the state of a run with other settings.
     """
-    torch.manual_seed(seed)
-    rng = np.random.default_rng(seed)
-    network = Network()
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] # the stubs lack it
-    average = copy.deepcopy(network)
-    optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-4)
-    count = len(pictures.truths)
-    batches = count // BATCH
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, LEARNING_RATE, total_steps=max(1, epochs * batches), pct_start=0.1
-    )
-    validation_map: list[float] = []
-    started = time.monotonic()
-    for epoch in range(epochs):
-        network.train()
-        order = rng.permutation(count)
-        total = 0.0
-        for step in range(batches):
-            chosen = order[step * BATCH : (step + 1) * BATCH]
-            flips = rng.random(BATCH) < 0.5
-            planes = pictures.planes[chosen]
-            planes[flips] = planes[flips, :, ::-1]
-            planes = _vary_exposure(planes, rng)
-            truths = [
-                _flip(pictures.truths[i]) if flip else pictures.truths[i]
-                for i, flip in zip(chosen.tolist(), flips.tolist(), strict=True)
-            ]
-            heat, edges = network(to_tensor(planes))
-            loss = detection_loss(heat, edges, make_target(truths))
-            optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
-            optimiser.step()
-            schedule.step()
-            total += loss.item()
-            _update_average(average, network, epoch * batches + step)
-        detections = detect_all(average, validation.planes)
-        validation_map.append(mean_average_precision(validation.truths, detections))
+    state, checkpoint = _State.initial(settings), out / "training.pt"
+    if checkpoint.is_file():
+        state.load(checkpoint, settings)
+    for epoch in range(len(state.validation_map), settings.epochs):
+        cpu_s = time.process_time()
+        loss = _train_epoch(state, pictures, settings, epoch)
+        detections = detect_all(state.average, validation.planes)
+        state.validation_map.append(mean_average_precision(validation.truths, detections))
+        state.cpu_s += time.process_time() - cpu_s
+        state.save(checkpoint, settings)
         print(  # noqa: T201
-            f"epoch {epoch + 1} of {epochs}: loss {total / max(1, batches):.3f}, "
-            f"validation mAP {validation_map[-1]:.3f}, {time.monotonic() - started:.0f} s",
+            f"epoch {epoch + 1} of {settings.epochs}: loss {loss:.3f}, "
+            f"validation mAP {state.validation_map[-1]:.3f}, {state.cpu_s:.0f} CPU s",
             flush=True,
         )
-    return average.eval(), validation_map
+    record = {**asdict(settings), "validation_map": state.validation_map, "cpu_s": round(state.cpu_s)}
+    return state.average.eval(), record
+
+
+def _train_epoch(state: _State, pictures: TrainingSet, settings: Settings, epoch: int) -> float:
+    """Train one epoch; return the mean loss. Its random numbers depend on the seed and the epoch alone."""
+    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(epoch,)))
+    size_px = INPUT_PX if epoch >= settings.epochs - WHOLE_EPOCHS else SECTION_PX
+    state.network.train()
+    batches = len(pictures.truths) // BATCH
+    order = rng.permutation(len(pictures.truths))
+    total = 0.0
+    for step in range(batches):
+        planes, truths = _augmented(pictures, order[step * BATCH : (step + 1) * BATCH], rng, size_px)
+        heat, edges = state.network(to_tensor(planes))
+        loss = detection_loss(heat, edges, make_target(truths, size_px))
+        state.optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(state.network.parameters(), 10.0)
+        state.optimiser.step()
+        state.schedule.step()
+        total += loss.item()
+        _update_average(state.average, state.network, epoch * batches + step)
+    return total / max(1, batches)
+
+
+def _augmented(
+    pictures: TrainingSet, chosen: NDArray[np.intp], rng: np.random.Generator, size_px: tuple[int, int]
+) -> tuple[Picture, list[GroundTruth]]:
+    planes = np.empty((len(chosen), size_px[1], size_px[0], 3), np.uint8)
+    truths = []
+    for place, index in enumerate(chosen.tolist()):
+        other = pictures.planes[int(rng.integers(len(pictures.planes)))]
+        planes[place], truth = augment(
+            pictures.planes[index], pictures.truths[index], other, rng, size_px=size_px
+        )
+        truths.append(truth)
+    return planes, truths
 
 
 def _update_average(average: Network, network: Network, step: int) -> None:
@@ -198,28 +267,24 @@ def export_onnx(network: Network, file: Path) -> None:
         )
 
 
-def write_results(
-    network: Network, test: TrainingSet, out: Path, *, settings: dict[str, Any], validation_map: list[float]
-) -> None:
+def write_results(network: Network, test: TrainingSet, out: Path, *, record: dict[str, Any]) -> None:
     """Write the weights and a record of the training, and print the record.
 
     Args:
         network: The trained network.
         test: Test images, for the metrics in the record.
         out: Output folder.
-        settings: Number of images, epochs and seed.
-        validation_map: mAP after each epoch.
+        record: Settings and progress of the training.
     """
     detections = detect_all(network, test.planes)
     record = {
-        **settings,
+        **record,
         "parameters": sum(weights.numel() for weights in network.parameters()),
-        "validation_map": validation_map,
         "test_map": mean_average_precision(test.truths, detections),
         "test_average_precision": {
             LABELS[curve.label]: curve.average_precision for curve in curves(test.truths, detections)
         },
     }
-    export_onnx(network, out / "brink-det-1.onnx")
+    export_onnx(network, out / "brink-det-2.onnx")
     (out / "training.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(record, indent=2))  # noqa: T201

@@ -1,4 +1,4 @@
-"""The network of brink-det@1 and networks in users' files, made and exported with torch."""
+"""The network of brink-det@2, its training, and networks in users' files, made and exported with torch."""
 
 import json
 import warnings
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from brink.sim.errors import InvalidEpisode
+from brink.sim.perception import training
 from brink.sim.perception.boxes import GroundTruth, mean_average_precision
 from brink.sim.perception.detector import INPUT_PX, NetworkDetector, decode, find_detector, load_file_detector
 from brink.sim.perception.network import Network, detection_loss, make_target
-from brink.sim.perception.training import detect_all, export_onnx, to_tensor
+from brink.sim.perception.training import Settings, TrainingSet, detect_all, export_onnx, to_tensor, train
 from brink.sim.perception.user_files import DetectorError, check_loads, weights_digest
 
 pytestmark = pytest.mark.long("needs torch")
@@ -264,3 +265,41 @@ class TestNetworks:
         exported(Yolo(2, 0), tmp_path / "one.onnx")
         assert weights_digest(one) != before
         assert weights_digest("brink-det@1") == ""
+
+
+@pytest.fixture(scope="module")
+def street_images() -> TrainingSet:
+    return TrainingSet(planes=pictures(32), truths=(STREET,) * 32)
+
+
+SETTINGS = Settings(frames=32, epochs=3, seed=1)
+
+
+def weights_after(out: Path, images: TrainingSet, settings: Settings = SETTINGS) -> dict[str, Tensor]:
+    return train(images, images, settings, out)[0].state_dict()
+
+
+def test_an_interrupted_training_goes_on_with_the_same_result(
+    street_images: TrainingSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole.mkdir()
+    parts.mkdir()
+    expected = weights_after(whole, street_images)
+
+    def interrupted(*_: object) -> list[object]:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        epochs = iter([detect_all])
+        patched.setattr(training, "detect_all", lambda *given: next(epochs, interrupted)(*given))
+        with pytest.raises(KeyboardInterrupt):
+            weights_after(parts, street_images)
+    found = weights_after(parts, street_images)
+    assert all(torch.equal(found[name], value) for name, value in expected.items())
+
+
+def test_a_checkpoint_of_other_settings_is_refused(street_images: TrainingSet, tmp_path: Path) -> None:
+    weights_after(tmp_path, street_images)
+    with pytest.raises(ValueError, match="expected a run with the settings"):
+        weights_after(tmp_path, street_images, Settings(frames=32, epochs=3, seed=2))
