@@ -18,6 +18,7 @@ from brink.server.errors import nearest
 from brink.server.problems.base import SimulatedSolution, Vectors, wrong_detector
 from brink.server.problems.changes import different
 from brink.server.problems.requirements import JudgedByRequirements
+from brink.sim.aeb.braking import PERSON_FRAMES, PERSON_WINDOW
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
     CROSSING_M,
@@ -73,6 +74,12 @@ class AebCrossingParams:
         "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
     threshold: float = setting(0.5, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
+    person_frames: int = setting(
+        PERSON_FRAMES,
+        help="In how many of the last three frames a person must be reported to trigger the brake (1 in the paper).",
+        ge=1,
+        le=PERSON_WINDOW,
+    )
     obstacle: str = setting(
         "none", help="Additional obstacle on the road.", choices=tuple(item.value for item in Obstacle)
     )
@@ -190,7 +197,11 @@ class AebCrossing(JudgedByRequirements):
             requirements=(ACCIDENT, DANGEROUS_STOP),
             seed=seed,
             duration_s=params.duration_s,
-            options={"width_px": params.width_px, "height_px": params.width_px * 9 // 16},
+            options={
+                "width_px": params.width_px,
+                "height_px": params.width_px * 9 // 16,
+                "person_frames": params.person_frames,
+            },
         )
 
     def with_truth(self) -> "AebCrossing | None":

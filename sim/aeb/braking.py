@@ -2,13 +2,15 @@
 
 The regions are trapezoids, defined for an image of 1280 x 720 and scaled with it. A person in the *warning* region
 triggers the brake, and so does a vehicle in the smaller *danger* region. For a person it is enough that the box
-intersects the region. For a vehicle the middle of the box's lower edge must lie in the region for several consecutive
-frames, because the box of a long vehicle parked beside the lane extends far into the image.
+intersects the region in two of the last three frames, because a detector sometimes reports a person for a single
+frame where there is nobody. For a vehicle the middle of the box's lower edge must lie in the region for several
+consecutive frames, because the box of a long vehicle parked beside the lane extends far into the image.
 
 Source: Ferreira et al. 2022, automatic emergency braking. Boxes are tested against the trapezoid, not against its
 bounding rectangle.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeVar
@@ -19,6 +21,10 @@ from numpy.typing import NDArray
 REFERENCE_PX: Final = (1280, 720)
 TOP_ROW_PX: Final = 470.0
 HOLD_S: Final = 0.5
+PERSON_FRAMES: Final = 2
+"""A person in the region in this many of the last `PERSON_WINDOW` frames, the current one included, triggers the
+brake; 1 in the paper."""
+PERSON_WINDOW: Final = 3
 VEHICLE_FRAMES: Final = 3
 """Consecutive frames with a vehicle in its region that trigger the brake; duplicate boxes of parked
 vehicles last only one or two frames."""
@@ -126,18 +132,27 @@ class EmergencyBrake:
         danger: A vehicle that stands in this region triggers the brake.
         hold_s: How long braking continues without a trigger.
         enabled: Whether the brake is enabled at all.
+        person_frames: In how many of the last three frames a person triggers the brake, 1 to 3.
     """
 
     warning: Region
     danger: Region
     hold_s: float = HOLD_S
     enabled: bool = True
+    person_frames: int = PERSON_FRAMES
     _until_s: float = field(default=float("-inf"))
     _vehicle_frames: int = 0
+    _people: deque[bool] = field(default_factory=lambda: deque(maxlen=PERSON_WINDOW))
 
     @classmethod
     def for_picture(
-        cls, width_px: int, height_px: int, *, hold_s: float = HOLD_S, enabled: bool = True
+        cls,
+        width_px: int,
+        height_px: int,
+        *,
+        hold_s: float = HOLD_S,
+        enabled: bool = True,
+        person_frames: int = PERSON_FRAMES,
     ) -> "EmergencyBrake":
         """Create the brake for camera images of a given size.
 
@@ -146,17 +161,20 @@ class EmergencyBrake:
             height_px: Height of the image.
             hold_s: How long braking continues without a trigger.
             enabled: Whether the brake is enabled at all.
+            person_frames: In how many of the last three frames a person triggers the brake, 1 to 3.
         """
         return cls(
             warning=Region.from_reference(730.0, 230.0, width_px, height_px),
             danger=Region.from_reference(510.0, 180.0, width_px, height_px),
             hold_s=hold_s,
             enabled=enabled,
+            person_frames=person_frames,
         )
 
     def decide(self, time_s: float, detections: Sequence[Detection]) -> bool:
         """Return whether to brake, given the time and the detections of a frame."""
-        person = any(box.label == PERSON and self.warning.intersects(box) for box in detections)
+        self._people.append(any(box.label == PERSON and self.warning.intersects(box) for box in detections))
+        person = self._people[-1] and sum(self._people) >= self.person_frames
         vehicle = any(box.label == VEHICLE and self.danger.contains_bottom_centre(box) for box in detections)
         self._vehicle_frames = self._vehicle_frames + 1 if vehicle else 0
         if self.enabled and (person or self._vehicle_frames >= VEHICLE_FRAMES):

@@ -74,7 +74,12 @@ def _run(
         ego=ego,
         monitor=WorldMonitor(street, ego, engine),
         sight=_sight(spec, scenario, options, behaviour, street),
-        brake=EmergencyBrake.for_picture(*options.size_px, hold_s=options.hold_s, enabled=options.braking),
+        brake=EmergencyBrake.for_picture(
+            *options.size_px,
+            hold_s=options.hold_s,
+            enabled=options.braking,
+            person_frames=options.person_frames,
+        ),
         requirements=requirements,
         line_m=scenario.crossing_m,
         recorder=recorder,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Final, Self
 
-from brink.sim.aeb.braking import HOLD_S
+from brink.sim.aeb.braking import HOLD_S, PERSON_FRAMES, PERSON_WINDOW
 from brink.sim.episode import Json, JsonObject, nearest, parse_choice, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.user_files import weights_digest
@@ -203,11 +203,13 @@ class Options:
         size_px: Size of the camera's image.
         hold_s: How long braking continues without a trigger.
         braking: Whether the brake works.
+        person_frames: In how many of the last three frames a person triggers the brake, 1 to 3.
     """
 
     size_px: tuple[int, int] = SIZE_PX
     hold_s: float = HOLD_S
     braking: bool = True
+    person_frames: int = PERSON_FRAMES
 
     @classmethod
     def from_json(cls, document: Mapping[str, Json]) -> Self:
@@ -216,7 +218,7 @@ class Options:
         Raises:
             InvalidEpisode: A field is unknown or invalid.
         """
-        known = ("width_px", "height_px", "hold_s", "braking")
+        known = ("width_px", "height_px", "hold_s", "braking", "person_frames")
         for name in document:
             if name not in known:
                 raise InvalidEpisode(f"options: unknown field {name!r}{nearest(name, known)}")
@@ -226,7 +228,22 @@ class Options:
         if not isinstance(braking, bool):
             raise InvalidEpisode(f"options.braking: expected true or false, got {braking!r}")
         hold_s = parse_number("options.hold_s", document.get("hold_s", HOLD_S), 0.0, 10.0)
-        return cls(size_px=(round(width_px), round(height_px)), hold_s=hold_s, braking=braking)
+        person_frames = document.get("person_frames", PERSON_FRAMES)
+        if (
+            not isinstance(person_frames, int)
+            or isinstance(person_frames, bool)
+            or not 1 <= person_frames <= PERSON_WINDOW
+        ):
+            raise InvalidEpisode(
+                f"options.person_frames: expected 1 to {PERSON_WINDOW} of the last {PERSON_WINDOW} frames, got "
+                f"{person_frames!r}"
+            )
+        return cls(
+            size_px=(round(width_px), round(height_px)),
+            hold_s=hold_s,
+            braking=braking,
+            person_frames=person_frames,
+        )
 
 
 _OBSTACLES: Final = {"novelty": "a fallen tree", "anomaly": "an overturned vehicle"}

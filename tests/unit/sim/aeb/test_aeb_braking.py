@@ -58,8 +58,30 @@ def test_a_flickering_vehicle_does_not_trigger_the_brake() -> None:
     assert not any(brake.decide(0.05 * frame, ahead if frame % 3 else []) for frame in range(30))
 
 
+@pytest.mark.parametrize(
+    ("person_frames", "reported", "braking"),
+    [
+        (1, "010000", "011111"),
+        (2, "010010", "000000"),
+        (2, "011000", "001111"),
+        (2, "010100", "000111"),
+        (3, "011011", "000000"),
+        (3, "011100", "000111"),
+    ],
+)
+def test_a_person_is_confirmed_in_some_of_three_frames(
+    person_frames: int, reported: str, braking: str
+) -> None:
+    brake = EmergencyBrake.for_picture(1280, 720, person_frames=person_frames)
+    person = box(600, 300, 680, 600)
+    found = [
+        brake.decide(0.05 * frame, [person] if flag == "1" else []) for frame, flag in enumerate(reported)
+    ]
+    assert "".join("1" if flag else "0" for flag in found) == braking
+
+
 def test_the_latch_holds_and_releases() -> None:
-    brake = EmergencyBrake.for_picture(1280, 720, hold_s=0.5)
+    brake = EmergencyBrake.for_picture(1280, 720, hold_s=0.5, person_frames=1)
     person = [box(600, 300, 680, 600)]
     assert not brake.decide(0.0, [])
     assert brake.decide(0.05, person)
