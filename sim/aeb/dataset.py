@@ -61,6 +61,8 @@ CLEAR_M: Final = 0.5
 _MAX_YAW_RAD: Final = 0.05
 """Keeps the corners of the ego car away from the parked vehicles."""
 _DRAWS: Final = 6
+_CHILDREN: Final = 0.12
+"""Share of the people who are as small as children."""
 _LABELS: Final = {BodyKind.VEHICLE: 0, BodyKind.PERSON: 1}
 
 
@@ -176,10 +178,11 @@ def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator)
     else:
         y_m = float(rng.uniform(-LANE_M, LANE_M))
     length_m, width_m, height_m = PERSON_SIZE_M
+    low_m, high_m = (-0.65, -0.3) if rng.random() < _CHILDREN else (-0.25, 0.15)
     return Body(
         id=number, kind=BodyKind.PERSON, x_m=ego_x_m + ahead_m, y_m=y_m,
         yaw_rad=float(rng.uniform(-math.pi, math.pi)), length_m=length_m, width_m=width_m,
-        height_m=height_m + float(rng.uniform(-0.25, 0.15)), look=int(rng.integers(1000)) + 1000 * int(split),
+        height_m=height_m + float(rng.uniform(low_m, high_m)), look=int(rng.integers(1000)) + 1000 * int(split),
         phase=float(rng.uniform(0.0, 2.0 * math.pi)),
     )  # fmt: skip
 

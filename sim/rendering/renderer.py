@@ -35,7 +35,7 @@ from brink.sim.rendering.order import (
     make_body_items,
     make_static_items,
 )
-from brink.sim.rendering.people import draw_people
+from brink.sim.rendering.people import draw_people, shadow_outline
 from brink.sim.rendering.scene import (
     Body,
     BodyKind,
@@ -193,6 +193,8 @@ class Renderer:
     def _shadows_of(self, thing: Thing, corners: FloatArray, low_m: float, high_m: float) -> list[Shadow]:
         if isinstance(thing, Crown):
             return self._caster.tree_shadows(thing.tree, low_m)
+        if isinstance(thing, Body) and thing.kind is BodyKind.PERSON:
+            return self._caster.box_shadows(shadow_outline(thing), high_m, contact=True)
         if isinstance(thing, Body | House):
             return self._caster.box_shadows(corners, high_m, contact=isinstance(thing, Body))
         return []

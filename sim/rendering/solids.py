@@ -323,14 +323,15 @@ def radius_px(seen: FloatArray, radius_m: FloatArray, view: View) -> FloatArray:
 
 
 def capsule_polygons(
-    seen: FloatArray, radius: FloatArray, view: View
+    seen: FloatArray, radius: FloatArray, view: View, shade_side: FloatArray | float = 1.0
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return limbs as convex polygons, and narrower polygons for the shade on their right.
+    """Return limbs as convex polygons, and narrower polygons for the shade on one side.
 
     Args:
         seen: Both ends in camera coordinates, beyond the near plane, shape ``(n, 2, 3)``.
         radius: Radii at both ends in pixels, shape ``(n, 2)``.
         view: The camera.
+        shade_side: Side in the shade: 1 for the right, -1 for the left; one value or shape ``(n,)``.
 
     Returns:
         Two arrays of shape ``(n, 10, 2)``, in sixteenths of a pixel.
@@ -347,7 +348,7 @@ def capsule_polygons(
         points[:, rows, 1] = pixels[:, end, 1, None] + reach[:, end, None] * np.sin(turns)
     shade = points.copy()
     axis = _axis_column(pixels, points)
-    shade[..., 0] = axis + (points[..., 0] - axis) * 0.5 + 0.46 * reach.mean(axis=1)[:, None]
+    shade[..., 0] = axis + (points[..., 0] - axis) * 0.5 + (0.46 * shade_side * reach.mean(axis=1))[:, None]
     return to_fixed_point(points), to_fixed_point(shade)
 
 
