@@ -45,7 +45,16 @@ from brink.sim.perturbations import Pipeline
 from brink.sim.provenance import provenance
 from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
+from brink.sim.rendering.scene import (
+    Body,
+    BodyKind,
+    Frame,
+    Furniture,
+    Light,
+    PictureCamera,
+    StreetScene,
+    Viewpoint,
+)
 from brink.sim.world.ego import EGO_CAR
 from brink.sim.world.scenario import TimeOfDay, Weather
 
@@ -104,6 +113,7 @@ def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledF
         PictureCamera(width_px=SIZE_PX[0], height_px=SIZE_PX[1]),
         int(split) * 10**6 + int(rng.integers(10**6)),
     )
+    standing = [*map(_rectangle, scene.parked), *map(_rectangle, scene.furniture)]
     people_from = 10_000
     for time_s in np.sort(rng.uniform(0.0, 12.0, FRAMES_A_STREET)).tolist():
         x_m = CRUISE_MPS * time_s
@@ -118,13 +128,13 @@ def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledF
         clear = [body for body in moved if signed_gap_m(ego, _rectangle(body)) > CLEAR_M]
         bodies = _without_overlaps(clear)
         for index in range(int(rng.integers(3, 11))):
-            taken = [_rectangle(body) for body in (*scene.parked, *bodies)]
+            taken = [*standing, *(_rectangle(body) for body in bodies)]
             person = _person_in_free_space(people_from + index, ego, taken, split, rng)
             bodies += [] if person is None else [person]
         yield label_frame(renderer.frame(view, bodies, time_s))
 
 
-def _rectangle(body: Body) -> Rectangle:
+def _rectangle(body: Body | Furniture) -> Rectangle:
     return Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
 
 
@@ -147,6 +157,7 @@ def _with_looks(scene: StreetScene, split: Split) -> StreetScene:
         buildings=tuple(replace(b, look=b.look + 1000 * split) for b in scene.buildings),
         trees=tuple(replace(t, look=t.look + 1000 * split) for t in scene.trees),
         parked=tuple(_with_look(b, split) for b in scene.parked),
+        furniture=tuple(replace(f, look=f.look + 1000 * split) for f in scene.furniture),
     )
 
 
