@@ -218,11 +218,11 @@ def _lamps() -> tuple[Lamp, ...]:
 
 
 _BY_THE_KERB: Final = (
-    *[FurnitureKind.BICYCLE] * 2, FurnitureKind.BIN, *[FurnitureKind.BOLLARD] * 2, FurnitureKind.POST_BOX,
+    FurnitureKind.BICYCLE, FurnitureKind.BIN, *[FurnitureKind.BOLLARD] * 2, FurnitureKind.POST_BOX,
     *[FurnitureKind.SIGN] * 2, *[FurnitureKind.METER] * 2,
 )  # fmt: skip
 _BY_THE_WALL: Final = (
-    *[FurnitureKind.BICYCLE] * 2, FurnitureKind.BIN, *[FurnitureKind.PLANTER] * 2, FurnitureKind.BENCH,
+    FurnitureKind.BICYCLE, FurnitureKind.BIN, *[FurnitureKind.PLANTER] * 2, FurnitureKind.BENCH,
     FurnitureKind.BOARD,
 )  # fmt: skip
 _IN_ROWS: Final = {FurnitureKind.BICYCLE: (0.15, 0.5), FurnitureKind.BOLLARD: (1.2, 1.6)}
@@ -244,13 +244,13 @@ def _furniture(seed: int, line_x_m: float) -> tuple[Furniture, ...]:
             x_m = BEGIN_M + 2.0
             while x_m < END_M:
                 kind = kinds[int(rng.integers(len(kinds)))]
-                count = int(rng.integers(1, 5)) if kind in _IN_ROWS else 1
+                count = int(rng.integers(1, 4)) if kind in _IN_ROWS else 1
                 for _ in range(count):
                     item = _item(kind, x_m, side, from_kerb_m, rng)
                     if all(abs(x_m - at_m) > 0.5 * item.length_m + 0.5 + more_m for at_m, more_m in taken):
                         found.append(item)
                     x_m += item.length_m + float(rng.uniform(*_IN_ROWS.get(kind, (0.2, 0.2))))
-                x_m += float(rng.uniform(2.0, 11.0))
+                x_m += float(rng.uniform(4.0, 16.0))
     return tuple(found)
 
 

@@ -101,7 +101,7 @@ def _paint(look: int, question: int) -> Rgb:
 
 
 def _add_wheels(parts: _Parts, hubs: tuple[float, float], radius: float, tyre: Rgb) -> None:
-    count = 12
+    count = 8
     for hub in hubs:
         for i in range(count):
             turns = (math.tau * i / count, math.tau * (i + 1) / count)
@@ -114,7 +114,7 @@ def _add_wheels(parts: _Parts, hubs: tuple[float, float], radius: float, tyre: R
         for end in (hub - radius, hub + radius):
             strip = [(end, -0.022, 0.4 * radius), (end, 0.022, 0.4 * radius)]
             strip += [(end, 0.022, 1.6 * radius), (end, -0.022, 1.6 * radius)]
-            parts.sheet(strip, tyre, Group.LOWER)
+            parts.sheet(strip, tyre, Group.LOWER, 40.0)
 
 
 def _bicycle(item: Furniture, parts: _Parts) -> Plane:
@@ -162,7 +162,7 @@ def _bin(item: Furniture, parts: _Parts) -> Plane:
     rgb, x, y, high = _paint(item.look, 1), 0.5 * item.length_m, 0.5 * item.width_m, item.height_m
     ring = [(0.86 * -x, 0.86 * -y), (0.86 * x, 0.86 * -y), (0.86 * x, 0.86 * y), (0.86 * -x, 0.86 * y)]
     if choose(item.look, 3, 2):
-        ring = _circle(0.86 * x, 10)
+        ring = _circle(0.86 * x, 8)
     parts.prism(ring, (0.0, 0.88 * high), rgb, narrow=1.14)
     parts.prism(
         [(1.1 * a, 1.1 * b) for a, b in ring], (0.88 * high, high), _dark(rgb, 0.6), Group.CABIN, narrow=0.7
@@ -173,20 +173,20 @@ def _bin(item: Furniture, parts: _Parts) -> Plane:
 def _bollard(item: Furniture, parts: _Parts) -> Plane:
     rgb = (44, 46, 48) if choose(item.look, 1, 3) else _STONE
     radius, high = 0.5 * item.width_m, item.height_m
-    parts.prism(_circle(radius, 8), (0.0, 0.8 * high), rgb)
+    parts.prism(_circle(radius, 6), (0.0, 0.8 * high), rgb)
     band = (226, 224, 214) if choose(item.look, 2, 2) else (176, 40, 38)
-    parts.prism(_circle(radius, 8), (0.8 * high, 0.9 * high), band, Group.CABIN)
-    parts.prism(_circle(radius, 8), (0.9 * high, high), rgb, Group.CABIN, narrow=0.6)
+    parts.prism(_circle(radius, 6), (0.8 * high, 0.9 * high), band, Group.CABIN)
+    parts.prism(_circle(radius, 6), (0.9 * high, high), rgb, Group.CABIN, narrow=0.6)
     return (0.0, 0.0, 1.0), 0.8 * high
 
 
 def _post_box(item: Furniture, parts: _Parts) -> Plane:
     rgb = ((166, 28, 32), (206, 168, 40), (36, 70, 130))[choose(item.look, 1, 3)]
     radius, high = 0.5 * item.width_m, item.height_m
-    parts.prism(_circle(0.94 * radius, 12), (0.0, 0.12 * high), (30, 30, 32))
-    parts.prism(_circle(0.94 * radius, 12), (0.12 * high, 0.86 * high), rgb)
-    parts.prism(_circle(radius, 12), (0.86 * high, 0.93 * high), _dark(rgb, 0.85), Group.CABIN)
-    parts.prism(_circle(radius, 12), (0.93 * high, high), rgb, Group.CABIN, narrow=0.55)
+    parts.prism(_circle(0.94 * radius, 10), (0.0, 0.12 * high), (30, 30, 32))
+    parts.prism(_circle(0.94 * radius, 10), (0.12 * high, 0.86 * high), rgb)
+    parts.prism(_circle(radius, 10), (0.86 * high, 0.93 * high), _dark(rgb, 0.85), Group.CABIN)
+    parts.prism(_circle(radius, 10), (0.93 * high, high), rgb, Group.CABIN, narrow=0.55)
     for side in (1.0, -1.0):
         x = side * 0.95 * radius
         slot = [(x, side * -0.10, 0.76 * high), (x, side * 0.10, 0.76 * high)]
@@ -249,7 +249,7 @@ def _planter(item: Furniture, parts: _Parts) -> Plane:
     leaves = _LEAVES[choose(item.look, 4, len(_LEAVES))]
     flower = _FLOWERS[choose(item.look, 5, len(_FLOWERS))]
     for number, (low, high, wide) in enumerate(((1.0, 1.5, 0.98), (1.5, 2.0, 0.7))):
-        ring = [(x / y * a, b) for a, b in _circle(wide * y, 9)]
+        ring = [(x / y * a, b) for a, b in _circle(wide * y, 7)]
         shade = _dark(leaves, 0.8 + 0.3 * number)
         parts.prism(ring, (low * rim, high * rim), shade, Group.CABIN, narrow=0.68)
     for number in range(7):
@@ -261,7 +261,7 @@ def _planter(item: Furniture, parts: _Parts) -> Plane:
             (at_x + size, at_y, z),
             (at_x, at_y + size, z),
         ]
-        parts.faces.append(Face(spot, flower, Group.DISCS, False, Finish.PAINT, 16.0))
+        parts.faces.append(Face(spot, flower, Group.DISCS, False, Finish.PAINT, 30.0))
     return (0.0, 0.0, 1.0), rim
 
 

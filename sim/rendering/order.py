@@ -30,7 +30,7 @@ from brink.sim.rendering.view import NEAR_M, View
 
 _BODY_FAR_M: Final = 140.0
 _HOUSE_FAR_M: Final = 260.0
-_FURNITURE_FAR_M: Final = 70.0
+_FURNITURE_FAR_M: Final = 50.0
 _TRUNK_WIDTH: Final = 0.07
 _LAMP_WIDTH_M: Final = 0.2
 
