@@ -37,6 +37,7 @@ from brink.sim.aeb.specification import (
 )
 from brink.sim.aeb.street import CRUISE_MPS, KERB_M, LANE_M, LANE_Y_M, PERSON_SIZE_M, STRIP_M, make_street
 from brink.sim.bullet.engine import bullet_versions
+from brink.sim.encounter.witness import Rectangle, signed_gap_m
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.perception.boxes import GroundTruth, LabelledFrame, curves
@@ -45,15 +46,21 @@ from brink.sim.perception.user_files import CocoPicture, DatasetError, read_coco
 from brink.sim.perturbations import Pipeline
 from brink.sim.provenance import provenance
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.scene import Body, BodyKind, Light, PictureCamera, StreetScene, Viewpoint
+from brink.sim.rendering.scene import Body, BodyKind, Furniture, Light, PictureCamera, StreetScene, Viewpoint
+from brink.sim.world.ego import EGO_CAR
 from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10
-
-
 SMALL_SHARE: Final = 4
 """`render_frames` renders one image in this many at half the size, which is that of the episodes."""
+CLEAR_M: Final = 0.5
+"""No body stands nearer to the body of the ego car: at such a gap an image shows a crash, not a street."""
+_MAX_YAW_RAD: Final = 0.05
+"""Keeps the corners of the ego car away from the parked vehicles."""
+_DRAWS: Final = 6
+_CHILDREN: Final = 0.12
+"""Share of the people who are as small as children."""
 
 
 class Split(IntEnum):
@@ -124,18 +131,29 @@ def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Ite
         PictureCamera(width_px=width_px, height_px=width_px * SIZE_PX[1] // SIZE_PX[0]),
         int(split) * 10**6 + int(rng.integers(10**6)),
     )
+    standing = [*map(_rectangle, scene.parked), *map(_rectangle, scene.furniture)]
     people_from = 10_000
     for time_s in np.sort(rng.uniform(0.0, 12.0, FRAMES_A_STREET)).tolist():
         x_m = CRUISE_MPS * time_s
-        walkers = [_person(people_from + index, x_m, split, rng) for index in range(int(rng.integers(3, 11)))]
         actors = [_with_look(actor.current_body(), split) for actor in street.actors]
         moved = [replace(body, x_m=x_m + float(rng.uniform(-5.0, 60.0))) for body in actors]
         view = Viewpoint(
-            x_m=x_m, y_m=LANE_Y_M + float(rng.uniform(-0.3, 0.3)), yaw_rad=float(rng.normal(0.0, 0.02)),
+            x_m=x_m, y_m=LANE_Y_M + float(rng.uniform(-0.3, 0.3)),
+            yaw_rad=float(np.clip(rng.normal(0.0, 0.02), -_MAX_YAW_RAD, _MAX_YAW_RAD)),
             pitch_rad=float(rng.normal(0.0, 0.01)),
         )  # fmt: skip
-        frame = renderer.frame(view, [*_without_overlaps(moved), *walkers], time_s)
-        yield label_frame(frame)
+        ego = Rectangle(view.x_m, view.y_m, view.yaw_rad, 0.5 * EGO_CAR.length_m, 0.5 * EGO_CAR.width_m)
+        clear = [body for body in moved if signed_gap_m(ego, _rectangle(body)) > CLEAR_M]
+        bodies = _without_overlaps(clear)
+        for index in range(int(rng.integers(3, 11))):
+            taken = [*standing, *(_rectangle(body) for body in bodies)]
+            person = _person_in_free_space(people_from + index, ego, taken, split, rng)
+            bodies += [] if person is None else [person]
+        yield label_frame(renderer.frame(view, bodies, time_s))
+
+
+def _rectangle(body: Body | Furniture) -> Rectangle:
+    return Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
 
 
 def _without_overlaps(bodies: list[Body]) -> list[Body]:
@@ -157,11 +175,25 @@ def _with_looks(scene: StreetScene, split: Split) -> StreetScene:
         buildings=tuple(replace(b, look=b.look + 1000 * split) for b in scene.buildings),
         trees=tuple(replace(t, look=t.look + 1000 * split) for t in scene.trees),
         parked=tuple(_with_look(b, split) for b in scene.parked),
+        furniture=tuple(replace(f, look=f.look + 1000 * split) for f in scene.furniture),
     )
 
 
 def _with_look(body: Body, split: Split) -> Body:
     return replace(body, look=body.look % 1000 + 1000 * int(split))
+
+
+def _person_in_free_space(
+    number: int, ego: Rectangle, taken: list[Rectangle], split: Split, rng: np.random.Generator
+) -> Body | None:
+    """Return a person who stands in nothing and nobody, or None if several draws find no such place."""
+    for _ in range(_DRAWS):
+        person = _person(number, ego.x_m, split, rng)
+        place = _rectangle(person)
+        near = [other for other in taken if abs(other.x_m - place.x_m) < other.half_length_m + 1.0]
+        if signed_gap_m(ego, place) > CLEAR_M and all(signed_gap_m(other, place) > 0.1 for other in near):
+            return person
+    return None
 
 
 def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator) -> Body:
@@ -175,10 +207,11 @@ def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator)
     else:
         y_m = float(rng.uniform(-LANE_M, LANE_M))
     length_m, width_m, height_m = PERSON_SIZE_M
+    low_m, high_m = (-0.65, -0.3) if rng.random() < _CHILDREN else (-0.25, 0.15)
     return Body(
         id=number, kind=BodyKind.PERSON, x_m=ego_x_m + ahead_m, y_m=y_m,
         yaw_rad=float(rng.uniform(-math.pi, math.pi)), length_m=length_m, width_m=width_m,
-        height_m=height_m + float(rng.uniform(-0.25, 0.15)), look=int(rng.integers(1000)) + 1000 * int(split),
+        height_m=height_m + float(rng.uniform(low_m, high_m)), look=int(rng.integers(1000)) + 1000 * int(split),
         phase=float(rng.uniform(0.0, 2.0 * math.pi)),
     )  # fmt: skip
 

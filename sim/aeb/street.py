@@ -12,7 +12,19 @@ from typing import Final
 import numpy as np
 
 from brink.sim.aeb.specification import AebScenario, Obstacle, Occluder
-from brink.sim.rendering.scene import Body, BodyKind, Building, Ground, Lamp, Material, StreetScene, Tree
+from brink.sim.rendering.furniture import FURNITURE_SIZE_M
+from brink.sim.rendering.scene import (
+    Body,
+    BodyKind,
+    Building,
+    Furniture,
+    FurnitureKind,
+    Ground,
+    Lamp,
+    Material,
+    StreetScene,
+    Tree,
+)
 from brink.sim.world.streams import Stream, generator
 
 LANE_M: Final = 3.5
@@ -132,7 +144,12 @@ def make_street(scenario: AebScenario, seed: int) -> Street:
     parked = _parked(scenario, seed, line_x_m)
     return Street(
         scene=StreetScene(
-            ground=_ground(), buildings=_buildings(seed), trees=_trees(seed), parked=parked, lamps=_lamps()
+            ground=_ground(),
+            buildings=_buildings(seed),
+            trees=_trees(seed),
+            parked=parked,
+            lamps=_lamps(),
+            furniture=_furniture(seed, line_x_m),
         ),
         actors=_actors(scenario, seed, line_x_m, first_id=len(parked) + 1),
     )
@@ -198,6 +215,57 @@ def _lamps() -> tuple[Lamp, ...]:
         Lamp(x_m=x_m, y_m=-KERB_M - 0.5, yaw_rad=0.5 * math.pi)
         for x_m in np.arange(BEGIN_M, END_M, 28.0).tolist()
     )
+
+
+_BY_THE_KERB: Final = (
+    FurnitureKind.BICYCLE, FurnitureKind.BIN, *[FurnitureKind.BOLLARD] * 2, FurnitureKind.POST_BOX,
+    *[FurnitureKind.SIGN] * 2, *[FurnitureKind.METER] * 2,
+)  # fmt: skip
+_BY_THE_WALL: Final = (
+    FurnitureKind.BICYCLE, FurnitureKind.BIN, *[FurnitureKind.PLANTER] * 2, FurnitureKind.BENCH,
+    FurnitureKind.BOARD,
+)  # fmt: skip
+_IN_ROWS: Final = {FurnitureKind.BICYCLE: (0.15, 0.5), FurnitureKind.BOLLARD: (1.2, 1.6)}
+"""Gaps between items that stand in rows, in m."""
+_FACING_TRAFFIC: Final = (FurnitureKind.SIGN, FurnitureKind.BOARD, FurnitureKind.METER)
+
+
+def _furniture(seed: int, line_x_m: float) -> tuple[Furniture, ...]:
+    """Return street furniture, which is only seen: on the pavements and away from the paths of both pedestrians."""
+    rng = generator(seed, Stream.STREET, 2)
+    posts = [(tree.x_m, tree.y_m) for tree in _trees(seed)] + [(lamp.x_m, lamp.y_m) for lamp in _lamps()]
+    found: list[Furniture] = []
+    for side in (-1.0, 1.0):
+        by_the_kerb = [(line_x_m, 0.5), *((x_m, 0.0) for x_m, y_m in posts if y_m * side > 0)]
+        for kinds, from_kerb_m, taken in (
+            (_BY_THE_KERB, 0.55, by_the_kerb),
+            (_BY_THE_WALL, PAVEMENT_M - 0.05, by_the_kerb[:1]),
+        ):
+            x_m = BEGIN_M + 2.0
+            while x_m < END_M:
+                kind = kinds[int(rng.integers(len(kinds)))]
+                count = int(rng.integers(1, 4)) if kind in _IN_ROWS else 1
+                for _ in range(count):
+                    item = _item(kind, x_m, side, from_kerb_m, rng)
+                    if all(abs(x_m - at_m) > 0.5 * item.length_m + 0.5 + more_m for at_m, more_m in taken):
+                        found.append(item)
+                    x_m += item.length_m + float(rng.uniform(*_IN_ROWS.get(kind, (0.2, 0.2))))
+                x_m += float(rng.uniform(4.0, 16.0))
+    return tuple(found)
+
+
+def _item(
+    kind: FurnitureKind, x_m: float, side: float, from_kerb_m: float, rng: np.random.Generator
+) -> Furniture:
+    length_m, width_m, height_m = FURNITURE_SIZE_M[kind]
+    # Signs, boards and meters face those who come along the street.
+    yaw_rad = (math.pi if side < 0 else 0.0) if kind in _FACING_TRAFFIC else (0.0 if side < 0 else math.pi)
+    yaw_rad += float(rng.uniform(-0.08, 0.08))
+    return Furniture(
+        kind=kind, x_m=x_m, y_m=side * (KERB_M + from_kerb_m), yaw_rad=yaw_rad,
+        length_m=length_m, width_m=width_m, height_m=height_m * float(rng.uniform(0.92, 1.08)),
+        look=int(rng.integers(1_000)),
+    )  # fmt: skip
 
 
 def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ...]:

@@ -20,6 +20,7 @@ from brink.sim.rendering.scene import (
     Body,
     Building,
     FloatArray,
+    Furniture,
     Lamp,
     StreetScene,
     Tree,
@@ -29,6 +30,7 @@ from brink.sim.rendering.view import NEAR_M, View
 
 _BODY_FAR_M: Final = 140.0
 _HOUSE_FAR_M: Final = 260.0
+_FURNITURE_FAR_M: Final = 50.0
 _TRUNK_WIDTH: Final = 0.07
 _LAMP_WIDTH_M: Final = 0.2
 
@@ -48,7 +50,7 @@ class Crown:
     tree: Tree
 
 
-Thing: TypeAlias = Body | House | Tree | Crown | Lamp
+Thing: TypeAlias = Body | House | Tree | Crown | Lamp | Furniture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,6 +112,9 @@ def make_static_items(scene: StreetScene) -> Items:
     for lamp in scene.lamps:
         post = footprint(lamp.x_m, lamp.y_m, 0.0, _LAMP_WIDTH_M, _LAMP_WIDTH_M)
         rows.append((lamp, post, 0.0, lamp.height_m, _BODY_FAR_M))
+    for item in scene.furniture:
+        corners = footprint(item.x_m, item.y_m, item.yaw_rad, item.length_m, item.width_m)
+        rows.append((item, corners, 0.0, item.height_m, _FURNITURE_FAR_M))
     return _stacked(rows).joined(make_body_items(scene.parked))
 
 

@@ -6,12 +6,14 @@ change the image but never the mask.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, TypeAlias
 
 import numpy as np
 
 from brink.sim.rendering.buildings import BuildingPainter, PlacedWalls
 from brink.sim.rendering.canvas import Canvas
+from brink.sim.rendering.furniture import make_furniture_mesh
 from brink.sim.rendering.ground import (
     GroundCover,
     GroundPainter,
@@ -35,12 +37,13 @@ from brink.sim.rendering.order import (
     make_body_items,
     make_static_items,
 )
-from brink.sim.rendering.people import draw_people
+from brink.sim.rendering.people import draw_people, shadow_outline
 from brink.sim.rendering.scene import (
     Body,
     BodyKind,
     FloatArray,
     Frame,
+    Furniture,
     IntArray,
     Lamp,
     Light,
@@ -154,6 +157,8 @@ class Renderer:
                 marks[index] = self._trees.crown(thing.tree, view, float(lit[index]))
             elif isinstance(thing, Lamp):
                 lamps.append((index, thing))
+            elif isinstance(thing, Furniture):
+                solids.append((index, _placed_furniture(thing)))
             elif isinstance(thing, Body):
                 if thing.kind is BodyKind.PERSON:
                     people.append((index, thing))
@@ -193,8 +198,10 @@ class Renderer:
     def _shadows_of(self, thing: Thing, corners: FloatArray, low_m: float, high_m: float) -> list[Shadow]:
         if isinstance(thing, Crown):
             return self._caster.tree_shadows(thing.tree, low_m)
-        if isinstance(thing, Body | House):
-            return self._caster.box_shadows(corners, high_m, contact=isinstance(thing, Body))
+        if isinstance(thing, Body) and thing.kind is BodyKind.PERSON:
+            return self._caster.box_shadows(shadow_outline(thing), high_m, contact=True)
+        if isinstance(thing, Body | House | Furniture):
+            return self._caster.box_shadows(corners, high_m, contact=not isinstance(thing, House))
         return []
 
     def _cover(self, moving: Items, seen: VisibleItems, walls: PlacedWalls, view: View) -> GroundCover:
@@ -240,6 +247,11 @@ class Renderer:
             elif isinstance(thing, Body):
                 found += next(of_bodies)
         return found
+
+
+def _placed_furniture(item: Furniture) -> PlacedMesh:
+    mesh = make_furniture_mesh(replace(item, x_m=0.0, y_m=0.0, yaw_rad=0.0))
+    return PlacedMesh(mesh, item.x_m, item.y_m, item.yaw_rad, item.height_m, braking=False, parked=True)
 
 
 def _rows(items: Items) -> list[tuple[Thing, FloatArray, float, float]]:

@@ -5,11 +5,14 @@ from typing import Final
 
 import numpy as np
 
+from brink.sim.rendering.furniture import FURNITURE_SIZE_M
 from brink.sim.rendering.scene import (
     Body,
     BodyKind,
     Building,
     FloatArray,
+    Furniture,
+    FurnitureKind,
     Ground,
     Lamp,
     Material,
@@ -40,6 +43,7 @@ def sample_street(*, parked: int = 8, houses: int = 8, trees: int = 7) -> Street
             Lamp(x_m=10.0 + 13.0 * number, y_m=side * 6.3, yaw_rad=-side * math.pi / 2)
             for number, side in enumerate((1, -1) * 4)
         ),
+        furniture=tuple(_furniture(number, kind) for number, kind in enumerate(FurnitureKind)),
     )
 
 
@@ -194,6 +198,21 @@ def _tree(number: int, side: int) -> Tree:
         height_m=6.0 + 0.6 * (number % 3),
         crown_m=3.4 + 0.4 * (number % 2),
         look=2 * number + (side > 0),
+    )
+
+
+def _furniture(number: int, kind: FurnitureKind) -> Furniture:
+    length_m, width_m, height_m = FURNITURE_SIZE_M[kind]
+    side = 1 if number % 2 else -1
+    return Furniture(
+        kind=kind,
+        x_m=9.0 + 3.3 * number,
+        y_m=side * 8.2,
+        yaw_rad=math.pi if number % 3 else 0.0,
+        length_m=length_m,
+        width_m=width_m,
+        height_m=height_m,
+        look=11 * number,
     )
 
 

@@ -127,6 +127,39 @@ class Lamp:
         _check_positive("lamp", height_m=self.height_m)
 
 
+class FurnitureKind(StrEnum):
+    """The kind of an item of street furniture."""
+
+    BICYCLE = "bicycle"
+    BIN = "bin"
+    BOLLARD = "bollard"
+    POST_BOX = "post_box"
+    SIGN = "sign"
+    METER = "meter"
+    PLANTER = "planter"
+    BENCH = "bench"
+    BOARD = "board"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Furniture:
+    """An item of street furniture, which fills an upright box and has no id and no label."""
+
+    kind: FurnitureKind
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    length_m: float
+    width_m: float
+    height_m: float
+    look: int
+
+    def __post_init__(self) -> None:
+        where = f"furniture {self.kind}"
+        _check_finite(where, x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad)
+        _check_positive(where, length_m=self.length_m, width_m=self.width_m, height_m=self.height_m)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
     """An object with an id. It fills an upright box over an oriented rectangle.
@@ -174,6 +207,7 @@ class StreetScene:
     trees: tuple[Tree, ...] = ()
     parked: tuple[Body, ...] = ()
     lamps: tuple[Lamp, ...] = ()
+    furniture: tuple[Furniture, ...] = ()
 
     def __post_init__(self) -> None:
         check_unique_ids(body.id for body in self.parked)

@@ -174,8 +174,8 @@ def draw_meshes(
     shown = np.flatnonzero((across > 1e-6) & large)
     shown = shown[np.argsort(_ranks(meshes, eyes, owner)[shown], kind="stable")]
     owner, towards, normals = owner[shown], towards[shown], normals[shown]
-    facing = across[shown] / np.sqrt(np.einsum("ij,ij->i", towards, towards))
-    rgb = _shade(placed, meshes, shown, owner, normals, facing, cosine, sine, lighting, lit)
+    sight = towards / np.maximum(np.sqrt(np.einsum("ij,ij->i", towards, towards)), 1e-9)[:, None]
+    rgb = _shade(placed, meshes, shown, owner, normals, sight, cosine, sine, lighting, lit)
     haze = lighting.haze(ahead)[owner][:, None]
     rgb = np.clip(rgb * (1 - haze) + np.array(lighting.haze_rgb) * haze, 0, 255)
     return _strokes(meshes, seen, shown, owner, rgb, view)
@@ -212,32 +212,47 @@ def _seen(
     return view.to_camera(world)
 
 
+_GROUND_RGB: Final = 70.0
+
+
 def _shade(
     placed: Sequence[PlacedMesh],
     meshes: list[Mesh],
     shown: NDArray[np.int64],
     owner: NDArray[np.int64],
     normals: FloatArray,
-    facing: FloatArray,
+    sight: FloatArray,
     cosine: FloatArray,
     sine: FloatArray,
     lighting: Lighting,
     lit: FloatArray,
 ) -> FloatArray:
-    """Return the colours of the visible faces under the light, shape ``(shown, 3)``."""
+    """Return the colours of the visible faces under the light, shape ``(shown, 3)``.
+
+    Paint and glass are glossy: they mirror the sky or the ground, most at a grazing angle, and the sun.
+    """
+    facing = np.einsum("ij,ij->i", normals, sight)
     finish = np.concatenate([mesh.finish for mesh in meshes])[shown]
     rgb = np.concatenate([mesh.rgb for mesh in meshes])[shown]
     sun_x = lighting.sun[0] * cosine + lighting.sun[1] * sine
     sun_y = lighting.sun[1] * cosine - lighting.sun[0] * sine
     to_sun = normals[:, 0] * sun_x[owner] + normals[:, 1] * sun_y[owner] + normals[:, 2] * lighting.sun[2]
-    from_sky = 0.86 + 0.14 * normals[:, 2]
+    from_sky = 0.80 + 0.22 * normals[:, 2]
     share = lighting.ambient_strength * from_sky + lighting.sun_strength * np.maximum(to_sun, 0.0)
     share = share + lit[owner] * (0.25 + 0.75 * facing) * 0.9
     share = np.where(
         finish == Finish.FLAT, 0.5 * share + 0.25 * (lighting.ambient_strength + lit[owner]), share
     )
     shaded = rgb * share[:, None] * lighting.tint
-    glass = finish == Finish.GLASS
+    mirrored = 2.0 * facing[:, None] * normals - sight
+    to_sun = mirrored[:, 0] * sun_x[owner] + mirrored[:, 1] * sun_y[owner] + mirrored[:, 2] * lighting.sun[2]
+    glint = 150.0 * lighting.sun_strength * np.maximum(to_sun, 0.0) ** 14
+    paint, glass = finish == Finish.PAINT, finish == Finish.GLASS
+    gloss = 0.05 + 0.34 * (1 - facing[paint, None]) ** 3
+    ground = _GROUND_RGB * (lighting.ambient_strength + 0.5 * lighting.sun_strength)
+    around = np.where(mirrored[paint, 2:] > 0, np.array(lighting.sky_low_rgb), ground)
+    shaded[paint] += (around - shaded[paint]) * gloss
+    shaded[paint | glass] += glint[paint | glass, None]
     sky = np.array(lighting.sky_low_rgb)
     sheen = (
         np.clip(0.10 + 0.30 * normals[glass, 2], 0.06, 0.34)[:, None]
@@ -323,14 +338,15 @@ def radius_px(seen: FloatArray, radius_m: FloatArray, view: View) -> FloatArray:
 
 
 def capsule_polygons(
-    seen: FloatArray, radius: FloatArray, view: View
+    seen: FloatArray, radius: FloatArray, view: View, shade_side: FloatArray | float = 1.0
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return limbs as convex polygons, and narrower polygons for the shade on their right.
+    """Return limbs as convex polygons, and narrower polygons for the shade on one side.
 
     Args:
         seen: Both ends in camera coordinates, beyond the near plane, shape ``(n, 2, 3)``.
         radius: Radii at both ends in pixels, shape ``(n, 2)``.
         view: The camera.
+        shade_side: Side in the shade: 1 for the right, -1 for the left; one value or shape ``(n,)``.
 
     Returns:
         Two arrays of shape ``(n, 10, 2)``, in sixteenths of a pixel.
@@ -347,7 +363,7 @@ def capsule_polygons(
         points[:, rows, 1] = pixels[:, end, 1, None] + reach[:, end, None] * np.sin(turns)
     shade = points.copy()
     axis = _axis_column(pixels, points)
-    shade[..., 0] = axis + (points[..., 0] - axis) * 0.5 + 0.46 * reach.mean(axis=1)[:, None]
+    shade[..., 0] = axis + (points[..., 0] - axis) * 0.5 + (0.46 * shade_side * reach.mean(axis=1))[:, None]
     return to_fixed_point(points), to_fixed_point(shade)
 
 

@@ -22,6 +22,14 @@ _TRIM: Final[Rgb] = (30, 31, 33)
 _LAMP: Final[Rgb] = (222, 226, 228)
 _TAIL: Final[Rgb] = (140, 18, 20)
 _PLATE: Final[Rgb] = (232, 230, 218)
+_PRINT: Final[Rgb] = (126, 124, 118)
+_AMBER: Final[Rgb] = (206, 112, 30)
+_SKY_IN_GLASS: Final[Rgb] = (74, 86, 98)
+_STREAK: Final[Rgb] = (92, 104, 116)
+_SEAT: Final[Rgb] = (20, 21, 24)
+_VAN_PRINTS: Final[tuple[Rgb, ...]] = (
+    (178, 34, 38), (28, 72, 140), (30, 112, 70), (214, 150, 30), (60, 62, 68), (92, 160, 196),
+)  # fmt: skip
 _TREADS: Final = 10
 
 
@@ -29,7 +37,7 @@ class _VehicleBuilder:
     """Builds the faces of one upright vehicle, in metres."""
 
     def __init__(self, look: int, length_m: float, width_m: float, height_m: float) -> None:
-        self.shape = _vehicle_shape(look, height_m)
+        self.look, self.shape = look, _vehicle_shape(look, height_m)
         self.length_m, self.width_m, self.height_m = length_m, width_m, height_m
         self.paint = vehicle_colour(look, height_m)
         self.belt_m = self.shape.belt_z * height_m
@@ -95,6 +103,10 @@ class _VehicleBuilder:
             band = self.belt_m - 0.10 * self.height_m
             shade = _dark(self.paint, 0.86)
             faces.append(self._strip(y, self.haunch_m, self.shoulder_m, sill, band - 0.08, shade, 40))
+            bright = _light(self.paint, 1.22)
+            top = self.belt_m - 0.02 * self.height_m
+            shine = self.belt_m - 0.055 * self.height_m
+            faces.append(self._strip(y, self.haunch_m, front, shine, top, bright, 24))
             seams = (0.17, -0.075, -0.29) if len(self.shape.windows) > 1 else (0.36, 0.17)
             for seam in seams:
                 x = seam * self.length_m
@@ -157,6 +169,12 @@ class _VehicleBuilder:
             ((-0.27, 0.27, shape.nose_z - 0.125, shape.nose_z - 0.045), _TRIM, 16),
             ((-0.22, 0.22, bumper + 0.015, bumper + 0.075), _TRIM, 36),
             ((-0.135, 0.135, shape.nose_z - 0.21, shape.nose_z - 0.145), _PLATE, 26),
+            ((-0.11, 0.11, shape.nose_z - 0.195, shape.nose_z - 0.16), _PRINT, 80),
+            ((-0.26, 0.26, shape.nose_z - 0.092, shape.nose_z - 0.080), _dark(_RIM, 0.5), 50),
+            ((-0.035, 0.035, shape.nose_z - 0.105, shape.nose_z - 0.065), _RIM, 44),
+            ((-edge, edge, bumper + 0.085, bumper + 0.098), _light(self.paint, 1.15), 40),
+            ((-0.38, -0.29, bumper + 0.02, bumper + 0.065), _TRIM, 40),
+            ((0.29, 0.38, bumper + 0.02, bumper + 0.065), _TRIM, 40),
         ]
         faces += [
             self._face(self._end(nose, part), rgb, Group.LOWER, Finish.FLAT, shown_px=px)
@@ -165,6 +183,10 @@ class _VehicleBuilder:
         for side in (1.0, -1.0):
             part = (side * 0.29, side * edge, lamp_low / height, lamp_high / height)
             faces.append(self._face(self._end(nose, part), _LAMP, Group.LOWER, Finish.LAMP, shown_px=9))
+            eye = (side * 0.315, side * (edge - 0.02), lamp_low / height + 0.014, lamp_high / height - 0.03)
+            faces.append(
+                self._face(self._end(nose, eye), _dark(_LAMP, 0.6), Group.LOWER, Finish.LAMP, shown_px=50)
+            )
             corner = self._corner(nose, 0.5 * (self.shoulder_m + nose), half, side, lamp_low, lamp_high)
             halfway = 0.5 * (half + 0.5 * self.width_m)
             corner = [(x, side * halfway if abs(y) > half else y, z) for x, y, z in corner]
@@ -182,9 +204,16 @@ class _VehicleBuilder:
             faces.append(self._face(outline, self.paint, Group.LOWER, solid=True))
         bumper = low + 0.11
         rows: list[tuple[tuple[float, float, float, float], Rgb, float]] = [
-            ((-edge, edge, low, bumper), _dark(self.paint, 0.35), 16),
+            ((-edge, edge, low, low + 0.065), _TRIM, 16),
+            ((-edge, edge, bumper + 0.045, bumper + 0.085), _light(self.paint, 1.14), 30),
             ((-edge, edge, bumper + 0.085, bumper + 0.095), _dark(self.paint, 0.45), 50),
+            ((-edge + 0.03, -edge + 0.12, low + 0.09, low + 0.12), (120, 26, 24), 44),
+            ((edge - 0.12, edge - 0.03, low + 0.09, low + 0.12), (120, 26, 24), 44),
+            ((-0.19, 0.19, top - 0.22, top - 0.115), _dark(self.paint, 0.62), 30),
             ((-0.14, 0.14, top - 0.20, top - 0.13), _PLATE, 22),
+            ((-0.115, 0.115, top - 0.183, top - 0.147), _PRINT, 80),
+            ((-0.03, 0.03, top - 0.09, top - 0.05), _RIM, 50),
+            ((0.24, 0.31, low - 0.01, low + 0.03), _dark(_RIM, 0.6), 60),
         ]
         faces += [
             self._face(self._end(tail, part), rgb, Group.LOWER, Finish.FLAT, shown_px=px)
@@ -195,6 +224,10 @@ class _VehicleBuilder:
         for side in (1.0, -1.0):
             part = (side * inner, side * edge, *lamp)
             faces.append(self._face(self._end(tail, part), _TAIL, Group.LOWER, Finish.TAIL, shown_px=8))
+            span = lamp[1] - lamp[0]
+            for rgb, a, b in ((_AMBER, 0.70, 0.92), (_LAMP, 0.08, 0.26)):
+                piece = (side * (inner + 0.012), side * edge, lamp[0] + a * span, lamp[0] + b * span)
+                faces.append(self._face(self._end(tail, piece), rgb, Group.LOWER, Finish.FLAT, shown_px=44))
             corner = self._corner(tail, self.haunch_m, half, side, lamp[0] * height, lamp[1] * height)
             faces.append(self._face(corner, _TAIL, Group.LOWER, Finish.TAIL, shown_px=14))
         return faces
@@ -253,8 +286,24 @@ class _VehicleBuilder:
         def pane(quad: list[Point], panes: list[tuple[float, float, float, float]], px: float) -> None:
             faces.append(self._face(quad, self.paint, Group.CABIN, solid=True))
             for s0, s1, t0, t1 in panes:
+                add(quad, (s0 - 0.018, s1 + 0.018, t0 - 0.05, t1 + 0.04), _TRIM, Finish.FLAT, 26)
                 glass = [_within(quad, s, t) for s, t in ((s0, t0), (s1, t0), (s1, t1), (s0, t1))]
                 faces.append(self._face(glass, _GLASS, Group.CABIN, Finish.GLASS, shown_px=px))
+                add(glass, (0.0, 1.0, 0.58, 1.0), _SKY_IN_GLASS, Finish.GLASS, 20)
+                seats = ((0.17, 0.36), (0.64, 0.83)) if s1 - s0 > 0.6 else ((0.34, 0.66),)
+                for left, right in seats:
+                    add(glass, (left, right, 0.0, 0.46), _SEAT, Finish.FLAT, 40)
+                    add(glass, (left + 0.045, right - 0.045, 0.46, 0.66), _SEAT, Finish.FLAT, 54)
+                streak = ((0.50, 0.0), (0.60, 0.0), (0.80, 1.0), (0.70, 1.0))
+                shine = [_within(glass, s, t) for s, t in streak]
+                faces.append(self._face(shine, _STREAK, Group.CABIN, Finish.GLASS, shown_px=60))
+
+        def add(
+            quad: list[Point], part: tuple[float, float, float, float], rgb: Rgb, finish: Finish, px: float
+        ) -> None:
+            s0, s1, t0, t1 = part
+            corners = [_within(quad, s, t) for s, t in ((s0, t0), (s1, t0), (s1, t1), (s0, t1))]
+            faces.append(self._face(corners, rgb, Group.CABIN, finish, shown_px=px))
 
         for side in (1.0, -1.0):
             quad = [
@@ -264,6 +313,13 @@ class _VehicleBuilder:
                 (x_rr, side * roof, brow),
             ]
             pane(quad, [(a, b, 0.10, 0.86) for a, b in shape.windows], 7)
+            if len(shape.windows) == 1 and choose(self.look, 6, 3):
+                # The name of a firm: a panel, a mark and two lines of print.
+                print_ = _VAN_PRINTS[choose(self.look, 7, len(_VAN_PRINTS))]
+                add(quad, (0.10, 0.70, -0.02, 0.16), print_, Finish.PAINT, 24)
+                add(quad, (0.16, 0.28, 0.38, 0.74), print_, Finish.PAINT, 24)
+                add(quad, (0.32, 0.66, 0.56, 0.70), print_, Finish.PAINT, 30)
+                add(quad, (0.32, 0.58, 0.40, 0.47), _dark(print_, 0.7), Finish.PAINT, 40)
         screen = [(x_bf, base, low), (x_bf, -base, low), (x_rf, -roof, brow), (x_rf, roof, brow)]
         pane(screen, [(0.045, 0.955, 0.04, 0.93)], 5)
         rear = [(x_br, base, low), (x_br, -base, low), (x_rr, -roof, brow), (x_rr, roof, brow)]
@@ -343,19 +399,30 @@ class _VehicleBuilder:
                 faces.append(self._face(arch, (17, 17, 18), Group.DISCS, Finish.FLAT, shown_px=12))
                 for size, rgb, count, px in (
                     (1.0, _RUBBER, 14, 0),
-                    (0.66, _RIM, 10, 14),
-                    (0.5, _dark(_RIM, 0.62), 10, 44),
-                    (0.2, _RIM, 6, 60),
+                    (0.68, _RIM, 10, 14),
+                    (0.2, _dark(_RIM, 0.7), 6, 60),
                 ):
                     disc = [(x, y, z) for x, z in _circle(axle, radius, size * radius, count)]
                     faces.append(
                         self._face(disc, rgb, Group.DISCS, Finish.FLAT, solid=size == 1.0, shown_px=float(px))
                     )
+                for spoke in range(5):
+                    gap = [
+                        (axle + share * radius * math.cos(a), y, radius + share * radius * math.sin(a))
+                        for share, turn in ((0.24, 0.0), (0.58, -0.42), (0.58, 0.42))
+                        for a in (math.tau * spoke / 5 + turn,)
+                    ]
+                    faces.append(self._face(gap, _dark(_RIM, 0.38), Group.DISCS, Finish.FLAT, shown_px=46.0))
         return faces
 
 
 def _dark(rgb: Rgb, by: float) -> Rgb:
     return rgb[0] * by, rgb[1] * by, rgb[2] * by
+
+
+def _light(rgb: Rgb, by: float) -> Rgb:
+    """Return a lighter colour; black becomes dark grey."""
+    return min(rgb[0] * by + 10, 250.0), min(rgb[1] * by + 10, 250.0), min(rgb[2] * by + 10, 250.0)
 
 
 def _circle(x: float, z: float, radius: float, count: int) -> list[tuple[float, float]]:
@@ -378,7 +445,8 @@ def _within(quad: list[Point], s: float, t: float) -> Point:
 _PAINTS: Final[tuple[Rgb, ...]] = (
     (236, 236, 232), (26, 27, 30), (168, 172, 176), (96, 100, 106), (176, 28, 30), (30, 62, 132),
     (222, 222, 214), (42, 74, 58), (198, 176, 138), (226, 178, 32), (66, 124, 164), (112, 34, 44),
-    (58, 60, 66), (206, 96, 36),
+    (58, 60, 66), (206, 96, 36), (236, 236, 232), (228, 229, 230), (26, 27, 30), (34, 35, 38), (96, 100, 106),
+    (70, 74, 80), (168, 172, 176), (140, 145, 150), (36, 50, 84), (122, 32, 34), (90, 82, 72), (152, 160, 150),
 )  # fmt: skip
 _VAN_PAINTS: Final[tuple[Rgb, ...]] = (
     (238, 238, 235), (228, 229, 226), (200, 204, 206), (44, 74, 132), (214, 168, 38), (150, 40, 38),
@@ -415,6 +483,9 @@ _CARS: Final = (
         windows=((0.04, 0.33), (0.37, 0.66), (0.70, 0.95)),
     ),
     Shape(nose_z=0.52, belt_z=0.60, base_front=0.27, base_rear=-0.48, roof_front=0.08, roof_rear=-0.34),
+    Shape(nose_z=0.57, belt_z=0.64, base_front=0.22, base_rear=-0.49, roof_front=0.07, roof_rear=-0.455,
+          windows=((0.04, 0.34), (0.38, 0.68), (0.72, 0.94))),
+    Shape(nose_z=0.54, belt_z=0.62, base_front=0.31, base_rear=-0.485, roof_front=0.13, roof_rear=-0.40),
 )  # fmt: skip
 _VANS: Final = (
     Shape(

@@ -20,17 +20,20 @@ from brink.sim.aeb import dataset
 from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
 from brink.sim.aeb.scores import rescore
 from brink.sim.aeb.simulator import BrinkAeb
+from brink.sim.encounter.witness import Rectangle, signed_gap_m
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import Detections, LabelledFrame
 from brink.sim.perception.detector import DETECTORS
 from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
+from brink.sim.rendering.scene import Body, Frame, StreetScene, Viewpoint
 from brink.sim.replay import ReplayError, render
 from brink.sim.replay.frame import FramePainter
 from brink.sim.replay.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
 from brink.sim.replay.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
 from brink.sim.trace import Film, Trace
+from brink.sim.world.ego import EGO_CAR
 
 SIMULATOR, EVALUATOR = BrinkAeb(), DatasetEvaluator()
 NOTHING = Detections(
@@ -114,6 +117,32 @@ def test_labelled_pictures_are_reproducible_and_differ_between_splits() -> None:
     for frame in first:
         assert len(frame.truth.boxes) == len(frame.truth.labels) == len(frame.depths_m)
         assert (frame.truth.boxes[:, 2:] > frame.truth.boxes[:, :2]).all()
+
+
+@pytest.mark.parametrize("split", list(Split))
+def test_no_body_in_a_labelled_picture_stands_within_half_a_metre_of_the_ego_car(
+    monkeypatch: pytest.MonkeyPatch, split: Split
+) -> None:
+    """Street and people are as in real pictures; only the painting is left out."""
+    views: list[tuple[Viewpoint, list[Body]]] = []
+
+    class Unpainted:
+        def __init__(self, scene: StreetScene, *_: object) -> None:
+            self.parked = scene.parked
+
+        def frame(self, view: Viewpoint, bodies: list[Body], _: float) -> Frame:
+            views.append((view, [*self.parked, *bodies]))
+            image, ids = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.int32)
+            return Frame(image=image, ids=ids, outlines={})
+
+    monkeypatch.setattr(dataset, "Renderer", Unpainted)
+    assert len(list(labelled_frames(split, 400))) == len(views) == 400
+    for view, bodies in views:
+        ego = Rectangle(view.x_m, view.y_m, view.yaw_rad, 0.5 * EGO_CAR.length_m, 0.5 * EGO_CAR.width_m)
+        for body in bodies:
+            other = Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
+            assert signed_gap_m(ego, other) > 0.5
+    assert sum(len(bodies) for _, bodies in views) > 400 * 10
 
 
 def test_no_more_pictures_are_drawn_than_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
