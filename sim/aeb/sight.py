@@ -16,7 +16,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.perception.boxes import Detections, GroundTruth
 from brink.sim.perception.detector import LABELS, Detector
 from brink.sim.perturbations import Mode, Perturbation, Pipeline
-from brink.sim.rendering.canvas import visible_bodies
+from brink.sim.rendering.canvas import seen_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, Viewpoint
 from brink.sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, PERCEPTION_STEP_S, InjectedTrajectory
@@ -212,12 +212,10 @@ def visible_boxes(frame: Frame) -> tuple[list[Detection], list[bool]]:
     """
     boxes, ignored = [], []
     least_px = MIN_HEIGHT_SHARE * frame.image.shape[0]
-    for body in visible_bodies(frame):
-        if body.box is None:
-            continue
+    for body in seen_bodies(frame, least_height_px=least_px, least_share=MIN_VISIBLE):
         label = PERSON if body.kind is BodyKind.PERSON else VEHICLE
         boxes.append(Detection(label, *(float(edge) for edge in body.box)))
-        ignored.append(body.box.y_max_px - body.box.y_min_px < least_px or body.visible_share < MIN_VISIBLE)
+        ignored.append(not body.clear)
     return boxes, ignored
 
 
