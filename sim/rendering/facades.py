@@ -339,9 +339,8 @@ def _windows(
         scale: Pixels per metre.
     """
     rng = np.random.default_rng((_FACADE_STREAM, 3, *size, frame, kind))
-    return tuple(
-        zip(*(_window(rng, size, frame, kind, scale, variant) for variant in range(_VARIANTS)), strict=True)
-    )
+    drawn = [_window(rng, size, frame, kind, scale, variant) for variant in range(_VARIANTS)]
+    return [day for day, _ in drawn], [glow for _, glow in drawn]
 
 
 def _window(
