@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.rendering.canvas import Canvas
-from brink.sim.rendering.facades import draw_facade, mean_colour, shrink_facade
+from brink.sim.rendering.facades import draw_facade, plain_colour, shrink_facade
 from brink.sim.rendering.light import Lighting
 from brink.sim.rendering.scene import Building, FloatArray, IntArray, Picture, Rgb, footprint
 from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_point
@@ -22,6 +22,9 @@ from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_po
 _MAX_HALVINGS: Final = 5
 _COARSE_FROM: Final = 2.6
 """A wall is drawn at half size if it is more than this many times as high in the image as its texture."""
+_COVERED_WITHIN_M: Final = 0.3
+_COVERED_SLACK_M: Final = 0.4
+"""Part of a wall's length at either end that may remain uncovered: only a sliver of it is ever in view."""
 _PLAIN_BELOW_PX: Final = 7.0
 """A wall narrower than this is painted in a single colour."""
 
@@ -32,19 +35,21 @@ class PlacedWalls:
 
     Attributes:
         seen: Top left, top right, bottom right, bottom left in camera coordinates, shape ``(walls, 4, 3)``.
-        pixels: The same corners in pixels, shape ``(walls, 4, 2)``.
+        outlines: The same corners in sixteenths of a pixel, shape ``(walls, 4, 2)``.
+        bounds: Left, top, right and bottom edge in pixels of each wall.
         to_wall: Homographies from image pixels to a wall's unit square, up to scale, shape ``(walls, 3, 3)``.
         shown: Whether a wall faces the camera and extends beyond the near plane, shape ``(walls,)``.
         near: Whether a wall must be clipped at the near plane, shape ``(walls,)``.
-        haze: Share of haze, shape ``(walls,)``.
+        haze: Share of haze of each wall.
     """
 
     seen: FloatArray
-    pixels: FloatArray
+    outlines: IntArray
+    bounds: list[list[float]]
     to_wall: FloatArray
     shown: NDArray[np.bool_]
     near: NDArray[np.bool_]
-    haze: FloatArray
+    haze: list[float]
 
 
 class BuildingPainter:
@@ -78,6 +83,7 @@ class BuildingPainter:
         self._sizes = [
             (_quarters(a), _quarters(h)) for a, h in zip(length.tolist(), heights.tolist(), strict=True)
         ]
+        self._covered = _covered_walls(self._corners, self._normals)
         self._light = self._light_on_walls()
 
     def _light_on_walls(self) -> list[float]:
@@ -103,13 +109,15 @@ class BuildingPainter:
         to_picture[:, 0] = (view.width_px / 2 - 0.5) * columns[:, 0] - view.focal_px * columns[:, 1]
         to_picture[:, 1] = (view.height_px / 2 - 0.5) * columns[:, 0] - view.focal_px * columns[:, 2]
         to_picture[:, 2] = columns[:, 0]
+        haze: list[float] = self._lighting.haze(np.hypot(middle[:, 0], middle[:, 1])).tolist()
         return PlacedWalls(
             seen,
-            pixels,
+            to_fixed_point(pixels.reshape(-1, 2)).reshape(count, 4, 2),
+            np.concatenate((pixels.min(axis=1), pixels.max(axis=1)), axis=1).tolist(),
             _inverses(to_picture),
-            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M),
+            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M) & ~self._covered,
             depth.min(axis=1) < NEAR_M,
-            self._lighting.haze(np.hypot(middle[:, 0], middle[:, 1])),
+            haze,
         )
 
     def paint(self, number: int, walls: PlacedWalls, canvas: Canvas, view: View) -> None:
@@ -137,10 +145,10 @@ class BuildingPainter:
         return found
 
     def _plain(self, wall: int, haze: float) -> Rgb:
-        """Return a wall's mean colour as seen through haze."""
+        """Return a wall's colour as seen through haze."""
         share = self._light[wall] * (1 - haze)
         building = self._buildings[wall // 4]
-        rgb = mean_colour(building.look, *self._sizes[wall], self._lighting.night, wall % 2 == 0)
+        rgb = plain_colour(building.look, self._lighting.night)
         veil = self._lighting.haze_rgb
         return (
             rgb[0] * share + veil[0] * haze,
@@ -155,24 +163,24 @@ class BuildingPainter:
         )
 
     def _paint_wall(self, wall: int, walls: PlacedWalls, canvas: Canvas, view: View) -> None:
-        pixels = walls.pixels[wall]
+        low_x, low_y, high_x, high_y = walls.bounds[wall]
+        outline = walls.outlines[wall]
         if walls.near[wall]:
             pixels = view.project(clip_near(walls.seen[wall]))
-        low_x, low_y = pixels.min(axis=0).tolist()
-        high_x, high_y = pixels.max(axis=0).tolist()
+            (low_x, low_y), (high_x, high_y) = pixels.min(axis=0).tolist(), pixels.max(axis=0).tolist()
+            outline = to_fixed_point(pixels)
         left, top = max(math.floor(low_x), 0), max(math.floor(low_y), 0)
         right, bottom = min(math.ceil(high_x) + 1, view.width_px), min(math.ceil(high_y) + 1, view.height_px)
         if right <= left or bottom <= top:
             return
-        outline = to_fixed_point(pixels)
-        haze = float(walls.haze[wall])
+        haze = walls.haze[wall]
         cv2.fillConvexPoly(canvas.ids, outline, (0,), cv2.LINE_8, SHIFT)
         if high_x - low_x < _PLAIN_BELOW_PX:
             cv2.fillConvexPoly(canvas.image, outline, self._plain(wall, haze), cv2.LINE_AA, SHIFT)
             return
         texture = self._fitting_texture(wall, high_x - low_x, high_y - low_y)
         size = (right - left, bottom - top)
-        to_texture = _to_texture(walls.to_wall[wall], texture.shape[1], texture.shape[0], left, top)
+        to_texture = _to_texture(walls.to_wall[wall].tolist(), texture.shape[1], texture.shape[0], left, top)
         coarse = high_y - low_y > _COARSE_FROM * texture.shape[0] and min(size) > 8
         warped = _warp(texture, to_texture, size, coarse=coarse)
         veil = self._veil[: size[1], : size[0]]
@@ -197,13 +205,18 @@ def _quarters(length_m: float) -> float:
     return max(round(length_m * 4) / 4, 0.25)
 
 
-def _to_texture(to_wall: FloatArray, wide: int, high: int, left: int, top: int) -> FloatArray:
+def _to_texture(to_wall: list[list[float]], wide: int, high: int, left: int, top: int) -> FloatArray:
     """Return the homography from pixels of a region at (left, top) to pixels of a wall's texture."""
-    moved = to_wall.copy()
-    moved[:, 2] += left * to_wall[:, 0] + top * to_wall[:, 1]
-    moved[0] = wide * moved[0] - 0.5 * moved[2]
-    moved[1] = high * moved[1] - 0.5 * moved[2]
-    return moved
+    # Plain numbers, because arrays this small cost more to handle than to compute.
+    (a, b, c), (d, e, f), (g, h, i) = to_wall
+    c, f, i = c + left * a + top * b, f + left * d + top * e, i + left * g + top * h
+    return np.array(
+        [
+            [wide * a - 0.5 * g, wide * b - 0.5 * h, wide * c - 0.5 * i],
+            [high * d - 0.5 * g, high * e - 0.5 * h, high * f - 0.5 * i],
+            [g, h, i],
+        ]
+    )
 
 
 def _warp(texture: Picture, to_texture: FloatArray, size: tuple[int, int], *, coarse: bool) -> Picture:
@@ -212,15 +225,36 @@ def _warp(texture: Picture, to_texture: FloatArray, size: tuple[int, int], *, co
     if coarse:
         drawn = ((size[0] + 1) // 2, (size[1] + 1) // 2)
         grow_x, grow_y = size[0] / drawn[0], size[1] / drawn[1]
-        moved = np.array(
-            [[grow_x, 0.0, 0.5 * grow_x - 0.5], [0.0, grow_y, 0.5 * grow_y - 0.5], [0.0, 0.0, 1.0]]
-        )
-        to_texture = np.einsum("ij,jk->ik", to_texture, moved)
+        to_texture[:, 2] += to_texture[:, 0] * (0.5 * grow_x - 0.5) + to_texture[:, 1] * (0.5 * grow_y - 0.5)
+        to_texture[:, 0] *= grow_x
+        to_texture[:, 1] *= grow_y
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     warped = cv2.warpPerspective(texture, to_texture, drawn, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     if coarse:
         warped = cv2.resize(warped, size, interpolation=cv2.INTER_LINEAR)
     return warped.astype(np.uint8, copy=False)
+
+
+def _covered_walls(corners: FloatArray, normals: FloatArray) -> NDArray[np.bool_]:
+    """Return which walls stand so close to another building's wall, as high and as wide, that nobody sees them.
+
+    Args:
+        corners: Top left, top right, bottom right, bottom left of each wall, shape ``(walls, 4, 3)``.
+        normals: Outward normals, shape ``(walls, 2)``.
+    """
+    count = len(corners)
+    start, end = corners[:, 0, :2], corners[:, 1, :2]
+    along = (end - start) / np.maximum(np.hypot(*(end - start).T), 1e-9)[:, None]
+    from_start = corners[None, :, :2, :2] - start[:, None, None]  # of each wall to both ends of every other
+    reach = np.einsum("ik,ijek->ije", along, from_start)
+    apart = np.einsum("ik,ijek->ije", normals, from_start)
+    length = np.einsum("ik,ik->i", along, end - start)[:, None]
+    faces = np.einsum("ik,jk->ij", normals, normals) < -0.999
+    close = (np.abs(apart) < _COVERED_WITHIN_M).all(axis=2)
+    spans = (reach.min(axis=2) <= _COVERED_SLACK_M) & (reach.max(axis=2) >= length - _COVERED_SLACK_M)
+    as_high = corners[None, :, 0, 2] >= corners[:, None, 0, 2]
+    hidden: NDArray[np.bool_] = (faces & close & spans & as_high).any(axis=1).reshape(count)
+    return hidden
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:

@@ -23,6 +23,7 @@ _WALLS: Final = (
     (158, 92, 72), (206, 190, 160), (188, 184, 178), (214, 204, 188), (138, 84, 66), (196, 168, 128),
     (164, 168, 172), (222, 214, 196), (178, 152, 132), (196, 178, 168), (172, 176, 160), (186, 150, 112),
 )  # fmt: skip
+_SHADES: Final = (1.0, 0.9, 1.08)
 _BRICK: Final = (0, 4, 11)
 _STONE: Final = (2, 6)
 _FRAMES: Final = ((236, 234, 228), (70, 66, 62), (226, 220, 206), (52, 72, 66), (104, 74, 52))
@@ -158,11 +159,13 @@ def shrink_facade(
     return cv2.resize(full, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
 
 
-@lru_cache(maxsize=512)
-def mean_colour(look: int, length_m: float, height_m: float, night: bool, front: bool) -> Rgb:
-    """Return the mean colour of a facade."""
-    red, green, blue, _ = cv2.mean(draw_facade(look, length_m, height_m, night, front))
-    return red, green, blue
+def plain_colour(look: int, night: bool) -> Rgb:
+    """Return about the mean colour of a facade, for walls too small to show more, without drawing it."""
+    shade = _SHADES[choose(look, 50, 3)]
+    red, green, blue = _WALLS[choose(look, 41, len(_WALLS))]
+    if night:
+        return 0.12 * red * shade + 17, 0.11 * green * shade + 16, 0.10 * blue * shade + 14
+    return 0.60 * red * shade + 22, 0.60 * green * shade + 25, 0.60 * blue * shade + 29
 
 
 def _cropped(tile: Picture, rng: np.random.Generator, high: int, wide: int) -> Picture:
@@ -197,7 +200,7 @@ def _wall_tile(style: int, shade: int) -> Picture:
     light = 0.022 * rng.standard_normal((side, side)).astype(np.float32)
     light += 1.0 + 0.03 * smooth_noise(rng, (side, side), (6, 6), 4)
     colour = np.empty((side, side, 3), np.float32)
-    colour[:] = np.array(_WALLS[style]) * ((1.0, 0.9, 1.08)[shade])
+    colour[:] = np.array(_WALLS[style]) * _SHADES[shade]
     if style in _BRICK:
         _bricks(colour, rng, course=3, brick=8, mortar=(182, 172, 160))
     elif style in _STONE:
