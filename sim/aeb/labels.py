@@ -9,9 +9,15 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.perception.boxes import GroundTruth, LabelledFrame, too_small
+from brink.sim.perception.boxes import (
+    MIN_HEIGHT_SHARE,
+    MIN_WIDTH_SHARE,
+    GroundTruth,
+    LabelledFrame,
+    too_small,
+)
 from brink.sim.perception.detector import LABELS
-from brink.sim.rendering.canvas import visible_bodies
+from brink.sim.rendering.canvas import seen_bodies, visible_bodies
 from brink.sim.rendering.scene import BodyKind, Frame
 
 MIN_VISIBLE: Final = 0.25
@@ -28,14 +34,29 @@ def label_frame(frame: Frame) -> LabelledFrame:
     boxes = np.array([box for _, box in seen], np.float32).reshape(len(seen), 4)
     visible = np.array([body.visible_share for body, _ in seen], np.float32)
     height_px, width_px = frame.image.shape[:2]
-    labels = [PERSON if body.kind is BodyKind.PERSON else VEHICLE for body, _ in seen]
     return LabelledFrame(
         picture=frame.image,
         truth=GroundTruth(
-            labels=np.array(labels, np.int64),
+            labels=np.array([_label(body.kind) for body, _ in seen], np.int64),
             boxes=boxes,
             ignored=too_small(boxes, width_px, height_px) | (visible < MIN_VISIBLE),
         ),
         depths_m=np.array([body.depth_m for body, _ in seen], np.float32),
         visible=visible,
     )
+
+
+def label_boxes(frame: Frame) -> GroundTruth:
+    """Return the ground truth of `label_frame` in less than half its time."""
+    height_px, width_px = frame.image.shape[:2]
+    least_px = MIN_WIDTH_SHARE * width_px, MIN_HEIGHT_SHARE * height_px
+    seen = seen_bodies(frame, least_px=least_px, least_share=MIN_VISIBLE)
+    return GroundTruth(
+        labels=np.array([_label(body.kind) for body in seen], np.int64),
+        boxes=np.array([body.box for body in seen], np.float32).reshape(len(seen), 4),
+        ignored=np.array([not body.clear for body in seen], np.bool_),
+    )
+
+
+def _label(kind: BodyKind) -> int:
+    return PERSON if kind is BodyKind.PERSON else VEHICLE

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
-from brink.sim.aeb.labels import label_frame
+from brink.sim.aeb.labels import label_boxes
 from brink.sim.aeb.scores import Scores, score_episode
 from brink.sim.aeb.street import Street
 from brink.sim.driving.camera import Body as Prism
@@ -183,7 +183,7 @@ class CameraSight:
         """Observe a frame; see `Sight`."""
         view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
         picture = self._renderer.frame(view, [actor.current_body() for actor in street.actors], time_s)
-        truth = label_frame(picture).truth
+        truth = label_boxes(picture)
         shown = self._pipeline(picture.image, frame)
         shot = CameraShot(shown, truth, self._detector.detect(shown))
         found = shot.found

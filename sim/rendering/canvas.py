@@ -11,7 +11,18 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from brink.sim.rendering.scene import BodyKind, Coverage, Frame, IdMask, Mark, Outline, Picture, Stamp, Stroke
+from brink.sim.rendering.scene import (
+    BodyKind,
+    Coverage,
+    Frame,
+    IdMask,
+    IntArray,
+    Mark,
+    Outline,
+    Picture,
+    Stamp,
+    Stroke,
+)
 from brink.sim.rendering.view import SHIFT
 
 
@@ -50,42 +61,54 @@ class Canvas:
         cv2.copyTo(np.full((height, width), number, np.int32), stamp.coverage, region)
 
 
+def _solid_parts(outline: Outline) -> tuple[list[IntArray], IntArray, list[Stamp]]:
+    """Return the polygons of a silhouette, all their points, and its stamps."""
+    strokes: list[IntArray] = []
+    stamps: list[Stamp] = []
+    for mark in outline.marks:
+        if isinstance(mark, Stamp):
+            stamps.append(mark)
+        elif mark.solid and len(mark.points) > 2:
+            strokes.append(mark.points)
+    return strokes, np.concatenate(strokes) if strokes else np.empty((0, 2), np.int32), stamps
+
+
 def _silhouette(outline: Outline, width_px: int, height_px: int) -> tuple[int, int, Coverage] | None:
     """Return the top-left corner and the hard-edged mask of a body on its own, cropped to the image."""
-    box = _bounds(outline.marks, width_px, height_px)
+    strokes, points, stamps = _solid_parts(outline)
+    box = _bounds(points, stamps, width_px, height_px)
     if box is None:
         return None
     left, top, right, bottom = box
     mask = np.zeros((bottom - top, right - left), np.uint8)
-    shift = np.array([left << SHIFT, top << SHIFT], np.int32)
-    for mark in outline.marks:
-        if isinstance(mark, Stamp):
-            height, width = mark.coverage.shape
-            row, column = mark.top_px - top, mark.left_px - left
-            region = mask[row : row + height, column : column + width]
-            np.maximum(region, mark.coverage, out=region)
-        elif mark.solid and len(mark.points) > 2:
-            cv2.fillConvexPoly(mask, mark.points - shift, 255, cv2.LINE_8, SHIFT)
+    points = points - np.array([left << SHIFT, top << SHIFT], np.int32)
+    fill, hard, first = cv2.fillConvexPoly, cv2.LINE_8, 0
+    for stroke in strokes:
+        last = first + len(stroke)
+        fill(mask, points[first:last], 255, hard, SHIFT)
+        first = last
+    for stamp in stamps:
+        height, width = stamp.coverage.shape
+        row, column = stamp.top_px - top, stamp.left_px - left
+        region = mask[row : row + height, column : column + width]
+        np.maximum(region, stamp.coverage, out=region)
     return left, top, mask
 
 
-def _bounds(marks: tuple[Mark, ...], width_px: int, height_px: int) -> tuple[int, int, int, int] | None:
-    corners = [
-        mark.points for mark in marks if isinstance(mark, Stroke) and mark.solid and len(mark.points) > 2
-    ]
-    low = np.array([width_px, height_px])
-    high = np.array([0, 0])
-    if corners:
-        points = np.concatenate(corners)
-        low = np.minimum(low, (points.min(axis=0) >> SHIFT) - 1)
-        high = np.maximum(high, (points.max(axis=0) >> SHIFT) + 3)
-    for mark in marks:
-        if isinstance(mark, Stamp):
-            height, width = mark.coverage.shape
-            low = np.minimum(low, (mark.left_px, mark.top_px))
-            high = np.maximum(high, (mark.left_px + width, mark.top_px + height))
-    left, top = max(int(low[0]), 0), max(int(low[1]), 0)
-    right, bottom = min(int(high[0]), width_px), min(int(high[1]), height_px)
+def _bounds(
+    points: IntArray, stamps: list[Stamp], width_px: int, height_px: int
+) -> tuple[int, int, int, int] | None:
+    left, top, right, bottom = width_px, height_px, 0, 0
+    if len(points):
+        low_x, low_y, wide, high = cv2.boundingRect(points)
+        left, top = min(left, (low_x >> SHIFT) - 1), min(top, (low_y >> SHIFT) - 1)
+        right, bottom = ((low_x + wide - 1) >> SHIFT) + 3, ((low_y + high - 1) >> SHIFT) + 3
+    for stamp in stamps:
+        height, width = stamp.coverage.shape
+        left, top = min(left, stamp.left_px), min(top, stamp.top_px)
+        right, bottom = max(right, stamp.left_px + width), max(bottom, stamp.top_px + height)
+    left, top = max(left, 0), max(top, 0)
+    right, bottom = min(right, width_px), min(bottom, height_px)
     if right <= left or bottom <= top:
         return None
     return left, top, right, bottom
@@ -131,6 +154,7 @@ class VisibleBody:
 def visible_bodies(frame: Frame) -> tuple[VisibleBody, ...]:
     """Return all bodies at least partly within the image, hidden ones included, sorted by id."""
     height_px, width_px = frame.ids.shape
+    seen = _seen_boxes(frame.ids)
     found = []
     for number in sorted(frame.outlines):
         outline = frame.outlines[number]
@@ -138,31 +162,93 @@ def visible_bodies(frame: Frame) -> tuple[VisibleBody, ...]:
         if alone is None:
             continue
         left, top, mask = alone
-        whole = _tight_box(mask, left, top)
-        if whole is None:
+        column, row, wide, high = cv2.boundingRect(mask)
+        if wide == 0:
             continue
-        region = frame.ids[top : top + mask.shape[0], left : left + mask.shape[1]]
-        seen = np.equal(region, number).view(np.uint8)
-        visible_px = int(np.count_nonzero(seen))
+        visible_px, box = seen.get(number, (0, None))
         found.append(
             VisibleBody(
                 id=number,
                 kind=outline.kind,
-                box=_tight_box(seen, left, top) if visible_px else None,
-                whole_box=whole,
+                box=box,
+                whole_box=PixelBox(left + column, top + row, left + column + wide, top + row + high),
                 visible_px=visible_px,
-                whole_px=int(np.count_nonzero(mask)),
+                whole_px=cv2.countNonZero(mask),
                 depth_m=outline.depth_m,
             )
         )
     return tuple(found)
 
 
-def _tight_box(mask: Coverage, left: int, top: int) -> PixelBox | None:
-    """Return the tight box around the nonzero pixels of a mask at (left, top), or None if there are none."""
-    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-    if len(rows) == 0:
-        return None
-    return PixelBox(
-        left + int(columns[0]), top + int(rows[0]), left + int(columns[-1]) + 1, top + int(rows[-1]) + 1
+class SeenBody(NamedTuple):
+    """A body with visible pixels.
+
+    Attributes:
+        id: Id of the body.
+        kind: Kind of body.
+        box: Tight box around its visible pixels.
+        clear: Whether the box is large enough and enough of the silhouette is visible.
+    """
+
+    id: int
+    kind: BodyKind
+    box: PixelBox
+    clear: bool
+
+
+def seen_bodies(frame: Frame, *, least_px: tuple[float, float], least_share: float) -> tuple[SeenBody, ...]:
+    """Return all bodies with visible pixels, sorted by id, in a fraction of the time of `visible_bodies`.
+
+    Args:
+        frame: A rendered image.
+        least_px: Width and height of the box from which a body may be clear.
+        least_share: Visible share of the silhouette from which a body may be clear.
+    """
+    found = []
+    for number, (visible_px, box) in _seen_boxes(frame.ids).items():
+        outline = frame.outlines[number]
+        large = box.x_max_px - box.x_min_px >= least_px[0] and box.y_max_px - box.y_min_px >= least_px[1]
+        clear = large and _shows(outline, visible_px, least_share, frame.ids.shape)
+        found.append(SeenBody(number, outline.kind, box, clear))
+    return tuple(found)
+
+
+def _shows(outline: Outline, visible_px: int, least_share: float, shape: tuple[int, ...]) -> bool:
+    """Return whether the visible share of a silhouette is large enough."""
+    height_px, width_px = shape
+    _, points, stamps = _solid_parts(outline)
+    bounds = _bounds(points, stamps, width_px, height_px)
+    if bounds is not None:
+        left, top, right, bottom = bounds
+        # No silhouette is larger than its bounds, so most bodies need not be painted again.
+        if visible_px >= least_share * (right - left) * (bottom - top):
+            return True
+    alone = _silhouette(outline, width_px, height_px)
+    return alone is not None and visible_px / cv2.countNonZero(alone[2]) >= least_share
+
+
+def _seen_boxes(ids: IdMask) -> dict[int, tuple[int, PixelBox]]:
+    """Return the number of pixels of each id in a mask and their tight box, by ascending id, in one pass."""
+    places = np.flatnonzero(ids)
+    if len(places) == 0:
+        return {}
+    numbers = ids.ravel()[places]
+    # Sorting is stable, so the first and last place of each id are in its first and last row.
+    order = np.argsort(numbers, kind="stable")
+    numbers, places = numbers[order], places[order]
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(numbers)) + 1))
+    ends = np.append(starts[1:], len(numbers))
+    rows, columns = np.divmod(places, ids.shape[1])
+    edges = zip(
+        numbers[starts].tolist(),
+        (ends - starts).tolist(),
+        np.minimum.reduceat(columns, starts).tolist(),
+        rows[starts].tolist(),
+        np.maximum.reduceat(columns, starts).tolist(),
+        rows[ends - 1].tolist(),
+        strict=True,
     )
+    return {
+        number: (count, PixelBox(left, top, right + 1, bottom + 1))
+        for number, count, left, top, right, bottom in edges
+    }

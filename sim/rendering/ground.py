@@ -37,7 +37,7 @@ _FAR_M: Final = 220.0
 _PLAIN: Final = 128
 _RGB: Final = {
     Material.ASPHALT: (92, 92, 94),
-    Material.PAVEMENT: (156, 151, 144),
+    Material.PAVEMENT: (164, 159, 152),
     Material.GRASS: (92, 114, 62),
     Material.EARTH: (124, 108, 86),
     Material.MARKING: (222, 222, 216),
@@ -46,6 +46,13 @@ _RGB: Final = {
     Material.GUTTER: (74, 74, 75),
 }
 _CHANNEL: Final = {Material.PAVEMENT: 1, Material.KERB: 1, Material.GRASS: 2, Material.EARTH: 2}
+_PAINTED: Final = 3
+"""Channel of painted markings, whose texture is the asphalt's, with more contrast."""
+_WEAR: Final = np.clip(
+    np.where(np.arange(256) < 122, 122 - 3.2 * (122.0 - np.arange(256)), np.arange(256)), 62, 255
+).astype(np.uint8)
+"""Brightness of a marking for each brightness of the asphalt below: where it is dark, the paint is worn away."""
+_WEAR_WET: Final = np.clip(np.arange(256) + 10, 0, 255).astype(np.uint8)
 _ON_ASPHALT: Final = (Material.MARKING, Material.CROSSING, Material.GUTTER)
 _WET: Final = {0: 0.62, 1: 0.74, 2: 0.86}
 _BACKDROP: Final = Material.GRASS
@@ -143,6 +150,8 @@ class GroundPainter:
             cv2.copyTo(
                 cv2.extractChannel(texture, channel), cv2.inRange(channels, (channel,), (channel,)), bright
             )
+        worn = cv2.LUT(cv2.extractChannel(texture, 0), _WEAR_WET if self._lighting.wet else _WEAR)
+        cv2.copyTo(worn, cv2.inRange(channels, (_PAINTED,), (_PAINTED,)), bright)
         if cover.shadows:
             bright = cv2.multiply(bright, self._shadow(cover, rows, region.shape[:2]), scale=1 / 255)
         light = self._pools(cover, rows, region.shape[:2]) if cover.pools else rows.light
@@ -188,7 +197,9 @@ class GroundPainter:
         if not polygons:
             return
         cv2.fillPoly(region, polygons, self._rgb[material], cv2.LINE_AA, SHIFT)
-        if material not in _ON_ASPHALT:
+        if material in (Material.MARKING, Material.CROSSING):
+            cv2.fillPoly(channels, polygons, (_PAINTED,), cv2.LINE_8, SHIFT)
+        elif material is not Material.GUTTER:
             cv2.fillPoly(channels, polygons, (_CHANNEL.get(material, 0),), cv2.LINE_8, SHIFT)
 
     def _texture(self, view: View, rows: _Rows) -> Picture:

@@ -1,7 +1,7 @@
 """The renderer: turns a street, a light and a viewpoint into an image and an id mask.
 
-Sky and ground are painted first, then all upright objects in painter's order. Halos, rain and noise come last; they
-change the image but never the mask.
+Sky and ground are painted first, then all upright objects in painter's order. Halos, rain and the sensor come last;
+they change the image but never the mask.
 """
 
 import math
@@ -56,7 +56,8 @@ from brink.sim.rendering.scene import (
     Viewpoint,
     check_unique_ids,
 )
-from brink.sim.rendering.sky import RainAndGrain, Sky
+from brink.sim.rendering.sensor import Sensor
+from brink.sim.rendering.sky import Rain, Sky
 from brink.sim.rendering.solids import PlacedMesh, draw_meshes
 from brink.sim.rendering.trees import TreePainter
 from brink.sim.rendering.vehicles import make_overturned_mesh, make_vehicle_mesh, vehicle_colour
@@ -76,7 +77,7 @@ class Renderer:
         scene: Everything that does not move.
         light: Time of day and weather.
         camera: The ego's camera.
-        seed: Seed of textures, clouds, rain and the sun's position.
+        seed: Seed of textures, clouds, rain, grain and the sun's position.
 
     Raises:
         InvalidScene: An id occurs twice.
@@ -89,7 +90,8 @@ class Renderer:
         self._ground = GroundPainter(scene.ground, self._lighting, camera, seed)
         self._buildings = BuildingPainter(scene.buildings, self._lighting, camera.width_px, camera.height_px)
         self._trees = TreePainter(self._lighting)
-        self._rain_and_grain = RainAndGrain(self._lighting, camera, seed)
+        self._rain = Rain(self._lighting, camera, seed)
+        self._sensor = Sensor(self._lighting, camera, seed)
         self._halos = Halos(night=self._lighting.night)
         self._parked = frozenset(body.id for body in scene.parked)
         self._statics = make_static_items(scene)
@@ -106,7 +108,7 @@ class Renderer:
         Args:
             viewpoint: Pose of the ego.
             bodies: All moving bodies except the ego, in any order.
-            time_s: Time in the episode, which moves the rain.
+            time_s: Time in the episode, which moves the rain and the grain.
 
         Raises:
             InvalidScene: An id occurs twice, parked vehicles included.
@@ -123,7 +125,8 @@ class Renderer:
         outlines = self._paint(canvas, seen, walls, view)
         if self._lighting.lights_on:
             self._halos.add(canvas, seen.things, self._parked, view)
-        self._rain_and_grain.apply(canvas.image, time_s)
+        self._rain.apply(canvas.image, time_s)
+        self._sensor.apply(canvas.image, time_s)
         return Frame(image=canvas.image, ids=canvas.ids, outlines=outlines)
 
     def _paint(

@@ -1,4 +1,4 @@
-"""The sky panorama behind the street, and the rain and image noise in front of it."""
+"""The sky panorama behind the street, and the rain in front of it."""
 
 import math
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.rendering.light import Lighting
-from brink.sim.rendering.scene import FloatArray, Picture, PictureCamera
-from brink.sim.rendering.textures import smooth_noise
+from brink.sim.rendering.scene import Picture, PictureCamera
+from brink.sim.rendering.textures import Noise, smooth_noise
 from brink.sim.rendering.view import View
 
 _WIDTH_PX: Final = 2048
@@ -79,24 +79,30 @@ class Sky:
 def _panorama(lighting: Lighting, seed: int) -> Picture:
     """Return a sky panorama of two clockwise turns, ``(rows, columns, 3)``; yaw 0 is a quarter of the way across."""
     rng = np.random.default_rng((seed, _SKY_STREAM))
-    elevation = _HIGH - (np.arange(_ROWS) + 0.5) / _ROWS * (_HIGH - _LOW)
-    azimuth = -(np.arange(_WIDTH_PX) + 0.5) / _WIDTH_PX * 2 * math.pi
+    # Sky and clouds are smooth, so half the resolution is enough for them.
+    elevation = (_HIGH - (np.arange(_ROWS // 2) + 0.5) / (_ROWS // 2) * (_HIGH - _LOW)).astype(np.float32)
+    azimuth = (-(np.arange(_WIDTH_PX // 2) + 0.5) / (_WIDTH_PX // 2) * 2 * math.pi).astype(np.float32)
     high = np.clip(np.sin(np.maximum(elevation, 0.0)), 0, 1) ** 0.55
-    sky = (1 - high)[:, None] * np.array(lighting.sky_low_rgb) + high[:, None] * np.array(
-        lighting.sky_top_rgb
-    )
-    sky = np.repeat(sky[:, None, :], _WIDTH_PX, axis=1)
-    sky += _sun_glow(lighting, elevation, azimuth)
-    sky = _clouded(rng, lighting, sky, elevation)
-    sky = _with_town(rng, lighting, sky, elevation)
-    turn = np.clip(sky, 0, 255).astype(np.uint8)
+    low_rgb, top_rgb = np.array(lighting.sky_low_rgb), np.array(lighting.sky_top_rgb)
+    column = (1 - high)[:, None] * low_rgb + high[:, None] * top_rgb
+    if lighting.night:
+        column += np.exp(-np.maximum(elevation, 0.0) / 0.16)[:, None] * np.array(
+            (16.0, 11.0, 6.0), np.float32
+        )
+    sky = np.repeat(column.astype(np.float32)[:, None, :], len(azimuth), axis=1)
+    _add_sun_glow(sky, lighting, elevation, azimuth)
+    _add_clouds(rng, sky, lighting, elevation, azimuth)
+    turn = cv2.resize(
+        np.clip(sky, 0, 255).astype(np.uint8), (_WIDTH_PX, _ROWS), interpolation=cv2.INTER_LINEAR
+    ).astype(np.uint8, copy=False)
+    _add_town(rng, lighting, turn)
     half = _WIDTH_PX // 2
     return np.concatenate((turn[:, half:], turn, turn[:, :half]), axis=1)
 
 
-def _sun_glow(lighting: Lighting, elevation: FloatArray, azimuth: FloatArray) -> FloatArray:
+def _add_sun_glow(sky: Noise, lighting: Lighting, elevation: Noise, azimuth: Noise) -> None:
     if lighting.sun_strength < 0.3:
-        return np.zeros((len(elevation), len(azimuth), 3))
+        return
     sun_elevation = math.asin(float(lighting.sun[2]))
     sun_azimuth = math.atan2(float(lighting.sun[1]), float(lighting.sun[0]))
     cosine = np.sin(elevation)[:, None] * math.sin(sun_elevation) + np.cos(elevation)[:, None] * math.cos(
@@ -104,47 +110,66 @@ def _sun_glow(lighting: Lighting, elevation: FloatArray, azimuth: FloatArray) ->
     ) * np.cos(azimuth - sun_azimuth)
     apart = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     glow = 90 * np.exp(-apart / 7.0) + 46 * np.exp(-apart / 28.0) + 300 * (apart < 1.3)
-    warm = np.array([1.0, 0.86, 0.62]) if sun_elevation < 0.4 else np.array([1.0, 0.98, 0.9])
-    glowing: FloatArray = glow[..., None] * warm
-    return glowing
+    warm = (1.0, 0.86, 0.62) if sun_elevation < 0.4 else (1.0, 0.98, 0.9)
+    sky += glow.astype(np.float32)[..., None] * np.array(warm, np.float32)
 
 
-def _clouded(
-    rng: np.random.Generator, lighting: Lighting, sky: FloatArray, elevation: FloatArray
-) -> FloatArray:
-    half = (_ROWS // 2, _WIDTH_PX // 2)
-    field, relief = (
-        cv2.resize(noise, (_WIDTH_PX, _ROWS), interpolation=cv2.INTER_LINEAR)
-        for noise in (smooth_noise(rng, half, (7, 12), 5), smooth_noise(rng, half, (9, 14), 4))
+_CLOUD_PX: Final = 512
+_CLOUD_PX_PER_HEIGHT: Final = 46.0
+"""Scale of the clouds: pixels of their texture in one height of the clouds above the ground."""
+
+
+def _add_clouds(
+    rng: np.random.Generator, sky: Noise, lighting: Lighting, elevation: Noise, azimuth: Noise
+) -> None:
+    """Lay clouds over the sky: a flat layer seen in perspective, brighter on the side of the sun."""
+    field = smooth_noise(rng, (_CLOUD_PX, _CLOUD_PX), (7, 7), 6)
+    shift_x, shift_y = rng.uniform(0, _CLOUD_PX, 2).tolist()
+    # The layer curves down to the horizon, so that distant clouds stay apart from each other.
+    reach = np.cos(elevation) / np.maximum(np.sin(np.maximum(elevation, 0.0)) + 0.10, 0.02)
+    spread = (reach * _CLOUD_PX_PER_HEIGHT).astype(np.float32)[:, None]
+    across, along = np.cos(azimuth)[None, :], np.sin(azimuth)[None, :]
+    seen = cv2.remap(
+        field,
+        (spread * across + shift_x).astype(np.float32),
+        (spread * along + shift_y).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_WRAP,
     )
+    lift = np.clip(elevation / 0.5, 0, 1)[:, None]
     cut = 1.9 - 3.4 * lighting.cloud_cover
-    cover = np.clip((field - cut) / 0.9, 0, 1) * np.clip(np.degrees(elevation) / 9.0, 0, 1)[:, None]
-    cover *= 0.55 if lighting.night else 0.92
-    shade = np.clip(0.92 + 0.07 * relief - 0.05 * np.maximum(field, 0.0), 0.55, 1.06)
-    cloud = shade[..., None] * np.array(lighting.cloud_rgb)
-    clouded: FloatArray = sky * (1 - cover[..., None]) + cloud * cover[..., None]
-    return clouded
+    cover = np.clip((seen - cut) / 0.9, 0, 1) * np.clip(np.degrees(elevation) / 5.0, 0, 1)[:, None]
+    cover *= 0.55 if lighting.night else 0.94
+    dense = np.clip(seen - cut - 0.4, 0, 2.2)
+    shade = np.clip(1.04 - 0.13 * dense - 0.05 * (1 - lift) + 0.03 * seen, 0.62, 1.08)
+    cloud = shade[..., None] * np.array(lighting.cloud_rgb, np.float32)
+    sky += (cloud - sky) * cover[..., None].astype(np.float32)
 
 
-def _with_town(
-    rng: np.random.Generator, lighting: Lighting, sky: FloatArray, elevation: FloatArray
-) -> FloatArray:
+def _add_town(rng: np.random.Generator, lighting: Lighting, turn: Picture) -> None:
     """Add distant trees and roofs along the horizon, half hidden in haze."""
     trees = 1.7 + 0.55 * smooth_noise(rng, (1, _WIDTH_PX), (1, 60), 4)[0]
-    roofs = np.zeros(_WIDTH_PX)
+    roofs = np.zeros(_WIDTH_PX, np.float32)
     for _ in range(90):
         start, wide = int(rng.integers(0, _WIDTH_PX)), int(rng.integers(12, 46))
         top = float(rng.uniform(1.6, 4.6))
         roofs[start : start + wide] = np.maximum(roofs[start : start + wide], top)
-    degrees = np.degrees(elevation)[:, None]
+    first = int((_HIGH - math.radians(6.0)) / (_HIGH - _LOW) * _ROWS)
+    rows = _HIGH - (np.arange(first, _ROWS) + 0.5) / _ROWS * (_HIGH - _LOW)
+    degrees = np.degrees(rows).astype(np.float32)[:, None]
     light = lighting.ambient_strength + 0.5 * lighting.sun_strength
     haze = np.array(lighting.haze_rgb)
     far = float(lighting.haze(np.array(260.0)))
+    low = turn[first:].astype(np.float32)
     for skyline, rgb in ((roofs, (126, 118, 112)), (trees, (72, 88, 62))):
         cover = np.clip((skyline[None, :] - degrees) / 0.25 + 0.5, 0, 1)[..., None]
-        colour = np.array(rgb) * lighting.tint * light * (1 - far) + haze * far
-        sky = sky * (1 - cover) + colour * cover
-    return sky
+        colour = (np.array(rgb) * lighting.tint * light * (1 - far) + haze * far).astype(np.float32)
+        low += (colour - low) * cover
+    if lighting.night:
+        lit = rng.random(low.shape[:2]) < 0.02
+        lit &= (degrees < roofs[None, :] - 0.3) & (degrees > 0.4)
+        low[lit] += np.array((110.0, 92.0, 56.0), np.float32) * (1 - far)
+    turn[first:] = np.clip(low, 0, 255)
 
 
 _SHEETS: Final = 3
@@ -152,35 +177,33 @@ _AIR_STREAM: Final = 77
 _TURNS_PER_S: Final = 30.0
 
 
-class RainAndGrain:
-    """Adds rain streaks and image noise to a finished image; the time selects a layer and its offset.
+class Rain:
+    """Adds rain streaks to a finished image; the time selects a layer and its offset.
 
     Args:
         lighting: The light.
         camera: The camera.
-        seed: Seed of streaks and noise.
+        seed: Seed of the streaks.
     """
 
     def __init__(self, lighting: Lighting, camera: PictureCamera, seed: int) -> None:
         rng = np.random.default_rng((seed, _AIR_STREAM))
         shape = (camera.height_px, camera.width_px)
-        self._rain = [
+        self._sheets = [
             _streaks(rng, lighting, shape) for _ in range(_SHEETS if lighting.rain_intensity else 0)
         ]
-        self._grain = [_grain(rng, shape) for _ in range(_SHEETS if lighting.night else 0)]
 
     def apply(self, image: Picture, time_s: float) -> None:
-        """Add rain streaks and noise to an image in place."""
+        """Add rain streaks to an image in place."""
+        if not self._sheets:
+            return
         turn = round(time_s * _TURNS_PER_S)
-        for sheets, operation in ((self._rain, cv2.add), (self._grain, cv2.subtract)):
-            if not sheets:
-                continue
-            sheet = sheets[turn % len(sheets)]
-            height = image.shape[0]
-            down = (turn * 131) % height
-            operation(image[down:], sheet[: height - down], dst=image[down:])
-            if down:
-                operation(image[:down], sheet[height - down :], dst=image[:down])
+        sheet = self._sheets[turn % len(self._sheets)]
+        height = image.shape[0]
+        down = (turn * 131) % height
+        cv2.add(image[down:], sheet[: height - down], dst=image[down:])
+        if down:
+            cv2.add(image[:down], sheet[height - down :], dst=image[:down])
 
 
 def _streaks(rng: np.random.Generator, lighting: Lighting, shape: tuple[int, int]) -> Picture:
@@ -199,8 +222,3 @@ def _streaks(rng: np.random.Generator, lighting: Lighting, shape: tuple[int, int
             cv2.line(layer, *ends, value * bright * float(rng.uniform(0.5, 1.0)), across, cv2.LINE_AA)
         sheet = np.maximum(sheet, layer)
     return cv2.cvtColor(sheet, cv2.COLOR_GRAY2RGB).astype(np.uint8, copy=False)
-
-
-def _grain(rng: np.random.Generator, shape: tuple[int, int]) -> Picture:
-    noise = np.abs(rng.normal(0.0, 2.6, (*shape, 3)))
-    return np.clip(noise, 0, 12).astype(np.uint8)

@@ -58,9 +58,10 @@ def ground_tiles(seed: int, *, wet: bool) -> tuple[Picture, ...]:
     shape = (TILE_PX, TILE_PX)
     grain = rng.standard_normal(shape).astype(np.float32)
     mottle = smooth_noise(rng, shape, (6, 6), 4)
-    asphalt = 128 + 8.0 * grain + 5.0 * mottle + 7.0 * _mended(rng) - _cracks(rng)
-    asphalt += 22.0 * (rng.random(shape) > 0.985)
-    pavement = 128 + 5.0 * grain + 5.0 * smooth_noise(rng, shape, (5, 5), 4) + _slabs(rng)
+    asphalt = 128 + 10.0 * grain + 7.0 * mottle + 9.0 * _mended(rng) - _cracks(rng)
+    asphalt += 26.0 * (rng.random(shape) > 0.985) - _spots(rng, 26, (4, 16), 26.0)
+    pavement = 128 + 6.0 * grain + 6.0 * smooth_noise(rng, shape, (5, 5), 4) + _slabs(rng)
+    pavement -= _spots(rng, 60, (1, 2), 30.0) + _spots(rng, 10, (8, 24), 22.0)
     grass = 128 + 17.0 * grain + 13.0 * smooth_noise(rng, shape, (9, 9), 5)
     puddles = 90 + 62.0 * smooth_noise(rng, shape, (3, 3), 3)
     if wet:
@@ -76,33 +77,48 @@ def ground_tiles(seed: int, *, wet: bool) -> tuple[Picture, ...]:
 def _mended(rng: np.random.Generator) -> Noise:
     """Return the patches of newer asphalt where the road was repaired."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
-    for _ in range(4):
+    for _ in range(5):
         x, y = rng.integers(20, TILE_PX - 160, 2).tolist()
         wide, high = rng.integers(40, 140, 2).tolist()
         shade = float(rng.choice((-1.6, -1.0, 0.8)))
         cv2.rectangle(field, (x, y), (x + wide, y + high), shade, -1)
+        cv2.rectangle(field, (x, y), (x + wide, y + high), -3.0, 1)  # the seam is sealed with tar
     return field
+
+
+def _spots(rng: np.random.Generator, count: int, radii_px: tuple[int, int], depth: float) -> Noise:
+    """Return soft dark spots, such as oil on a road or trodden gum on a pavement."""
+    field = np.zeros((TILE_PX, TILE_PX), np.float32)
+    for _ in range(count):
+        x, y = rng.integers(30, TILE_PX - 30, 2).tolist()
+        radius = int(rng.integers(*radii_px, endpoint=True))
+        axes = (radius, max(round(radius * float(rng.uniform(0.5, 1.0))), 1))
+        cv2.ellipse(
+            field, (x, y), axes, float(rng.uniform(0, 180)), 0, 360, depth * float(rng.uniform(0.3, 1)), -1
+        )
+    return np.asarray(cv2.GaussianBlur(field, (5, 5), 0), np.float32)
 
 
 def _cracks(rng: np.random.Generator) -> Noise:
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
-    for _ in range(7):
+    for _ in range(11):
         start = rng.integers(60, TILE_PX - 60, 2)
         steps = rng.normal(0.0, 7.0, (14, 2)) + rng.normal(0.0, 5.0, 2)
         path = np.clip(start + np.cumsum(steps, axis=0), 1, TILE_PX - 2).astype(np.int32)
-        cv2.polylines(field, [path], False, 30.0, 1, cv2.LINE_AA)
+        cv2.polylines(field, [path], False, 44.0, 1, cv2.LINE_AA)
     return field
 
 
 def _slabs(rng: np.random.Generator) -> Noise:
     count = TILE_PX // _SLAB_PX
-    shades = rng.normal(0.0, 5.0, (count, count)).astype(np.float32)
+    shades = rng.normal(0.0, 8.0, (count, count)).astype(np.float32)
     field = np.kron(shades, np.ones((_SLAB_PX, _SLAB_PX), np.float32)).astype(np.float32)
     field[::_SLAB_PX] -= 26.0
     field[:, ::_SLAB_PX] -= 26.0
     return field
 
 
+@lru_cache(maxsize=24)
 def draw_leaves(look: int, *, fallen: bool) -> list[tuple[Picture, Coverage]]:
     """Draw a crown of leaves and return its mipmap levels, largest first.
 
@@ -117,51 +133,46 @@ def draw_leaves(look: int, *, fallen: bool) -> list[tuple[Picture, Coverage]]:
     side = _LEAVES_PX
     colour = np.zeros((side, side, 3), np.float32)
     cover = np.zeros((side, side), np.uint8)
-    hue = np.array([(66, 92, 40), (84, 104, 44), (58, 84, 48), (96, 104, 50)][look % 4], np.float32)
+    hue = np.array([(68, 88, 42), (82, 98, 46), (60, 82, 50), (94, 98, 54)][look % 4], np.float32)
     if fallen:
         hue = np.array([(96, 104, 44), (112, 100, 48)][look % 2], np.float32)
-    clumps = 90 if fallen else 130
+    clumps = 90 if fallen else 150
     radius = 0.44 if fallen else 0.40
-    places = []
-    for _ in range(clumps):
-        angle, reach = rng.uniform(0, 2 * np.pi), radius * np.sqrt(rng.random())
-        x, y = 0.5 + reach * np.cos(angle), 0.5 + reach * np.sin(angle) * (0.92 if not fallen else 0.85)
-        places.append((x, y, float(rng.uniform(0.035, 0.085))))
-    places.sort(key=lambda place: -place[1] + 0.25 * place[0])
-    for x, y, size in places:
-        light = 0.58 + 0.75 * (1.0 - y) + float(rng.normal(0.0, 0.07))
-        rgb = hue * light
-        centre = (round(x * side), round(y * side))
-        cv2.circle(cover, centre, round(size * side), 255, -1)
-        cv2.circle(colour, centre, round(size * side), rgb.tolist(), -1)
-    _speckle(rng, colour, cover, hue)
+    flat = 0.85 if fallen else 0.92
+    angle, reach = rng.uniform(0, 2 * np.pi, clumps), radius * np.sqrt(rng.random(clumps))
+    x, y = 0.5 + reach * np.cos(angle), 0.5 + reach * np.sin(angle) * flat
+    size, shade = rng.uniform(0.035, 0.085, clumps), rng.normal(0.0, 0.09, clumps)
+    for clump in np.argsort(0.25 * x - y).tolist():
+        centre = (round(float(x[clump]) * side), round(float(y[clump]) * side))
+        light = 0.46 + 0.80 * (1.0 - float(y[clump])) - 0.22 * float(x[clump]) + float(shade[clump])
+        wide = round(float(size[clump]) * side)
+        cv2.circle(cover, centre, wide, 255, -1)
+        cv2.circle(colour, centre, wide, (0.80 * light * hue).tolist(), -1)
+        lit = (centre[0] - wide // 4, centre[1] - wide // 3)
+        cv2.circle(colour, lit, max(wide * 2 // 3, 1), (1.06 * light * hue).tolist(), -1)
+    return _leafy(rng, colour, cover, hue)
+
+
+def _leafy(
+    rng: np.random.Generator, colour: Noise, cover: Coverage, hue: Noise
+) -> list[tuple[Picture, Coverage]]:
+    """Break clumps up into leaves with ragged edges and gaps, and return the mipmap levels."""
+    side = cover.shape[0]
+    leaves = smooth_noise(rng, (side, side), (52, 52), 2)
+    soft = cv2.GaussianBlur(cover, (15, 15), 0).astype(np.float32)
+    gaps = smooth_noise(rng, (side, side), (24, 24), 2)
+    ragged = np.where((soft + 62.0 * leaves > 118) & (gaps > -2.1) & (soft > 30), 255, 0).astype(np.uint8)
+    spread = cv2.GaussianBlur(colour, (9, 9), 0)
+    weight = cv2.GaussianBlur((cover > 0).astype(np.float32), (9, 9), 0)
+    outside = np.where((weight > 0.02)[..., None], spread / np.maximum(weight, 0.02)[..., None], 0.7 * hue)
+    colour = np.where((cover > 0)[..., None], colour, outside)
+    tips = smooth_noise(rng, (side, side), (64, 64), 1)
+    colour *= (1.0 + 0.17 * leaves + 0.10 * tips)[..., None]
     image = np.clip(colour, 0, 255).astype(np.uint8)
-    levels: list[tuple[Picture, Coverage]] = [(image, cover)]
+    levels: list[tuple[Picture, Coverage]] = [(image, ragged)]
     while levels[-1][1].shape[0] > 16:
         levels.append(_halved(*levels[-1]))
     return levels
-
-
-def _speckle(rng: np.random.Generator, colour: Noise, cover: Coverage, hue: Noise) -> None:
-    """Roughen a crown with light and dark leaves, and with holes through which the background shows."""
-    side = cover.shape[0]
-    for _ in range(2600):
-        x, y = rng.integers(3, side - 3, 2).tolist()
-        if not cover[y, x]:
-            rng.random()  # unused, but the textures depend on how many numbers are drawn
-            continue
-        base = colour[y, x]
-        if not base.any():
-            continue
-        turn = float(rng.uniform(0, 180))
-        shade = (base * float(rng.uniform(0.62, 1.42))).tolist()
-        cv2.ellipse(colour, (x, y), (4, 2), turn, 0, 360, shade, -1)
-        cv2.ellipse(cover, (x, y), (4, 2), turn, 0, 360, 255, -1)
-    holes = rng.integers(3, side - 3, (110, 2))
-    for x, y in holes.tolist():
-        cv2.ellipse(cover, (x, y), (4, 3), float(rng.uniform(0, 180)), 0, 360, 0, -1)
-    missing = (cover > 0) & ~colour.any(axis=2)
-    colour[missing] = hue
 
 
 def _halved(image: Picture, cover: Coverage) -> tuple[Picture, Coverage]:

@@ -5,11 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from brink.sim.aeb.labels import MIN_VISIBLE, PERSON, VEHICLE, label_frame
-from brink.sim.perception.boxes import LabelledFrame, too_small
+from brink.sim.aeb import dataset
+from brink.sim.aeb.dataset import Split, labelled_frames
+from brink.sim.aeb.labels import MIN_VISIBLE, PERSON, VEHICLE, label_boxes, label_frame
+from brink.sim.perception.boxes import GroundTruth, LabelledFrame, too_small
 from brink.sim.rendering import (
     Body,
     BodyKind,
+    Frame,
     Light,
     PictureCamera,
     Renderer,
@@ -81,3 +84,23 @@ def test_boxes_count_from_12_by_6_px_of_an_image_of_640_by_360() -> None:
 def test_a_fallen_tree_is_labelled_as_a_vehicle() -> None:
     tree = body(1, BodyKind.FALLEN_TREE, 15.0, 0.0, (6.0, 0.8, 0.8))
     assert label(tree).truth.labels.tolist() == [VEHICLE]
+
+
+@pytest.mark.parametrize("width_px", [320, 640])
+def test_episodes_and_data_sets_have_the_same_ground_truth(
+    width_px: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs: list[tuple[GroundTruth, GroundTruth]] = []
+
+    def both(frame: Frame) -> LabelledFrame:
+        labelled = label_frame(frame)
+        pairs.append((labelled.truth, label_boxes(frame)))
+        return labelled
+
+    monkeypatch.setattr(dataset, "label_frame", both)
+    assert len(list(labelled_frames(Split.VALIDATION, 5, width_px=width_px))) == len(pairs)
+    for one, other in pairs:
+        assert np.array_equal(one.labels, other.labels)
+        assert np.array_equal(one.boxes, other.boxes)
+        assert np.array_equal(one.ignored, other.ignored)
+    assert any(one.ignored.any() for one, _ in pairs)

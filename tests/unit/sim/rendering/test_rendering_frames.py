@@ -214,4 +214,15 @@ def test_asphalt_lies_ahead_and_brighter_pavement_beside_it() -> None:
     x_m, y_m, yaw_rad = road.forward.pose_at(0.0)
     image = renderer.frame(Viewpoint(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad), (), 0.0).image.astype(int)
     asphalt, pavement = image[150:160, 150:170].mean(), image[150:160, 300:318].mean()
-    assert pavement > 1.25 * asphalt
+    assert pavement > 1.18 * asphalt
+
+
+def test_grain_is_slight_stronger_at_night_and_the_same_for_the_same_time() -> None:
+    def spread(renderer: Renderer) -> float:
+        frames = [renderer.frame(EGO, (), 0.1 * step).image.astype(float) for step in range(8)]
+        assert np.array_equal(frames[3], renderer.frame(EGO, (), 0.1 * 3).image)
+        return float(np.std(frames, axis=0).mean())
+
+    dark = Light(time_of_day=TimeOfDay.NIGHT, weather=Weather.CLEAR)
+    day, night_ = spread(NOON), spread(Renderer(STREET, dark, CAMERA, 5))
+    assert 1.0 < day < night_ < 3.0

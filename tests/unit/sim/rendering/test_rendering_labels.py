@@ -21,6 +21,8 @@ from brink.sim.rendering import (
     VisibleBody,
     visible_bodies,
 )
+from brink.sim.rendering.canvas import seen_bodies
+from brink.sim.rendering.sample import fallen_tree, sample_street, sample_traffic
 from brink.sim.rendering.scene import footprint
 from brink.sim.rendering.view import clip_near, make_view
 from brink.sim.world.scenario import TimeOfDay, Weather
@@ -277,3 +279,20 @@ def test_parked_vehicles_have_labels() -> None:
     found = {item.id: item for item in visible_bodies(renderer.frame(ORIGIN, [person(2, 10.0, 1.0)], 0.0))}
     assert set(found) == {2, 40}
     assert found[40].depth_m == pytest.approx(14.0 - 2.8 - 1.3)
+
+
+def test_seen_bodies_are_the_visible_ones_with_the_same_boxes_and_shares() -> None:
+    renderer = Renderer(sample_street(), GREY_NOON, CAMERA, 3)
+    clear = 0
+    for step in range(6):
+        viewpoint = Viewpoint(x_m=5.0 * step, y_m=-1.75, yaw_rad=0.4 * step, pitch_rad=0.02 * step)
+        crowd = (*sample_traffic(0.3 * step), fallen_tree(51, 14.0, 1.5, yaw_rad=0.4))
+        frame = renderer.frame(viewpoint, crowd, 0.0)
+        expected = [
+            (found.id, found.kind, found.box, box.y_max_px - box.y_min_px >= 9 and found.visible_share >= 0.3)
+            for found in visible_bodies(frame)
+            if (box := found.box) is not None
+        ]
+        assert list(seen_bodies(frame, least_height_px=9, least_share=0.3)) == expected
+        clear += sum(row[-1] for row in expected)
+    assert clear > 10
