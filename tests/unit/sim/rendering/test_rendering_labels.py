@@ -293,6 +293,6 @@ def test_seen_bodies_are_the_visible_ones_with_the_same_boxes_and_shares() -> No
             for found in visible_bodies(frame)
             if (box := found.box) is not None
         ]
-        assert list(seen_bodies(frame, least_height_px=9, least_share=0.3)) == expected
+        assert list(seen_bodies(frame, least_px=(0.0, 9), least_share=0.3)) == expected
         clear += sum(row[-1] for row in expected)
     assert clear > 10
