@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from brink.sim.rendering.light import Lighting
 from brink.sim.rendering.scene import FloatArray, Mark, Rgb, Stroke
-from brink.sim.rendering.view import NEAR_M, View, to_fixed_point
+from brink.sim.rendering.view import NEAR_M, SHIFT, View, to_fixed_point
 
 Plane: TypeAlias = tuple[tuple[float, float, float], float]
 """Normal and offset of a plane in a model's axes."""
@@ -273,6 +273,10 @@ def _shade(
     return result
 
 
+_MARGIN: Final = 2 << SHIFT
+_HALF_PIXEL: Final = 1 << (SHIFT - 1)
+
+
 def _strokes(
     meshes: list[Mesh],
     seen: FloatArray,
@@ -288,12 +292,24 @@ def _strokes(
         [mesh.starts[:-1] + offset for mesh, offset in zip(meshes, offsets, strict=False)]
     )
     ends = np.concatenate([mesh.starts[1:] + offset for mesh, offset in zip(meshes, offsets, strict=False)])
-    solid = np.concatenate([mesh.solid for mesh in meshes])[shown].tolist()
+    solid = np.concatenate([mesh.solid for mesh in meshes])[shown]
     cut_before = np.concatenate(([0], np.cumsum(clipped)))
-    cut = (cut_before[ends[shown]] > cut_before[starts[shown]]).tolist()
+    cut = cut_before[ends[shown]] > cut_before[starts[shown]]
+    low, high = np.minimum.reduceat(pixels, starts)[shown], np.maximum.reduceat(pixels, starts)[shown]
+    size = np.array([view.width_px << SHIFT, view.height_px << SHIFT])
+    within = ((high > -_MARGIN) & (low < size + _MARGIN)).all(axis=1)
+    # A detail narrower than half a pixel only costs time.
+    kept = np.flatnonzero(cut | (within & (solid | ((high - low).min(axis=1) > _HALF_PIXEL))))
+    shown = shown[kept]
     marks: list[list[Mark]] = [[] for _ in meshes]
     rows = zip(
-        owner.tolist(), starts[shown].tolist(), ends[shown].tolist(), rgb.tolist(), solid, cut, strict=True
+        owner[kept].tolist(),
+        starts[shown].tolist(),
+        ends[shown].tolist(),
+        rgb[kept].tolist(),
+        solid[kept].tolist(),
+        cut[kept].tolist(),
+        strict=True,
     )
     for model, first, last, (red, green, blue), counts, near in rows:
         polygon = pixels[first:last]

@@ -89,6 +89,30 @@ def test_a_person_has_the_position_and_height_computed_by_hand() -> None:
     assert abs((box.x_min_px + box.x_max_px) / 2 - (320 - 320 * 2.0 / 8)) <= 2
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    look=st.integers(0, 4000),
+    yaw_rad=st.floats(-4, 4),
+    phase=st.floats(0, 7),
+    height_m=st.floats(1.1, 1.9),
+    x_m=st.floats(4, 40),
+)
+def test_people_of_all_looks_are_as_tall_as_they_should_be_and_stand_on_the_ground(
+    look: int, yaw_rad: float, phase: float, height_m: float, x_m: float
+) -> None:
+    walker = Body(
+        id=7, kind=BodyKind.PERSON, x_m=x_m, y_m=0.0, yaw_rad=yaw_rad, length_m=0.45, width_m=0.55,
+        height_m=height_m, look=look, phase=phase,
+    )  # fmt: skip
+    box = only(EMPTY, walker).whole_box
+    depth_m = x_m - 1.3
+    assert abs(box.y_min_px - (180 - 320 * (height_m - 1.7) / depth_m)) <= 2.5
+    feet_px = 180 + 320 * 1.7 / depth_m
+    # A foot of a long stride is nearer to the camera than the body's middle, or farther away.
+    assert abs(min(box.y_max_px, 360) - min(feet_px, 360)) <= 2.5 + 320 * 1.7 * 0.6 / depth_m**2
+    assert (box.x_max_px - box.x_min_px) <= 320 * 1.3 * height_m / depth_m + 3
+
+
 def test_pitch_moves_the_picture_by_the_focal_length_times_its_tangent() -> None:
     level = only(EMPTY, car(31.3, 0.0)).whole_box
     up = only(EMPTY, car(31.3, 0.0), Viewpoint(x_m=0.0, y_m=0.0, yaw_rad=0.0, pitch_rad=0.05)).whole_box
