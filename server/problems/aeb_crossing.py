@@ -32,7 +32,14 @@ from brink.sim.aeb.specification import (
     describe_street,
 )
 from brink.sim.episode import EpisodeSpec, Json
-from brink.sim.perception.user_files import DatasetError, check_loads, check_sample, read_coco, weights_digest
+from brink.sim.perception.user_files import (
+    DEFAULT_DETECTOR,
+    DatasetError,
+    check_loads,
+    check_sample,
+    read_coco,
+    weights_digest,
+)
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.wire import Completed
 
@@ -71,7 +78,7 @@ class AebCrossingParams:
         choices=("per_frame", "per_episode"),
     )
     detector: str = setting(
-        "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
+        DEFAULT_DETECTOR, help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
     threshold: float = setting(0.5, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     person_frames: int = setting(

@@ -30,7 +30,7 @@ from brink.sim.encounter.specification import (
     stretch_to_json,
 )
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
-from brink.sim.perception.user_files import weights_digest
+from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 from brink.worker.wire import Completed
 
@@ -85,7 +85,7 @@ class NpcActionsParams:
         choices=tuple(SIMULATORS),
     )
     detector: str = setting(
-        "brink-det@1",
+        DEFAULT_DETECTOR,
         help="Detector if sight is detector: its id, or onnx:FILE, torchscript:FILE, ultralytics:FILE.",
     )
     threshold: float = setting(0.8, help="Minimum score of detections that count.", gt=0.0, lt=1.0)

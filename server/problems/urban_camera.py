@@ -20,7 +20,7 @@ from brink.server.problems.urban_injected import (
     scenario_of,
 )
 from brink.sim.episode import EpisodeSpec, Json
-from brink.sim.perception.user_files import weights_digest
+from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.world.scenario import words_of_scenario
 
 SIMULATOR = "brink-drive-camera@1"
@@ -33,7 +33,7 @@ class UrbanCameraParams(UrbanInjectedParams):
 
     requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     detector: str = setting(
-        "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
+        DEFAULT_DETECTOR, help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
     threshold: float = setting(0.5, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     timeout_s: float = setting(120.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")

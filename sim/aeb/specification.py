@@ -15,7 +15,7 @@ from typing import Final, Self
 from brink.sim.aeb.braking import HOLD_S, PERSON_FRAMES, PERSON_WINDOW
 from brink.sim.episode import Json, JsonObject, nearest, parse_choice, parse_number
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.user_files import weights_digest
+from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.perturbations import CATALOGUE, Mode, Perturbation, PerturbationError, parse_perturbations
 from brink.sim.urban.behaviour import DEFAULT_DURATION_S, DetectorBehaviour, InjectedTrajectory
 from brink.sim.world.scenario import TimeOfDay, Weather
@@ -99,7 +99,6 @@ class AebScenario:
 
 SIZE_PX: Final = (640, 360)
 THRESHOLD: Final = 0.5
-DETECTOR: Final = "brink-det@1"
 
 
 class SightMode(StrEnum):
@@ -130,7 +129,7 @@ class Behaviour:
     """
 
     mode: SightMode
-    detector: str = DETECTOR
+    detector: str = DEFAULT_DETECTOR
     threshold: float = THRESHOLD
     perturbations: tuple[Perturbation, ...] = ()
     fields: Mode = Mode.PER_FRAME
@@ -159,11 +158,13 @@ class Behaviour:
                     f"behaviour: unknown field {name!r} for mode {mode}{nearest(name, allowed)}"
                 )
         perturbations = document.get("perturbations", [])
-        detector = document.get("detector", DETECTOR)
+        detector = document.get("detector", DEFAULT_DETECTOR)
         if not isinstance(perturbations, list):
             raise InvalidEpisode(f"behaviour.perturbations: expected a list, got {perturbations!r}")
         if not isinstance(detector, str):
-            raise InvalidEpisode(f"behaviour.detector: expected an id such as {DETECTOR}, got {detector!r}")
+            raise InvalidEpisode(
+                f"behaviour.detector: expected an id such as {DEFAULT_DETECTOR}, got {detector!r}"
+            )
         weights = document.get("weights", "")
         if not isinstance(weights, str):
             raise InvalidEpisode(f"behaviour.weights: expected a digest, got {weights!r}")

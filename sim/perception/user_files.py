@@ -32,6 +32,8 @@ from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, Ground
 
 MAX_BYTES: Final = 2 * 1024**3
 LOAD_TIMEOUT_S: Final = 120.0
+DEFAULT_DETECTOR: Final = "brink-det@1"
+"""Detector of a problem with a camera, unless another is chosen."""
 KINDS: Final = ("onnx", "torchscript", "ultralytics")
 CATEGORY_LABELS: Final[Mapping[str, int]] = {
     "vehicle": 0, "car": 0, "truck": 0, "bus": 0, "van": 0, "motorcycle": 0, "train": 0,

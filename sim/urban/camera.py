@@ -16,7 +16,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeSpec, Json, check_fields
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.detector import LABELS, Detector, find_detector
-from brink.sim.perception.user_files import weights_digest
+from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import (
     Body,
@@ -155,7 +155,7 @@ def check_detector(behaviour: Mapping[str, Json]) -> None:
         raise InvalidEpisode(f"behaviour.threshold: expected a number in (0, 1), got {threshold!r}")
     if not isinstance(behaviour["detector"], str):
         raise InvalidEpisode(
-            f"behaviour.detector: expected an id such as brink-det@1, got {behaviour['detector']!r}"
+            f"behaviour.detector: expected an id such as {DEFAULT_DETECTOR}, got {behaviour['detector']!r}"
         )
     weights = behaviour.get("weights", "")
     if weights and weights != weights_digest(behaviour["detector"]):
