@@ -22,9 +22,6 @@ from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_po
 _MAX_HALVINGS: Final = 5
 _COARSE_FROM: Final = 2.6
 """A wall is drawn at half size if it is more than this many times as high in the image as its texture."""
-_COVERED_WITHIN_M: Final = 0.3
-_COVERED_SLACK_M: Final = 0.4
-"""Part of a wall's length at either end that may remain uncovered: only a sliver of it is ever in view."""
 _PLAIN_BELOW_PX: Final = 7.0
 """A wall narrower than this is painted in a single colour."""
 
@@ -83,7 +80,6 @@ class BuildingPainter:
         self._sizes = [
             (_quarters(a), _quarters(h)) for a, h in zip(length.tolist(), heights.tolist(), strict=True)
         ]
-        self._covered = _covered_walls(self._corners, self._normals)
         self._light = self._light_on_walls()
 
     def _light_on_walls(self) -> list[float]:
@@ -115,23 +111,67 @@ class BuildingPainter:
             to_fixed_point(pixels.reshape(-1, 2)).reshape(count, 4, 2),
             np.concatenate((pixels.min(axis=1), pixels.max(axis=1)), axis=1).tolist(),
             _inverses(to_picture),
-            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M) & ~self._covered,
+            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M),
             depth.min(axis=1) < NEAR_M,
             haze,
         )
 
-    def paint(self, number: int, walls: PlacedWalls, canvas: Canvas, view: View) -> None:
-        """Paint the walls of a building that face the camera.
+    def open_walls(self, houses: Sequence[int], walls: PlacedWalls, view: View) -> list[list[int]]:
+        """Return the walls of each house that face the camera and that nearer houses do not hide entirely.
 
         Args:
-            number: Index of the building.
+            houses: Indices of houses in view; a house comes before all houses that it may hide.
+            walls: All walls, placed for this view.
+            view: The camera.
+        """
+        # All houses stand on the ground, so a wall is hidden in a column if its top is below that of a nearer wall.
+        tops = np.full(view.width_px, np.inf)
+        found: list[list[int]] = []
+        shown = walls.shown.tolist()
+        for house in houses:
+            facing = [wall for wall in range(4 * house, 4 * house + 4) if shown[wall]]
+            # The narrow wall first, because two walls of a house share the column of their corner.
+            facing.sort(key=lambda wall: walls.bounds[wall][2] - walls.bounds[wall][0])
+            found.append([wall for wall in facing if self._rises_above(tops, wall, walls)])
+        return found
+
+    def _rises_above(self, tops: FloatArray, wall: int, walls: PlacedWalls) -> bool:
+        """Return whether a wall is in view above nearer walls, and if so, add it to them.
+
+        Args:
+            tops: Top row of the nearer walls in each column, shape ``(width,)``.
+            wall: Index of the wall.
+            walls: All walls.
+        """
+        if walls.near[wall]:
+            return True
+        left, _, right, _ = walls.bounds[wall]
+        (x, y), (end_x, end_y) = (walls.outlines[wall, :2] / (1 << SHIFT)).tolist()
+        slope = (end_y - y) / max(end_x - x, 1e-6)
+        first, last = max(math.floor(left) - 1, 0), min(math.ceil(right) + 2, len(tops))
+        if first >= last:
+            return False
+        top = y + slope * (np.arange(first, last) - x)
+        np.clip(top, min(y, end_y), max(y, end_y), out=top)
+        if not (top - abs(slope) - 1.0 < tops[first:last]).any():
+            return False
+        inner, outer = max(math.ceil(left), 0), min(math.floor(right) + 1, len(tops))
+        if inner < outer:
+            region = tops[inner:outer]
+            np.minimum(region, top[inner - first : outer - first] + abs(slope) + 1.0, out=region)
+        return True
+
+    def paint(self, facing: Sequence[int], walls: PlacedWalls, canvas: Canvas, view: View) -> None:
+        """Paint walls of a building.
+
+        Args:
+            facing: Indices of the walls.
             walls: All walls, placed for this view.
             canvas: Painted on.
             view: The camera.
         """
-        for wall in range(4 * number, 4 * number + 4):
-            if walls.shown[wall]:
-                self._paint_wall(wall, walls, canvas, view)
+        for wall in facing:
+            self._paint_wall(wall, walls, canvas, view)
 
     def mirrored(self, walls: PlacedWalls, view: View) -> list[list[tuple[IntArray, Rgb]]]:
         """Return each building's visible walls reflected below the ground, in one colour per wall."""
@@ -233,28 +273,6 @@ def _warp(texture: Picture, to_texture: FloatArray, size: tuple[int, int], *, co
     if coarse:
         warped = cv2.resize(warped, size, interpolation=cv2.INTER_LINEAR)
     return warped.astype(np.uint8, copy=False)
-
-
-def _covered_walls(corners: FloatArray, normals: FloatArray) -> NDArray[np.bool_]:
-    """Return which walls stand so close to another building's wall, as high and as wide, that nobody sees them.
-
-    Args:
-        corners: Top left, top right, bottom right, bottom left of each wall, shape ``(walls, 4, 3)``.
-        normals: Outward normals, shape ``(walls, 2)``.
-    """
-    count = len(corners)
-    start, end = corners[:, 0, :2], corners[:, 1, :2]
-    along = (end - start) / np.maximum(np.hypot(*(end - start).T), 1e-9)[:, None]
-    from_start = corners[None, :, :2, :2] - start[:, None, None]  # of each wall to both ends of every other
-    reach = np.einsum("ik,ijek->ije", along, from_start)
-    apart = np.einsum("ik,ijek->ije", normals, from_start)
-    length = np.einsum("ik,ik->i", along, end - start)[:, None]
-    faces = np.einsum("ik,jk->ij", normals, normals) < -0.999
-    close = (np.abs(apart) < _COVERED_WITHIN_M).all(axis=2)
-    spans = (reach.min(axis=2) <= _COVERED_SLACK_M) & (reach.max(axis=2) >= length - _COVERED_SLACK_M)
-    as_high = corners[None, :, 0, 2] >= corners[:, None, 0, 2]
-    hidden: NDArray[np.bool_] = (faces & close & spans & as_high).any(axis=1).reshape(count)
-    return hidden
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,9 @@ from brink.sim.rendering import (
     Viewpoint,
     visible_bodies,
 )
+from brink.sim.rendering.buildings import BuildingPainter, PlacedWalls
 from brink.sim.rendering.sample import EGO, sample_traffic, vehicle
+from brink.sim.rendering.scene import FloatArray
 from brink.sim.rendering.street import FIRST_PARKED_ID, street_from_road
 from brink.sim.world.road import Road, build_road
 from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
@@ -226,3 +229,28 @@ def test_grain_is_slight_stronger_at_night_and_the_same_for_the_same_time() -> N
     dark = Light(time_of_day=TimeOfDay.NIGHT, weather=Weather.CLEAR)
     day, night_ = spread(NOON), spread(Renderer(STREET, dark, CAMERA, 5))
     assert 1.0 < day < night_ < 3.0
+
+
+def test_leaving_out_hidden_walls_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn, wall_count = [], 0
+
+    def paint_all(painter: BuildingPainter, tops: FloatArray, wall: int, walls: PlacedWalls) -> bool:
+        nonlocal wall_count
+        wall_count += not rises_above(painter, tops, wall, walls)
+        return True
+
+    rises_above = BuildingPainter._rises_above
+    for patched in (False, True):
+        if patched:
+            monkeypatch.setattr(BuildingPainter, "_rises_above", paint_all)
+        for road in islice(roads(), 0, None, 2):
+            street = street_from_road(road)
+            light = Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR)
+            renderer = Renderer(street, light, CAMERA, 1)
+            x_m, y_m, yaw_rad = road.forward.pose_at(20.0)
+            drawn.append(renderer.frame(Viewpoint(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad), (), 0.0))
+    half = len(drawn) // 2
+    assert wall_count > 20
+    for left, right in zip(drawn[:half], drawn[half:], strict=True):
+        assert np.array_equal(left.image, right.image)
+        assert np.array_equal(left.ids, right.ids)
