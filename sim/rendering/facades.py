@@ -203,7 +203,8 @@ def _wall_tile(style: int, shade: int) -> Picture:
         _bricks(colour, rng, course=3, brick=8, mortar=(182, 172, 160))
     elif style in _STONE:
         _bricks(colour, rng, course=12, brick=24, mortar=_scaled(_WALLS[style], 0.78))
-    return np.clip(colour * _plaster(), 0, 255).astype(np.uint8)
+    colour *= _plaster()
+    return np.clip(colour, 0, 255).astype(np.uint8)
 
 
 @lru_cache(maxsize=1)
