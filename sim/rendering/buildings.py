@@ -218,7 +218,9 @@ class BuildingPainter:
         if high_x - low_x < _PLAIN_BELOW_PX:
             cv2.fillConvexPoly(canvas.image, outline, self._plain(wall, haze), cv2.LINE_AA, SHIFT)
             return
-        texture = self._fitting_texture(wall, high_x - low_x, high_y - low_y)
+        fit = self._fit(walls.outlines[wall], view)
+        wide_px, high_px = min(high_x - low_x, 2.0 * view.width_px), min(high_y - low_y, 2.0 * view.height_px)
+        texture = self._fitting_texture(wall, wide_px * fit, high_px * fit)
         size = (right - left, bottom - top)
         to_texture = _to_texture(walls.to_wall[wall].tolist(), texture.shape[1], texture.shape[0], left, top)
         coarse = high_y - low_y > _COARSE_FROM * texture.shape[0] and min(size) > 8
@@ -230,6 +232,16 @@ class BuildingPainter:
             mask, outline - np.array((left << SHIFT, top << SHIFT), np.int32), (255,), cv2.LINE_8, SHIFT
         )
         cv2.copyTo(warped, mask, canvas.image[top:bottom, left:right])
+
+    def _fit(self, outline: IntArray, view: View) -> float:
+        """Return by how much finer a wall's far end is than its near end, as a factor on its size in the image.
+
+        One texture size has to do for the whole wall. One that suits the near end would flicker at the far end.
+        """
+        (_, top), (_, end_top), (_, end_bottom), (_, bottom) = outline.tolist()
+        near_px = min(max(bottom - top, end_bottom - end_top), (2 * view.height_px) << SHIFT)
+        far_px = max(min(bottom - top, end_bottom - end_top), 1)
+        return float(min(far_px / near_px, 1.0) ** 0.35) if near_px > 0 else 1.0
 
     def _fitting_texture(self, wall: int, wide_px: float, high_px: float) -> Picture:
         """Return the wall's texture, halved until about one texture pixel falls on one image pixel."""
