@@ -116,61 +116,22 @@ class BuildingPainter:
             haze,
         )
 
-    def open_walls(self, houses: Sequence[int], walls: PlacedWalls, view: View) -> list[list[int]]:
-        """Return the walls of each house that face the camera and that nearer houses do not hide entirely.
+    def _facing(self, house: int, walls: PlacedWalls) -> list[int]:
+        """Return the walls of a house that face the camera, the narrower in the image first."""
+        facing = [wall for wall in range(4 * house, 4 * house + 4) if walls.shown[wall]]
+        facing.sort(key=lambda wall: walls.bounds[wall][2] - walls.bounds[wall][0])
+        return facing
+
+    def paint(self, number: int, walls: PlacedWalls, canvas: Canvas, view: View) -> None:
+        """Paint the walls of a building that face the camera.
 
         Args:
-            houses: Indices of houses in view; a house comes before all houses that it may hide.
-            walls: All walls, placed for this view.
-            view: The camera.
-        """
-        # All houses stand on the ground, so a wall is hidden in a column if its top is below that of a nearer wall.
-        tops = np.full(view.width_px, np.inf)
-        found: list[list[int]] = []
-        shown = walls.shown.tolist()
-        for house in houses:
-            facing = [wall for wall in range(4 * house, 4 * house + 4) if shown[wall]]
-            # The narrow wall first, because two walls of a house share the column of their corner.
-            facing.sort(key=lambda wall: walls.bounds[wall][2] - walls.bounds[wall][0])
-            found.append([wall for wall in facing if self._rises_above(tops, wall, walls)])
-        return found
-
-    def _rises_above(self, tops: FloatArray, wall: int, walls: PlacedWalls) -> bool:
-        """Return whether a wall is in view above nearer walls, and if so, add it to them.
-
-        Args:
-            tops: Top row of the nearer walls in each column, shape ``(width,)``.
-            wall: Index of the wall.
-            walls: All walls.
-        """
-        if walls.near[wall]:
-            return True
-        left, _, right, _ = walls.bounds[wall]
-        (x, y), (end_x, end_y) = (walls.outlines[wall, :2] / (1 << SHIFT)).tolist()
-        slope = (end_y - y) / max(end_x - x, 1e-6)
-        first, last = max(math.floor(left) - 1, 0), min(math.ceil(right) + 2, len(tops))
-        if first >= last:
-            return False
-        top = y + slope * (np.arange(first, last) - x)
-        np.clip(top, min(y, end_y), max(y, end_y), out=top)
-        if not (top - abs(slope) - 1.0 < tops[first:last]).any():
-            return False
-        inner, outer = max(math.ceil(left), 0), min(math.floor(right) + 1, len(tops))
-        if inner < outer:
-            region = tops[inner:outer]
-            np.minimum(region, top[inner - first : outer - first] + abs(slope) + 1.0, out=region)
-        return True
-
-    def paint(self, facing: Sequence[int], walls: PlacedWalls, canvas: Canvas, view: View) -> None:
-        """Paint walls of a building.
-
-        Args:
-            facing: Indices of the walls.
+            number: Index of the building.
             walls: All walls, placed for this view.
             canvas: Painted on.
             view: The camera.
         """
-        for wall in facing:
+        for wall in self._facing(number, walls):
             self._paint_wall(wall, walls, canvas, view)
 
     def mirrored(self, walls: PlacedWalls, view: View) -> list[list[tuple[IntArray, Rgb]]]:

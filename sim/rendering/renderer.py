@@ -131,11 +131,9 @@ class Renderer:
     ) -> dict[int, Outline]:
         marks = self._marks(seen, view)
         outlines: dict[int, Outline] = {}
-        houses = [thing.number for thing in reversed(seen.things) if isinstance(thing, House)]
-        open_walls = dict(zip(houses, self._buildings.open_walls(houses, walls, view), strict=True))
         for index, thing in enumerate(seen.things):
             if isinstance(thing, House):
-                self._buildings.paint(open_walls[thing.number], walls, canvas, view)
+                self._buildings.paint(thing.number, walls, canvas, view)
             elif isinstance(thing, Body):
                 canvas.paint(marks[index], thing.id)
                 depth = max(float(seen.depths[index]), 0.0)

@@ -1,10 +1,8 @@
 """Frames: reproducible, valid, lit as their light says; and roads as streets that can be rendered."""
 
-import math
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -30,9 +28,7 @@ from brink.sim.rendering import (
     Viewpoint,
     visible_bodies,
 )
-from brink.sim.rendering.buildings import BuildingPainter, PlacedWalls
 from brink.sim.rendering.sample import EGO, sample_traffic, vehicle
-from brink.sim.rendering.scene import FloatArray
 from brink.sim.rendering.street import FIRST_PARKED_ID, street_from_road
 from brink.sim.world.road import Road, build_road
 from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
@@ -230,26 +226,3 @@ def test_grain_is_slight_stronger_at_night_and_the_same_for_the_same_time() -> N
     dark = Light(time_of_day=TimeOfDay.NIGHT, weather=Weather.CLEAR)
     day, night_ = spread(NOON), spread(Renderer(STREET, dark, CAMERA, 5))
     assert 1.0 < day < night_ < 3.0
-
-
-def test_leaving_out_hidden_walls_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    rises_above, hidden = BuildingPainter._rises_above, []
-
-    def paint_all(painter: BuildingPainter, tops: FloatArray, wall: int, walls: PlacedWalls) -> bool:
-        hidden.append(not rises_above(painter, tops, wall, walls))
-        return True
-
-    # A second row of houses stands close behind the first.
-    houses = STREET.buildings
-    behind = [replace(house, y_m=house.y_m + math.copysign(9.0, house.y_m), height_m=4.0) for house in houses]
-    street = replace(STREET, buildings=(*houses, *behind))
-    places = [Viewpoint(x_m=11.0 * step, y_m=-1.75, yaw_rad=0.3 * step) for step in range(5)]
-    light = Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR)
-    renderer = Renderer(street, light, CAMERA, 1)
-    expected = [renderer.frame(place, (), 0.0) for place in places]
-    monkeypatch.setattr(BuildingPainter, "_rises_above", paint_all)
-    for place, frame in zip(places, expected, strict=True):
-        found = renderer.frame(place, (), 0.0)
-        assert np.array_equal(found.image, frame.image)
-        assert np.array_equal(found.ids, frame.ids)
-    assert sum(hidden) > 10
