@@ -22,9 +22,6 @@ from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_po
 _MAX_HALVINGS: Final = 5
 _COARSE_FROM: Final = 2.6
 """A wall is drawn at half size if it is more than this many times as high in the image as its texture."""
-_COVERED_WITHIN_M: Final = 0.3
-_COVERED_SLACK_M: Final = 0.4
-"""Part of a wall's length at either end that may remain uncovered: only a sliver of it is ever in view."""
 _PLAIN_BELOW_PX: Final = 7.0
 """A wall narrower than this is painted in a single colour."""
 
@@ -83,7 +80,6 @@ class BuildingPainter:
         self._sizes = [
             (_quarters(a), _quarters(h)) for a, h in zip(length.tolist(), heights.tolist(), strict=True)
         ]
-        self._covered = _covered_walls(self._corners, self._normals)
         self._light = self._light_on_walls()
 
     def _light_on_walls(self) -> list[float]:
@@ -115,10 +111,16 @@ class BuildingPainter:
             to_fixed_point(pixels.reshape(-1, 2)).reshape(count, 4, 2),
             np.concatenate((pixels.min(axis=1), pixels.max(axis=1)), axis=1).tolist(),
             _inverses(to_picture),
-            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M) & ~self._covered,
+            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M),
             depth.min(axis=1) < NEAR_M,
             haze,
         )
+
+    def _facing(self, house: int, walls: PlacedWalls) -> list[int]:
+        """Return the walls of a house that face the camera, the narrower in the image first."""
+        facing = [wall for wall in range(4 * house, 4 * house + 4) if walls.shown[wall]]
+        facing.sort(key=lambda wall: walls.bounds[wall][2] - walls.bounds[wall][0])
+        return facing
 
     def paint(self, number: int, walls: PlacedWalls, canvas: Canvas, view: View) -> None:
         """Paint the walls of a building that face the camera.
@@ -129,9 +131,8 @@ class BuildingPainter:
             canvas: Painted on.
             view: The camera.
         """
-        for wall in range(4 * number, 4 * number + 4):
-            if walls.shown[wall]:
-                self._paint_wall(wall, walls, canvas, view)
+        for wall in self._facing(number, walls):
+            self._paint_wall(wall, walls, canvas, view)
 
     def mirrored(self, walls: PlacedWalls, view: View) -> list[list[tuple[IntArray, Rgb]]]:
         """Return each building's visible walls reflected below the ground, in one colour per wall."""
@@ -178,7 +179,9 @@ class BuildingPainter:
         if high_x - low_x < _PLAIN_BELOW_PX:
             cv2.fillConvexPoly(canvas.image, outline, self._plain(wall, haze), cv2.LINE_AA, SHIFT)
             return
-        texture = self._fitting_texture(wall, high_x - low_x, high_y - low_y)
+        fit = self._fit(walls.outlines[wall], view)
+        wide_px, high_px = min(high_x - low_x, 2.0 * view.width_px), min(high_y - low_y, 2.0 * view.height_px)
+        texture = self._fitting_texture(wall, wide_px * fit, high_px * fit)
         size = (right - left, bottom - top)
         to_texture = _to_texture(walls.to_wall[wall].tolist(), texture.shape[1], texture.shape[0], left, top)
         coarse = high_y - low_y > _COARSE_FROM * texture.shape[0] and min(size) > 8
@@ -190,6 +193,16 @@ class BuildingPainter:
             mask, outline - np.array((left << SHIFT, top << SHIFT), np.int32), (255,), cv2.LINE_8, SHIFT
         )
         cv2.copyTo(warped, mask, canvas.image[top:bottom, left:right])
+
+    def _fit(self, outline: IntArray, view: View) -> float:
+        """Return by how much finer a wall's far end is than its near end, as a factor on its size in the image.
+
+        One texture size has to do for the whole wall. One that suits the near end would flicker at the far end.
+        """
+        (_, top), (_, end_top), (_, end_bottom), (_, bottom) = outline.tolist()
+        near_px = min(max(bottom - top, end_bottom - end_top), (2 * view.height_px) << SHIFT)
+        far_px = max(min(bottom - top, end_bottom - end_top), 1)
+        return float(min(far_px / near_px, 1.0) ** 0.35) if near_px > 0 else 1.0
 
     def _fitting_texture(self, wall: int, wide_px: float, high_px: float) -> Picture:
         """Return the wall's texture, halved until about one texture pixel falls on one image pixel."""
@@ -233,28 +246,6 @@ def _warp(texture: Picture, to_texture: FloatArray, size: tuple[int, int], *, co
     if coarse:
         warped = cv2.resize(warped, size, interpolation=cv2.INTER_LINEAR)
     return warped.astype(np.uint8, copy=False)
-
-
-def _covered_walls(corners: FloatArray, normals: FloatArray) -> NDArray[np.bool_]:
-    """Return which walls stand so close to another building's wall, as high and as wide, that nobody sees them.
-
-    Args:
-        corners: Top left, top right, bottom right, bottom left of each wall, shape ``(walls, 4, 3)``.
-        normals: Outward normals, shape ``(walls, 2)``.
-    """
-    count = len(corners)
-    start, end = corners[:, 0, :2], corners[:, 1, :2]
-    along = (end - start) / np.maximum(np.hypot(*(end - start).T), 1e-9)[:, None]
-    from_start = corners[None, :, :2, :2] - start[:, None, None]  # of each wall to both ends of every other
-    reach = np.einsum("ik,ijek->ije", along, from_start)
-    apart = np.einsum("ik,ijek->ije", normals, from_start)
-    length = np.einsum("ik,ik->i", along, end - start)[:, None]
-    faces = np.einsum("ik,jk->ij", normals, normals) < -0.999
-    close = (np.abs(apart) < _COVERED_WITHIN_M).all(axis=2)
-    spans = (reach.min(axis=2) <= _COVERED_SLACK_M) & (reach.max(axis=2) >= length - _COVERED_SLACK_M)
-    as_high = corners[None, :, 0, 2] >= corners[:, None, 0, 2]
-    hidden: NDArray[np.bool_] = (faces & close & spans & as_high).any(axis=1).reshape(count)
-    return hidden
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from brink.sim.rendering.textures import Noise, smooth_noise
 PX_PER_M: Final = 22.0
 _MAX_SIDE_PX: Final = 1400
 _FACADE_STREAM: Final = 76
-_WALL_TILE_PX: Final = 384
+_WALL_TILE_PX: Final = 288
 _PLAIN: Final = 200
 _WALLS: Final = (
     (158, 92, 72), (206, 190, 160), (188, 184, 178), (214, 204, 188), (138, 84, 66), (196, 168, 128),
@@ -197,15 +197,24 @@ def _wall_tile(style: int, shade: int) -> Picture:
     """Return a bare wall that repeats, shape ``(side, side, 3)``."""
     rng = np.random.default_rng((_FACADE_STREAM, 2, style, shade))
     side = _WALL_TILE_PX
-    light = 0.022 * rng.standard_normal((side, side)).astype(np.float32)
-    light += 1.0 + 0.03 * smooth_noise(rng, (side, side), (6, 6), 4)
     colour = np.empty((side, side, 3), np.float32)
     colour[:] = np.array(_WALLS[style]) * _SHADES[shade]
     if style in _BRICK:
         _bricks(colour, rng, course=3, brick=8, mortar=(182, 172, 160))
     elif style in _STONE:
         _bricks(colour, rng, course=12, brick=24, mortar=_scaled(_WALLS[style], 0.78))
-    return np.clip(colour * light[..., None], 0, 255).astype(np.uint8)
+    colour *= _plaster()
+    return np.clip(colour, 0, 255).astype(np.uint8)
+
+
+@lru_cache(maxsize=1)
+def _plaster() -> Noise:
+    """Return the brightness of rough plaster, which repeats, shape ``(side, side, 1)``."""
+    rng = np.random.default_rng((_FACADE_STREAM, 4))
+    shape = (_WALL_TILE_PX, _WALL_TILE_PX)
+    light = 1.0 + 0.022 * rng.standard_normal(shape, dtype=np.float32)
+    light += 0.03 * smooth_noise(rng, shape, (6, 6), 4)
+    return light[..., None].astype(np.float32)
 
 
 def _bricks(colour: Noise, rng: np.random.Generator, *, course: int, brick: int, mortar: Rgb) -> None:
