@@ -6,7 +6,7 @@ coordinator can build a search space of genes that only workers can apply.
 SimulatorError
 └── PerturbationError
     ├── InvalidPerturbation  final, also an InvalidEpisode: unknown gene or level; fix the specification
-    ├── InvalidFrame         the input is not an RGB uint8 image
+    ├── InvalidFrame         the input is not an RGB uint8 image, or its index is not an integer >= 0
     ├── PerturbationFailed   a transform raised, or did not return an image; names the gene
     └── VisionMissing        OpenCV is not installed
 
@@ -34,7 +34,7 @@ class InvalidPerturbation(PerturbationError, InvalidEpisode):
 
 
 class InvalidFrame(PerturbationError):
-    """The input is not an RGB uint8 image of a usable size."""
+    """The input is not an RGB uint8 image of a usable size, or its index is not an integer >= 0."""
 
 
 class PerturbationFailed(PerturbationError):
