@@ -11,7 +11,7 @@ from scipy.stats import norm
 from support.marks import mostly_long
 
 from brink.sim.perturbations import CATALOGUE, Frame
-from brink.sim.perturbations.layers import composite_white, to_layer
+from brink.sim.perturbations.layers import composite_white, darken_complement, scale_lightness, to_layer
 from brink.sim.perturbations.lens import broken_lens, sun_flare, transmission
 from brink.sim.perturbations.weather import count_discs, draw_discs
 
@@ -43,11 +43,37 @@ def test_unclipped_noise_is_normal_with_variance_v(level: int) -> None:
     assert max(abs(neighbours), abs(channels)) < 0.01
 
 
-@pytest.mark.parametrize(("level", "kernel"), [(2, 3), (12, 23), (23, 45)])
-def test_blur_equals_opencvs_with_the_published_sigma(level: int, kernel: int) -> None:
+@pytest.mark.parametrize(("level", "kernel"), [(2, 3), (6, 11), (8, 15)])
+def test_a_narrow_blur_equals_opencvs_with_the_published_sigma(level: int, kernel: int) -> None:
     frame = street(720)
     expected = cv2.GaussianBlur(frame, (kernel, kernel), 0.3 * ((kernel - 1) / 2 - 1) + 0.8)
     np.testing.assert_array_equal(perturb(frame, "gaussian_blur", level), expected)
+
+
+def exact_blur(frame: Frame, side: int, sigma_px: float) -> np.ndarray:
+    """Blur in floating point."""
+    weights = np.exp(-((np.arange(side) - side // 2) ** 2) / (2 * sigma_px**2))
+    kernel = weights / weights.sum()
+    return cv2.sepFilter2D(frame.astype(np.float64), -1, kernel, kernel)
+
+
+@pytest.mark.parametrize(
+    ("level", "height"), [(9, 720), (12, 720), (23, 720), (20, 360), (23, 359), (23, 480)]
+)
+def test_a_wide_blur_is_as_close_to_the_exact_one_as_opencvs(level: int, height: int) -> None:
+    value = CATALOGUE["gaussian_blur"].value(level)
+    assert value is not None
+    kernel_px = value * height / 720
+    side, sigma_px = 2 * round((kernel_px - 1) / 2) + 1, 0.3 * ((kernel_px - 1) / 2 - 1) + 0.8
+    noise = np.random.default_rng(0).integers(0, 256, (height, height * 16 // 9, 3), dtype=np.uint8)
+    edges = cv2.threshold(cv2.resize(noise[::40, ::40], noise.shape[1::-1]), 127, 255, cv2.THRESH_BINARY)[1]
+    for picture in (cv2.resize(street(720), noise.shape[1::-1]), noise, edges):
+        frame = picture.astype(np.uint8)
+        exact = exact_blur(frame, side, sigma_px)
+        ours = np.abs(perturb(frame, "gaussian_blur", level) - exact)
+        opencvs = np.abs(cv2.GaussianBlur(frame, (side, side), sigma_px) - exact)
+        assert ours.max() <= 2.5
+        assert ours.mean() <= opencvs.mean() + 0.1
 
 
 def test_the_weakest_blur_has_a_kernel_of_3_and_the_sigma_of_1() -> None:
@@ -147,6 +173,22 @@ def test_rain_changes_more_from_drizzle_to_torrent_and_with_a_wet_lens() -> None
     drizzle, heavy, torrential, heavy_wet, torrential_wet = wetted
     assert drizzle < heavy < torrential < torrential_wet
     assert heavy < heavy_wet
+
+
+def test_rain_scales_the_lightness_by_07_like_the_slower_way_over_hls() -> None:
+    for frame, close in ((street(720), 5), (night(720), 2), (blocks(720), 9)):
+        smooth = cv2.blur(frame, (7, 7)).astype(np.uint8)
+        difference = np.abs(
+            darken_complement(255 - smooth, 0.7).astype(int) - scale_lightness(smooth, 0.7).astype(int)
+        )
+        assert difference.mean() < 4
+        assert np.percentile(difference, 90 if frame.std() > 70 else 99) <= close
+
+
+@pytest.mark.parametrize("value", range(0, 256, 15))
+def test_rain_makes_every_grey_07_as_light(value: int) -> None:
+    darkened = darken_complement(255 - grey(value, 90, 160), 0.7)
+    assert np.abs(darkened.astype(int) - 0.7 * value).max() <= 1.5
 
 
 def naive_smoke(frame: Frame, centres: np.ndarray, radii: np.ndarray, opacity: float) -> np.ndarray:
