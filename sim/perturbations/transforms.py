@@ -15,7 +15,8 @@ import numpy as np
 from brink.sim.perturbations.catalogue import Frame, Transform
 from brink.sim.perturbations.layers import REFERENCE_HEIGHT_PX, Layer, reference_scale, to_pixels
 from brink.sim.perturbations.lens import broken_lens, condensation, dirty, sun_flare
-from brink.sim.perturbations.weather import rain, smoke, snow
+from brink.sim.perturbations.snow import snow
+from brink.sim.perturbations.weather import rain, smoke
 
 SHIFT_PX = 3.0
 NOISE_SEED = 20220928

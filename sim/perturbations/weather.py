@@ -1,4 +1,4 @@
-"""Weather: snow, rain and smoke.
+"""Weather: rain and smoke.
 
 Compositing n smoke discs of opacity a over a pixel leaves ``(1 - a)^n`` of it, so it is enough to count the discs
 over each pixel. Each disc adds 1 at the left end of every row that it covers and subtracts 1 after the right end;
@@ -20,14 +20,11 @@ from brink.sim.perturbations.layers import (
     darken_complement,
     reference_scale,
     resize_field,
-    scale_lightness,
     to_layer,
     to_pixels,
 )
 from brink.sim.perturbations.lens import wet_lens
 
-SNOW_THRESHOLD = 85.0
-SNOW_THRESHOLD_MORE = 127.5
 RAIN_BLUR_PX = 7
 RAIN_LIGHTNESS = 0.7
 DROP_GREY = 200
@@ -58,18 +55,6 @@ _RAIN = {
     4: _Rain(area_px=600, length_px=30, wet=True),
     5: _Rain(area_px=500, length_px=60, wet=True),
 }
-
-
-def snow(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Scale the lightness of dark pixels; the threshold is ``85 + 127.5 U(0, 0.5)`` of 255.
-
-    Args:
-        frame: The frame.
-        value: Factor on the lightness.
-        rng: Draws the threshold.
-    """
-    threshold = SNOW_THRESHOLD + SNOW_THRESHOLD_MORE * rng.uniform(0, 0.5)
-    return scale_lightness(frame, value, below=threshold)
 
 
 def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:

@@ -131,33 +131,63 @@ def test_brightness_adds_and_contrast_multiplies_with_clipping(level: int) -> No
     assert np.abs(perturb(frame, "contrast", level) - steeper).max() <= 0.51
 
 
+def flakes(level: int, seed: int) -> tuple[Frame, np.ndarray, np.ndarray]:
+    """Return snow in the dark, how bright its flakes are above the veil, and the areas of the flakes in px."""
+    snowy = perturb(grey(0), "snow", level, seed=seed)
+    above = snowy[..., 0].astype(int) - int(np.median(snowy))
+    _, _, stats, _ = cv2.connectedComponentsWithStats((above > 30).astype(np.uint8))
+    return snowy, above, stats[1:, cv2.CC_STAT_AREA]
+
+
+def test_snow_falls_at_several_depths_and_more_of_it_at_every_level() -> None:
+    shares, counts = [], []
+    for level in range(1, 6):
+        _, above, areas = flakes(level, seed=0)
+        shares.append((above > 30).mean())
+        counts.append(len(areas))
+        assert np.percentile(areas, 20) < 12
+        assert areas.max() > 20 * np.median(areas), "few flakes are near"
+    assert (np.diff(shares) > 0).all(), shares
+    assert counts[0] > 300
+    assert counts[2] > 2.5 * counts[0]
+
+
+def test_all_flakes_fall_in_the_direction_of_the_wind() -> None:
+    directions = []
+    for seed in range(6):
+        _, above, _ = flakes(1, seed)
+        _, labels = cv2.connectedComponents((above > 30).astype(np.uint8))
+        sizes = np.bincount(labels.ravel())
+        angles = []
+        for label in np.flatnonzero((sizes > 40) & (sizes < 150)).tolist():
+            ys, xs = np.nonzero(labels == label)
+            values, vectors = np.linalg.eigh(np.cov(xs, ys))
+            if values[1] > 6 * values[0]:
+                angles.append(np.arctan(vectors[0, 1] / vectors[1, 1]))
+        assert len(angles) >= 5
+        assert np.subtract(*np.percentile(angles, [75, 25])) < 0.3
+        directions.append(np.median(angles))
+    assert np.ptp(directions) > 0.3, "the wind differs from frame to frame"
+
+
 @pytest.mark.parametrize("level", range(1, 6))
-def test_snow_scales_only_the_lightness_below_a_threshold(level: int) -> None:
-    ramp = np.repeat(np.arange(256, dtype=np.uint8), 3).reshape(1, 256, 3).repeat(64, axis=0)
-    factor = CATALOGUE["snow"].value(level)
-    assert factor is not None
-    thresholds = []
-    for seed in range(40):
-        snowy = perturb(ramp, "snow", level, seed=seed)[0, :, 0].astype(float)
-        below = np.flatnonzero(snowy != np.arange(256))
-        thresholds.append(below.max())
-        grey_values = np.arange(256)
-        expected = np.where(
-            grey_values <= below.max(), np.minimum(255, np.rint(factor * grey_values)), grey_values
-        )
-        np.testing.assert_allclose(snowy, expected, atol=1)
-    assert min(thresholds) >= 84
-    assert max(thresholds) <= 149
-    assert np.ptp(thresholds) > 30
+def test_settled_snow_and_the_veil_lighten_what_is_dark_and_lower_the_contrast(level: int) -> None:
+    value = CATALOGUE["snow"].value(level)
+    assert value is not None
+    opacity = 0.5 * (value - 1) / 4
+    for before in (0, 30, 60, 200, 240):  # below and above every threshold that may be drawn
+        veil = min(215, 70 + 1.1 * before)
+        settled = 0.25 * (min(255, value * before) - before) if before < 73 else 0
+        expected = opacity * veil + (1 - opacity) * (before + settled)
+        after = np.median(perturb(grey(before), "snow", level))
+        assert after == pytest.approx(expected, abs=2)
+    smooth = [cv2.GaussianBlur(f, (0, 0), 6) for f in (street(360), perturb(street(360), "snow", level))]
+    assert smooth[1].std() < (1 - 0.6 * opacity) * smooth[0].std()
 
 
-def test_snow_keeps_hue() -> None:
-    before, after = (
-        cv2.cvtColor(f, cv2.COLOR_RGB2HLS).astype(int) for f in (night(), perturb(night(), "snow", 2))
-    )
-    colourful = (before[..., 2] > 80) & (before[..., 1] > 20)
-    turned = np.abs(before[..., 0] - after[..., 0])[colourful]
-    assert np.median(np.minimum(turned, 180 - turned)) <= 2  # of 180; dark colours are quantised coarsely
+def test_snow_at_night_is_no_lighter_than_by_day() -> None:
+    for level in (1, 3, 5):
+        assert perturb(night(360), "snow", level).mean() < 0.6 * perturb(street(360), "snow", level).mean()
 
 
 def test_rain_changes_more_from_drizzle_to_torrent_and_with_a_wet_lens() -> None:
