@@ -6,6 +6,7 @@ cumulative sums along the rows are the counts.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import cast
 
 import cv2
@@ -71,10 +72,16 @@ def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     drops = _draw_drops(frame, kind, rng)
     # The complement of the frame is blurred, because that is what is darkened.
     rainy = cv2.bitwise_not(frame)
-    cv2.copyTo(np.full_like(rainy, 255 - DROP_GREY), drops, rainy)
+    cv2.copyTo(_drop_light(rainy.shape), drops, rainy)
     side = 2 * round((RAIN_BLUR_PX - 1) / 2 * reference_scale(frame)) + 1
     darkened = darken_complement(cast(Frame, cv2.blur(rainy, (side, side))), RAIN_LIGHTNESS)
     return wet_lens(darkened, rng) if kind.wet else darkened
+
+
+@lru_cache(maxsize=2)
+def _drop_light(shape: tuple[int, ...]) -> Frame:
+    """Return a frame of the complement of the drops' grey."""
+    return np.full(shape, 255 - DROP_GREY, dtype=np.uint8)
 
 
 def _draw_drops(frame: Frame, kind: _Rain, rng: np.random.Generator) -> Layer:
