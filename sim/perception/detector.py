@@ -12,6 +12,8 @@ with grey. Its output, in px of its input, has one of two forms:
 - three arrays: boxes ``(n, 4)`` as x_min, y_min, x_max, y_max, scores ``(n,)`` and labels ``(n,)``, in this order or
   named ``boxes``, ``scores`` and ``labels``, as in torchvision's detectors.
 
+An ONNX file with the input and the outputs of `brink-det@1`, as Brink's own training writes it, runs like that one.
+
 Class names are read from ``FILE.json`` next to the weights, ``{"names": ["vehicle", "person"]}``, or from the
 metadata that YOLO's exporter writes. Without names, a single array of two classes means vehicle and person, and of
 80 classes COCO's in YOLO's order; three arrays use torchvision's COCO numbers. The size of the input is that of the
@@ -40,7 +42,13 @@ from brink.sim.catalogue import load_plugin, plugin_ids
 from brink.sim.episode import nearest
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import Detections, FloatArray, non_maximum_suppression
-from brink.sim.perception.user_files import CATEGORY_LABELS, KINDS, DetectorError, weights_file
+from brink.sim.perception.user_files import (
+    CATEGORY_LABELS,
+    KINDS,
+    DetectorError,
+    InvalidDetections,
+    weights_file,
+)
 
 Picture: TypeAlias = NDArray[np.uint8]
 
@@ -78,7 +86,60 @@ class Detector(Protocol):
         ...
 
 
-def find_detector(detector_id: str) -> Detector:
+class CheckedDetector:
+    """Checks everything that a detector returns, whatever its kind, so that a broken one never reads as a blind one.
+
+    Args:
+        detector: The detector.
+        source: Its id, named in messages.
+    """
+
+    def __init__(self, detector: Detector, source: str) -> None:
+        self._detector = detector
+        self._source = source
+
+    def detect(self, picture: Picture) -> Detections:
+        """Return the detections in an image.
+
+        Raises:
+            InvalidDetections: The detector returned something else.
+        """
+        found: object = self._detector.detect(picture)
+        if not isinstance(found, Detections):
+            raise InvalidDetections(f"{self._source}: expected Detections, got {type(found).__name__}")
+        shapes = [np.shape(part) for part in (found.labels, found.boxes, found.scores)]
+        count = len(found.labels) if shapes[0] else 0
+        if shapes != [(count,), (count, 4), (count,)]:
+            raise InvalidDetections(
+                f"{self._source}: expected labels (n,), boxes (n, 4) and scores (n,), got arrays of shapes {shapes}"
+            )
+        if not np.isin(found.labels, range(len(LABELS))).all():
+            raise InvalidDetections(
+                f"{self._source}: expected labels 0 (vehicle) and 1 (person), got "
+                f"{np.unique(found.labels).tolist()!r:.80}"
+            )
+        _check_finite(self._source, found.boxes, found.scores)
+        return found
+
+
+def _check_finite(source: str, boxes: NDArray[Any], scores: NDArray[Any]) -> None:
+    """Check that boxes and scores are numbers.
+
+    Networks' detectors call it before they select by score, because NaN is not above any threshold and would be
+    dropped, and before they clip boxes to the image, because infinity would become its edge.
+
+    Raises:
+        InvalidDetections: A number is NaN or infinite.
+    """
+    broken = [int(np.count_nonzero(~np.isfinite(part))) for part in (scores, boxes)]
+    if any(broken):
+        raise InvalidDetections(
+            f"{source}: expected finite scores and boxes, got NaN or infinity in {broken[0]} of {scores.size} scores "
+            f"and {broken[1]} of {boxes.size} coordinates of boxes"
+        )
+
+
+def find_detector(detector_id: str) -> CheckedDetector:
     """Return the detector with the given id; detectors are stateless, so it may be shared.
 
     Args:
@@ -90,7 +151,7 @@ def find_detector(detector_id: str) -> Detector:
     """
     if ":" in detector_id:
         try:
-            return load_file_detector(detector_id)
+            return CheckedDetector(load_file_detector(detector_id), detector_id)
         except DetectorError as error:
             raise InvalidEpisode(str(error)) from error
     try:
@@ -99,7 +160,7 @@ def find_detector(detector_id: str) -> Detector:
         known = plugin_ids(DETECTORS)
         expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)]) + nearest(detector_id, known)
         raise InvalidEpisode(f"detector: expected one of {expected}; got {detector_id!r}") from None
-    return cast(Callable[[], Detector], factory)()
+    return CheckedDetector(cast(Callable[[], Detector], factory)(), detector_id)
 
 
 def _check_picture(picture: Picture) -> None:
@@ -173,6 +234,19 @@ def decode(heat: FloatArray, edges: FloatArray) -> Detections:
     return Detections(labels=labels[kept], boxes=boxes[kept], scores=peak_scores[kept])
 
 
+_GRID: Final = (INPUT_PX[1] // STRIDE, INPUT_PX[0] // STRIDE)
+_OWN_SHAPES: Final = [(1, 3, *INPUT_PX[::-1]), (1, len(LABELS), *_GRID), (1, len(LABELS), 4, *_GRID)]
+
+
+def _shapes(session: onnxruntime.InferenceSession) -> list[tuple[Any, ...]]:
+    return [tuple(put.shape) for put in (*session.get_inputs(), *session.get_outputs())]
+
+
+def has_own_shapes(session: onnxruntime.InferenceSession) -> bool:
+    """Return whether a network has the input and the outputs of `brink-det@1`, as Brink's own training writes it."""
+    return _shapes(session) == _OWN_SHAPES
+
+
 class NetworkDetector:
     """Runs a network of `brink-det` with onnxruntime on one thread.
 
@@ -182,15 +256,20 @@ class NetworkDetector:
 
     Raises:
         DetectorError: The file cannot be loaded, or is a different network.
+
+    Attributes:
+        labels: The labels that it may give.
     """
+
+    labels = frozenset(range(len(LABELS)))
 
     def __init__(self, weights: Path) -> None:
         self._session = _load_onnx(weights)
-        shapes = [tuple(put.shape) for put in (*self._session.get_inputs(), *self._session.get_outputs())]
-        grid = (INPUT_PX[1] // STRIDE, INPUT_PX[0] // STRIDE)
-        expected = [(1, 3, *INPUT_PX[::-1]), (1, len(LABELS), *grid), (1, len(LABELS), 4, *grid)]
-        if shapes != expected:
-            raise DetectorError(f"{weights}: expected input and outputs of shapes {expected}, got {shapes}")
+        if not has_own_shapes(self._session):
+            raise DetectorError(
+                f"{weights}: expected input and outputs of shapes {_OWN_SHAPES}, got {_shapes(self._session)}"
+            )
+        self._weights = weights
         self._input = self._session.get_inputs()[0].name
 
     def infer(self, canvas: Picture) -> tuple[FloatArray, FloatArray]:
@@ -201,7 +280,9 @@ class NetworkDetector:
     def detect(self, picture: Picture) -> Detections:
         """Return the detections in an image."""
         canvas, scale = fit_picture(picture)
-        found = decode(*self.infer(canvas))
+        heat, edges = self.infer(canvas)
+        _check_finite(str(self._weights), edges, heat)
+        found = decode(heat, edges)
         boxes = np.clip(found.boxes / np.float32(scale), 0.0, _limits(picture))
         return Detections(labels=found.labels, boxes=boxes, scores=found.scores)
 
@@ -298,6 +379,7 @@ class FileDetector:
         label_of = _labels_by_name(self._network.names) or default_labels
         labels = np.array([label_of.get(int(index), -1) for index in classes], np.int64)
         known = (labels >= 0) & (scores >= MIN_SCORE)
+        _check_finite(self._source, boxes[known], scores)
         boxes, scores, labels = boxes[known], scores[known], labels[known]
         best = np.argsort(-scores, kind="stable")[:MAX_DETECTIONS]
         boxes, scores, labels = boxes[best], scores[best], labels[best]
@@ -387,9 +469,9 @@ def _letterbox(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, flo
 
 
 class _OnnxNetwork:
-    def __init__(self, file: Path) -> None:
-        self._session = _load_onnx(file)
-        inputs = self._session.get_inputs()
+    def __init__(self, file: Path, session: onnxruntime.InferenceSession) -> None:
+        self._session = session
+        inputs = session.get_inputs()
         shape = list(inputs[0].shape) if inputs else []
         if len(inputs) != 1 or len(shape) != 4 or shape[1] != 3:
             raise DetectorError(
@@ -458,19 +540,21 @@ class UltralyticsDetector:
             self._model = package.YOLO(str(file))
         except Exception as error:  # its errors have no common class
             raise DetectorError(f"{file}: cannot be loaded by ultralytics: {error}") from error
+        self._source = str(file)
         self._label_of = _labels_by_name(dict(self._model.names))
         self.labels = frozenset(self._label_of.values())
         if not self.labels:
             raise DetectorError(
                 f"{file}: expected a network with at least one of the classes {', '.join(CATEGORY_LABELS)}"
             )
+        self._find(np.full((64, 64, 3), _PADDING, np.uint8))
+        # The package drops NaN when it selects by score, so the network's own output is checked.
+        self._model.predictor.model.register_forward_hook(self._check_output)
 
     def detect(self, picture: Picture) -> Detections:
         """Return the detections in an image."""
-        found = self._model.predict(
-            picture[:, :, ::-1], conf=MIN_SCORE, iou=NMS_OVERLAP, max_det=MAX_DETECTIONS, device="cpu",
-            verbose=False,
-        )[0].boxes  # fmt: skip
+        _check_picture(picture)
+        found = self._find(picture)
         classes = found.cls.cpu().numpy().astype(int)
         labels = np.array([self._label_of.get(int(index), -1) for index in classes], np.int64)
         known = labels >= 0
@@ -480,9 +564,27 @@ class UltralyticsDetector:
             scores=found.conf.cpu().numpy().astype(np.float32)[known],
         )
 
+    def _find(self, picture: Picture) -> Any:
+        return self._model.predict(
+            picture[:, :, ::-1], conf=MIN_SCORE, iou=NMS_OVERLAP, max_det=MAX_DETECTIONS, device="cpu",
+            verbose=False,
+        )[0].boxes  # fmt: skip
+
+    def _check_output(self, _module: Any, _inputs: Any, output: Any) -> None:
+        """Check a network's output: an array (1, 4 + classes, n), or a tuple that begins with one."""
+        while isinstance(output, list | tuple):
+            output = output[0]
+        rows = output.cpu().numpy()
+        broken = int(np.count_nonzero(~np.isfinite(rows)))
+        if broken:
+            raise InvalidDetections(
+                f"{self._source}: expected finite scores and boxes, got NaN or infinity in {broken} of {rows.size} "
+                "numbers of the network's output"
+            )
+
 
 @cache
-def load_file_detector(detector_id: str) -> "FileDetector | UltralyticsDetector":
+def load_file_detector(detector_id: str) -> FileDetector | NetworkDetector | UltralyticsDetector:
     """Load the detector with an id such as ``onnx:FILE``, once per process.
 
     Raises:
@@ -496,8 +598,14 @@ def load_file_detector(detector_id: str) -> "FileDetector | UltralyticsDetector"
     kind = detector_id.partition(":")[0]
     if kind == "ultralytics":
         return UltralyticsDetector(file)
-    network = _OnnxNetwork(file) if kind == "onnx" else _TorchNetwork(file)
-    return FileDetector(network, str(file))
+    if kind == "torchscript":
+        return FileDetector(_TorchNetwork(file), str(file))
+    session = _load_onnx(file)
+    return (
+        NetworkDetector(file)
+        if has_own_shapes(session)
+        else FileDetector(_OnnxNetwork(file, session), str(file))
+    )
 
 
 def _import(module: str, kind: str, requirement: str) -> Any:

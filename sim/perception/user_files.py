@@ -7,8 +7,9 @@ A data set is read completely or rejected. Boxes of persons and vehicles are kep
 Crowds and very small boxes are ignored, as in COCO's own evaluation.
 
 SimulatorError
-├── DetectorError    a detector cannot be loaded, or cannot process an image
-└── DatasetError     a data set is missing or invalid
+├── DetectorError          a detector cannot be loaded, or cannot process an image
+│   └── InvalidDetections  final, also an InvalidEpisode: a detector answered an image with NaN or without boxes
+└── DatasetError           a data set is missing or invalid
 
 Source: the COCO data format, https://cocodataset.org/#format-data.
 """
@@ -27,7 +28,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from brink.sim.errors import SimulatorError
+from brink.sim.errors import InvalidEpisode, SimulatorError
 from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, GroundTruth, too_small
 
 MAX_BYTES: Final = 2 * 1024**3
@@ -51,6 +52,13 @@ _Box: TypeAlias = tuple[int, tuple[float, float, float, float], bool]
 
 class DetectorError(SimulatorError):
     """A detector cannot be loaded, or cannot process an image."""
+
+
+class InvalidDetections(DetectorError, InvalidEpisode):
+    """A detector's answer to an image is not a set of detections, such as one with a score of NaN.
+
+    It is final, because a detector answers the same image in the same way.
+    """
 
 
 class DatasetError(SimulatorError):

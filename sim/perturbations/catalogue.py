@@ -6,12 +6,13 @@ coordinator can build a search space of genes that only workers can apply.
 SimulatorError
 └── PerturbationError
     ├── InvalidPerturbation  final, also an InvalidEpisode: unknown gene or level; fix the specification
-    ├── InvalidFrame         the input is not an RGB uint8 image
+    ├── InvalidFrame         the input is not an RGB uint8 image, or its index is not an integer >= 0
     ├── PerturbationFailed   a transform raised, or did not return an image; names the gene
     └── VisionMissing        OpenCV is not installed
 
 Source: Ferreira et al. 2022, table I. Two of its levels have no effect and are replaced (docs/adr/0022): snow 1,
-which scales lightness by 1, and blur 1, whose kernel is one pixel. Pixel sizes refer to frames 720 px high.
+which scales lightness by 1, and blur 1, whose kernel is one pixel. Snow also falls (docs/adr/0050). Pixel sizes
+refer to frames 720 px high.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,7 +35,7 @@ class InvalidPerturbation(PerturbationError, InvalidEpisode):
 
 
 class InvalidFrame(PerturbationError):
-    """The input is not an RGB uint8 image of a usable size."""
+    """The input is not an RGB uint8 image of a usable size, or its index is not an integer >= 0."""
 
 
 class PerturbationFailed(PerturbationError):
@@ -159,7 +160,7 @@ _GENES = (
         name="snow",
         values=(1.5, 2.0, 3.0, 4.0, 5.0),
         unit="factor of lightness",
-        effect="scales the lightness (HLS) of pixels darker than a random threshold, like snow cover",
+        effect="falling flakes and their veil, the more the larger v is; settled snow takes v as its factor",
     ),
     Gene(
         name="broken_lens",

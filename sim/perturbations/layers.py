@@ -3,6 +3,7 @@
 A layer consists of two images: the transmission of the frame behind it, and the light that it adds.
 """
 
+from functools import cache
 from typing import TypeAlias, cast
 
 import cv2
@@ -78,6 +79,51 @@ def scale_lightness(frame: Frame, factor: float, below: float = 256.0) -> Frame:
     # The round trip through HLS loses a few grey values, so unchanged pixels are copied from the frame.
     _, kept = cv2.threshold(lightness, np.ceil(below) - 1, 255, cv2.THRESH_BINARY)
     return cast(Frame, cv2.copyTo(frame, kept, scaled))
+
+
+GAIN_STEPS = 45
+"""Integer that stands for the gain of dark pixels in `darken_complement`; the largest gain is 255 / 45 of it."""
+
+
+def darken_complement(complement: Frame, factor: float) -> Frame:
+    """Multiply the lightness of a smooth frame by a factor below 1, like `scale_lightness` in half the time.
+
+    With hue and saturation fixed, the complement y of a channel becomes ``a y + c``, where a and c only depend on the
+    pixel's lightness. They vary smoothly, so they are looked up at a quarter of the resolution. Saturated colours
+    that are almost white become less saturated.
+
+    Args:
+        complement: 255 minus the frame, shape ``(height, width, 3)``, without details of a few pixels; changed.
+        factor: Factor on the lightness, in [.5, 1).
+
+    Returns:
+        The darkened frame, not its complement.
+    """
+    height, width = complement.shape[:2]
+    quarter = (-(-width // 4), -(-height // 4))
+    red, green, blue = cv2.split(cv2.resize(complement, quarter, interpolation=cv2.INTER_AREA))
+    most, least = (pick(pick(red, green), blue) for pick in (cv2.max, cv2.min))
+    darkness = cv2.addWeighted(most, 0.5, least, 0.5, 0)
+    gain, offset = (
+        cast(Layer, cv2.resize(cv2.LUT(darkness, table), (width, height), interpolation=cv2.INTER_LINEAR))
+        for table in _darkening(factor)
+    )
+    cv2.multiply(complement, _to_rgb(gain), dst=complement, scale=factor / GAIN_STEPS)
+    cv2.add(complement, _to_rgb(offset), dst=complement)
+    return cast(Frame, cv2.bitwise_not(complement, dst=complement))
+
+
+@cache
+def _darkening(factor: float) -> tuple[Layer, Layer]:
+    """Return the gain, in units of ``factor / GAIN_STEPS``, and the offset for each darkness, 255 minus lightness."""
+    before = 1 - np.arange(256) / 255
+    after = factor * before
+    # Chroma is the saturation times 2 L for dark colours and times 2 (1 - L) for light ones.
+    room_before, room_after = (np.minimum(light, 1 - light) for light in (before, after))
+    gain = np.divide(room_after, room_before, out=np.full(256, factor), where=room_before > 0)
+    gain = np.minimum(gain, factor * 255 / GAIN_STEPS)
+    offset = (1 - after) - gain * (1 - before)
+    return np.rint(gain * GAIN_STEPS / factor).astype(np.uint8), np.rint(255 * offset).astype(np.uint8)
 
 
 def clouds(shape: tuple[int, int], cell_px: float, octaves: int, rng: np.random.Generator) -> Field:

@@ -133,7 +133,13 @@ def generator(seed: int, position: int, frame: int) -> np.random.Generator:
         seed: The episode's seed, >= 0.
         position: Position of the perturbation in its list, from 0.
         frame: Index of the frame, from 0.
+
+    Raises:
+        InvalidPerturbation: One of them is not an integer >= 0.
     """
+    for name, word in (("seed", seed), ("position", position), ("frame", frame)):
+        if not _is_index(word):
+            raise InvalidPerturbation(f"{name}: expected an integer >= 0, got {word!r}")
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(STREAM, position, frame)))
 
 
@@ -183,7 +189,7 @@ class Pipeline:
             stays in place.
 
     Raises:
-        InvalidPerturbation: An item is not a perturbation, or the seed is negative.
+        InvalidPerturbation: An item is not a perturbation, or the seed is not an integer >= 0.
     """
 
     perturbations: tuple[Perturbation, ...]
@@ -198,7 +204,7 @@ class Pipeline:
                 raise InvalidPerturbation(
                     f"expected Perturbation objects, got {perturbation!r}; use parse_perturbations for other forms"
                 )
-        if self.seed < 0:
+        if not _is_index(self.seed):
             raise InvalidPerturbation(f"seed: expected an integer >= 0, got {self.seed!r}")
 
     def __call__(self, frame: Frame, index: int) -> Frame:
@@ -209,15 +215,21 @@ class Pipeline:
             index: Index of the frame in its episode, from 0.
 
         Raises:
-            InvalidFrame: `frame` is not such an image.
+            InvalidFrame: `frame` is not such an image, or `index` is not an integer >= 0.
             PerturbationFailed: A transform raised, or did not return such an image; the message names the gene.
             VisionMissing: OpenCV is not installed.
         """
         check_frame(frame)
+        if not _is_index(index):
+            raise InvalidFrame(f"index: expected the index of a frame, an integer >= 0, got {index!r}")
         drawn_at = index if self.mode is Mode.PER_FRAME else 0
         for position, perturbation in enumerate(self.perturbations):
             frame = apply(frame, perturbation, generator(self.seed, position, drawn_at))
         return frame
+
+
+def _is_index(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 0
 
 
 def _transform(name: str) -> Transform:

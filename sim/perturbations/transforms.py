@@ -15,7 +15,8 @@ import numpy as np
 from brink.sim.perturbations.catalogue import Frame, Transform
 from brink.sim.perturbations.layers import REFERENCE_HEIGHT_PX, Layer, reference_scale, to_pixels
 from brink.sim.perturbations.lens import broken_lens, condensation, dirty, sun_flare
-from brink.sim.perturbations.weather import rain, smoke, snow
+from brink.sim.perturbations.snow import snow
+from brink.sim.perturbations.weather import rain, smoke
 
 SHIFT_PX = 3.0
 NOISE_SEED = 20220928
@@ -60,6 +61,12 @@ def _noise_pool(variance: float, size: int) -> tuple[Layer, Layer]:
     return np.clip(noise, 0, 255).astype(np.uint8), np.clip(-noise, 0, 255).astype(np.uint8)
 
 
+HALVED_FROM_PX = 2.9
+"""Standard deviation from which a blur is computed at half the resolution."""
+PYRAMID_VARIANCE = 2.0
+"""Variance in px^2 of halving and doubling a frame, by a kernel of 1 4 6 4 1 each."""
+
+
 def _gaussian_blur(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     """Blur with a Gaussian kernel of `value` px, at least 3.
 
@@ -67,8 +74,31 @@ def _gaussian_blur(frame: Frame, value: float, rng: np.random.Generator) -> Fram
     """
     kernel_px = value * reference_scale(frame)
     sigma_px = 0.3 * ((kernel_px - 1) / 2 - 1) + 0.8
-    side = 2 * max(1, round((kernel_px - 1) / 2)) + 1
+    radius = max(1, round((kernel_px - 1) / 2))
+    if sigma_px >= HALVED_FROM_PX:
+        return _blur_halved(frame, radius, sigma_px)
+    side = 2 * radius + 1
     return cast(Frame, cv2.GaussianBlur(frame, (side, side), sigma_px))
+
+
+def _blur_halved(frame: Frame, radius: int, sigma_px: float) -> Frame:
+    """Blur at half the resolution, which takes less than half the time and is as close to the exact result.
+
+    Halving, blurring and doubling are convolutions with almost Gaussian kernels, whose variances add up. The result
+    differs from the exact one by up to 2 grey levels, as does that of OpenCV's own filter with integer weights.
+    """
+    height, width = frame.shape[:2]
+    offsets = np.arange(-radius, radius + 1)
+    weights = np.exp(-(offsets**2) / (2 * sigma_px**2))
+    variance = float((weights * offsets**2).sum() / weights.sum())  # of the truncated kernel
+    sigma = ((variance - PYRAMID_VARIANCE) / 4) ** 0.5
+    side = 2 * int(np.ceil(3.2 * sigma)) + 1
+    # The last row and column may lie between those of the halved frame, which cannot mirror at them.
+    margin = 2 * (radius // 2 + 1)
+    wide = cv2.copyMakeBorder(frame, 0, margin, 0, margin, cv2.BORDER_REFLECT_101)
+    small = cv2.GaussianBlur(cv2.pyrDown(wide), (side, side), sigma)
+    blurred = cv2.pyrUp(small, dstsize=(width + margin, height + margin))
+    return np.ascontiguousarray(blurred[:height, :width])
 
 
 GRID_PX = 10.0

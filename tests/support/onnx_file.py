@@ -1,7 +1,7 @@
 """ONNX files of tiny networks, written without the package onnx, which is not among the test tools.
 
-A network returns one constant array, whatever its input image; it may insist on a size of the image. The numbers of
-the fields are those of onnx.proto.
+A network returns one constant array, whatever its input image; it may insist on a size of the image, and answer with
+NaN. The numbers of the fields are those of onnx.proto.
 """
 
 import struct
@@ -24,6 +24,7 @@ def write_network(
     input_px: tuple[int, int] | None = None,
     needs_px: tuple[int, int] | None = None,
     metadata: Mapping[str, str] | None = None,
+    nan_unless_mean: float | None = None,
 ) -> str:
     """Write a network; return its detector id.
 
@@ -33,6 +34,7 @@ def write_network(
         input_px: Width and height of the input that it states; None for any.
         needs_px: Width and height of the images on which it works; None for any.
         metadata: What its exporter says of it.
+        nan_unless_mean: The mean, in [0, 1], of the only images on which its output is not NaN.
     """
     width_px, height_px = input_px or (0, 0)
     sides: list[int | str] = [1, 3, height_px, width_px] if input_px else [1, 3, "height", "width"]
@@ -43,11 +45,19 @@ def write_network(
         constants["grid"] = np.zeros((1, 3, needs_px[1], needs_px[0]), np.float32)
         nodes.append(_node("Add", ["images", "grid"], "seen"))
         seen = "seen"
-    nodes += [
-        _node("ReduceMean", [seen], "mean", keepdims=0),
-        _node("Mul", ["mean", "nothing"], "none"),
-        _node("Add", ["boxes", "none"], "output0"),
-    ]
+    nodes.append(_node("ReduceMean", [seen], "mean", keepdims=0))
+    factor = "mean"
+    if nan_unless_mean is not None:  # the root of a negative number, unless the mean is within .001
+        constants["wanted"] = np.full(1, nan_unless_mean, np.float32)
+        constants["near"] = np.full(1, 0.001, np.float32)
+        nodes += [
+            _node("Sub", ["mean", "wanted"], "beyond"),
+            _node("Abs", ["beyond"], "apart"),
+            _node("Sub", ["near", "apart"], "left"),
+            _node("Sqrt", ["left"], "root"),
+        ]
+        factor = "root"
+    nodes += [_node("Mul", [factor, "nothing"], "none"), _node("Add", ["boxes", "none"], "output0")]
     graph = b"".join(
         [
             *(_message(1, node) for node in nodes),

@@ -1,6 +1,7 @@
 """Detectors and labelled data in users' files, and the inputs that are refused."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,19 @@ from PIL import Image
 from support.onnx_file import write_network
 
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.detector import NetworkDetector, find_detector, fit_picture, load_file_detector
+from brink.sim.perception.boxes import Detections
+from brink.sim.perception.detector import (
+    WEIGHTS,
+    CheckedDetector,
+    NetworkDetector,
+    find_detector,
+    fit_picture,
+    load_file_detector,
+)
 from brink.sim.perception.user_files import (
     DatasetError,
     DetectorError,
+    InvalidDetections,
     check_loads,
     check_sample,
     read_coco,
@@ -267,3 +277,103 @@ def test_weights_that_cannot_be_loaded_are_refused(tmp_path: Path) -> None:
 def test_an_unknown_detector_gets_a_suggestion() -> None:
     with pytest.raises(InvalidEpisode, match="did you mean 'brink-det@1'"):
         find_detector("brink-dot@1")
+
+
+OWN_WEIGHTS = Path(str(files("brink.sim.perception").joinpath(WEIGHTS)))
+
+
+def test_weights_of_brinks_own_training_are_accepted(tmp_path: Path) -> None:
+    file = tmp_path / "mine.onnx"
+    file.write_bytes(OWN_WEIGHTS.read_bytes())
+    assert check_loads(f"onnx:{file}") == frozenset({0, 1})
+    picture = np.random.default_rng(0).integers(0, 256, (180, 320, 3), dtype=np.uint8)
+    mine, shipped = (find_detector(name).detect(picture) for name in (f"onnx:{file}", "brink-det@1"))
+    np.testing.assert_array_equal(mine.boxes, shipped.boxes)
+    np.testing.assert_array_equal(mine.scores, shipped.scores)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("row", "message"), [(0, r"0 of 3 scores and 6 of 12 coor"), (4, r"3 of 3 scores and")]
+)
+def test_a_network_that_answers_nan_or_infinity_is_refused(
+    tmp_path: Path, value: float, row: int, message: str
+) -> None:
+    output = yolo(2)
+    output[0, row] = output[0, 5 if row == 4 else row] = value
+    name = write_network(tmp_path / "net.onnx", output, input_px=(320, 192))
+    with pytest.raises(
+        DetectorError, match=r"net\.onnx: expected finite scores and boxes, got NaN or infinity"
+    ) as caught:
+        check_loads(name)
+    with pytest.raises(InvalidDetections, match=message):
+        load_file_detector(name)
+    assert "InvalidDetections" not in str(caught.value), "the message stands for itself"
+
+
+def test_infinite_boxes_without_a_score_do_not_matter(tmp_path: Path) -> None:
+    output = yolo(2)
+    output[0, 2:4, 0], output[0, 4:, 0] = np.inf, 0.0  # an exponential that overflowed, in the background
+    name = write_network(tmp_path / "net.onnx", output, input_px=(320, 192))
+    assert np.isfinite(find_detector(name).detect(BRIGHT).boxes).all()
+
+
+class _BrokenSession:
+    """The session of a network of `brink-det@1` whose output is NaN somewhere."""
+
+    def __init__(self, session: Any, output: int, value: float) -> None:
+        self._session, self._output, self._value = session, output, value
+
+    def run(self, names: None, inputs: dict[str, Any]) -> list[NDArray[np.float32]]:
+        """Return the network's outputs, one of them broken."""
+        outputs: list[NDArray[np.float32]] = self._session.run(names, inputs)
+        outputs[self._output].flat[:: 7 if self._output == 0 else 1] = self._value
+        return outputs
+
+
+@pytest.mark.parametrize("output", [0, 1], ids=["heat", "edges"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_network_of_our_own_kind_that_answers_nan_or_infinity_is_refused(output: int, value: float) -> None:
+    detector = NetworkDetector(OWN_WEIGHTS)
+    detector._session = _BrokenSession(detector._session, output, value)
+    with pytest.raises(
+        InvalidDetections, match=r"brink-det-1\.onnx: expected finite scores and boxes, got NaN"
+    ):
+        detector.detect(BRIGHT)
+
+
+def detections(**changes: Any) -> Detections:
+    one = {
+        "labels": np.array([1]),
+        "boxes": np.array([[1.0, 2.0, 3.0, 4.0]], np.float32),
+        "scores": np.array([0.5], np.float32),
+    }
+    return Detections(**{**one, **changes})
+
+
+class _Answers:
+    """A detector from a plug-in that gives a fixed answer."""
+
+    def __init__(self, answer: Any) -> None:
+        self._answer = answer
+
+    def detect(self, picture: NDArray[np.uint8]) -> Detections:
+        """Return the answer."""
+        return self._answer  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (detections(scores=np.array([np.nan], np.float32)), "1 of 1 scores and 0 of 4 coordinates of boxes"),
+        (detections(boxes=np.array([[1, np.inf, 3, np.nan]], np.float32)), "0 of 1 scores and 2 of 4 coordinates"),
+        (detections(boxes=np.ones((2, 4), np.float32)), r"boxes \(n, 4\) and scores \(n,\), got arrays of shapes"),
+        (detections(labels=np.array([2])), r"expected labels 0 \(vehicle\) and 1 \(person\), got \[2\]"),
+        (None, "expected Detections, got NoneType"),
+    ],
+    ids=["score", "box", "shape", "label", "nothing"],
+)  # fmt: skip
+def test_answers_of_plug_ins_are_checked(answer: Any, message: str) -> None:
+    assert CheckedDetector(_Answers(detections()), "mine@1").detect(BRIGHT).labels.tolist() == [1]
+    with pytest.raises(InvalidDetections, match=rf"^mine@1: .*{message}"):
+        CheckedDetector(_Answers(answer), "mine@1").detect(BRIGHT)

@@ -18,6 +18,7 @@ from brink.sim.perturbations import (
     Gene,
     InvalidFrame,
     InvalidPerturbation,
+    Mode,
     Perturbation,
     PerturbationFailed,
     Pipeline,
@@ -85,8 +86,27 @@ def test_numpy_levels_are_stored_as_plain_integers() -> None:
 def test_a_pipeline_refuses_other_objects_and_negative_seeds() -> None:
     with pytest.raises(InvalidPerturbation, match="got 'rain:3'; use parse_perturbations"):
         Pipeline(("rain:3",), seed=0)  # type: ignore[arg-type]
-    with pytest.raises(InvalidPerturbation, match="seed: expected an integer >= 0, got -1"):
-        Pipeline((), seed=-1)
+    for seed in (-1, 1.5, True, "1"):
+        with pytest.raises(InvalidPerturbation, match=f"seed: expected an integer >= 0, got {seed!r}"):
+            Pipeline((), seed=seed)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("index", [-1, 1.0, True, "3", None, np.int64(-1), np.float32(2)])
+def test_an_index_that_is_not_of_a_frame_is_refused(index: int, mode: Mode) -> None:
+    for perturbations in ((), (Perturbation("rain", 1),)):
+        with pytest.raises(
+            InvalidFrame, match="index: expected the index of a frame, an integer >= 0, got"
+        ) as caught:
+            Pipeline(perturbations, seed=0, mode=mode)(street(48), index)
+        assert repr(index) in str(caught.value)
+
+
+@pytest.mark.parametrize("words", [(-1, 0, 0), (0, 1.0, 0), (0, 0, True)])
+def test_a_generator_is_addressed_by_whole_numbers(words: tuple[int, int, int]) -> None:
+    with pytest.raises(InvalidPerturbation, match=r"(seed|position|frame): expected an integer >= 0, got"):
+        generator(*words)
+    assert generator(1, 2, np.int64(3)).random() == generator(1, 2, 3).random()  # type: ignore[arg-type]
 
 
 def test_mean_intensity_averages_over_the_genes() -> None:

@@ -103,7 +103,7 @@ def test_the_second_gene_is_applied_to_the_result_of_the_first() -> None:
     assert not np.array_equal(both, apply(frame, second, generator(4, 1, 7)))
 
 
-@pytest.mark.parametrize("gene", ["dirty", "broken_lens", "gaussian_noise", "rain"])
+@pytest.mark.parametrize("gene", ["dirty", "broken_lens", "gaussian_noise", "rain", "snow"])
 def test_random_fields_are_drawn_per_episode_or_per_frame(gene: str) -> None:
     frame = street()
     perturbations = (Perturbation(gene, TOP[gene]),)
