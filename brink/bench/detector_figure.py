@@ -12,7 +12,6 @@ from brink.plots.style import (
     INK,
     MUTED,
     TICK_PT,
-    WIDTH_PX,
     add_legend,
     new_figure,
     set_panel_title,
@@ -21,6 +20,8 @@ from brink.plots.style import (
 from brink.sim.perception.detector import LABELS
 
 HEIGHT_PX: Final = 720
+_PANELS: Final = ((0.06, 0.285), (0.395, 0.665), (0.75, 0.975))
+"""Left and right end of each panel, as shares of the width."""
 _CLASS_COLOURS: Final = dict(zip(LABELS, ("#009e73", "#e69f00"), strict=True))
 _STEP_COLOURS: Final = {Step.FIRST: "#9ecae1", Step.MIDDLE: "#4292c6", Step.HIGHEST: "#08306b"}
 
@@ -29,17 +30,13 @@ def figure_detector(found: DetectorAccuracy) -> Figure:
     """Plot average precision by distance, mAP under each perturbation, and precision against recall."""
     figure = new_figure(
         HEIGHT_PX,
-        f"What {found.detector} sees",
+        f"What {found.detector.rpartition('/')[2]} sees",
         f"{found.images:,} fresh images. Left and right: as they are. Middle: each perturbation alone, at its first, "
         "middle and highest level;\nthe line is the mAP on clean images.",
     )
-    grid = figure.add_gridspec(
-        1, 3, left=96 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - 200 / HEIGHT_PX, bottom=76 / HEIGHT_PX,
-        wspace=0.34, width_ratios=(1.0, 1.25, 1.0),
-    )  # fmt: skip
-    _plot_distances(figure.add_subplot(grid[0]), found)
-    _plot_genes(figure.add_subplot(grid[1]), found)
-    _plot_thresholds(figure.add_subplot(grid[2]), found)
+    low, high = 76 / HEIGHT_PX, 1 - 200 / HEIGHT_PX
+    for plot, (left, right) in zip((_plot_distances, _plot_genes, _plot_thresholds), _PANELS, strict=True):
+        plot(figure.add_axes((left, low, right - left, high - low)), found)
     keys = [
         Line2D([], [], color=colour, linewidth=2.2, label=name) for name, colour in _CLASS_COLOURS.items()
     ]
