@@ -171,16 +171,15 @@ def test_the_figure_shows_all_genes_and_distances(tmp_path: Path) -> None:
     figure.savefig(tmp_path / "detector.svg")
 
 
-def test_a_measurement_is_reproducible_and_its_seed_matters() -> None:
-    def run(seed: int) -> DetectorAccuracy:
+def test_a_measurement_is_reproducible() -> None:
+    def run() -> DetectorAccuracy:
         return measure_detector(
-            "brink-det@1", images=2, seed=seed, threshold=0.5, processes=1, genes=[CATALOGUE["gaussian_noise"]],
+            "brink-det@1", images=2, seed=2, threshold=0.5, processes=1, genes=[CATALOGUE["gaussian_noise"]],
             progress=lambda *_: None,
         )  # fmt: skip
 
-    first = run(2)
-    assert first.to_json() == run(2).to_json()
-    assert first.clean.map != run(3).clean.map
+    first = run()
+    assert first.to_json() == run().to_json()
     assert first.clean.map is not None
     assert first.clean.map > 0.5
     assert first.genes["gaussian_noise"][Step.HIGHEST].map < first.clean.map
