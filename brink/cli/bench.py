@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import httpx
 import typer
@@ -27,6 +27,9 @@ from brink.server.api.schemas import CampaignView
 from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from brink.bench.detector import ClassAccuracy, DetectorAccuracy, StepAccuracy
 
 bench = typer.Typer(
     help="Benchmark this installation and compare each figure with its target.", no_args_is_help=True
@@ -184,6 +187,111 @@ def simood(
     with _progress() as progress:
         rows = measure_simood(wanted, out, processes=processes, progress=progress)
     _conclude_rows(rows, as_json=as_json)
+
+
+@bench.command()
+def detector(
+    detector_id: Annotated[
+        str,
+        typer.Option(
+            "--detector",
+            metavar="ID",
+            help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE.",
+        ),
+    ] = "brink-det@2",
+    images: Annotated[int, typer.Option(min=10, help="Number of images.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the images and of the perturbations.")] = 2,
+    threshold: Annotated[
+        float, typer.Option(min=0.01, max=0.99, help="Minimum score of detections that reach the brake.")
+    ] = 0.5,
+    processes: Processes = 2,
+    picture: Annotated[Path | None, typer.Option(help="Also draw the figures: .png, .svg or .pdf.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how well a detector sees, on fresh images of the simulator and under each perturbation.
+
+    Reports mAP at an IoU of 0.5 by class, distance and visible share, mAP under each perturbation at three levels,
+    and precision and recall of people at the brake's threshold.
+
+    Example: brink bench detector --images 200 --picture detector.png
+    """
+    from brink.bench.detector import measure_detector
+    from brink.sim.errors import SimulatorError
+    from brink.sim.perception.detector import find_detector
+
+    check_picture(picture)
+    try:
+        find_detector(detector_id)
+    except SimulatorError as error:
+        raise InvalidInput.at("--detector", str(error).removeprefix("detector: ")) from None
+    with _progress() as progress:
+        found = measure_detector(
+            detector_id, images=images, seed=seed, threshold=threshold, processes=processes, progress=progress
+        )
+    if picture is not None:
+        from brink.bench.detector_figure import figure_detector
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        figure_detector(found).savefig(picture)
+    missed = any(row.met is False for row in found.rows)
+    _conclude(found.to_json(), *_detector_tables(found), as_json=as_json, missed=missed)
+
+
+def _detector_tables(found: "DetectorAccuracy") -> list[RenderableType]:
+    """Return the figures with targets, then tables by perturbation, class, distance and visible share."""
+    targets = _table(
+        ("what", "value", "target", "", "of"),
+        ((row.what, f"{row.value:.3f}", row.target, _met(row.met), row.note) for row in found.rows),
+    )
+    steps = {**found.genes, "mean": found.over_genes}
+    genes = _table(
+        (
+            "perturbation",
+            *(f"mAP {step}" for step in found.over_genes),
+            "people at first: precision",
+            "recall",
+        ),
+        ((gene, *_gene_cells(tuple(by_step.values()))) for gene, by_step in steps.items()),
+    )
+    classes = _table(
+        ("class", "boxes", "AP", f"precision at {found.threshold:g}", "recall"),
+        (
+            (
+                name,
+                f"{one.boxes:,}",
+                f"{one.average_precision:.3f}",
+                f"{one.precision:.3f}",
+                f"{one.recall:.3f}",
+            )
+            for name, one in found.clean.classes.items()
+        ),
+    )
+    bins = (
+        _table(
+            (header, "mAP", *(f"{name} {what}" for name in found.clean.classes for what in ("AP", "boxes"))),
+            (
+                (one.name, "–" if accuracy.map is None else f"{accuracy.map:.3f}",
+                 *(cell for name in found.clean.classes for cell in _class_cells(accuracy.classes.get(name))))
+                for one, accuracy in by_bin.items()
+            ),
+        )
+        for header, by_bin in (("distance", found.by_distance), ("visible share", found.by_visible_share))
+    )  # fmt: skip
+    tables: list[RenderableType] = [targets]
+    for table in (genes, classes, *bins):
+        tables += ["", table]
+    return tables
+
+
+def _gene_cells(steps: "Sequence[StepAccuracy]") -> Iterator[str]:
+    """Yield the mAP at each level, and precision and recall of people at the first."""
+    for value in (*(one.map for one in steps), steps[0].person_precision, steps[0].person_recall):
+        yield f"{value:.3f}"
+
+
+def _class_cells(one: "ClassAccuracy | None") -> tuple[str, str]:
+    """Return average precision and number of boxes of a class in a range; it may have none."""
+    return ("–", "0") if one is None else (f"{one.average_precision:.3f}", f"{one.boxes:,}")
 
 
 @bench.command()

@@ -262,20 +262,3 @@ def _match(boxes: FloatArray, truth: FloatArray, ignored: BoolArray) -> tuple[Bo
         elif np.any(overlap[index][ignored] >= MATCH_IOU):
             counts[index] = False
     return correct, counts
-
-
-def calibration(curve: Curve, bins: int = 10) -> list[tuple[float, float, int]]:
-    """Return the mean score, share of correct detections and number of detections of each non-empty score bin."""
-    edges = np.linspace(0.0, 1.0, bins + 1)
-    place = np.clip(np.digitize(curve.scores, edges) - 1, 0, bins - 1)
-    rows = []
-    for number in np.unique(place).tolist():
-        inside = place == number
-        rows.append(
-            (
-                float(curve.scores[inside].mean()),
-                float(curve.hits[inside].mean()),
-                int(np.count_nonzero(inside)),
-            )
-        )
-    return rows

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from brink.sim.perception.boxes import (
     Detections,
     GroundTruth,
-    calibration,
     curves,
     mean_average_precision,
     non_maximum_suppression,
@@ -121,8 +120,3 @@ def test_suppression_keeps_the_best_box_of_each_label() -> None:
         boxes(A, close, close, B), np.array([0.5, 0.9, 0.4, 0.3], np.float32), np.array([1, 1, 0, 1]), 0.6
     )
     assert got.tolist() == [1, 2, 3]
-
-
-def test_calibration_is_the_share_of_correct_detections_by_score() -> None:
-    (curve,) = curves([truth(A, B)], [found((*A, 0.95), (*C, 0.92), (*B, 0.15))])
-    assert calibration(curve) == [pytest.approx((0.15, 1.0, 1)), pytest.approx((0.935, 0.5, 2))]
