@@ -10,9 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from brink.search.analysis.avoidable import EXPLANATION, Avoidable, AvoidedBy, avoidable_first, by_words
 from brink.search.analysis.combinations import (
-    Chain,
     Combination,
-    Step,
     Tally,
     combinations,
     tally_by_step,
@@ -29,7 +27,7 @@ from brink.search.analysis.violations import (
 from brink.search.archive import Archive
 from brink.search.errors import UnsupportedSpace
 from brink.search.parameters import Categorical
-from brink.search.slots import slots_of
+from brink.search.slots import Chain, Step, slots_of
 from brink.search.space import SearchSpace
 from brink.server.api.context import Context, Services
 from brink.server.api.schemas import (

@@ -29,7 +29,7 @@ SIMOOD = {
 }  # fmt: skip
 
 
-SMALL = {**SIMOOD, "budget": {"simulations": 100}}
+SMALL = {**SIMOOD, "budget": {"simulations": 130}}
 
 
 def outcome_of(spec: dict[str, Any]) -> Completed:
