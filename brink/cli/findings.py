@@ -152,7 +152,7 @@ class CombinationFindings:
     def show(self, screen: Console, shown: int = CHAINS_SHOWN) -> None:
         """Print the chains, the techniques, and the summary sentence."""
         chains = self._found.combinations
-        table = plain_table("chain", "unsafe", "parts alone", "other order", "synergy", "")
+        table = plain_table("chain", "unsafe", "parts alone", "other order", "synergy", "", right={"synergy"})
         for one in chains[:shown]:
             table.add_row(
                 one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",

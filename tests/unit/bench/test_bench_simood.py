@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from brink.bench import simood_searches
 from brink.bench.measurement import Row
@@ -13,6 +14,7 @@ from brink.bench.simood import measure_simood
 from brink.bench.simood_costs import Times, time_rows
 from brink.bench.simood_searches import PAPER, Searches, hazard_p_value, spread_of, unique_genes
 from brink.bench.trials import Record, Records
+from brink.cli.commands import app
 from brink.search.algorithms.simood import SimoodConfig
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
@@ -153,6 +155,13 @@ def test_searches_with_the_papers_fitness_measure_no_parts(tmp_path: Path) -> No
     for config, parts in ((PAPER, False), (SimoodConfig(), True)):
         (campaign,) = found._campaigns("test", replace(config, generations=1), range(1))
         assert bool(len(campaign.state.parts)) is parts
+
+
+def test_an_unknown_detector_is_refused(tmp_path: Path) -> None:
+    command = ["bench", "simood", "A1", "--out", str(tmp_path), "--detector", "brnk-det@1"]
+    refused = CliRunner().invoke(app, command)
+    assert refused.exit_code != 0
+    assert "expected one of brink-det@1" in str(refused.exception)
 
 
 def test_tables_of_a_detector_are_in_a_folder_of_its_name(tmp_path: Path) -> None:
