@@ -4,15 +4,16 @@ A slot is two parameters: the technique, a category, and its intensity, a real n
 numbers of levels. Level i of a technique with n levels has the intensity i / (n - 1), so intensities of different
 techniques are comparable. Level 0 means "no effect": the slot is empty. The techniques of one vector all differ.
 
-`Slots` is the constraint on a component; `ChainGenome` samples, varies and ablates its vectors, the *individuals*.
+`Slots` is the constraint on a component; `ChainGenome` samples, varies and ablates its vectors, the *individuals*. A
+*chain* is what an individual applies: its steps in order, without empty slots.
 
 Source: Ferreira et al. 2022 (individuals of m distinct techniques with a level each; intensity eta).
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -22,6 +23,21 @@ from brink.search.space import Component, FloatArray, SearchSpace, frozen_array
 
 _MAX_ATTEMPTS: Final = 100
 """Number of mutations tried before an individual is drawn afresh; only a tiny catalogue needs so many."""
+
+
+class Step(NamedTuple):
+    """A technique at a level, both as indices."""
+
+    technique: int
+    level: int
+
+
+Chain: TypeAlias = tuple[Step, ...]
+
+
+def parts_of(chain: Chain) -> list[Chain]:
+    """Return every proper part of a chain but the empty one, shortest first, with the steps in their order."""
+    return [part for size in range(1, len(chain)) for part in itertools.combinations(chain, size)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +167,38 @@ class ChainGenome:
         names = [parameter.name for parameter in self.component.parameters]
         return [names.index(name) for name in self.slots.pairs[slot]]
 
+    @property
+    def single_count(self) -> int:
+        """Number of chains of one step."""
+        return sum(levels - 1 for levels in self.slots.levels)
+
+    def chain(self, individual: FloatArray) -> Chain:
+        """Return the chain that an individual applies."""
+        slots = [self.columns(slot) for slot in range(len(self.slots.pairs))]
+        steps = [(int(individual[technique]), float(individual[intensity])) for technique, intensity in slots]
+        chain = (Step(technique, self.slots.level(technique, intensity)) for technique, intensity in steps)
+        return tuple(step for step in chain if step.level)
+
+    def row(self, chain: Chain) -> FloatArray:
+        """Return the individual that applies a chain: its steps in the first slots, the other slots empty."""
+        individual = np.zeros(self.component.dimension)
+        for slot, (technique, level) in enumerate(chain):
+            individual[self.columns(slot)] = technique, self.slots.intensity(technique, level)
+        self._empty(individual, range(len(chain), len(self.slots.pairs)))
+        return frozen_array(individual)
+
+    def _empty(self, individual: FloatArray, slots: Iterable[int]) -> None:
+        """Empty some slots of a row in place.
+
+        They get the first free techniques, so that equal parts of two individuals are equal rows.
+        """
+        emptied = set(slots)
+        kept = set(range(len(self.slots.pairs))) - emptied
+        used = {int(individual[self.columns(slot)[0]]) for slot in kept}
+        free = iter(sorted(set(range(len(self.slots.levels))) - used))
+        for slot in sorted(emptied):
+            individual[self.columns(slot)] = next(free), 0.0
+
     def eta(self, individuals: FloatArray) -> FloatArray:
         """Return the mean intensity of each individual, shape ``(n, d)`` to ``(n,)``."""
         columns = [self.columns(slot)[1] for slot in range(len(self.slots.pairs))]
@@ -207,11 +255,7 @@ class ChainGenome:
         for size in range(len(slots)):
             for kept in itertools.combinations(range(len(slots)), size):
                 part = np.array(individual)
-                used = {int(part[slots[slot][0]]) for slot in kept}
-                # Empty slots get the first free techniques, so that equal parts of two individuals are equal rows.
-                free = iter(sorted(set(range(len(self.slots.levels))) - used))
-                for slot in set(range(len(slots))) - set(kept):
-                    part[slots[slot]] = next(free), 0.0
+                self._empty(part, set(range(len(slots))) - set(kept))
                 variants.append(part)
         for left, right in itertools.pairwise(slots):
             swapped = np.array(individual)

@@ -1,4 +1,4 @@
-"""The SiMOOD criteria A0 to A8: a safe baseline, hazards of perturbations, searches on a data set, and their cost.
+"""The SiMOOD criteria A0 to A9: a safe baseline, hazards of perturbations, searches on a data set, and their cost.
 
 Outcomes of episodes are stored, and criteria share them.
 """
@@ -6,31 +6,22 @@ Outcomes of episodes are stored, and criteria share them.
 import contextlib
 import csv
 import itertools
-import resource
-import statistics
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Final
 
-import numpy as np
-from scipy import stats
-
-from brink.bench.measurement import Progress, Row, at_least, at_most
-from brink.bench.trials import Record, Records, code_fingerprint, process_pool, run_record, single_threaded
-from brink.search.algorithm import Evaluation, Measured
-from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
-from brink.search.analysis.statistics import compared
-from brink.search.space import FloatArray
-from brink.search.streams import Stream, generator
-from brink.server.problems.aeb_crossing import AebCrossing, AebCrossingParams
-from brink.sim.episode import EpisodeSpec, Json
+from brink.bench.measurement import Progress, Row, at_least
+from brink.bench.simood_costs import Costs
+from brink.bench.simood_places import Criteria, NamedChain, Places, words_of
+from brink.bench.simood_searches import Searches
+from brink.bench.trials import Record, Records, code_fingerprint
+from brink.search.analysis.combinations import HAZARDOUS, SAFE
+from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.perturbations import CATALOGUE
 
-Chain: TypeAlias = tuple[tuple[str, int], ...]
-"""Genes and their levels, in the order in which they are applied."""
-
-CRITERIA: Final = ("A0", "A1", "A2", "A3", "A4", "A5", "A6", "A7", "A8")
+CRITERIA: Final = ("A0", "A1", "A2", "A3", "A4", "A5", "A6", "A7", "A8", "A9")
 CODE: Final = (
     "sim/aeb", "sim/bullet", "sim/perception", "sim/perturbations", "sim/rendering", "sim/requirements.py",
     "sim/world",
@@ -43,45 +34,37 @@ CLEAN_PLACES: Final = range(20)
 SWEEP_PLACES: Final = range(3)
 CONFIRMATION_PLACES: Final = range(5)
 OBSTACLE_PLACES: Final = range(10)
-MAX_SAFE_SHARE: Final = 0.2
-"""A chain is safe if at most this share of places is hazardous, and hazardous if at most this share is safe."""
-
-SEEDS: Final = range(10)
-REPEATS: Final = range(3)
-GENERATIONS: Final = (5, 10, 20)
-POPULATIONS: Final = (10, 20)
-OMEGAS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-SIGNIFICANCE_LEVEL: Final = 0.05
-BUDGET: Final = 10_000
-
-TARGET_SPEEDUP: Final = 10.0
-MAX_EXTRA_TIME: Final = 0.20
-MAX_EXTRA_MEMORY: Final = 0.05
-TIMED_CHAINS: Final = 12
-PICTURES: Final = (20, 60)
-"""Sizes of the data set. They rank individuals much as 240 pictures do: their alphas correlate by .97 and .99."""
-COST_PLACES: Final = range(2)
-FRAMES_IN_8_S: Final = 80
-MAX_CAMERA_EPISODE_S: Final = 0.9
-FINALISTS: Final = 2
-"""The paper's k: candidates that are simulated after a search on the data set."""
-_SIMOOD: Final = Simood()
+DEFAULT_REPEATS: Final = 3
+"""Searches with each configuration of tables II and III, and campaigns of A9; the paper has 10."""
 
 
-def measure_simood(criteria: Sequence[str], folder: Path, *, processes: int, progress: Progress) -> list[Row]:
+def measure_simood(
+    criteria: Sequence[str],
+    folder: Path,
+    *,
+    processes: int,
+    progress: Progress,
+    detector: str | None = None,
+    repeats: int = DEFAULT_REPEATS,
+) -> list[Row]:
     """Measure the given criteria. Outcomes of episodes are stored in the folder and reused.
 
     Args:
         criteria: Some of `CRITERIA`; A3 and A4 are one measurement.
-        folder: Folder for tables, figures and outcomes.
+        folder: Folder for outcomes, tables and figures. Tables of a given detector are in a folder of its name below.
         processes: Number of processes that run episodes.
         progress: Progress callback.
+        detector: Id or file of the detector; None for the problem's default.
+        repeats: Searches with each configuration in A6, and campaigns in A9.
     """
+    params = AebCrossingParams() if detector is None else AebCrossingParams(detector=detector)
+    tables = folder if detector is None else folder / re.sub(r"[^\w.@-]+", "-", detector)
+    tables.mkdir(parents=True, exist_ok=True)
     file = folder / f"records-{code_fingerprint(CODE)}.jsonl"
     with contextlib.closing(Records(file, processes=processes)) as records:
-        hazards = Hazards(records, folder, progress)
-        searches = Searches(records, folder, progress)
-        costs = Costs(records, folder, progress)
+        hazards = Hazards(records, tables, progress, params)
+        searches = Searches(records, tables, progress, params, repeats=repeats)
+        costs = Costs(records, tables, progress, params, campaign=searches.default_campaign)
         measures: Mapping[str, Callable[[], list[Row]]] = {
             "A0": hazards.baseline,
             "A1": hazards.catalogue,
@@ -92,81 +75,13 @@ def measure_simood(criteria: Sequence[str], folder: Path, *, processes: int, pro
             "A6": searches.tables,
             "A7": costs.speedup,
             "A8": costs.perturbing,
+            "A9": searches.interactions,
         }
         chosen = dict.fromkeys(measures[name] for name in CRITERIA if name in criteria)
         return [row for measure in chosen for row in measure()]
 
 
-class Places:
-    """Reproducible random streets. The number of a place determines its scenario and the seed of its episodes.
-
-    Args:
-        params: Parameters of the problem: detector, picture size, obstacle.
-    """
-
-    def __init__(self, params: AebCrossingParams | None = None) -> None:
-        self.problem = AebCrossing(params or AebCrossingParams())
-
-    def episode(
-        self, place: int, chain: Chain = (), *, mode: str = "detector", **options: Json
-    ) -> EpisodeSpec:
-        """Return an episode in a place.
-
-        Args:
-            place: Number of the place.
-            chain: Perturbations of the camera pictures.
-            mode: Mode of the detector's behaviour.
-            options: Further options of the episode.
-        """
-        vectors = self.problem.space.sample(generator(0, Stream.FINALISTS, place))
-        spec = self.problem.episode(vectors, place)
-        behaviour: dict[str, Json] = {"mode": mode}
-        if mode == "detector":
-            behaviour = {**spec.behaviour, "perturbations": _steps(chain)}
-        return replace(spec, behaviour=behaviour, options={**spec.options, **options})
-
-    def evaluation(self, chain: Chain) -> EpisodeSpec:
-        """Return the evaluation of a chain on the data set."""
-        vectors = self.problem.space.sample(generator(0, Stream.FINALISTS, 0))
-        spec = self.problem.dataset_evaluation(vectors)
-        return replace(spec, behaviour={**spec.behaviour, "perturbations": _steps(chain)})
-
-
-class _Criteria:
-    """Base class of the measurements: runs episodes in the numbered streets of `Places` and writes tables.
-
-    Args:
-        records: Runs episodes and stores their outcomes.
-        folder: Folder for tables and figures.
-        progress: Progress callback.
-    """
-
-    def __init__(self, records: Records, folder: Path, progress: Progress) -> None:
-        self._records = records
-        self._folder = folder
-        self._progress = progress
-        self._places = Places()
-
-    def _run(self, part: str, specs: Sequence[EpisodeSpec]) -> list[Record]:
-        return self._records.run(specs, lambda done, total: self._progress(part, done, total))
-
-    def _run_chains(
-        self, part: str, chains: Sequence[Chain], places: Sequence[int]
-    ) -> dict[Chain, list[Record]]:
-        """Run every chain in every place."""
-        specs = [self._places.episode(place, chain) for chain in chains for place in places]
-        records = self._run(part, specs)
-        width = len(places)
-        return {chain: records[index * width : (index + 1) * width] for index, chain in enumerate(chains)}
-
-    def _write(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        with (self._folder / name).open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-
-
-class Hazards(_Criteria):
+class Hazards(Criteria):
     """A0 to A4: a safe baseline, and hazards of single perturbations, pairs and orders."""
 
     def baseline(self) -> list[Row]:
@@ -203,7 +118,7 @@ class Hazards(_Criteria):
             at_least("A2 dangerous stops of singles", _violations(records, DANGEROUS_STOP), 1, note),
         ]
         for obstacle in ("novelty", "anomaly"):
-            places = Places(AebCrossingParams(obstacle=obstacle))
+            places = Places(replace(self._params, obstacle=obstacle))
             records = self._run(f"A2 {obstacle}", [places.episode(place) for place in OBSTACLE_PLACES])
             count = sum(record.features["collided_with"] == obstacle for record in records)
             rows.append(at_least(f"A2 collisions with the {obstacle}", count, 1, f"{len(records)} places"))
@@ -220,22 +135,20 @@ class Hazards(_Criteria):
         parts = _unsafe_shares(
             self._run_chains("A3 their parts", [(step,) for step in steps], CONFIRMATION_PLACES)
         )
-        hazardous = [chain for chain, share in together.items() if share >= 1 - MAX_SAFE_SHARE]
-        only_together = [
-            chain for chain in hazardous if all(parts[(step,)] <= MAX_SAFE_SHARE for step in chain)
-        ]
-        in_one_order = [chain for chain in hazardous if together.get(chain[::-1], 1.0) <= MAX_SAFE_SHARE]
+        hazardous = [chain for chain, share in together.items() if share >= HAZARDOUS]
+        only_together = [chain for chain in hazardous if all(parts[(step,)] <= SAFE for step in chain)]
+        in_one_order = [chain for chain in hazardous if together.get(chain[::-1], 1.0) <= SAFE]
         self._write_pairs(together, parts)
         note = f"{len(ordered)} ordered pairs of harmless levels, {len(promising)} of them in five places"
         return [
-            at_least(what, len(chains), 1, f"{_words(chains[0])}; of {note}" if chains else f"of {note}")
+            at_least(what, len(chains), 1, f"{words_of(chains[0])}; of {note}" if chains else f"of {note}")
             for what, chains in (
                 ("A3 pairs hazardous only together", only_together),
                 ("A4 pairs hazardous in one order", in_one_order),
             )
         ]
 
-    def _write_sweep(self, singles: Mapping[Chain, Sequence[Record]]) -> None:
+    def _write_sweep(self, singles: Mapping[NamedChain, Sequence[Record]]) -> None:
         rows = []
         for ((gene, level),), records in singles.items():
             alphas = [record.objectives["alpha"] for record in records if "alpha" in record.objectives]
@@ -246,7 +159,7 @@ class Hazards(_Criteria):
             })  # fmt: skip
         self._write("singles.csv", rows)
 
-    def _write_pairs(self, together: Mapping[Chain, float], parts: Mapping[Chain, float]) -> None:
+    def _write_pairs(self, together: Mapping[NamedChain, float], parts: Mapping[NamedChain, float]) -> None:
         with (self._folder / "pairs.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(
@@ -255,262 +168,9 @@ class Hazards(_Criteria):
             for chain, share in sorted(together.items(), key=lambda item: -item[1]):
                 first, second = ((step,) for step in chain)
                 other = together.get(chain[::-1])
-                writer.writerow([_words(first), _words(second), share, parts[first], parts[second], other])
-
-
-@dataclass(slots=True, kw_only=True)
-class Search:
-    """A search on the data set; mutable.
-
-    Attributes:
-        config: Configuration of the algorithm.
-        seed: Seed of the search.
-        state: Current state; None before the start.
-    """
-
-    config: SimoodConfig
-    seed: int
-    state: SimoodState | None = None
-
-
-class Searches(_Criteria):
-    """A5 and A6: the genetic algorithm against random search, and its results by configuration.
-
-    Searches advance together, one generation at a time, so that no process is idle.
-    """
-
-    def against_random(self) -> list[Row]:
-        """Measure A5: the final mean fitness, and how often finalists and random pairs are hazardous."""
-        bred, drawn = (
-            self._search(
-                f"A5 {propose}",
-                [Search(config=replace(SimoodConfig(), propose=propose), seed=seed) for seed in SEEDS],
-            )
-            for propose in ("ga", "random")
-        )
-        fitness = [[float(np.mean(state.fitness)) for state in states] for states in (bred, drawn)]
-        means = [float(np.mean(values)) for values in fitness]
-        tested = compared(*fitness)
-        finalists = [self._chain(row) for state in bred for row in finalists_of(state)]
-        pairs = [self._chain(row) for state in drawn for row in state.individuals[: state.config.finalists]]
-        hazards = [
-            self._count_hazards(f"A5 {part}", chains)
-            for part, chains in (("finalists", finalists), ("random pairs", pairs))
-        ]
-        table = np.array([[count, total - count] for count, total in hazards])
-        p_value = float(stats.fisher_exact(table, alternative="greater")[1])
-        counts = " and ".join(f"{count} of {total}" for count, total in hazards)
-        return [
-            Row(
-                what="A5 mean f of the GA minus that of random search", value=means[0] - means[1],
-                target="below 0, p < .05", met=means[0] < means[1] and tested.p_value < SIGNIFICANCE_LEVEL,
-                note=f"{means[0]:.3f} and {means[1]:.3f}; Mann-Whitney p {tested.p_value:.2g}, {len(SEEDS)} seeds",
-            ),
-            Row(
-                what="A5 Fisher p of hazards of finalists against random pairs", value=p_value,
-                target="below .05", met=p_value < SIGNIFICANCE_LEVEL, note=f"hazardous {counts}",
-            ),
-        ]  # fmt: skip
-
-    def tables(self) -> list[Row]:
-        """Measure A6: techniques and hazards by generations and population, and unique individuals by omega."""
-        by_size = self._table_by_size()
-        by_omega = self._table_by_omega()
-        self._draw(by_omega)
-        hazards = sum(row["hazards"] for row in by_size)
-        simulated = sum(row["simulated"] for row in by_size)
-        falls_by = by_omega[0]["mean_intensity"] - by_omega[-1]["mean_intensity"]
-        return [
-            at_least(
-                "A6 hazards in the table of generations and population", hazards, 1,
-                f"{simulated} simulated; {self._folder / 'generations-population.csv'}",
-            ),
-            Row(
-                what="A6 mean intensity at omega 0 minus that at omega 1", value=falls_by, target="above 0",
-                met=falls_by > 0, note=f"{self._folder / 'omega.png'}",
-            ),
-        ]  # fmt: skip
-
-    def _table_by_size(self) -> list[dict[str, Any]]:
-        sizes = [(generations, population) for generations in GENERATIONS for population in POPULATIONS]
-        states = self._search(
-            "A6 generations x population",
-            [
-                Search(config=replace(SimoodConfig(), generations=g, population_size=n), seed=0)
-                for g, n in sizes
-            ],
-        )
-        rows: list[dict[str, Any]] = []
-        for (g, n), state in zip(sizes, states, strict=True):
-            finalists = [self._chain(row) for row in finalists_of(state)]
-            unsafe, total = self._count_hazards(f"A6 finalists g {g} n {n}", finalists)
-            chains = [self._chain(state.individuals[place]) for place in state.population]
-            rows.append({
-                "generations": g, "population": n, "evaluated": len(state.individuals),
-                "unique_genes": len({gene for chain in chains for gene, _ in chain}),
-                "mean_f": round(float(np.mean(state.fitness)), 4), "hazards": unsafe, "simulated": total,
-            })  # fmt: skip
-        self._write("generations-population.csv", rows)
-        return rows
-
-    def _table_by_omega(self) -> list[dict[str, Any]]:
-        searches = [
-            Search(config=replace(SimoodConfig(), omega=w), seed=seed) for w in OMEGAS for seed in REPEATS
-        ]
-        by_omega = self._search("A6 omega", searches)
-        rows: list[dict[str, Any]] = []
-        for index, omega in enumerate(OMEGAS):
-            states = by_omega[index * len(REPEATS) : (index + 1) * len(REPEATS)]
-            unique = {self._chain(state.individuals[place]) for state in states for place in state.population}
-            levels = [level / (CATALOGUE[gene].levels - 1) for chain in unique for gene, level in chain]
-            alphas = [state.alphas[place] for state in states for place in state.population]
-            rows.append({
-                "omega": omega, "unique_individuals": len(unique),
-                "mean_intensity": round(float(np.mean(levels)), 4), "mean_alpha": round(float(np.mean(alphas)), 4),
-            })  # fmt: skip
-        self._write("omega.csv", rows)
-        return rows
-
-    def _search(self, part: str, searches: Sequence[Search]) -> list[SimoodState]:
-        """Run searches until they have finished with the data set; return their states."""
-        space = self._places.problem.space
-        total = sum(s.config.population_size + s.config.parents * s.config.generations for s in searches)
-        for search in searches:
-            search.state = _SIMOOD.start(space, search.config, seed=search.seed, budget=BUDGET)
-        while True:
-            asked = []
-            for search in searches:
-                assert search.state is not None
-                if search.state.stage is Stage.SEARCH:
-                    state, candidates = _SIMOOD.ask(search.state)
-                    asked.append((search, state, candidates))
-            if not asked:
-                break
-            chains = [self._chain(c.vectors[-1]) for _, _, candidates in asked for c in candidates]
-            records = iter(self._records.run([self._places.evaluation(chain) for chain in chains]))
-            for search, state, candidates in asked:
-                answers: dict[int, Evaluation] = {
-                    c.number: Measured(objectives=next(records).objectives) for c in candidates
-                }
-                search.state = _SIMOOD.tell(state, answers)
-            self._progress(
-                part, sum(len(s.state.individuals) for s in searches if s.state is not None), total
-            )
-        self._progress(part, total, total)
-        return [search.state for search in searches if search.state is not None]
-
-    def _chain(self, individual: FloatArray) -> Chain:
-        problem = self._places.problem
-        vectors = [
-            individual if component.name == "perturbation" else np.zeros(component.dimension)
-            for component in problem.space.components
-        ]
-        return tuple((str(p["gene"]), int(str(p["level"]))) for p in problem.perturbations(vectors))
-
-    def _count_hazards(self, part: str, chains: Sequence[Chain]) -> tuple[int, int]:
-        """Return the number of hazardous episodes and the total number of episodes."""
-        specs = [self._places.episode(place, chain) for chain in chains for place in REPEATS]
-        records = self._run(part, specs)
-        return sum(record.unsafe for record in records), len(records)
-
-    def _draw(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        # Imported here: matplotlib takes half a second to load.
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(7, 3.6), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        omegas, unique, intensities, alphas = (
-            [row[name] for row in rows]
-            for name in ("omega", "unique_individuals", "mean_intensity", "mean_alpha")
-        )
-        left.bar(omegas, unique, width=0.18, color="#0072b2")
-        left.set(xlabel="omega", ylabel="unique individuals in the last population")
-        right.plot(omegas, intensities, "o-", color="#0072b2", label="mean intensity")
-        right.plot(omegas, alphas, "s--", color="#d55e00", label="mean alpha (mAP)")
-        right.set(xlabel="omega", ylim=(0, 1))
-        right.legend(frameon=False)
-        for axes in (left, right):
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.set_xticks(omegas)
-        figure.savefig(self._folder / "omega.png", dpi=120)
-
-
-class Costs(_Criteria):
-    """A7 and A8: what a search on the data set saves, and what perturbations cost in time and memory."""
-
-    def speedup(self) -> list[Row]:
-        """Measure A7: how much faster individuals are evaluated on the data set than in an episode."""
-        chains = _spread(TIMED_CHAINS)
-        _, episode_s = self._wall_times(
-            "A7 in episodes", [self._places.episode(0, chain) for chain in chains]
-        )
-        config = SimoodConfig()
-        evaluations = config.population_size + config.parents * config.generations
-        rows = []
-        for pictures in PICTURES:
-            places = Places(AebCrossingParams(dataset_frames=pictures))
-            first_s, evaluation_s = self._wall_times(
-                f"A7 on {pictures} pictures", [places.evaluation(chain) for chain in chains]
-            )
-            making_s = max(0.0, first_s - evaluation_s)  # the first evaluation also makes the data set
-            end_to_end_s = making_s + evaluations * evaluation_s + FINALISTS * episode_s
-            rows += [
-                at_least(
-                    f"A7 search on {pictures} pictures, times faster", episode_s / evaluation_s, TARGET_SPEEDUP,
-                    f"an evaluation {evaluation_s:.2f} s, an episode {episode_s:.2f} s; {evaluations} evaluations",
-                ),
-                at_least(
-                    f"A7 end to end with {pictures} pictures, times faster", evaluations * episode_s / end_to_end_s,
-                    TARGET_SPEEDUP, f"making the pictures {making_s:.1f} s, {FINALISTS} finalists",
-                ),
-            ]  # fmt: skip
-        return rows
-
-    def perturbing(self) -> list[Row]:
-        """Measure A8: CPU time per frame and memory of a process, with and without perturbations."""
-        chains = _spread(30)
-        specs = [self._places.episode(place, chain) for chain in chains for place in COST_PLACES]
-        perturbed_s = [_frame_s(record) for record in self._run("A8 perturbed", specs)]
-        clean_specs = [self._places.episode(place) for place in COST_PLACES]
-        clean_s = [_frame_s(record) for record in self._records.run(clean_specs)]
-        ratios = [
-            seconds / clean_s[index % len(COST_PLACES)] - 1 for index, seconds in enumerate(perturbed_s)
-        ]
-        small = Places(AebCrossingParams(width_px=320))
-        camera = self._run_fresh(None, [small.episode(place) for place in (*COST_PLACES, *COST_PLACES)])
-        # The first episodes pay for imports and are not counted.
-        camera_s = FRAMES_IN_8_S * statistics.fmean(map(_frame_s, camera[len(COST_PLACES) :]))
-        memory_mb = [_peak_memory_mb(specs[:6]), _peak_memory_mb(clean_specs * 3)]
-        return [
-            at_most(
-                "A8 time of perturbing, share of an unperturbed frame", statistics.fmean(ratios), MAX_EXTRA_TIME,
-                f"{len(chains)} random pairs, {len(COST_PLACES)} places; min {min(ratios):.2f}, "
-                f"max {max(ratios):.2f}; a frame without {1e3 * statistics.fmean(clean_s):.1f} ms",
-            ),
-            at_most(
-                "A8 CPU s of a camera episode of 80 frames, 320 x 180", camera_s, MAX_CAMERA_EPISODE_S,
-                f"8 s at 10 Hz; {1 / camera_s:.2f} episodes per CPU second",
-            ),
-            at_most(
-                "A8 memory of perturbing", memory_mb[0] / memory_mb[1] - 1, MAX_EXTRA_MEMORY,
-                f"{memory_mb[0]:.0f} and {memory_mb[1]:.0f} MB",
-            ),
-        ]  # fmt: skip
-
-    def _wall_times(self, part: str, specs: Sequence[EpisodeSpec]) -> tuple[float, float]:
-        """Return the time of the first run, which fills caches, and the mean time of the later runs, in s."""
-        first, *others = [record.wall_s for record in self._run_fresh(part, [specs[0], *specs])]
-        return first, statistics.fmean(others)
-
-    def _run_fresh(self, part: str | None, specs: Sequence[EpisodeSpec]) -> list[Record]:
-        """Run episodes one after another in a fresh process, without the stored outcomes."""
-        records = []
-        with single_threaded(), process_pool(1) as pool:
-            for record in pool.map(run_record, specs):
-                records.append(record)
-                if part is not None:
-                    self._progress(part, len(records), len(specs))
-        return records
+                writer.writerow(
+                    [words_of(first), words_of(second), share, parts[first], parts[second], other]
+                )
 
 
 def _equal(what: str, value: int, target: int, note: str) -> Row:
@@ -521,42 +181,16 @@ def _violations(records: Sequence[Record], requirement: str) -> int:
     return sum(record.robustness[requirement] < 0 for record in records)
 
 
-def _unsafe_shares(records: Mapping[Chain, Sequence[Record]]) -> dict[Chain, float]:
+def _unsafe_shares(records: Mapping[NamedChain, Sequence[Record]]) -> dict[NamedChain, float]:
     return {chain: sum(record.unsafe for record in found) / len(found) for chain, found in records.items()}
 
 
-def _frame_s(record: Record) -> float:
-    return record.cpu_s / float(str(record.features["frames"]))
-
-
-def _peak_memory_mb(specs: Sequence[EpisodeSpec]) -> float:
-    """Return the peak memory of a fresh process that runs episodes."""
-    with single_threaded(), process_pool(1) as pool:
-        return pool.submit(_run_and_report_peak, list(specs)).result()
-
-
-def _run_and_report_peak(specs: list[EpisodeSpec]) -> float:
-    for spec in specs:
-        run_record(spec)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def _steps(chain: Chain) -> list[Json]:
-    """Return a chain in the format of an episode specification."""
-    return [{"gene": gene, "level": level} for gene, level in chain]
-
-
-def _words(chain: Chain) -> str:
-    steps = (f"{gene.replace('_', ' ')} {level}/{CATALOGUE[gene].levels - 1}" for gene, level in chain)
-    return ", then ".join(steps) or "nothing"
-
-
-def _singles() -> list[Chain]:
+def _singles() -> list[NamedChain]:
     """Return every gene at every level that has an effect: 160 chains."""
     return [((name, level),) for name, gene in CATALOGUE.items() for level in range(1, gene.levels)]
 
 
-def _harmless_levels(unsafe_shares: Mapping[Chain, float]) -> dict[str, int]:
+def _harmless_levels(unsafe_shares: Mapping[NamedChain, float]) -> dict[str, int]:
     """Return, for each gene, the highest level such that no level up to it is ever hazardous alone."""
     found: dict[str, int] = {}
     for name, gene in CATALOGUE.items():
@@ -565,17 +199,3 @@ def _harmless_levels(unsafe_shares: Mapping[Chain, float]) -> dict[str, int]:
                 break
             found[name] = level
     return found
-
-
-def _spread(count: int) -> list[Chain]:
-    """Return pairs of different genes in which all genes are about equally frequent, at varying levels."""
-    names = list(CATALOGUE)
-    pairs = [
-        pair for step in range(1, len(names)) for pair in zip(names, names[step:] + names[:step], strict=True)
-    ]
-    stride = max(1, len(pairs) // count)
-    shares = itertools.cycle((0.3, 0.6, 1.0))
-    return [
-        tuple((name, max(1, round(share * (CATALOGUE[name].levels - 1)))) for name in pair)
-        for pair, share in zip(pairs[::stride][:count], shares, strict=False)
-    ]

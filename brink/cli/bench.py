@@ -163,29 +163,44 @@ def difficulty(
 @bench.command()
 def simood(
     criteria: Annotated[
-        list[str] | None, typer.Argument(metavar="[A0 … A8]", help="Criteria to measure; all by default.")
+        list[str] | None, typer.Argument(metavar="[A0 … A9]", help="Criteria to measure; all by default.")
     ] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="Id or file of the detector; by default, that of the problem.")
+    ] = None,
+    repeats: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Searches with each configuration in A6, and campaigns in A9; the paper has 10."
+        ),
+    ] = 3,
     processes: Processes = 2,
-    out: Annotated[Path, typer.Option(help="Folder for tables, figures and runs.")] = RESULTS
-    / "bench-simood",
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder for tables, figures and runs; a detector's tables are in a folder below."),
+    ] = RESULTS / "bench-simood",
     as_json: AsJson = False,
 ) -> None:
-    """Measure the SiMOOD criteria: a safe baseline, hazards of perturbations, the search, and its cost.
+    """Measure the SiMOOD criteria: a safe baseline, hazards of perturbations, the search, its cost, and interaction.
 
     The full measurement takes hours. Completed runs are kept in the folder, so the same command continues after an
-    interruption, and criteria share episodes.
+    interruption, and criteria share episodes. To compare detectors, run it once for each.
 
-    Example: brink bench simood A0 A2 --processes 2
+    Example: brink bench simood A0 A2 --detector brink-det@1
     """
     from brink.bench.simood import CRITERIA, measure_simood
+    from brink.server.problems.base import wrong_detector
 
     wanted = [name.upper() for name in criteria or CRITERIA]
     for name in wanted:
         if name not in CRITERIA:
             raise InvalidInput.at("criteria", f"expected some of {', '.join(CRITERIA)}, got {name!r}")
-    out.mkdir(parents=True, exist_ok=True)
+    if detector is not None and (wrong := wrong_detector(detector)):
+        raise InvalidInput.at("--detector", wrong[0][1])
     with _progress() as progress:
-        rows = measure_simood(wanted, out, processes=processes, progress=progress)
+        rows = measure_simood(
+            wanted, out, processes=processes, progress=progress, detector=detector, repeats=repeats
+        )
     _conclude_rows(rows, as_json=as_json)
 
 

@@ -31,7 +31,14 @@ from brink.cli.options import (
     write_json,
 )
 from brink.cli.tolerance import fetch_tolerance_findings
-from brink.report.combinations import claim_words, draw_chains, tally_words
+from brink.report.combinations import (
+    COLUMNS,
+    claim_words,
+    combination_rows,
+    draw_chains,
+    synergy_words,
+    tally_words,
+)
 from brink.report.figures import VIOLATION_TYPES, Drawing
 from brink.report.violations import draw_gallery, figure_types
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
@@ -145,11 +152,11 @@ class CombinationFindings:
     def show(self, screen: Console, shown: int = CHAINS_SHOWN) -> None:
         """Print the chains, the techniques, and the summary sentence."""
         chains = self._found.combinations
-        table = plain_table("chain", "unsafe", "parts alone", "other order", "")
+        table = plain_table("chain", "unsafe", "parts alone", "other order", "synergy", "", right={"synergy"})
         for one in chains[:shown]:
             table.add_row(
                 one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",
-                ", ".join(map(tally_words, one.orders)), claim_words(one),
+                ", ".join(map(tally_words, one.orders)), synergy_words(one), claim_words(one),
             )  # fmt: skip
         if chains:
             screen.print(table)
@@ -170,8 +177,9 @@ class CombinationFindings:
         screen.print(self.sentence())
 
     def write(self, folder: Path) -> list[Path]:
-        """Write everything as JSON, and the hazards by technique and level as CSV; return the files."""
+        """Write everything as JSON, and the chains and the hazards of each technique as CSV; return the files."""
         document, table = folder / "combinations.json", folder / "hazards.csv"
+        chains = folder / "combinations.csv"
         write_json(document, self._found.model_dump(mode="json"))
         tallies = ("alone_unsafe", "alone_trials", "joined_unsafe", "joined_trials")
         rows = [
@@ -179,7 +187,8 @@ class CombinationFindings:
             for one in self._found.steps
         ]
         _write_csv(table, ["technique", "level", "levels", *tallies], rows)
-        return [document, table]
+        _write_csv(chains, list(COLUMNS), [list(row.values()) for row in combination_rows(self._found)])
+        return [document, chains, table]
 
     async def draw(self, drawing: Drawing) -> list[Path]:
         """Draw the clearest combinations, each with its parts and other orders; return the files."""

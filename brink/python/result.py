@@ -32,6 +32,8 @@ from brink.python.frames import archive_frame, data_frame, typed_frame, types_of
 from brink.python.picture import Picture
 from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
 from brink.report.campaign import campaign_report, write_page
+from brink.report.combinations import COLUMNS as CHAIN_COLUMNS
+from brink.report.combinations import combination_rows
 from brink.report.figures import VIOLATION_TYPES, campaign_figure
 from brink.report.pair_pictures import headline, write_pair
 from brink.report.violations import figure_types
@@ -39,7 +41,7 @@ from brink.search.errors import TooManyPairs
 from brink.server.api.boundary_table import boundary_columns, boundary_rows
 from brink.server.api.pair_table import pair_columns, pair_rows
 from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, PairsView
-from brink.server.api.schemas import Boundary, CampaignView, Progress, SolutionView, Violations
+from brink.server.api.schemas import Boundary, CampaignView, Combinations, Progress, SolutionView, Violations
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.errors import InvalidInput, ServerError
 from brink.server.states import CampaignStatus
@@ -227,6 +229,12 @@ class AsyncResult(CampaignResult):
         frame = await self.to_pandas()
         return frame[frame["unsafe"]].reset_index(drop=True)
 
+    async def combinations(self) -> "pd.DataFrame":
+        """Return the chains of perturbations as a data frame."""
+        async with self._connection.open() as api:
+            found = await api.read(Combinations, f"/campaigns/{self.id}/combinations")
+        return typed_frame(combination_rows(found), CHAIN_COLUMNS)
+
     async def tolerances(self) -> "pd.DataFrame":
         """Return how gross each error may be as a data frame."""
         async with self._connection.open() as api:
@@ -373,6 +381,17 @@ class Result(CampaignResult):
         ``driving on``.
         """
         return wait_for(self._async.violations)
+
+    def combinations(self) -> "pd.DataFrame":
+        """Return the chains of perturbations that were simulated as a data frame, the most informative first.
+
+        ``synergy`` is how much worse ``alpha`` is than that of the most harmful part alone; with 0 or less, the other
+        perturbations add nothing. It is empty where that was not measured.
+
+        Raises:
+            CoordinatorError: The problem has no ordered perturbations.
+        """
+        return wait_for(self._async.combinations)
 
     def tolerances(self) -> "pd.DataFrame":
         """Return how gross each error may be as a data frame.

@@ -1,7 +1,9 @@
 """Hazardous chains of techniques, in words and as pictures of each chain with its parts."""
 
 import asyncio
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Final
 
 from brink.report.figures import Drawing
 from brink.server.api.schemas import ChainTally, Combinations, CombinationView, Variant
@@ -16,6 +18,31 @@ def claim_words(one: CombinationView) -> str:
         "minimal": one.minimal and not one.only_together,
     }
     return ", ".join(name for name, holds in claims.items() if holds)
+
+
+def synergy_words(one: CombinationView) -> str:
+    """Return the synergy of a chain with its sign, such as ``+0.12``; empty if it is unknown."""
+    return "" if one.synergy is None else f"{one.synergy:+.2f}"
+
+
+COLUMNS: Final[Mapping[str, type]] = {
+    "chain": str, "unsafe": int, "trials": int, "alpha": float, "synergy": float, "hazardous": bool,
+    "only_together": bool, "order_matters": bool, "minimal": bool, "example": int,
+}  # fmt: skip
+"""Columns of a table of chains; `example` is an unsafe solution whose parts or other order are safe."""
+
+
+def combination_rows(found: Combinations) -> list[dict[str, Any]]:
+    """Return the chains as rows with the columns `COLUMNS`; what is unknown is None."""
+    names = [name for name in COLUMNS if name not in ("chain", "example")]
+    return [
+        {
+            "chain": one.words,
+            **{name: getattr(one, name) for name in names},
+            "example": next(iter((*one.together, *one.turned)), None),
+        }
+        for one in found.combinations
+    ]
 
 
 def tally_words(tally: ChainTally) -> str:

@@ -1,17 +1,24 @@
 """SiMOOD: a genetic algorithm for the weakest perturbations that together do the most harm to a component.
 
-Individuals are ordered slots of distinct techniques, each at a level (`brink.search.slots`). The search runs in three
+Individuals are ordered slots of distinct techniques, each at a level (`brink.search.slots`). The search runs in
 stages. In the first, most evaluations measure the component on a data set (`Question.DATASET`), which is cheap. The
 finalists, the best individual of each order of techniques, are then simulated, all in the same few scenarios with the
 same seeds. Finally the hazardous finalists are explained: their parts and other orders of the same techniques are
 simulated in the same scenarios. Only simulated solutions end up in the archive. For comparison, the first stage can
 also simulate every individual, or draw individuals at random.
 
-The fitness, minimised, is f = alpha + omega eta, or |omega eta - alpha| if alpha counts errors. alpha is an objective
-measured by the problem, eta the mean intensity. No individual is evaluated twice.
+The fitness, minimised, is f = alpha + omega eta, or f = omega eta - alpha if alpha counts errors. alpha is an
+objective measured by the problem, eta the mean intensity. No individual is evaluated twice, and none enters the
+population twice.
 
-Source: Ferreira, Guerin, Guiochet, Waeselynck, "SiMOOD: Evolutionary Testing Simulation with Out-Of-Distribution
-Images", PRDC 2022.
+A chain interacts if it does more harm than each of its parts alone, by a margin (`brink.search.interaction`). The
+paper does not ask for that, and much of what it finds is one harmful technique with a free rider. By default, a chain
+that does not interact has a worse fitness than every chain that does, as in Deb's rules for infeasible solutions: the
+less its synergy, the worse. To know that, each technique at a level is evaluated alone, too, once in a search.
+
+Sources: Ferreira, Guerin, Guiochet, Waeselynck, "SiMOOD: Evolutionary Testing Simulation with Out-Of-Distribution
+Images", PRDC 2022. Deb, "An efficient constraint handling method for genetic algorithms", 2000. What differs from the
+paper: docs/adr/0051-interaction-in-simood.md.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,19 +39,24 @@ from brink.search.algorithms.ledger import (
 )
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
+from brink.search.interaction import TOLERANCE, synergy
 from brink.search.settings import setting
-from brink.search.slots import ChainGenome
-from brink.search.space import FloatArray, SearchSpace, frozen_array
+from brink.search.slots import Chain, ChainGenome, parts_of
+from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
 from brink.search.streams import Stream, generator
 
 ALPHA: Final = "alpha"
-"""Objective that a problem must measure: the quality of the component, or its number of errors."""
+"""Objective that a problem must measure: the quality of the component, in [0, 1], or its number of errors, from 0."""
+
+_MAX_ATTEMPTS: Final = 100
+"""Number of times that an individual is mutated, and then drawn again, because it is known, before it is given up."""
 
 
 class Stage(StrEnum):
     """Purpose of a generation."""
 
     SEARCH = "search"
+    PARTS = "parts"
     FINALISTS = "finalists"
     EXPLANATION = "explanation"
 
@@ -71,6 +83,18 @@ class SimoodConfig(BoundaryConfig):
         help="How individuals are evaluated: on a data set, or in an episode.",
         choices=("data", "episode"),
     )
+    interaction: str = setting(
+        "fitness",
+        help="Whether chains that do more harm than their parts come first: in the fitness, only when finalists are "
+        "chosen, or not at all, as in the paper.",
+        choices=("fitness", "finalists", "none"),
+    )
+    margin: float = setting(
+        0.05,
+        help="Synergy from which a chain interacts: by how much more it changes alpha than each of its parts alone.",
+        ge=0,
+        le=1,
+    )
     propose: str = setting(
         "ga", help="How individuals are proposed: bred, or drawn at random.", choices=("ga", "random")
     )
@@ -92,18 +116,26 @@ class SimoodState(LedgerState):
         config: Settings.
         individuals: All evaluated individuals, in the order of asking, shape ``(a, d)``.
         alphas: Their alpha, infinite if it could not be measured, shape ``(a,)``.
+        synergies: Their synergy, NaN as long as it is unknown, shape ``(a,)``.
+        parts: All evaluated parts of individuals, as `ChainGenome.row` has them, shape ``(p, d)``.
+        part_alphas: Their alpha, infinite if it could not be measured, shape ``(p,)``.
         population: Positions of the population in `individuals`; that of the last generation until the next is told.
         children: Individuals that join the population once they are told, shape ``(c, d)``.
         bred: Number of generations bred so far.
+        given_up: Number of children that were given up because they remained equal to known individuals.
         stage: Purpose of the queue.
     """
 
     config: SimoodConfig
     individuals: FloatArray
     alphas: FloatArray
+    synergies: FloatArray
+    parts: FloatArray
+    part_alphas: FloatArray
     population: tuple[int, ...]
     children: FloatArray
     bred: int
+    given_up: int = 0
     stage: Stage = Stage.SEARCH
 
     @property
@@ -118,7 +150,7 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
     id = "simood-ga@1"
     summary = "SiMOOD: perturbations bred on a data set, the best of them simulated."
     config_type = SimoodConfig
-    layout = 2
+    layout = 3
 
     def _min_budget(self, space: SearchSpace, config: SimoodConfig) -> int:
         genome = ChainGenome.of(space)
@@ -126,20 +158,21 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
             raise ConfigError("parents", f"expected at most population_size, got {config.parents}")
         if config.evaluate == "data" and not config.finalists:
             raise ConfigError("finalists", "expected at least 1: a data set alone gives no verdict")
-        return config.population_size + _reserve(config, genome)
+        return _first_cost(config, genome) + _reserve(config, genome)
 
     def _first_state(self, ledger: Ledger, config: SimoodConfig) -> SimoodState:
         genome = ChainGenome.of(ledger.space)
-        rng = generator(ledger.seed, Stream.START)
-        state = SimoodState(
-            config=config,
-            ledger=ledger,
-            individuals=frozen_array(np.empty((0, genome.component.dimension))),
-            alphas=frozen_array(np.empty(0)),
-            population=(),
-            children=frozen_array(_drawn(genome, config.population_size, rng)),
-            bred=0,
+        no_rows, no_values = (
+            frozen_array(np.empty((0, genome.component.dimension))),
+            frozen_array(np.empty(0)),
         )
+        state = SimoodState(
+            config=config, ledger=ledger, individuals=no_rows, alphas=no_values, synergies=no_values, parts=no_rows,
+            part_alphas=no_values, population=(), children=no_rows, bred=0,
+        )  # fmt: skip
+        rng = generator(ledger.seed, Stream.START)
+        drawn = [genome.draw(rng) for _ in range(config.population_size)]
+        state = _with_new_children(state, genome, drawn, rng)
         return _with_children_queued(state, genome)
 
     def tell(self, state: SimoodState, evaluations: Mapping[int, Evaluation]) -> SimoodState:
@@ -155,23 +188,28 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
         match state.stage:
             case Stage.SEARCH:
                 return _next_search(_with_alphas(told, genome, pending, evaluations), genome)
+            case Stage.PARTS:
+                return _selection(_with_alphas(told, genome, pending, evaluations), genome)
             case Stage.FINALISTS:
                 return _explanation(told, genome)
             case Stage.EXPLANATION:
                 return told
 
     def _content(self, state: SimoodState) -> tuple[dict[str, Any], dict[str, Any]]:
-        header = {"population": list(state.population), "bred": state.bred, "stage": state.stage.value}
+        header = {
+            "population": list(state.population), "bred": state.bred, "given_up": state.given_up,
+            "stage": state.stage.value,
+        }  # fmt: skip
         arrays = {
-            "individuals": state.individuals,
-            "alphas": state.alphas[:, None],
-            "children": state.children,
-        }
+            "individuals": state.individuals, "alphas": state.alphas[:, None], "synergies": state.synergies[:, None],
+            "parts": state.parts, "part_alphas": state.part_alphas[:, None], "children": state.children,
+        }  # fmt: skip
         return header, arrays
 
     def _restored(self, ledger: Ledger, config: SimoodConfig, document: Document) -> SimoodState:
         width = ChainGenome.of(ledger.space).component.dimension
-        population, bred = document.header.get("population"), document.header.get("bred")
+        population, stage = document.header.get("population"), document.header.get("stage")
+        bred, given_up = document.header.get("bred"), document.header.get("given_up")
         individuals = stored_rows(document, "individuals", width)
         if not isinstance(population, list) or not all(
             isinstance(place, int) and 0 <= place < len(individuals) for place in population
@@ -179,45 +217,99 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
             raise DocumentError(
                 f"population: expected a list of positions of individuals, got {population!r}"
             )
-        stage = document.header.get("stage")
         if stage not in set(Stage):
             raise DocumentError(f"stage: expected one of {', '.join(Stage)}, got {stage!r}")
-        if not isinstance(bred, int):
-            raise DocumentError(f"bred: expected a whole number, got {bred!r}")
+        if not isinstance(bred, int) or not isinstance(given_up, int):
+            raise DocumentError(f"bred, given_up: expected whole numbers, got {bred!r} and {given_up!r}")
+        alphas, synergies, part_alphas = (
+            frozen_array(stored_rows(document, name, 1)[:, 0])
+            for name in ("alphas", "synergies", "part_alphas")
+        )
         return SimoodState(
             config=config,
             ledger=ledger,
             individuals=individuals,
-            alphas=frozen_array(stored_rows(document, "alphas", 1)[:, 0]),
+            alphas=alphas,
+            synergies=synergies,
+            parts=stored_rows(document, "parts", width),
+            part_alphas=part_alphas,
             population=tuple(population),
             children=stored_rows(document, "children", width),
             bred=bred,
+            given_up=given_up,
             stage=Stage(str(stage)),
         )
 
 
 def finalists_of(state: SimoodState) -> FloatArray:
-    """Return the best evaluated individual of each order of techniques, best first, shape ``(n, d)``."""
+    """Return the best evaluated individual of each order of techniques, best first, shape ``(n, d)``.
+
+    Unless `SimoodConfig.interaction` is ``none``, those that interact come first.
+    """
+    return state.individuals[_selected(state, _interacting(state))]
+
+
+def _selected(state: SimoodState, preferred: BoolArray) -> list[int]:
+    """Return the positions of the finalists if some individuals, shape ``(a,)``, come before all others."""
     genome = ChainGenome.of(state.ledger.space)
     techniques = [genome.columns(slot)[0] for slot in range(len(genome.slots.pairs))]
     fitness = _fitness(state)
     best: dict[bytes, int] = {}
-    for place in np.argsort(fitness, kind="stable").tolist():
+    for place in np.lexsort((fitness, ~preferred)).tolist():  # stable: on ties, the older first
         if np.isfinite(fitness[place]):
             best.setdefault(state.individuals[place, techniques].tobytes(), place)
-    return state.individuals[list(best.values())[: state.config.finalists]]
+    return list(best.values())[: state.config.finalists]
+
+
+def _seeks_interaction(config: SimoodConfig, genome: ChainGenome) -> bool:
+    """Return whether parts matter; a chain of one technique has none."""
+    return config.interaction != "none" and len(genome.slots.pairs) > 1
+
+
+def _interacting(state: SimoodState) -> BoolArray:
+    """Return which individuals are known to interact, shape ``(a,)``."""
+    return np.asarray(state.synergies >= state.config.margin - TOLERANCE)  # NaN is not
 
 
 def _fitness(state: SimoodState) -> FloatArray:
-    """Return the fitness f of all individuals, shape ``(a,)``; infinite for those without an alpha."""
-    weighted = state.config.omega * ChainGenome.of(state.ledger.space).eta(state.individuals)
-    if state.config.alpha == "errors":
-        return np.asarray(np.abs(weighted - state.alphas))
-    return np.asarray(state.alphas + weighted)
+    """Return the fitness f of all individuals, shape ``(a,)``; infinite for those without an alpha.
+
+    An individual that does not interact gets the worst possible f of those that do, and what it lacks of the margin.
+    That is infinite if it is unknown because a part could not be measured.
+    """
+    config, genome = state.config, ChainGenome.of(state.ledger.space)
+    fitness = _qualities(config, state.alphas) + config.omega * genome.eta(state.individuals)
+    if config.interaction != "fitness" or not _seeks_interaction(config, genome):
+        return np.asarray(fitness)
+    worst = config.omega + (1.0 if config.alpha == "quality" else 0.0)
+    lacking = np.where(np.isfinite(state.synergies), config.margin - state.synergies, np.inf)
+    return np.where(_interacting(state), fitness, np.where(np.isfinite(fitness), worst + lacking, np.inf))
 
 
-def _drawn(genome: ChainGenome, count: int, rng: np.random.Generator) -> FloatArray:
-    return np.array([genome.draw(rng) for _ in range(count)])
+def _qualities(config: SimoodConfig, alphas: FloatArray) -> FloatArray:
+    """Return alphas such that less is more harm; infinite for those that could not be measured."""
+    return np.where(np.isfinite(alphas), alphas if config.alpha == "quality" else -alphas, np.inf)
+
+
+def _known_qualities(state: SimoodState, genome: ChainGenome) -> dict[Chain, float]:
+    """Return the qualities of all parts that could be measured, by chain."""
+    qualities = _qualities(state.config, state.part_alphas).tolist()
+    return {
+        genome.chain(part): quality
+        for part, quality in zip(state.parts, qualities, strict=True)
+        if np.isfinite(quality)
+    }
+
+
+def _synergies(state: SimoodState, genome: ChainGenome, places: range) -> FloatArray:
+    """Return the synergies of the individuals at some positions, NaN where they are unknown."""
+    known = _known_qualities(state, genome)
+    found = []
+    for place, quality in zip(places, _qualities(state.config, state.alphas[places]).tolist(), strict=True):
+        chain = genome.chain(state.individuals[place])
+        value = synergy(chain, {**known, chain: quality}) if np.isfinite(quality) else None
+        found.append(np.nan if value is None else value)
+    return np.array(found, np.float64)
 
 
 def _positions(state: SimoodState) -> dict[bytes, int]:
@@ -230,41 +322,62 @@ def _with_alphas(
     pending: Sequence[Candidate],
     evaluations: Mapping[int, Evaluation],
 ) -> SimoodState:
-    """Return the state with the pending individuals and their alphas recorded."""
+    """Return the state with the pending individuals and parts, their alphas and the synergies recorded."""
+    whole = len(genome.slots.pairs)
     rows, alphas = [state.individuals], [state.alphas]
+    part_rows, part_alphas = [state.parts], [state.part_alphas]
     for candidate in pending:
-        evaluation = evaluations[candidate.number]
+        evaluation, row = evaluations[candidate.number], candidate.vectors[genome.index]
         alpha = np.inf if isinstance(evaluation, Failed) else float(evaluation.objectives[ALPHA])
-        rows.append(candidate.vectors[genome.index][None])
-        alphas.append(np.array([alpha]))
-    return replace(
-        state, individuals=frozen_array(np.concatenate(rows)), alphas=frozen_array(np.concatenate(alphas))
-    )
+        is_part = len(genome.chain(row)) < whole
+        (part_rows if is_part else rows).append(row[None])
+        (part_alphas if is_part else alphas).append(np.array([alpha]))
+    told = replace(
+        state,
+        individuals=frozen_array(np.concatenate(rows)), alphas=frozen_array(np.concatenate(alphas)),
+        parts=frozen_array(np.concatenate(part_rows)), part_alphas=frozen_array(np.concatenate(part_alphas)),
+    )  # fmt: skip
+    # New parts can change only the synergies of older individuals that share more than one step with them, which the
+    # search itself does not evaluate.
+    first = len(state.individuals) if state.stage is Stage.SEARCH else 0
+    synergies = _synergies(told, genome, range(first, len(told.individuals)))
+    return replace(told, synergies=frozen_array(np.concatenate([state.synergies[:first], synergies])))
 
 
 def _next_search(state: SimoodState, genome: ChainGenome) -> SimoodState:
-    """Return the state after breeding until there is something new to evaluate, or with the finalists queued."""
-    while True:
-        state = _joined(state)
-        if state.bred >= state.config.generations:
-            return _finals(state, genome)
-        children = _children(state, genome)
-        state = _with_children_queued(replace(state, children=children, bred=state.bred + 1), genome)
+    """Return the state with the next generation queued, or, if there is none, what follows the search."""
+    state = _joined(state)
+    if state.bred < state.config.generations:
+        rng = generator(state.ledger.seed, Stream.BREEDING, state.bred)
+        bred = replace(state, bred=state.bred + 1)
+        state = _with_new_children(bred, genome, _proposals(state, genome, rng), rng)
+        state = _with_children_queued(state, genome)
         if state.ledger.queue:
             return state
-        if _room(state) <= 0:
-            return _finals(state, genome)
+    return _selection(state, genome)
+
+
+def _first_cost(config: SimoodConfig, genome: ChainGenome) -> int:
+    """Return the largest number of evaluations of the first population."""
+    if config.interaction != "fitness" or not _seeks_interaction(config, genome):
+        return config.population_size
+    steps = config.population_size * len(genome.slots.pairs)
+    return config.population_size + min(steps, genome.single_count)
 
 
 def _reserve(config: SimoodConfig, genome: ChainGenome) -> int:
+    """Return the part of the budget reserved for what follows the search."""
+    if not _seeks_interaction(config, genome):
+        return _reserve_for_episodes(config, genome)
+    steps = len(genome.slots.pairs)
+    parts = (1 << steps) - 2 - (steps if config.interaction == "fitness" else 0)
+    return config.finalists * parts + _reserve_for_episodes(config, genome)
+
+
+def _reserve_for_episodes(config: SimoodConfig, genome: ChainGenome) -> int:
     """Return the part of the budget reserved for the finalists and their explanation."""
     explained = min(config.explained, config.finalists) * genome.ablation_count
     return (config.finalists + explained) * config.repeats
-
-
-def _room(state: SimoodState) -> int:
-    """Return how many more individuals may be evaluated before the finalists."""
-    return int(max(0, state.ledger.left - _reserve(state.config, ChainGenome.of(state.ledger.space))))
 
 
 def _joined(state: SimoodState) -> SimoodState:
@@ -273,19 +386,18 @@ def _joined(state: SimoodState) -> SimoodState:
     joined = [*state.population, *(place[key] for key in row_keys(state.children) if key in place)]
     fitness = _fitness(state)
     best = sorted(joined, key=lambda position: float(fitness[position]))  # stable: on ties, the older first
-    return replace(
-        state,
-        population=tuple(best[: state.config.population_size]),
-        children=frozen_array(np.empty((0, state.children.shape[1]))),
-    )
+    return replace(state, population=tuple(best[: state.config.population_size]), children=_no_rows(state))
 
 
-def _children(state: SimoodState, genome: ChainGenome) -> FloatArray:
-    """Return the children of the next generation, shape ``(parents, d)``."""
+def _no_rows(state: SimoodState) -> FloatArray:
+    return frozen_array(np.empty((0, state.individuals.shape[1])))
+
+
+def _proposals(state: SimoodState, genome: ChainGenome, rng: np.random.Generator) -> list[FloatArray]:
+    """Return the children of the next generation, as many as parents; some may be known already."""
     config = state.config
-    rng = generator(state.ledger.seed, Stream.BREEDING, state.bred)
     if config.propose == "random":
-        return _drawn(genome, config.parents, rng)
+        return [genome.draw(rng) for _ in range(config.parents)]
     parents = state.individuals[list(state.population[: config.parents])]
     children: list[FloatArray] = []
     for index in range(0, config.parents, 2):
@@ -296,20 +408,91 @@ def _children(state: SimoodState, genome: ChainGenome) -> FloatArray:
             like_a_parent = any(np.array_equal(child, parent) for parent in (mother, father))
             mutates = like_a_parent or genome.has_repeats(child) or rng.random() < config.mutation_probability
             children.append(genome.mutated(child, rng) if mutates else child)
-    return np.array(children[: config.parents])
+    return children[: config.parents]
+
+
+def _with_new_children(
+    state: SimoodState, genome: ChainGenome, proposals: Iterable[FloatArray], rng: np.random.Generator
+) -> SimoodState:
+    """Return the state with children that are all new.
+
+    A proposal that is known is mutated until it is not, step by step away from where it was, then drawn again; in a
+    random search and in the first population it is only drawn again. After that it is given up, and counted.
+    """
+    known = set(row_keys(state.individuals))
+    children, given_up = [state.children[:0]], state.given_up
+    mutations = 0 if state.config.propose == "random" or not len(state.individuals) else _MAX_ATTEMPTS
+    for proposal in proposals:
+        child = proposal
+        for attempt in range(mutations + _MAX_ATTEMPTS):
+            if child.tobytes() not in known:
+                break
+            child = genome.mutated(child, rng) if attempt < mutations else genome.draw(rng)
+        if child.tobytes() in known:
+            given_up += 1
+        else:
+            known.add(child.tobytes())
+            children.append(child[None])
+    return replace(state, children=frozen_array(np.concatenate(children)), given_up=given_up)
 
 
 def _with_children_queued(state: SimoodState, genome: ChainGenome) -> SimoodState:
-    """Return the state with its new children queued, as far as the budget allows."""
-    known = _positions(state)
-    fresh: dict[bytes, FloatArray] = {}
-    for key, child in zip(row_keys(state.children), state.children, strict=True):
-        if key not in known:
-            fresh.setdefault(key, child)
+    """Return the state with its children queued, with their unknown parts if the fitness needs these.
+
+    A child is queued with all of its parts, or, once the budget does not allow that, not at all.
+    """
+    config = state.config
+    needs_parts = config.interaction == "fitness" and _seeks_interaction(config, genome)
+    asked = set(row_keys(state.parts))
+    room = _left(state, _reserve(config, genome))
+    queued: list[FloatArray] = []
+    queued_parts: list[FloatArray] = []
+    for child in state.children:
+        steps = [genome.row((step,)) for step in genome.chain(child)] if needs_parts else []
+        fresh = [part for part in steps if part.tobytes() not in asked]
+        if len(queued) + len(queued_parts) + 1 + len(fresh) > room:
+            break
+        queued.append(child)
+        queued_parts += fresh
+        asked.update(part.tobytes() for part in fresh)
+    return _with_evaluations(state, genome, [*queued, *queued_parts])
+
+
+def _with_evaluations(
+    state: SimoodState, genome: ChainGenome, individuals: Sequence[FloatArray]
+) -> SimoodState:
+    """Return the state with individuals or parts queued, to be evaluated as the search evaluates them."""
     question = Question.DATASET if state.config.evaluate == "data" else Question.EPISODE
     scenario = _scenario(state, 0)
-    rows = [_row(genome, scenario, child) for child in fresh.values()][: _room(state)]
+    rows = [_row(genome, scenario, one) for one in individuals]
     return replace(state, ledger=state.ledger.plan(rows, question, [0] * len(rows)))
+
+
+def _left(state: SimoodState, reserve: int) -> int:
+    """Return how many more evaluations the budget allows, besides a reserve."""
+    return int(max(0, state.ledger.left - reserve))
+
+
+def _selection(state: SimoodState, genome: ChainGenome) -> SimoodState:
+    """Return the state with unknown parts of possible finalists queued, or, if none is unknown, with the finalists.
+
+    Individuals that may interact, for all that is known, count as possible finalists.
+    """
+    if _seeks_interaction(state.config, genome):
+        asked = set(row_keys(state.parts))
+        missing = [
+            [row for part in parts_of(genome.chain(one)) if (row := genome.row(part)).tobytes() not in asked]
+            for one in state.individuals
+        ]
+        hopeful = np.isnan(state.synergies) & np.array([bool(rows) for rows in missing], np.bool_)
+        preferred = _interacting(state) | hopeful
+        possible = [place for place in _selected(state, preferred) if preferred[place]]
+        rows = {row.tobytes(): row for place in possible for row in missing[place]}
+        room = _left(state, _reserve_for_episodes(state.config, genome))
+        if rows and room:
+            queued = _with_evaluations(state, genome, list(rows.values())[:room])
+            return replace(queued, stage=Stage.PARTS, children=_no_rows(state))
+    return _finals(state, genome)
 
 
 def _scenario(state: SimoodState, repeat: int) -> tuple[FloatArray, ...]:
@@ -339,7 +522,7 @@ def _with_simulations(
 
 def _finals(state: SimoodState, genome: ChainGenome) -> SimoodState:
     """Return the state with the finalists queued and no children left."""
-    state = replace(state, children=frozen_array(np.empty((0, state.children.shape[1]))))
+    state = replace(state, children=_no_rows(state))
     state = _with_simulations(state, genome, finalists_of(state), Stage.FINALISTS)
     return state if state.ledger.queue else _explanation(state, genome)
 

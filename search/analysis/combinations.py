@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from brink.search.archive import Archive
-from brink.search.slots import slots_of
+from brink.search.slots import Chain, ChainGenome, Step
 from brink.search.space import SearchSpace
 
 HAZARDOUS: Final = 0.8
@@ -25,14 +25,6 @@ SAFE: Final = 0.2
 """Largest unsafe share of a safe chain: one of five places."""
 
 
-class Step(NamedTuple):
-    """A technique at a level, both as indices."""
-
-    technique: int
-    level: int
-
-
-Chain: TypeAlias = tuple[Step, ...]
 Verdicts: TypeAlias = Mapping[bytes, "Verdict"]
 """Verdicts of a chain, by place."""
 
@@ -110,17 +102,13 @@ def verdicts_by_chain(space: SearchSpace, archive: Archive) -> dict[Chain, dict[
     Raises:
         UnsupportedSpace: The space has no slots.
     """
-    index, slots = slots_of(space)
-    names = [parameter.name for parameter in space.components[index].parameters]
-    columns = [(names.index(technique), names.index(intensity)) for technique, intensity in slots.pairs]
-    part = space.slices[index]
+    genome = ChainGenome.of(space)
+    part = space.slices[genome.index]
     found: dict[Chain, dict[bytes, Verdict]] = {}
     for number, row, unsafe in zip(
         archive.numbers.tolist(), archive.vectors, archive.unsafe.tolist(), strict=True
     ):
-        steps = [(int(row[part][technique]), float(row[part][intensity])) for technique, intensity in columns]
-        chain = tuple(Step(choice, slots.level(choice, intensity)) for choice, intensity in steps)
-        chain = tuple(step for step in chain if step.level)
+        chain = genome.chain(row[part])
         place = np.delete(row, np.arange(part.start, part.stop)).tobytes()
         found.setdefault(chain, {}).setdefault(place, Verdict(number, bool(unsafe)))
     return found

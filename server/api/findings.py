@@ -5,14 +5,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
+import numpy as np
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from brink.search.algorithms.simood import ALPHA, SimoodConfig
 from brink.search.analysis.avoidable import EXPLANATION, Avoidable, AvoidedBy, avoidable_first, by_words
 from brink.search.analysis.combinations import (
-    Chain,
     Combination,
-    Step,
     Tally,
     combinations,
     tally_by_step,
@@ -28,8 +28,9 @@ from brink.search.analysis.violations import (
 )
 from brink.search.archive import Archive
 from brink.search.errors import UnsupportedSpace
+from brink.search.interaction import synergy
 from brink.search.parameters import Categorical
-from brink.search.slots import slots_of
+from brink.search.slots import Chain, ChainGenome, Step, slots_of
 from brink.search.space import SearchSpace
 from brink.server.api.context import Context, Services
 from brink.server.api.schemas import (
@@ -44,6 +45,7 @@ from brink.server.api.schemas import (
     ViolationView,
 )
 from brink.server.api.solutions import Number
+from brink.server.campaigns import view_store
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.violations import read_violations, set_name
 from brink.server.db.engine import read
@@ -236,8 +238,16 @@ async def get_combinations(campaign_id: str, services: Services) -> Combinations
     """Return the hazardous chains of techniques, and which of them need all their techniques or a certain order."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
+    measured = await read(services.engines, lambda c: view_store.read_measured(c, campaign.id))
+    counts_errors = isinstance(found.plan.config, SimoodConfig) and found.plan.config.alpha == "errors"
+
+    def look() -> Combinations:
+        space = found.plan.problem.space
+        alphas = alphas_of(space, measured)
+        return combinations_view(space, found.archive, alphas, counts_errors=counts_errors)
+
     try:
-        return combinations_view(found.plan.problem.space, found.archive)
+        return await asyncio.to_thread(look)
     except UnsupportedSpace:
         raise _no_techniques(campaign) from None
 
@@ -290,8 +300,37 @@ class TechniqueNames:
         )
 
 
-def combinations_view(space: SearchSpace, archive: Archive) -> Combinations:
+def alphas_of(
+    space: SearchSpace, measured: Sequence[tuple[bytes, Mapping[str, float]]]
+) -> dict[Chain, float]:
+    """Return the alphas of measured solutions, given as their vectors and objectives, by chain.
+
+    Raises:
+        UnsupportedSpace: The problem has no ordered techniques.
+    """
+    genome = ChainGenome.of(space)
+    part = space.slices[genome.index]
+    return {
+        genome.chain(np.frombuffer(vector, "<f8")[part]): objectives[ALPHA]
+        for vector, objectives in measured
+        if ALPHA in objectives
+    }
+
+
+def combinations_view(
+    space: SearchSpace,
+    archive: Archive,
+    alphas: Mapping[Chain, float] | None = None,
+    *,
+    counts_errors: bool = False,
+) -> Combinations:
     """Return the tallies of all chains, the most informative ones first.
+
+    Args:
+        space: Search space of the problem.
+        archive: All evaluated solutions.
+        alphas: What was measured on a data set, by chain.
+        counts_errors: Whether larger alphas are worse.
 
     Raises:
         UnsupportedSpace: The problem has no ordered techniques.
@@ -306,7 +345,12 @@ def combinations_view(space: SearchSpace, archive: Archive) -> Combinations:
         )
         for step, (alone, joined) in tally_by_step(verdicts).items()
     ]  # fmt: skip
-    chains = [_combination_view(names, one) for one in combinations(verdicts)]
+    known = alphas or {}
+    qualities = {chain: -alpha if counts_errors else alpha for chain, alpha in known.items()}
+    chains = [
+        _combination_view(names, one, known.get(one.chain), synergy(one.chain, qualities))
+        for one in combinations(verdicts)
+    ]
     return Combinations(words=_combinations_words(chains), steps=steps, combinations=chains)
 
 
@@ -351,13 +395,16 @@ def variants_view(space: SearchSpace, archive: Archive, number: int) -> list[Var
     ]  # fmt: skip
 
 
-def _combination_view(names: TechniqueNames, one: Combination) -> CombinationView:
+def _combination_view(
+    names: TechniqueNames, one: Combination, alpha: float | None, found: float | None
+) -> CombinationView:
     return CombinationView(
         chain=[names.step(step) for step in one.chain], words=names.words(one.chain),
         unsafe=one.tally.unsafe, trials=one.tally.trials,
         parts=_tallies(names, one.parts), orders=_tallies(names, one.orders),
         hazardous=one.hazardous, minimal=one.minimal, only_together=one.only_together,
-        order_matters=one.order_matters, together=list(one.joint_hazards), turned=list(one.order_hazards),
+        order_matters=one.order_matters, alpha=alpha, synergy=found,
+        together=list(one.joint_hazards), turned=list(one.order_hazards),
     )  # fmt: skip
 
 

@@ -476,6 +476,17 @@ class CombinationView(ChainTally):
     order_matters: Annotated[
         bool, Field(description="Hazardous, but another order is safe in at least four of five scenarios.")
     ]
+    alpha: Annotated[
+        float | None,
+        Field(description="Objective `alpha` on the data set; null if it was not measured there."),
+    ] = None
+    synergy: Annotated[
+        float | None,
+        Field(
+            description="By how much `alpha` is worse than that of the most harmful part; 0 or less if the other "
+            "techniques add nothing. Null if a technique was not measured alone."
+        ),
+    ] = None
     together: Annotated[list[int], Field(description="Numbers of unsafe solutions whose parts are all safe.")]
     turned: Annotated[
         list[int], Field(description="Numbers of unsafe solutions that are safe in another order.")

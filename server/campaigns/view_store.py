@@ -1,6 +1,6 @@
 """Read-only SQL for views of campaigns: progress, series, solutions."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from typing import Any, Final, NamedTuple, Protocol
@@ -273,6 +273,16 @@ def read_failed(connection: Connection, campaign_id: str) -> list[int]:
         SolutionRow.campaign_id == campaign_id, SolutionRow.verdict == SolutionVerdict.FAILED
     )
     return [row.number for row in connection.execute(query)]
+
+
+def read_measured(connection: Connection, campaign_id: str) -> list[tuple[bytes, Mapping[str, float]]]:
+    """Return the vectors of the solutions that were measured on a data set, ascending, with their objectives."""
+    query = (
+        select(SolutionRow.vector, SolutionRow.objectives)
+        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.verdict == SolutionVerdict.MEASURED)
+        .order_by(SolutionRow.number)
+    )
+    return [(row.vector, row.objectives or {}) for row in connection.execute(query)]
 
 
 def page_solutions(

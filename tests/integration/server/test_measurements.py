@@ -1,10 +1,12 @@
 """Search on a data set: candidates that are measured rather than simulated, and hazardous chains of perturbations."""
 
+import csv
 import io
 import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -12,12 +14,17 @@ import numpy as np
 import pytest
 from support.api import FakeWorker, coordinator, expect, finish, listening_coordinator, progress, submit
 from support.databases import Databases
-from support.problems import Slotted, small_problems
+from support.problems import NoParams, Slotted, small_problems
 from typer.testing import CliRunner
 
+import brink
 from brink.cli.commands import app
+from brink.cli.findings import CombinationFindings
 from brink.search.algorithm import Candidate, Evaluation, Question
-from brink.search.archive import archive_digest
+from brink.search.archive import Archive, Neighbourhood, archive_digest
+from brink.search.slots import ChainGenome, Step
+from brink.server.api.findings import combinations_view
+from brink.server.api.schemas import Combinations
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
@@ -29,7 +36,7 @@ SIMOOD = {
 }  # fmt: skip
 
 
-SMALL = {**SIMOOD, "budget": {"simulations": 100}}
+SMALL = {**SIMOOD, "budget": {"simulations": 130}}
 
 
 def outcome_of(spec: dict[str, Any]) -> Completed:
@@ -199,6 +206,59 @@ def test_every_simulated_chain_is_listed_with_its_parts(finished: Finished) -> N
     assert all(alone[part["words"]] == (part["unsafe"], part["trials"]) for part in singles)
 
 
+def slotted_alpha(chain: list[tuple[int, float]]) -> float:
+    """Return the alpha of a chain of techniques with their intensities, as `Slotted` measures it."""
+    (first, strong), (_, weak) = (*chain, (0, 0.0))[:2]
+    return 1.0 / (1.0 + math.hypot(first, strong, weak))
+
+
+def test_synergy_of_a_chain_is_how_much_worse_it_is_than_its_worst_part(finished: Finished) -> None:
+    names = [
+        gene.choices for gene in Slotted(NoParams()).space.components[1].parameters if gene.name == "gene_1"
+    ]
+    chains = finished.get("/combinations")["combinations"]
+    explained = [one for one in chains if one["synergy"] is not None]
+    assert len(explained) >= 4, "every finalist was measured, and so was each of its techniques alone"
+    for one in explained:
+        chain = [(names[0].index(step["technique"]), step["level"] / step["levels"]) for step in one["chain"]]
+        assert one["alpha"] == pytest.approx(slotted_alpha(chain))
+        parts = [slotted_alpha([step]) for step in chain]
+        assert one["synergy"] == pytest.approx(min(parts) - one["alpha"])
+    never_measured = [one for one in chains if one["alpha"] is None]
+    assert all(one["synergy"] is None for one in never_measured)
+
+
+def test_chains_are_a_data_frame_and_a_table(finished: Finished, tmp_path: Path) -> None:
+    found = finished.get("/combinations")
+    frame = brink.connect(str(finished.client.base_url)).campaign(finished.id).result().combinations()
+    assert list(frame["chain"]) == [one["words"] for one in found["combinations"]]
+    assert list(frame["synergy"].dropna()) == [
+        one["synergy"] for one in found["combinations"] if one["synergy"] is not None
+    ]
+    files = CombinationFindings(Combinations.model_validate(found)).write(tmp_path)
+    assert {file.name for file in files} == {"combinations.json", "combinations.csv", "hazards.csv"}
+    with (tmp_path / "combinations.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["chain"] for row in rows] == list(frame["chain"])
+    synergies = ["" if one["synergy"] is None else str(one["synergy"]) for one in found["combinations"]]
+    assert [row["synergy"] for row in rows] == synergies
+
+
+def test_errors_count_as_harm_in_the_synergy() -> None:
+    space = Slotted(NoParams()).space
+    alphas = {(Step(0, 4),): 0.3, (Step(1, 12),): 0.2, (Step(0, 4), Step(1, 12)): 0.9}
+    genome = ChainGenome.of(space)
+    place = space.sample(np.random.default_rng(0))
+    row = space.join([place[0], genome.row((Step(0, 4), Step(1, 12)))])
+    archive = Archive.empty(space, Neighbourhood(radius=0.3, p_th=0.1, z=1.96)).grown(
+        np.array([0]), row[None], np.array([True]), np.array([-1.0])
+    )
+    (one,) = combinations_view(space, archive, alphas, counts_errors=True).combinations
+    assert (one.alpha, one.synergy) == (0.9, pytest.approx(0.6))
+    (one,) = combinations_view(space, archive, alphas).combinations
+    assert one.synergy == pytest.approx(-0.7)
+
+
 def test_variants_of_a_solution_end_with_the_solution(finished: Finished) -> None:
     combinations = finished.get("/combinations")["combinations"]
     number = finished.get("/solutions", unsafe=True)["solutions"][0]["number"]
@@ -240,4 +300,5 @@ def test_command_prints_combinations_and_a_sentence(
     assert found == finished.get("/combinations")
     assert found["combinations"][0]["words"] in printed.stdout
     assert "chains are hazardous" in printed.stdout
+    assert "synergy" in printed.stdout
     assert "3 of 3" in printed.stdout

@@ -7,7 +7,6 @@ import pytest
 
 from brink.search.analysis.combinations import (
     Combination,
-    Step,
     combinations,
     tally_by_step,
     variants_at,
@@ -15,7 +14,7 @@ from brink.search.analysis.combinations import (
 )
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.errors import UnsupportedSpace
-from brink.search.slots import slots_of
+from brink.search.slots import Step, slots_of
 from brink.search.testing import example_spaces
 
 SPACE = example_spaces()["slots"]

@@ -10,6 +10,8 @@ import pytest
 from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
 from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
 from brink.search.errors import ConfigError
+from brink.search.slots import Slots
+from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.search.testing import check_algorithm, example_spaces, play
 
 SPACE = example_spaces()["slots"]
@@ -50,25 +52,38 @@ def run_to_end(
 
 
 def test_fitness_is_alpha_plus_weighted_mean_intensity() -> None:
-    state, _ = run_to_end(generations=0, omega=0.3)
+    state, _ = run_to_end(generations=0, omega=0.3, interaction="none")
     for place, fitness in zip(state.population, state.fitness, strict=True):
         first, strong, second, weak = state.individuals[place].tolist()
         alpha = 1.0 - 0.7 * strong * (first == 1) - 0.2 * weak * (second == 3) - 0.01 * (strong + weak)
         assert fitness == pytest.approx(alpha + 0.3 * (strong + weak) / 2, abs=1e-12)
 
 
-def test_fitness_of_errors_is_their_difference_to_the_weighted_intensity() -> None:
-    state, _ = run_to_end(generations=0, omega=0.3, alpha="errors")
+def test_search_for_errors_prefers_the_worst_component() -> None:
+    state, _ = run_to_end(generations=0, omega=0.3, alpha="errors", interaction="none")
     eta = state.individuals[:, [1, 3]].mean(axis=1)
-    expected = np.abs(0.3 * eta - state.alphas)[list(state.population)]
-    assert state.fitness == pytest.approx(expected)
+    assert state.fitness == pytest.approx((0.3 * eta - state.alphas)[list(state.population)])
+    # |omega eta - alpha|, the paper's formula, would prefer the individual with 0.1 errors to that with 0.9.
+    many = dataclasses.replace(
+        state, alphas=np.where(np.arange(20) == 7, 0.9, 0.1), population=tuple(range(20))
+    )
+    assert int(np.argmin(many.fitness)) == 7
+
+
+def test_errors_that_could_not_be_counted_are_not_the_most() -> None:
+    def answer(candidate: Candidate) -> Evaluation:
+        return Failed(reason="no") if candidate.vectors[1][0] == 1 else answered(candidate)
+
+    state, generations = run_to_end(answer, alpha="errors", interaction="none")
+    assert np.isinf(state.alphas).any()
+    assert all(candidate.vectors[1][0] != 1 for candidate in generations[-1])
 
 
 def test_cost_is_bounded_by_the_papers_and_nothing_is_asked_twice() -> None:
-    state, generations = run_to_end()
+    state, generations = run_to_end(interaction="none")
     asked = [c for generation in generations for c in generation if c.question is Question.DATASET]
     assert len(generations[0]) == 20
-    assert 20 + 20 <= len(asked) <= 20 + 2 * 20
+    assert len(asked) == 20 + 2 * 20
     assert len({c.vectors[1].tobytes() for c in asked}) == len(asked) == len(state.individuals)
     bred = [g for g in generations[1:] if g[0].question is Question.DATASET]
     assert all(len(generation) <= 2 for generation in bred)
@@ -161,7 +176,7 @@ def test_failed_evaluations_never_become_finalists() -> None:
 
 
 def test_budget_is_reserved_for_the_finalists() -> None:
-    state, generations = run_to_end(budget=20 + 7 + 15, explained=0)
+    state, generations = run_to_end(budget=20 + 7 + 15, explained=0, interaction="none")
     assert sum(map(len, generations)) == 42
     assert len(generations[-1]) == 15
     assert len(state.archive) == 15
@@ -177,18 +192,182 @@ def test_search_can_run_in_the_simulator() -> None:
 
 @pytest.mark.parametrize(
     ("changes", "budget", "field"),
-    [({}, 94, "budget"), ({"parents": 30}, BUDGET, "parents"), ({"finalists": 0}, BUDGET, "finalists")],
-)
+    [
+        ({"interaction": "none"}, 94, "budget"), ({}, 134, "budget"), ({"interaction": "finalists"}, 104, "budget"),
+        ({"parents": 30}, BUDGET, "parents"), ({"finalists": 0}, BUDGET, "finalists"),
+        ({"interaction": "yes"}, BUDGET, "interaction"),
+    ],
+)  # fmt: skip
 def test_inconsistent_settings_are_rejected(changes: dict[str, Any], budget: int, field: str) -> None:
     with pytest.raises(ConfigError) as caught:
         run_to_end(budget=budget, **changes)
     assert caught.value.field == field
 
 
-@pytest.mark.parametrize("changes", [{"propose": "random"}, {"evaluate": "episode"}, {"parents": 5}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"propose": "random"}, {"evaluate": "episode"}, {"parents": 5}, {"interaction": "none"},
+        {"interaction": "finalists"}, {"interaction": "finalists", "evaluate": "episode"}, {"alpha": "errors"},
+    ],
+)  # fmt: skip
 def test_every_variant_keeps_the_contract(changes: dict[str, Any]) -> None:
     config = dataclasses.replace(SimoodConfig(), **changes)
     check_algorithm(SIMOOD, SPACE, budget=BUDGET, config=config, ends_itself=True)
+
+
+def test_no_individual_enters_the_population_twice() -> None:
+    state, _ = run_to_end(generations=100, interaction="none")
+    assert len({row.tobytes() for row in state.individuals}) == len(state.individuals) == 20 + 2 * 100
+    assert len(set(state.population)) == 20
+    assert state.given_up == 0
+
+
+@pytest.mark.parametrize("propose", ["ga", "random"])
+def test_children_of_an_exhausted_space_are_given_up_and_counted(propose: str) -> None:
+    genes = Component(
+        "perturbation",
+        (
+            Categorical("gene_1", ("a", "b")), Real("intensity_1", 0.0, 1.0),
+            Categorical("gene_2", ("a", "b")), Real("intensity_2", 0.0, 1.0),
+        ),
+        (Slots((("gene_1", "intensity_1"), ("gene_2", "intensity_2")), (3, 2)),),
+    )  # fmt: skip
+    space = SearchSpace((SPACE.components[0], genes))
+    config = SimoodConfig(propose=propose, population_size=2, finalists=2, repeats=1, interaction="none")
+    state = SIMOOD.start(space, config, seed=1, budget=BUDGET)
+    while state.stage is Stage.SEARCH:
+        state, candidates = SIMOOD.ask(state)
+        state = SIMOOD.tell(state, {c.number: answered(c) for c in candidates})
+    assert len(state.individuals) == 4, "two orders of a at level 1 or 2 and b at level 1"
+    assert state.given_up == 2, "the first generation without a new child ends the search"
+
+
+LONE = {(0, 8): 0.9, (1, 23): 0.3, (2, 5): 0.8, (3, 10): 0.7, (4, 30): 0.8}
+"""Alpha of each technique alone at its highest level."""
+
+
+def interacting_alpha(candidate: Candidate) -> float:
+    """Return an alpha of which one technique does all the harm, except that dirt (3) then snow (2) interact."""
+    first, strong, second, weak = candidate.vectors[1].tolist()
+    alone = [
+        1.0 - (1.0 - LONE[int(one), LEVELS[int(one)] - 1]) * level
+        for one, level in ((first, strong), (second, weak))
+    ]
+    alpha = float(min(alone))
+    if (first, second) == (3.0, 2.0) and strong and weak:
+        alpha -= 0.3 * min(strong, weak)
+    return alpha
+
+
+def interacting(candidate: Candidate) -> Evaluation:
+    alpha = interacting_alpha(candidate)
+    if candidate.question is Question.DATASET:
+        return Measured(objectives={"alpha": alpha})
+    return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
+
+
+@pytest.mark.parametrize("interaction", ["fitness", "finalists"])
+def test_chains_that_harm_more_than_their_parts_come_first(interaction: str) -> None:
+    for seed in range(3):
+        state, _ = run_to_end(interacting, seed=seed, generations=60, interaction=interaction)
+        best = finalists_of(state)[0]
+        assert tuple(best[[0, 2]]) == (3, 2)
+        paper, _ = run_to_end(interacting, seed=seed, generations=60, interaction="none")
+        assert 1 in finalists_of(paper)[0][[0, 2]], "blur with a free rider"
+        assert not len(paper.parts)
+
+
+def test_fitness_of_a_chain_without_synergy_is_what_it_lacks_behind_the_worst_with_synergy() -> None:
+    state, generations = run_to_end(interacting, generations=0, omega=0.5, margin=0.05)
+    first = generations[0]
+    parts = {
+        (int(c.vectors[1][0]), float(c.vectors[1][1])): interacting_alpha(c)
+        for c in first
+        if c.vectors[1][3] == 0
+    }
+    for place, fitness in zip(state.population, state.fitness, strict=True):
+        a, strong, b, weak = state.individuals[place].tolist()
+        synergy = min(parts[int(a), strong], parts[int(b), weak]) - state.alphas[place]
+        assert state.synergies[place] == pytest.approx(synergy)
+        expected = (
+            state.alphas[place] + 0.5 * (strong + weak) / 2 if synergy >= 0.05 else 1.5 + 0.05 - synergy
+        )
+        assert fitness == pytest.approx(expected)
+
+
+def test_each_technique_at_a_level_is_evaluated_alone_once() -> None:
+    state, generations = run_to_end(interacting)
+    asked = [c for generation in generations for c in generation if c.question is Question.DATASET]
+    rows = [c.vectors[1] for c in asked if c.vectors[1][3] == 0]
+    singles = {(int(row[0]), float(row[1])) for row in rows}
+    assert len(singles) == len(rows) == len(state.parts)
+    steps = {(int(row[s]), float(row[s + 1])) for row in state.individuals for s in (0, 2)}
+    assert singles == steps
+
+
+def test_only_parts_of_possible_finalists_are_evaluated_for_the_choice_of_finalists() -> None:
+    def answer(candidate: Candidate) -> Evaluation:
+        qualities = [1.0 - 0.5 * level for level in candidate.vectors[1][[1, 3]]]
+        alpha = float(np.prod(qualities))
+        if candidate.question is Question.DATASET:
+            return Measured(objectives={"alpha": alpha})
+        return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
+
+    state, generations = run_to_end(answer, interaction="finalists")
+    stages = [[c.vectors[1][3] == 0 for c in g] for g in generations if g[0].question is Question.DATASET]
+    assert all(not any(parts) or all(parts) for parts in stages)
+    searched = [place for place, parts in enumerate(stages) if not any(parts)]
+    assert searched == list(range(len(searched))), "parts come after the search"
+    known = ~np.isnan(state.synergies)
+    assert 5 <= known.sum() < len(state.individuals)
+
+
+def test_parts_stay_within_the_budget() -> None:
+    for interaction, least in (("finalists", 105), ("fitness", 135)):
+        state, generations = run_to_end(interacting, interaction=interaction, budget=least)
+        assert sum(map(len, generations)) <= least
+        assert len({c.vectors[1].tobytes() for c in generations[-1]}) >= 1
+        assert len(finalists_of(state)) == 5
+
+
+def test_chain_with_a_part_that_could_not_be_measured_does_not_interact() -> None:
+    def answer(candidate: Candidate) -> Evaluation:
+        row = candidate.vectors[1]
+        return Failed(reason="no") if row[3] == 0 and row[0] == 3 else interacting(candidate)
+
+    state, _ = run_to_end(answer, generations=60)
+    with_dirt = (state.individuals[:, [0, 2]] == 3).any(axis=1)
+    assert np.isnan(state.synergies[with_dirt]).all()
+    assert not (finalists_of(state)[:, [0, 2]] == 3).any()
+
+
+def test_parts_of_two_steps_count_for_finalists_of_three() -> None:
+    """Blur with dirt does all the harm of blur, dirt and snow, but no technique alone does any."""
+    genes = tuple(str(gene) for gene in range(4))
+    pairs = tuple((f"gene_{slot}", f"intensity_{slot}") for slot in (1, 2, 3))
+    component = Component(
+        "perturbation",
+        tuple(p for gene, level in pairs for p in (Categorical(gene, genes), Real(level, 0.0, 1.0))),
+        (Slots(pairs, (3,) * len(genes)),),
+    )
+    space = SearchSpace((SPACE.components[0], component))
+
+    def answer(candidate: Candidate) -> Evaluation:
+        row = candidate.vectors[1]
+        used = {int(gene) for gene, level in zip(row[::2], row[1::2], strict=True) if level}
+        alpha = 0.2 if {0, 1} <= used else 0.4 if used == {1, 2, 3} else 0.8
+        if candidate.question is Question.DATASET:
+            return Measured(objectives={"alpha": alpha})
+        return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
+
+    for interaction in ("fitness", "finalists"):
+        config = SimoodConfig(generations=40, interaction=interaction, finalists=3)
+        state = SIMOOD.start(space, config, seed=1, budget=1_000)
+        while not SIMOOD.finished(state):
+            state, candidates = SIMOOD.ask(state)
+            state = SIMOOD.tell(state, {c.number: answer(c) for c in candidates})
+        assert all(set(row[::2]) == {1, 2, 3} for row in finalists_of(state))
 
 
 def test_seeds_give_different_searches() -> None:

@@ -106,9 +106,9 @@ def refused(**params: Any) -> dict[str, str]:
 def test_the_first_generation_is_measured_on_data() -> None:
     _, asked = check_submission(parse_body(AEB_BODY))
     (solutions,) = asked.generations
-    assert len(solutions) == 20
+    assert 20 < len(solutions) <= 20 + 40, "20 individuals, and each of their techniques alone"
     specs = [solution.job.spec for solution in solutions if solution.job is not None]
-    assert len(set(specs)) == 20
+    assert len(set(specs)) == len(solutions)
     assert all('"simulator":"brink-dataset@1"' in spec.replace(" ", "") for spec in map(str, specs))
 
 

@@ -225,10 +225,11 @@ export function findings(context, id, tells) {
     replace(combinations, h("h2", null, "Combinations of techniques"),
       h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Combinations of techniques" },
         h("table", null, h("caption", null, telling.length ? "Hazardous combinations: unsafe in at least four of five scenarios" : "No hazardous combination so far"),
-          head("Techniques, in order", "Unsafe", "Parts", "Conclusion"),
+          head("Techniques, in order", "Unsafe", "Parts", "Synergy", "Conclusion"),
           h("tbody", null, telling.map((one) => h("tr", null, h("th", { scope: "row" }, one.words),
             h("td", null, `${one.unsafe} of ${one.trials}`),
             h("td.small", null, one.parts.map((each) => h("div", null, `${each.words || "nothing"}: ${each.unsafe} of ${each.trials}`))),
+            h("td", { title: "How much worse alpha is than with the most harmful part alone" }, one.synergy === null ? "–" : `${one.synergy < 0 ? "−" : "+"}${Math.abs(one.synergy).toFixed(2)}`),
             h("td", null, [one.only_together && "hazardous only together", one.order_matters && "order matters", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
               (one.together[0] ?? one.turned[0]) !== undefined && [" ", solution(one.together[0] ?? one.turned[0])])))))),
       alone(read.steps));
