@@ -28,9 +28,9 @@ PLUGINS_VARIABLE = "BRINK_PLUGINS"
 """Environment variable with a comma-separated list of modules to import for the plug-ins that they register."""
 
 EXTRAS: Final[Mapping[str, str]] = {
-    "brink-aeb@1": "vision",
-    "brink-dataset@1": "vision",
-    "brink-drive-camera@1": "vision",
+    "brink-aeb@2": "vision",
+    "brink-dataset@2": "vision",
+    "brink-drive-camera@2": "vision",
     "brink-encounter-camera@1": "vision",
     "gymnasium@1": "gymnasium",
     "highway-env@1": "highway",

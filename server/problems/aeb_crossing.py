@@ -43,8 +43,8 @@ from brink.sim.perception.user_files import (
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.wire import Completed
 
-SIMULATOR = "brink-aeb@1"
-EVALUATOR = "brink-dataset@1"
+SIMULATOR = "brink-aeb@2"
+EVALUATOR = "brink-dataset@2"
 ACCIDENT = "no-collision@1"
 DANGEROUS_STOP = "no-dangerous-stop@1"
 EVERY = "all"

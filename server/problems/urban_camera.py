@@ -23,7 +23,7 @@ from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.world.scenario import words_of_scenario
 
-SIMULATOR = "brink-drive-camera@1"
+SIMULATOR = "brink-drive-camera@2"
 WITH_TRUTH = "brink-drive-errors@1"
 
 

@@ -1,4 +1,4 @@
-"""Labelled images of the emergency-braking street, and the evaluator `brink-dataset@1`.
+"""Labelled images of the emergency-braking street, and the evaluator `brink-dataset@2`.
 
 The images show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
 disjoint appearances (colours, textures, shapes). People stand and walk where the emergency-braking episode places
@@ -216,7 +216,7 @@ def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator)
     )  # fmt: skip
 
 
-EVALUATOR_ID: Final = "brink-dataset@1"
+EVALUATOR_ID: Final = "brink-dataset@2"
 SIMULATOR_DATA: Final = "simulator"
 MAX_FRAMES: Final = 5000
 

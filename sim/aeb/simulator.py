@@ -1,4 +1,4 @@
-"""The simulator `brink-aeb@1`: runs a specification and returns the result, bit for bit reproducible."""
+"""The simulator `brink-aeb@2`: runs a specification and returns the result, bit for bit reproducible."""
 
 import math
 import time
@@ -22,7 +22,7 @@ from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.weather import conditions
 
-SIMULATOR_ID = "brink-aeb@1"
+SIMULATOR_ID = "brink-aeb@2"
 MAX_DURATION_S = 60.0
 
 

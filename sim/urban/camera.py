@@ -1,6 +1,6 @@
 """The camera on urban roads: renders what the ego sees and returns a detector's boxes.
 
-`brink-drive-camera@1` runs urban episodes with the detector in the loop. Its results say how wrong the detector was,
+`brink-drive-camera@2` runs urban episodes with the detector in the loop. Its results say how wrong the detector was,
 in the terms of `detection_errors`, so that it can be held against a requirement.
 """
 
@@ -43,7 +43,7 @@ from brink.sim.world.scenery import fixtures
 from brink.sim.world.world import World
 
 MODE: Final = "detector"
-SIMULATOR_ID: Final = "brink-drive-camera@1"
+SIMULATOR_ID: Final = "brink-drive-camera@2"
 SIZE_PX: Final = (640, 360)
 CROWN_M: Final = 3.0
 STEPS_PER_S: Final = 1.9

@@ -62,7 +62,7 @@ def encounter_drive() -> Trace:
 def street_drive() -> Trace:
     """Return a drive of the emergency brake towards a fallen tree and a person."""
     spec = EpisodeSpec(
-        simulator="brink-aeb@1",
+        simulator="brink-aeb@2",
         scenario={
             "time_of_day": "night", "weather": "soft_rain", "occluder": "van", "crossing_m": 50.0, "arrival_s": 0.1,
             "oncoming_m": 60.0, "obstacle": "novelty",

@@ -12,7 +12,7 @@ from brink.bench.trials import Record, Records, code_fingerprint, run_record
 from brink.sim.episode import EpisodeSpec
 
 SPEC = EpisodeSpec(
-    simulator="brink-aeb@1",
+    simulator="brink-aeb@2",
     scenario={
         "time_of_day": "noon", "weather": "clear", "occluder": "car", "crossing_m": 50.0, "arrival_s": 0.0,
         "oncoming_m": 60.0, "obstacle": "none",

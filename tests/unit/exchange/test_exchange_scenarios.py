@@ -400,7 +400,7 @@ def test_a_drive_without_known_roads_is_refused() -> None:
         NotExportable, match=r"no roads that can be exported; expected a drive of urban-injected@1"
     ):
         world_of(make_trace())
-    for simulator in ("brink-dataset@1", "mine@1"):
+    for simulator in ("brink-dataset@2", "mine@1"):
         with pytest.raises(NotExportable, match=f"a drive of {simulator}"):
             check_exportable(simulator)
     with pytest.raises(NotExportable, match="that was not simulated"):

@@ -109,7 +109,7 @@ def test_the_first_generation_is_measured_on_data() -> None:
     assert 20 < len(solutions) <= 20 + 40, "20 individuals, and each of their techniques alone"
     specs = [solution.job.spec for solution in solutions if solution.job is not None]
     assert len(set(specs)) == len(solutions)
-    assert all('"simulator":"brink-dataset@1"' in spec.replace(" ", "") for spec in map(str, specs))
+    assert all('"simulator":"brink-dataset@2"' in spec.replace(" ", "") for spec in map(str, specs))
 
 
 def test_missing_and_broken_files_are_reported_at_submission(tmp_path: Path) -> None:

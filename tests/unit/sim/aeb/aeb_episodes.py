@@ -14,7 +14,7 @@ def spec(seed: int, *, mode: str = "oracle", obstacle: str = "none", **options: 
     """Return an episode with a random scenario."""
     rng = np.random.default_rng(seed)
     return EpisodeSpec(
-        simulator="brink-aeb@1",
+        simulator="brink-aeb@2",
         scenario={
             "time_of_day": str(rng.choice(TIMES)), "weather": str(rng.choice(WEATHERS)),
             "occluder": str(rng.choice(list(Occluder))), "crossing_m": float(rng.uniform(*CROSSING_M)),

@@ -169,7 +169,7 @@ def frames() -> list[LabelledFrame]:
 
 def evaluation(**behaviour: Any) -> EpisodeSpec:
     return EpisodeSpec(
-        simulator="brink-dataset@1", scenario={"dataset": "simulator", "frames": FRAMES},
+        simulator="brink-dataset@2", scenario={"dataset": "simulator", "frames": FRAMES},
         behaviour={"detector": "known@1", **behaviour}, requirements=(), seed=0, duration_s=1.0,
     )  # fmt: skip
 
@@ -218,7 +218,7 @@ def test_the_second_gene_is_applied_to_the_result_of_the_first(known: Known) -> 
         ({"behaviour": {"detector": "unknown@1"}}, "detector: expected one of"),
         ({"behaviour": {"perturbations": [{"gene": "snwo", "level": 1}]}}, "snow"),
         ({"behaviour": {"perturbations": [{"gene": "snow", "level": 9}]}}, "behaviour.perturbations"),
-        ({"simulator": "brink-aeb@1"}, "simulator: expected brink-dataset@1, got"),
+        ({"simulator": "brink-aeb@2"}, "simulator: expected brink-dataset@2, got"),
     ],
 )
 def test_an_invalid_evaluation_is_refused(known: Known, changes: dict[str, Any], message: str) -> None:

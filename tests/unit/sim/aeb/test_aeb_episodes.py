@@ -156,7 +156,7 @@ def test_a_trace_can_be_drawn() -> None:
         ({"options": {"person_frames": 4}}, "options.person_frames: expected 1 to 3 of the last 3 frames"),
         ({"options": {"width_px": 8}}, r"options.width_px: expected a number in \[64, 4096\]"),
         ({"options": {"heigth_px": 360}}, "did you mean 'height_px'"),
-        ({"simulator": "brink-drive@2"}, "simulator: expected brink-aeb@1, got"),
+        ({"simulator": "brink-drive@2"}, "simulator: expected brink-aeb@2, got"),
         ({"duration_s": 600.0}, "duration_s: expected at most 60"),
     ],
 )

@@ -134,7 +134,7 @@ def test_a_target_that_is_hardly_there_is_not_measured() -> None:
 
 def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
     spec = EpisodeSpec(
-        simulator="brink-drive-camera@1",
+        simulator="brink-drive-camera@2",
         scenario={
             "time_of_day": "noon", "weather": "clear", "pedestrians": 0, "road_curve": "straight", "road_id": 0,
             "road_length": 0, "driving_task": "follow_road",
