@@ -30,7 +30,7 @@ from brink.sim.rendering.scene import (
     footprint,
 )
 from brink.sim.rendering.textures import TILE_M, TILE_PX_PER_M, ground_tiles
-from brink.sim.rendering.view import SHIFT, View, to_fixed_point
+from brink.sim.rendering.view import SHIFT, View, clip_near, to_fixed_point
 
 _NEAR_M: Final = 0.4
 _FAR_M: Final = 220.0
@@ -182,7 +182,7 @@ class GroundPainter:
             if whole[index]:
                 points = pixels[first:last]
             else:
-                cut = _cut_near(seen[first:last])
+                cut = clip_near(seen[first:last], _NEAR_M)
                 points = to_fixed_point(view.project(cut) - (0, first_px))
             material = self._materials[index]
             joined = material in _ON_ASPHALT and material is pending_material
@@ -321,22 +321,6 @@ class GroundPainter:
         )
 
 
-def _cut_near(points_m: FloatArray) -> FloatArray:
-    """Return the part of a polygon in camera coordinates beyond the ground's near plane, shape ``(k, 3)``."""
-    # Plain numbers, because most polygons have four corners and arrays that small cost more to handle.
-    corners: list[list[float]] = points_m.tolist()
-    cut: list[tuple[float, float, float]] = []
-    for (depth, left, up), (depth_2, left_2, up_2) in zip(corners, [*corners[1:], corners[0]], strict=True):
-        if depth >= _NEAR_M:
-            cut.append((depth, left, up))
-        if (depth >= _NEAR_M) != (depth_2 >= _NEAR_M):
-            share = (_NEAR_M - depth) / (depth_2 - depth)
-            cut.append(
-                (depth + share * (depth_2 - depth), left + share * (left_2 - left), up + share * (up_2 - up))
-            )
-    return np.array(cut).reshape(-1, 3)
-
-
 def headlight_strength(ahead_m: FloatArray, left_m: FloatArray) -> FloatArray:
     """Return the strength of the ego's headlights, in [0, 1], at positions relative to the camera."""
     ahead = np.maximum(ahead_m, 0.0)
@@ -444,7 +428,7 @@ def project_areas(areas: Sequence[Shadow], view: View, first_row_px: int) -> lis
         if near >= _NEAR_M:
             found.append((pixels[first:last], value))
         else:
-            cut = to_fixed_point(view.project(_cut_near(seen[first:last])))
+            cut = to_fixed_point(view.project(clip_near(seen[first:last], _NEAR_M)))
             found.append((to_half_size(cut, first_row_px), value))
     return found
 
