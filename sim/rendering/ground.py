@@ -30,7 +30,7 @@ from brink.sim.rendering.scene import (
     footprint,
 )
 from brink.sim.rendering.textures import TILE_M, TILE_PX_PER_M, ground_tiles
-from brink.sim.rendering.view import SHIFT, View, clip_near, to_fixed_point
+from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_point
 
 _NEAR_M: Final = 0.4
 _FAR_M: Final = 220.0
@@ -462,19 +462,35 @@ def body_reflections(
     seen = view.to_camera(box.reshape(-1, 3))
     before: list[bool] = np.all(seen[:, 0].reshape(-1, 8) > _NEAR_M, axis=1).tolist()
     pixels = to_fixed_point(view.project(seen)).reshape(-1, 8, 2)
-    found: list[list[tuple[IntArray, Rgb]]] = []
+    found: list[list[tuple[IntArray, Rgb]]] = [[] for _ in bodies]
+    quads: list[list[tuple[float, float, float]]] = []
+    owners: list[tuple[int, Rgb]] = []
     for row, (body, rgb, lights) in enumerate(zip(bodies, colours, lit, strict=True)):
-        reflections: list[tuple[IntArray, Rgb]] = []
         if before[row]:
-            reflections.append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
+            found[row].append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
             if body.kind is BodyKind.VEHICLE and (lights or body.braking):
-                reflections += _light_reflections(body, view, lights=lights)
-        found.append(reflections)
+                for quad, light in _light_quads(body, view, lights=lights):
+                    quads.append(quad)
+                    owners.append((row, light))
+    if quads:
+        places = view.to_camera(np.array(quads).reshape(-1, 3))
+        polygons = to_fixed_point(view.project(places)).reshape(-1, 4, 2)
+        near: list[bool] = np.any(places[:, 0].reshape(-1, 4) < NEAR_M, axis=1).tolist()
+        for number, (row, light) in enumerate(owners):
+            cut = (
+                view.project_polygon(places[4 * number : 4 * number + 4])
+                if near[number]
+                else polygons[number]
+            )
+            found[row].append((cut, light))
     return found
 
 
-def _light_reflections(body: Body, view: View, *, lights: bool) -> list[tuple[IntArray, Rgb]]:
-    found: list[tuple[IntArray, Rgb]] = []
+def _light_quads(
+    body: Body, view: View, *, lights: bool
+) -> list[tuple[list[tuple[float, float, float]], Rgb]]:
+    """Return the reflections of a vehicle's lights that face the camera: corners in the world, and colours."""
+    found: list[tuple[list[tuple[float, float, float]], Rgb]] = []
     cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
     ahead_m = (view.x_m - body.x_m) * cosine + (view.y_m - body.y_m) * sine
     across_x, across_y = -0.16 * view.sin_yaw, 0.16 * view.cos_yaw
@@ -482,7 +498,6 @@ def _light_reflections(body: Body, view: View, *, lights: bool) -> list[tuple[In
         if ahead_m * end <= 0 or (end > 0 and not lights):
             continue
         corners = ((-1, -z - 0.5), (1, -z - 0.5), (1, -z + 0.35), (-1, -z + 0.35))
-        quad = np.array([(x + side * across_x, y + side * across_y, up) for side, up in corners])
         rgb = _WHITE if end > 0 else (_BRAKE if body.braking else _RED)
-        found.append((view.project_polygon(view.to_camera(quad)), rgb))
+        found.append(([(x + side * across_x, y + side * across_y, up) for side, up in corners], rgb))
     return found
