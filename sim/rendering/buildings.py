@@ -65,6 +65,7 @@ class BuildingPainter:
         self._lighting = lighting
         self._veil: Picture = np.empty((height_px, width_px, 3), np.uint8)
         self._veil[:] = np.array(lighting.haze_rgb).astype(np.uint8)
+        self._mask: Picture = np.zeros((height_px, width_px), np.uint8)
         rectangles = [footprint(b.x_m, b.y_m, b.yaw_rad, b.length_m, b.width_m) for b in buildings]
         outlines = np.array(rectangles).reshape(-1, 4, 2)
         # A counter-clockwise outline runs from left to right when seen from outside.
@@ -200,11 +201,10 @@ class BuildingPainter:
         warped = _warp(texture, to_texture, size, coarse=coarse)
         veil = self._veil[: size[1], : size[0]]
         cv2.addWeighted(warped, self._light[wall] * (1 - haze), veil, haze, 0.0, dst=warped)
-        mask = np.zeros((size[1], size[0]), np.uint8)
-        cv2.fillConvexPoly(
-            mask, outline - np.array((left << SHIFT, top << SHIFT), np.int32), (255,), cv2.LINE_8, SHIFT
-        )
+        cv2.fillConvexPoly(self._mask, outline, (255,), cv2.LINE_8, SHIFT)
+        mask = self._mask[top:bottom, left:right]
         cv2.copyTo(warped, mask, canvas.image[top:bottom, left:right])
+        mask[:] = 0
 
     def _fit(self, outline: IntArray, view: View) -> float:
         """Return by how much finer a wall's far end is than its near end, as a factor on its size in the image.

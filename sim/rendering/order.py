@@ -289,9 +289,9 @@ def _sort_topologically(hides: NDArray[np.bool_], distance: list[float]) -> list
     """Sort hidden objects before those that hide them; a cycle is broken at its farthest member."""
     count = len(distance)
     waits = hides.sum(axis=1).tolist()
-    behind: list[list[int]] = [[] for _ in range(count)]
-    for hiding, hidden in zip(*(axis.tolist() for axis in np.nonzero(hides)), strict=True):
-        behind[hidden].append(hiding)
+    hidden, hiding = np.nonzero(hides.T)
+    ends = np.searchsorted(hidden, np.arange(count + 1)).tolist()
+    in_front: list[int] = hiding.tolist()
     ready = [(-distance[i], i) for i in range(count) if waits[i] == 0]
     heapq.heapify(ready)
     done = [False] * count
@@ -305,8 +305,8 @@ def _sort_topologically(hides: NDArray[np.bool_], distance: list[float]) -> list
             continue
         done[index] = True
         order.append(index)
-        for hiding in behind[index]:
-            waits[hiding] -= 1
-            if waits[hiding] == 0 and not done[hiding]:
-                heapq.heappush(ready, (-distance[hiding], hiding))
+        for nearer in in_front[ends[index] : ends[index + 1]]:
+            waits[nearer] -= 1
+            if waits[nearer] == 0 and not done[nearer]:
+                heapq.heappush(ready, (-distance[nearer], nearer))
     return order
