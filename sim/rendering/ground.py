@@ -12,6 +12,7 @@ from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from brink.sim.rendering.lamps import lamp_head_position, vehicle_light_positions
 from brink.sim.rendering.light import Lighting
@@ -79,12 +80,14 @@ class GroundCover:
 class _Rows:
     """Precomputed values of the rows below the horizon for one pitch.
 
-    Bands are runs of rows with the same texture level: first, last, level; level -1 is finer than the texture.
+    Bands are runs of rows with the same texture level: first, last, level; level -1 is finer than the texture. Levels
+    become finer downwards. `scale` is the resolution of each row's texture in px per m.
     """
 
     first_px: int
     ahead_m: FloatArray
     spread_m: FloatArray
+    scale: FloatArray
     bands: tuple[tuple[int, int, int], ...]
     light: Picture
     haze: Picture
@@ -204,26 +207,27 @@ class GroundPainter:
 
     def _texture(self, view: View, rows: _Rows) -> Picture:
         """Return the texture as seen by the camera, shape ``(rows, columns, channels)``."""
-        out = np.empty((len(rows.ahead_m), view.width_px, self._tiles[0].shape[2]), np.uint8)
+        count = len(rows.ahead_m)
+        out = np.empty((count, view.width_px, self._tiles[0].shape[2]), np.uint8)
+        close = next((first for first, _, level in rows.bands if level < 0), count)
+        maps = self._maps(view, rows, slice(0, close), 1)
         for first, last, level in rows.bands:
             if level >= 0:
-                self._texture_band(view, rows, (first, last, level, 1), out[first:last])
+                self._look_up(level, maps, slice(first, last), out[first:last])
                 continue
             # A texture pixel this close covers several image pixels, so half the resolution is enough.
             half = np.empty(((last - first + 1) // 2, (view.width_px + 1) // 2, out.shape[2]), np.uint8)
-            self._texture_band(view, rows, (first, last, 0, 2), half)
+            self._look_up(0, self._maps(view, rows, slice(first, last, 2), 2), slice(None), half)
             cv2.resize(
                 half, (view.width_px, last - first), dst=out[first:last], interpolation=cv2.INTER_LINEAR
             )
         return out
 
-    def _texture_band(self, view: View, rows: _Rows, band: tuple[int, int, int, int], out: Picture) -> None:
-        """Draw one band of texture rows. A band holds its first and last row, tile level and pixel step."""
-        first, last, level, step = band
-        ahead, spread = rows.ahead_m[first:last:step], rows.spread_m[first:last:step]
+    def _maps(self, view: View, rows: _Rows, part: slice, step: int) -> list[NDArray[np.float32]]:
+        """Return the columns and the rows of the texture that some rows of the image show."""
+        ahead, spread, scale = rows.ahead_m[part], rows.spread_m[part], rows.scale[part]
         across = (view.width_px / 2 - 0.5 - np.arange(0, view.width_px, step)) / view.focal_px
         row = across.astype(np.float32)
-        scale = TILE_PX_PER_M * 0.5**level
         maps = []
         for origin_m, along, aside in (
             (view.x_m % TILE_M, view.cos_yaw, -view.sin_yaw),
@@ -232,7 +236,11 @@ class GroundPainter:
             slope = (spread * (aside * scale)).astype(np.float32)[:, None]
             offset = ((origin_m + ahead * along) * scale - 0.5).astype(np.float32)[:, None]
             maps.append(slope * row + offset)
-        cv2.remap(self._tiles[level], maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_WRAP)
+        return maps
+
+    def _look_up(self, level: int, maps: list[NDArray[np.float32]], part: slice, out: Picture) -> None:
+        columns, rows = maps[0][part], maps[1][part]
+        cv2.remap(self._tiles[level], columns, rows, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_WRAP)
 
     def _shadow(self, cover: GroundCover, rows: _Rows, shape: tuple[int, int]) -> Picture:
         mask = self._half_sheet(rows, shape, 255)
@@ -314,6 +322,7 @@ class GroundPainter:
             first_px=first,
             ahead_m=ahead,
             spread_m=reach,
+            scale=TILE_PX_PER_M * 0.5 ** np.maximum(levels, 0),
             bands=bands,
             light=light.astype(np.uint8),
             haze=veil.astype(np.uint8),
