@@ -11,7 +11,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from brink.sim.rendering.canvas import Canvas
 from brink.sim.rendering.facades import draw_facade, plain_colour, shrink_facade
@@ -35,8 +34,8 @@ class PlacedWalls:
         outlines: The same corners in sixteenths of a pixel, shape ``(walls, 4, 2)``.
         bounds: Left, top, right and bottom edge in pixels of each wall.
         to_wall: Homographies from image pixels to a wall's unit square, up to scale, shape ``(walls, 3, 3)``.
-        shown: Whether a wall faces the camera and extends beyond the near plane, shape ``(walls,)``.
-        near: Whether a wall must be clipped at the near plane, shape ``(walls,)``.
+        shown: Whether each wall faces the camera and extends beyond the near plane.
+        near: Whether each wall must be clipped at the near plane.
         haze: Share of haze of each wall.
     """
 
@@ -44,8 +43,8 @@ class PlacedWalls:
     outlines: IntArray
     bounds: list[list[float]]
     to_wall: FloatArray
-    shown: NDArray[np.bool_]
-    near: NDArray[np.bool_]
+    shown: list[bool]
+    near: list[bool]
     haze: list[float]
 
 
@@ -66,6 +65,7 @@ class BuildingPainter:
         self._lighting = lighting
         self._veil: Picture = np.empty((height_px, width_px, 3), np.uint8)
         self._veil[:] = np.array(lighting.haze_rgb).astype(np.uint8)
+        self._mask: Picture = np.zeros((height_px, width_px), np.uint8)
         rectangles = [footprint(b.x_m, b.y_m, b.yaw_rad, b.length_m, b.width_m) for b in buildings]
         outlines = np.array(rectangles).reshape(-1, 4, 2)
         # A counter-clockwise outline runs from left to right when seen from outside.
@@ -106,13 +106,15 @@ class BuildingPainter:
         to_picture[:, 1] = (view.height_px / 2 - 0.5) * columns[:, 0] - view.focal_px * columns[:, 2]
         to_picture[:, 2] = columns[:, 0]
         haze: list[float] = self._lighting.haze(np.hypot(middle[:, 0], middle[:, 1])).tolist()
+        shown: list[bool] = ((outward > 1e-3) & (depth.max(axis=1) > NEAR_M)).tolist()
+        near: list[bool] = (depth.min(axis=1) < NEAR_M).tolist()
         return PlacedWalls(
             seen,
             to_fixed_point(pixels.reshape(-1, 2)).reshape(count, 4, 2),
             np.concatenate((pixels.min(axis=1), pixels.max(axis=1)), axis=1).tolist(),
             _inverses(to_picture),
-            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M),
-            depth.min(axis=1) < NEAR_M,
+            shown,
+            near,
             haze,
         )
 
@@ -134,15 +136,26 @@ class BuildingPainter:
         for wall in self._facing(number, walls):
             self._paint_wall(wall, walls, canvas, view)
 
-    def mirrored(self, walls: PlacedWalls, view: View) -> list[list[tuple[IntArray, Rgb]]]:
-        """Return each building's visible walls reflected below the ground, in one colour per wall."""
+    def mirrored(
+        self, numbers: Sequence[int], walls: PlacedWalls, view: View
+    ) -> dict[int, list[tuple[IntArray, Rgb]]]:
+        """Return the visible walls of some buildings reflected below the ground, in one colour per wall.
+
+        Args:
+            numbers: Indices of the buildings.
+            walls: All walls.
+            view: The camera.
+        """
         below = walls.seen.copy()
         below[:, :2] = 2 * below[:, (3, 2)] - below[:, :2]
         polygons = to_fixed_point(view.project(below.reshape(-1, 3))).reshape(-1, 4, 2)
-        found: list[list[tuple[IntArray, Rgb]]] = [[] for _ in self._buildings]
-        for wall in np.flatnonzero(walls.shown).tolist():
-            polygon = view.project_polygon(below[wall]) if walls.near[wall] else polygons[wall]
-            found[wall // 4].append((polygon, self._plain(wall, 0.0)))
+        found: dict[int, list[tuple[IntArray, Rgb]]] = {}
+        for number in numbers:
+            found[number] = []
+            for wall in range(4 * number, 4 * number + 4):
+                if walls.shown[wall]:
+                    polygon = view.project_polygon(below[wall]) if walls.near[wall] else polygons[wall]
+                    found[number].append((polygon, self._plain(wall, 0.0)))
         return found
 
     def _plain(self, wall: int, haze: float) -> Rgb:
@@ -188,11 +201,10 @@ class BuildingPainter:
         warped = _warp(texture, to_texture, size, coarse=coarse)
         veil = self._veil[: size[1], : size[0]]
         cv2.addWeighted(warped, self._light[wall] * (1 - haze), veil, haze, 0.0, dst=warped)
-        mask = np.zeros((size[1], size[0]), np.uint8)
-        cv2.fillConvexPoly(
-            mask, outline - np.array((left << SHIFT, top << SHIFT), np.int32), (255,), cv2.LINE_8, SHIFT
-        )
+        cv2.fillConvexPoly(self._mask, outline, (255,), cv2.LINE_8, SHIFT)
+        mask = self._mask[top:bottom, left:right]
         cv2.copyTo(warped, mask, canvas.image[top:bottom, left:right])
+        mask[:] = 0
 
     def _fit(self, outline: IntArray, view: View) -> float:
         """Return by how much finer a wall's far end is than its near end, as a factor on its size in the image.

@@ -136,7 +136,7 @@ def draw_facade(look: int, length_m: float, height_m: float, night: bool, front:
         foot = np.exp(-np.arange(high)[::-1] / (4.0 * scale))[:, None]
         share = share * (0.095 + 0.22 * foot) * (1.0, 0.92, 0.84)
     most = 220 / float(share.max())
-    rows = np.repeat((share * most).astype(np.uint8)[:, None], wide, axis=1)
+    rows = cv2.repeat((share * most).astype(np.uint8)[:, None], 1, wide)
     stains = cv2.cvtColor(_cropped(_stains(), rng, high, wide), cv2.COLOR_GRAY2RGB)
     factor = cv2.multiply(rows, stains, scale=1 / _PLAIN)
     painted = cv2.multiply(day, factor, scale=1 / most)

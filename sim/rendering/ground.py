@@ -12,6 +12,7 @@ from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from brink.sim.rendering.lamps import lamp_head_position, vehicle_light_positions
 from brink.sim.rendering.light import Lighting
@@ -30,7 +31,7 @@ from brink.sim.rendering.scene import (
     footprint,
 )
 from brink.sim.rendering.textures import TILE_M, TILE_PX_PER_M, ground_tiles
-from brink.sim.rendering.view import SHIFT, View, to_fixed_point
+from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_point
 
 _NEAR_M: Final = 0.4
 _FAR_M: Final = 220.0
@@ -79,12 +80,14 @@ class GroundCover:
 class _Rows:
     """Precomputed values of the rows below the horizon for one pitch.
 
-    Bands are runs of rows with the same texture level: first, last, level; level -1 is finer than the texture.
+    Bands are runs of rows with the same texture level: first, last, level; level -1 is finer than the texture. Levels
+    become finer downwards. `scale` is the resolution of each row's texture in px per m.
     """
 
     first_px: int
     ahead_m: FloatArray
     spread_m: FloatArray
+    scale: FloatArray
     bands: tuple[tuple[int, int, int], ...]
     light: Picture
     haze: Picture
@@ -182,7 +185,7 @@ class GroundPainter:
             if whole[index]:
                 points = pixels[first:last]
             else:
-                cut = _cut_near(seen[first:last])
+                cut = clip_near(seen[first:last], _NEAR_M)
                 points = to_fixed_point(view.project(cut) - (0, first_px))
             material = self._materials[index]
             joined = material in _ON_ASPHALT and material is pending_material
@@ -204,26 +207,27 @@ class GroundPainter:
 
     def _texture(self, view: View, rows: _Rows) -> Picture:
         """Return the texture as seen by the camera, shape ``(rows, columns, channels)``."""
-        out = np.empty((len(rows.ahead_m), view.width_px, self._tiles[0].shape[2]), np.uint8)
+        count = len(rows.ahead_m)
+        out = np.empty((count, view.width_px, self._tiles[0].shape[2]), np.uint8)
+        close = next((first for first, _, level in rows.bands if level < 0), count)
+        maps = self._maps(view, rows, slice(0, close), 1)
         for first, last, level in rows.bands:
             if level >= 0:
-                self._texture_band(view, rows, (first, last, level, 1), out[first:last])
+                self._look_up(level, maps, slice(first, last), out[first:last])
                 continue
             # A texture pixel this close covers several image pixels, so half the resolution is enough.
             half = np.empty(((last - first + 1) // 2, (view.width_px + 1) // 2, out.shape[2]), np.uint8)
-            self._texture_band(view, rows, (first, last, 0, 2), half)
+            self._look_up(0, self._maps(view, rows, slice(first, last, 2), 2), slice(None), half)
             cv2.resize(
                 half, (view.width_px, last - first), dst=out[first:last], interpolation=cv2.INTER_LINEAR
             )
         return out
 
-    def _texture_band(self, view: View, rows: _Rows, band: tuple[int, int, int, int], out: Picture) -> None:
-        """Draw one band of texture rows. A band holds its first and last row, tile level and pixel step."""
-        first, last, level, step = band
-        ahead, spread = rows.ahead_m[first:last:step], rows.spread_m[first:last:step]
+    def _maps(self, view: View, rows: _Rows, part: slice, step: int) -> list[NDArray[np.float32]]:
+        """Return the columns and the rows of the texture that some rows of the image show."""
+        ahead, spread, scale = rows.ahead_m[part], rows.spread_m[part], rows.scale[part]
         across = (view.width_px / 2 - 0.5 - np.arange(0, view.width_px, step)) / view.focal_px
         row = across.astype(np.float32)
-        scale = TILE_PX_PER_M * 0.5**level
         maps = []
         for origin_m, along, aside in (
             (view.x_m % TILE_M, view.cos_yaw, -view.sin_yaw),
@@ -232,7 +236,11 @@ class GroundPainter:
             slope = (spread * (aside * scale)).astype(np.float32)[:, None]
             offset = ((origin_m + ahead * along) * scale - 0.5).astype(np.float32)[:, None]
             maps.append(slope * row + offset)
-        cv2.remap(self._tiles[level], maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_WRAP)
+        return maps
+
+    def _look_up(self, level: int, maps: list[NDArray[np.float32]], part: slice, out: Picture) -> None:
+        columns, rows = maps[0][part], maps[1][part]
+        cv2.remap(self._tiles[level], columns, rows, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_WRAP)
 
     def _shadow(self, cover: GroundCover, rows: _Rows, shape: tuple[int, int]) -> Picture:
         mask = self._half_sheet(rows, shape, 255)
@@ -314,27 +322,12 @@ class GroundPainter:
             first_px=first,
             ahead_m=ahead,
             spread_m=reach,
+            scale=TILE_PX_PER_M * 0.5 ** np.maximum(levels, 0),
             bands=bands,
             light=light.astype(np.uint8),
             haze=veil.astype(np.uint8),
             mirror=np.repeat(mirror[:, None], view.width_px, axis=1).astype(np.uint8),
         )
-
-
-def _cut_near(points_m: FloatArray) -> FloatArray:
-    """Return the part of a polygon in camera coordinates beyond the ground's near plane, shape ``(k, 3)``."""
-    # Plain numbers, because most polygons have four corners and arrays that small cost more to handle.
-    corners: list[list[float]] = points_m.tolist()
-    cut: list[tuple[float, float, float]] = []
-    for (depth, left, up), (depth_2, left_2, up_2) in zip(corners, [*corners[1:], corners[0]], strict=True):
-        if depth >= _NEAR_M:
-            cut.append((depth, left, up))
-        if (depth >= _NEAR_M) != (depth_2 >= _NEAR_M):
-            share = (_NEAR_M - depth) / (depth_2 - depth)
-            cut.append(
-                (depth + share * (depth_2 - depth), left + share * (left_2 - left), up + share * (up_2 - up))
-            )
-    return np.array(cut).reshape(-1, 3)
 
 
 def headlight_strength(ahead_m: FloatArray, left_m: FloatArray) -> FloatArray:
@@ -444,7 +437,7 @@ def project_areas(areas: Sequence[Shadow], view: View, first_row_px: int) -> lis
         if near >= _NEAR_M:
             found.append((pixels[first:last], value))
         else:
-            cut = to_fixed_point(view.project(_cut_near(seen[first:last])))
+            cut = to_fixed_point(view.project(clip_near(seen[first:last], _NEAR_M)))
             found.append((to_half_size(cut, first_row_px), value))
     return found
 
@@ -478,19 +471,35 @@ def body_reflections(
     seen = view.to_camera(box.reshape(-1, 3))
     before: list[bool] = np.all(seen[:, 0].reshape(-1, 8) > _NEAR_M, axis=1).tolist()
     pixels = to_fixed_point(view.project(seen)).reshape(-1, 8, 2)
-    found: list[list[tuple[IntArray, Rgb]]] = []
+    found: list[list[tuple[IntArray, Rgb]]] = [[] for _ in bodies]
+    quads: list[list[tuple[float, float, float]]] = []
+    owners: list[tuple[int, Rgb]] = []
     for row, (body, rgb, lights) in enumerate(zip(bodies, colours, lit, strict=True)):
-        reflections: list[tuple[IntArray, Rgb]] = []
         if before[row]:
-            reflections.append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
+            found[row].append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
             if body.kind is BodyKind.VEHICLE and (lights or body.braking):
-                reflections += _light_reflections(body, view, lights=lights)
-        found.append(reflections)
+                for quad, light in _light_quads(body, view, lights=lights):
+                    quads.append(quad)
+                    owners.append((row, light))
+    if quads:
+        places = view.to_camera(np.array(quads).reshape(-1, 3))
+        polygons = to_fixed_point(view.project(places)).reshape(-1, 4, 2)
+        near: list[bool] = np.any(places[:, 0].reshape(-1, 4) < NEAR_M, axis=1).tolist()
+        for number, (row, light) in enumerate(owners):
+            cut = (
+                view.project_polygon(places[4 * number : 4 * number + 4])
+                if near[number]
+                else polygons[number]
+            )
+            found[row].append((cut, light))
     return found
 
 
-def _light_reflections(body: Body, view: View, *, lights: bool) -> list[tuple[IntArray, Rgb]]:
-    found: list[tuple[IntArray, Rgb]] = []
+def _light_quads(
+    body: Body, view: View, *, lights: bool
+) -> list[tuple[list[tuple[float, float, float]], Rgb]]:
+    """Return the reflections of a vehicle's lights that face the camera: corners in the world, and colours."""
+    found: list[tuple[list[tuple[float, float, float]], Rgb]] = []
     cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
     ahead_m = (view.x_m - body.x_m) * cosine + (view.y_m - body.y_m) * sine
     across_x, across_y = -0.16 * view.sin_yaw, 0.16 * view.cos_yaw
@@ -498,7 +507,6 @@ def _light_reflections(body: Body, view: View, *, lights: bool) -> list[tuple[In
         if ahead_m * end <= 0 or (end > 0 and not lights):
             continue
         corners = ((-1, -z - 0.5), (1, -z - 0.5), (1, -z + 0.35), (-1, -z + 0.35))
-        quad = np.array([(x + side * across_x, y + side * across_y, up) for side, up in corners])
         rgb = _WHITE if end > 0 else (_BRAKE if body.braking else _RED)
-        found.append((view.project_polygon(view.to_camera(quad)), rgb))
+        found.append(([(x + side * across_x, y + side * across_y, up) for side, up in corners], rgb))
     return found

@@ -50,7 +50,14 @@ class Crown:
     tree: Tree
 
 
+<<<<<<< HEAD
 Thing: TypeAlias = Body | House | Tree | Crown | Lamp | Furniture
+=======
+Separated: TypeAlias = NDArray[np.bool_]
+"""For each edge of each object, whether another object lies outside it, shape ``(n, 4, m)``."""
+
+Thing: TypeAlias = Body | House | Tree | Crown | Lamp
+>>>>>>> street
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,13 +151,26 @@ def _stacked(rows: list[_Row]) -> Items:
     )
 
 
-def cull_and_sort(items: Items, view: View) -> VisibleItems:
-    """Return the items that may be visible, in painting order."""
+def cull_and_sort(items: Items, view: View, apart: Separated) -> VisibleItems:
+    """Return the items that may be visible, in painting order.
+
+    Args:
+        items: The items.
+        view: The camera.
+        apart: Which edges separate the first of the items, those that never move, from each other.
+    """
     if not items.things:
         return VisibleItems(things=(), centres=np.zeros((0, 2)), depths=np.zeros(0))
     rows, columns, nearest = _in_view(items, view)
     eye = (view.x_m, view.y_m, view.height_m)
-    order = rows[paint_order(items.corners[rows], items.heights[rows], columns, eye)]
+    corners = items.corners[rows]
+    still = rows[: np.searchsorted(rows, len(apart))]
+    moving = corners[len(still) :]
+    edges = np.empty((len(rows), 4, len(rows)), dtype=bool)
+    edges[: len(still), :, : len(still)] = apart[still][:, :, still]
+    edges[len(still) :] = separated(moving, corners)
+    edges[: len(still), :, len(still) :] = separated(corners[: len(still)], moving)
+    order = rows[paint_order(corners, items.heights[rows], columns, eye, edges)]
     return VisibleItems(
         things=tuple(items.things[row] for row in order.tolist()),
         centres=items.corners[order].mean(axis=1),
@@ -188,7 +208,11 @@ _SLACK_M = 0.03
 
 
 def paint_order(
-    corners_m: FloatArray, heights_m: FloatArray, columns_px: FloatArray, eye_m: tuple[float, float, float]
+    corners_m: FloatArray,
+    heights_m: FloatArray,
+    columns_px: FloatArray,
+    eye_m: tuple[float, float, float],
+    apart: Separated | None = None,
 ) -> list[int]:
     """Return the order in which objects are painted, first to last.
 
@@ -197,6 +221,7 @@ def paint_order(
         heights_m: Bottom and top of each object, shape ``(n, 2)``.
         columns_px: First and last image column that each object may touch, shape ``(n, 2)``.
         eye_m: Position of the camera.
+        apart: Which edges separate the objects, shape ``(n, 4, n)``; computed if it is left out.
 
     Returns:
         Indices; objects with no required order are painted farthest first, and ties by index.
@@ -205,7 +230,9 @@ def paint_order(
     if count < 2:
         return list(range(count))
     distance = np.hypot(*(corners_m.mean(axis=1) - eye_m[:2]).T)
-    hides = _may_hide(corners_m, heights_m, columns_px, eye_m)
+    hides = _may_hide(
+        corners_m, heights_m, columns_px, eye_m, separated(corners_m, corners_m) if apart is None else apart
+    )
     both = hides & hides.T
     nearer = (distance[:, None] < distance[None, :]) | (
         (distance[:, None] == distance[None, :]) & (np.arange(count)[:, None] > np.arange(count)[None, :])
@@ -214,23 +241,46 @@ def paint_order(
     return _sort_topologically(hides, distance.tolist())
 
 
-def _may_hide(
-    corners_m: FloatArray, heights_m: FloatArray, columns_px: FloatArray, eye_m: tuple[float, float, float]
-) -> NDArray[np.bool_]:
-    """Return for each pair of objects whether the first may hide the second, shape ``(n, n)``."""
-    count = len(corners_m)
-    edges = np.roll(corners_m, -1, axis=1) - corners_m
-    normals = np.stack((edges[..., 1], -edges[..., 0]), axis=-1)
-    normals /= np.maximum(np.hypot(normals[..., 0], normals[..., 1]), 1e-9)[..., None]
-    offsets = np.einsum("aek,aek->ae", normals, corners_m)
+def separated(corners_m: FloatArray, others_m: FloatArray) -> Separated:
+    """Return for each edge of each object whether another object lies entirely outside it.
+
+    Args:
+        corners_m: Footprints of the objects, convex and counter-clockwise, shape ``(n, 4, 2)``.
+        others_m: Footprints of the other objects, shape ``(m, 4, 2)``.
+
+    Returns:
+        Shape ``(n, 4, m)``.
+    """
+    normals, offsets = _edges(corners_m)
     # Written out because a threaded matrix product costs more than it saves at these sizes.
-    x_m, y_m = corners_m[..., 0], corners_m[..., 1]
+    x_m, y_m = others_m[..., 0], others_m[..., 1]
     normal_x, normal_y = normals[..., 0][..., None], normals[..., 1][..., None]
     nearest = normal_x * x_m[:, 0] + normal_y * y_m[:, 0]
     for corner in (1, 2, 3):
         np.minimum(nearest, normal_x * x_m[:, corner] + normal_y * y_m[:, corner], out=nearest)
     nearest -= offsets[:, :, None]
-    apart = nearest >= -_SLACK_M
+    apart: Separated = nearest >= -_SLACK_M
+    return apart
+
+
+def _edges(corners_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the outward normals of all edges, shape ``(n, 4, 2)``, and their offsets, shape ``(n, 4)``."""
+    edges = np.roll(corners_m, -1, axis=1) - corners_m
+    normals = np.stack((edges[..., 1], -edges[..., 0]), axis=-1)
+    normals /= np.maximum(np.hypot(normals[..., 0], normals[..., 1]), 1e-9)[..., None]
+    return normals, np.einsum("aek,aek->ae", normals, corners_m)
+
+
+def _may_hide(
+    corners_m: FloatArray,
+    heights_m: FloatArray,
+    columns_px: FloatArray,
+    eye_m: tuple[float, float, float],
+    apart: Separated,
+) -> NDArray[np.bool_]:
+    """Return for each pair of objects whether the first may hide the second, shape ``(n, n)``."""
+    count = len(corners_m)
+    normals, offsets = _edges(corners_m)
     eye_outside = normals[..., 0] * eye_m[0] + normals[..., 1] * eye_m[1] > offsets
     hides = np.ones((count, count), dtype=bool)
     hides &= ~(apart & eye_outside[:, :, None]).any(axis=1)
@@ -248,9 +298,9 @@ def _sort_topologically(hides: NDArray[np.bool_], distance: list[float]) -> list
     """Sort hidden objects before those that hide them; a cycle is broken at its farthest member."""
     count = len(distance)
     waits = hides.sum(axis=1).tolist()
-    behind: list[list[int]] = [[] for _ in range(count)]
-    for hiding, hidden in zip(*(axis.tolist() for axis in np.nonzero(hides)), strict=True):
-        behind[hidden].append(hiding)
+    hidden, hiding = np.nonzero(hides.T)
+    ends = np.searchsorted(hidden, np.arange(count + 1)).tolist()
+    in_front: list[int] = hiding.tolist()
     ready = [(-distance[i], i) for i in range(count) if waits[i] == 0]
     heapq.heapify(ready)
     done = [False] * count
@@ -264,8 +314,8 @@ def _sort_topologically(hides: NDArray[np.bool_], distance: list[float]) -> list
             continue
         done[index] = True
         order.append(index)
-        for hiding in behind[index]:
-            waits[hiding] -= 1
-            if waits[hiding] == 0 and not done[hiding]:
-                heapq.heappush(ready, (-distance[hiding], hiding))
+        for nearer in in_front[ends[index] : ends[index + 1]]:
+            waits[nearer] -= 1
+            if waits[nearer] == 0 and not done[nearer]:
+                heapq.heappush(ready, (-distance[nearer], nearer))
     return order

@@ -36,6 +36,7 @@ from brink.sim.rendering.order import (
     cull_and_sort,
     make_body_items,
     make_static_items,
+    separated,
 )
 from brink.sim.rendering.people import draw_people, shadow_outline
 from brink.sim.rendering.scene import (
@@ -95,6 +96,7 @@ class Renderer:
         self._halos = Halos(night=self._lighting.night)
         self._parked = frozenset(body.id for body in scene.parked)
         self._statics = make_static_items(scene)
+        self._apart = separated(self._statics.corners, self._statics.corners)
         self._caster = ShadowCaster(self._lighting)
         self._shadows = [self._shadows_of(*row) for row in _rows(self._statics)]
         self._lamps = scene.lamps if self._lighting.night else ()
@@ -116,7 +118,7 @@ class Renderer:
         check_unique_ids((*self._parked, *(body.id for body in bodies)))
         view = make_view(self.camera, viewpoint)
         moving = make_body_items(bodies)
-        seen = cull_and_sort(self._statics.joined(moving), view)
+        seen = cull_and_sort(self._statics.joined(moving), view, self._apart)
         walls = self._buildings.place_walls(view)
         shape = (view.height_px, view.width_px)
         canvas = Canvas(image=np.empty((*shape, 3), np.uint8), ids=np.zeros(shape, np.int32))
@@ -242,7 +244,8 @@ class Renderer:
             colours.append((rgb[0] * share, rgb[1] * share, rgb[2] * share))
         driven = [light.lights_on and body.id not in self._parked for body in bodies]
         of_bodies = iter(body_reflections(bodies, colours, driven, view))
-        of_houses = self._buildings.mirrored(walls, view)
+        houses = [thing.number for thing in seen.things if isinstance(thing, House)]
+        of_houses = self._buildings.mirrored(houses, walls, view)
         found: list[tuple[IntArray, Rgb]] = []
         for thing in seen.things:
             if isinstance(thing, House):

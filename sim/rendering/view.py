@@ -136,16 +136,17 @@ def clip_near(points_m: FloatArray, near_m: float = NEAR_M) -> FloatArray:
         points_m: Polygon in camera coordinates, shape ``(k, 3)``.
         near_m: Depth of the near plane.
     """
-    inside = points_m[:, 0] >= near_m
-    if inside.all():
+    # Plain numbers, because most polygons have few corners and arrays that small cost more to handle.
+    corners: list[list[float]] = points_m.tolist()
+    if all(corner[0] >= near_m for corner in corners):
         return points_m
-    if not inside.any():
-        return points_m[:0]
-    following = np.roll(points_m, -1, axis=0)
-    crossing = inside != np.roll(inside, -1)
-    step = np.where(crossing, following[:, 0] - points_m[:, 0], 1.0)
-    share = (near_m - points_m[:, 0]) / step
-    cut = points_m + share[:, None] * (following - points_m)
-    both = np.stack((points_m, cut), axis=1).reshape(-1, 3)
-    clipped: FloatArray = both[np.stack((inside, crossing), axis=1).ravel()]
-    return clipped
+    kept: list[tuple[float, float, float]] = []
+    for (depth, left, up), (depth_2, left_2, up_2) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+        if depth >= near_m:
+            kept.append((depth, left, up))
+        if (depth >= near_m) != (depth_2 >= near_m):
+            share = (near_m - depth) / (depth_2 - depth)
+            kept.append(
+                (depth + share * (depth_2 - depth), left + share * (left_2 - left), up + share * (up_2 - up))
+            )
+    return np.array(kept).reshape(-1, 3)
