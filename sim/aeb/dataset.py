@@ -143,8 +143,7 @@ def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Ite
             pitch_rad=float(rng.normal(0.0, 0.01)),
         )  # fmt: skip
         ego = Rectangle(view.x_m, view.y_m, view.yaw_rad, 0.5 * EGO_CAR.length_m, 0.5 * EGO_CAR.width_m)
-        clear = [body for body in moved if signed_gap_m(ego, _rectangle(body)) > CLEAR_M]
-        bodies = _without_overlaps(clear)
+        bodies = _without_overlaps([body for body in moved if _stands_free(_rectangle(body), ego, standing)])
         for index in range(int(rng.integers(3, 11))):
             taken = [*standing, *(_rectangle(body) for body in bodies)]
             person = _person_in_free_space(people_from + index, ego, taken, split, rng)
@@ -190,10 +189,19 @@ def _person_in_free_space(
     for _ in range(_DRAWS):
         person = _person(number, ego.x_m, split, rng)
         place = _rectangle(person)
-        near = [other for other in taken if abs(other.x_m - place.x_m) < other.half_length_m + 1.0]
-        if signed_gap_m(ego, place) > CLEAR_M and all(signed_gap_m(other, place) > 0.1 for other in near):
+        if _stands_free(place, ego, taken):
             return person
     return None
+
+
+def _stands_free(place: Rectangle, ego: Rectangle, taken: list[Rectangle]) -> bool:
+    """Return whether a body would stand away from the ego car and in nothing else."""
+    near = [
+        other
+        for other in taken
+        if abs(other.x_m - place.x_m) < other.half_length_m + place.half_length_m + 1.0
+    ]
+    return signed_gap_m(ego, place) > CLEAR_M and all(signed_gap_m(other, place) > 0.1 for other in near)
 
 
 def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator) -> Body:

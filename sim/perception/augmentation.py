@@ -93,12 +93,13 @@ def zoom(
 ) -> tuple[Picture, GroundTruth]:
     """Scale by a random factor, and show a random section of the given width and height.
 
-    Boxes that become too small, or of which little is left, are ignored.
+    Boxes that become too small, or of which little is left, are ignored. The image is 16:9, padded below or not.
     """
     width_px, height_px = size_px
     scale = float(np.exp(rng.uniform(*np.log(ZOOM))))
     shift = rng.random(2) * (np.array(size_px) - scale * np.array(picture.shape[1::-1]))
-    matrix = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
+    # OpenCV maps the centres of pixels, half a pixel from their edges, where boxes end.
+    matrix = np.column_stack([scale * np.eye(2), shift + 0.5 * (scale - 1.0)])
     changed = cv2.warpAffine(
         picture, matrix, (width_px, height_px), flags=cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT, borderValue=_PADDING,
@@ -107,7 +108,7 @@ def zoom(
     cut = np.clip(moved, 0.0, np.array([width_px, height_px] * 2, np.float32)).astype(np.float32)
     left = _area(cut) / np.maximum(_area(moved), 1e-6)
     inside = left > 0.0
-    ignored = truth.ignored | (left < MIN_LEFT) | too_small(cut, picture.shape[1], picture.shape[0])
+    ignored = truth.ignored | (left < MIN_LEFT) | too_small(cut, picture.shape[1], picture.shape[1] * 9 // 16)
     return changed.astype(np.uint8, copy=False), GroundTruth(
         labels=truth.labels[inside], boxes=cut[inside], ignored=ignored[inside]
     )
@@ -122,7 +123,7 @@ def collage(
 ) -> tuple[Picture, GroundTruth]:
     """Show pieces of another image in up to ten rectangles; boxes of which they cover much are ignored.
 
-    The pieces come from the upper third of the other image, where there are houses, trees and sky, so that they do
+    The pieces come from the upper sixth of the other image, where there are houses, trees and sky, so that they do
     not bring unlabelled bodies along.
     """
     height_px, width_px = picture.shape[:2]
@@ -131,7 +132,7 @@ def collage(
     pieces = int(rng.integers(1, 11))
     for _ in range(pieces):
         wide = int(rng.integers(4, width_px // (3 + pieces)))
-        high = int(rng.integers(4, height_px // (3 + pieces // 2)))
+        high = int(rng.integers(4, other.shape[0] // 6))
         x, y = int(rng.integers(width_px - wide)), int(rng.integers(height_px - high))
         from_x = int(rng.integers(width_px - wide))
         changed[y : y + high, x : x + wide] = other[:high, from_x : from_x + wide]
@@ -238,15 +239,18 @@ def camera_shake(picture: Picture, rng: np.random.Generator) -> Picture:
 
 
 def rolling_shutter(picture: Picture, rng: np.random.Generator) -> Picture:
-    """Move rows sideways by a sum of two waves of their height, by up to 10 px."""
+    """Move rows sideways by a sum of two waves of their height.
+
+    The waves are short, or low, so that bodies stay within their boxes: up to 5 px at a length of up to 12 px, and up
+    to .6 px at a length of up to 80 px.
+    """
     height_px, width_px = picture.shape[:2]
     rows = np.arange(height_px, dtype=np.float32)
     shift = np.zeros(height_px, np.float32)
-    for _ in range(2):
-        wave_px = float(np.exp(rng.uniform(np.log(3.0), np.log(80.0))))
-        shift += rng.uniform(0.3, 5.0) * np.sin(2.0 * np.pi * (rows / wave_px + rng.random())).astype(
-            np.float32
-        )
+    for shortest_px, longest_px, most_px in ((2.0, 12.0, 5.0), (12.0, 80.0, 0.6)):
+        wave_px = float(np.exp(rng.uniform(np.log(shortest_px), np.log(longest_px))))
+        wave = np.sin(2.0 * np.pi * (rows / wave_px + rng.random()))
+        shift += (rng.uniform(0.0, most_px) * wave).astype(np.float32)
     columns = np.arange(width_px, dtype=np.float32)
     across = np.ascontiguousarray(columns[None, :] + shift[:, None])
     down = np.ascontiguousarray(np.broadcast_to(rows[:, None], across.shape))

@@ -158,16 +158,17 @@ def make_target(truths: list[GroundTruth], size_px: tuple[int, int] = INPUT_PX) 
     edges = np.zeros((count, classes, 4, down, across), np.float32)
     weight = np.zeros((count, classes, down, across), np.float32)
     for index, truth in enumerate(truths):
+        for box in truth.boxes[
+            truth.ignored
+        ]:  # first, because the centre of a box counts in an ignored one, too
+            _mask_ignored(heat_mask[index, 0], box)
         sizes = np.prod(truth.boxes[:, 2:] - truth.boxes[:, :2], axis=1)
         # Small boxes come last, because they win the cells that they share with larger ones.
         for place in np.argsort(-sizes, kind="stable").tolist():
-            box, label = truth.boxes[place], truth.labels[place]
             if truth.ignored[place]:
-                _mask_ignored(heat_mask[index, 0], box)
-            else:
-                _draw_box(
-                    heat[index, label], heat_mask[index, 0], edges[index, label], weight[index, label], box
-                )
+                continue
+            box, label = truth.boxes[place], truth.labels[place]
+            _draw_box(heat[index, label], heat_mask[index, 0], edges[index, label], weight[index, label], box)
     return Target(
         heat=torch.from_numpy(heat),
         heat_mask=torch.from_numpy(heat_mask),

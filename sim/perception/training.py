@@ -6,6 +6,7 @@ after each epoch in `training.pt`: a run that was interrupted goes on from there
 """
 
 import copy
+import hashlib
 import json
 import time
 import warnings
@@ -46,6 +47,14 @@ class TrainingSet:
 
     planes: Picture
     truths: tuple[GroundTruth, ...]
+
+    def digest(self) -> str:
+        """Return a digest of the images and their ground truth, 16 hexadecimal digits."""
+        found = hashlib.sha256(np.ascontiguousarray(self.planes).data)
+        for truth in self.truths:
+            for part in (truth.labels, truth.boxes, truth.ignored):
+                found.update(part.tobytes())
+        return found.hexdigest()[:16]
 
 
 def make_deterministic() -> None:
@@ -122,17 +131,17 @@ class _State:
             "schedule": self.schedule,
         }  # fmt: skip
 
-    def save(self, file: Path, settings: "Settings") -> None:
+    def save(self, file: Path, run: dict[str, Any]) -> None:
         content = {name: part.state_dict() for name, part in self._parts().items()}
-        content |= {"settings": asdict(settings), "validation_map": self.validation_map, "cpu_s": self.cpu_s}
+        content |= {"run": run, "validation_map": self.validation_map, "cpu_s": self.cpu_s}
         torch.save(content, file.with_suffix(".new"))
         file.with_suffix(".new").replace(file)
 
-    def load(self, file: Path, settings: "Settings") -> None:
+    def load(self, file: Path, run: dict[str, Any]) -> None:
         content = torch.load(file, weights_only=True)
-        if content["settings"] != asdict(settings):
+        if content["run"] != run:
             raise ValueError(
-                f"{file}: expected a run with the settings {asdict(settings)}, got one with {content['settings']}; "
+                f"{file}: expected the state of a run with {run}, got one with {content['run']}; "
                 f"delete the file to start anew, or choose another output folder"
             )
         for name, part in self._parts().items():
@@ -170,24 +179,25 @@ def train(
         The network, and a record of the training as plain JSON values.
 
     Raises:
-        ValueError: The output folder has the state of a run with other settings.
+        ValueError: The output folder has the state of a run with other settings, images or version of torch.
     """
+    run = {**asdict(settings), "images": pictures.digest(), "torch": str(torch.__version__)}
     state, checkpoint = _State.initial(settings), out / "training.pt"
     if checkpoint.is_file():
-        state.load(checkpoint, settings)
+        state.load(checkpoint, run)
     for epoch in range(len(state.validation_map), settings.epochs):
         cpu_s = time.process_time()
         loss = _train_epoch(state, pictures, settings, epoch)
         detections = detect_all(state.average, validation.planes)
         state.validation_map.append(mean_average_precision(validation.truths, detections))
         state.cpu_s += time.process_time() - cpu_s
-        state.save(checkpoint, settings)
+        state.save(checkpoint, run)
         print(  # noqa: T201
             f"epoch {epoch + 1} of {settings.epochs}: loss {loss:.3f}, "
             f"validation mAP {state.validation_map[-1]:.3f}, {state.cpu_s:.0f} CPU s",
             flush=True,
         )
-    record = {**asdict(settings), "validation_map": state.validation_map, "cpu_s": round(state.cpu_s)}
+    record = {**run, "validation_map": state.validation_map, "cpu_s": round(state.cpu_s)}
     return state.average.eval(), record
 
 

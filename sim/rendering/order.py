@@ -50,14 +50,10 @@ class Crown:
     tree: Tree
 
 
-<<<<<<< HEAD
-Thing: TypeAlias = Body | House | Tree | Crown | Lamp | Furniture
-=======
 Separated: TypeAlias = NDArray[np.bool_]
 """For each edge of each object, whether another object lies outside it, shape ``(n, 4, m)``."""
 
-Thing: TypeAlias = Body | House | Tree | Crown | Lamp
->>>>>>> street
+Thing: TypeAlias = Body | House | Tree | Crown | Lamp | Furniture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

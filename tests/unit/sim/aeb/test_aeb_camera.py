@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from brink.sim.perception.boxes import Detections, LabelledFrame
 from brink.sim.perception.detector import DETECTORS
 from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
-from brink.sim.rendering.scene import Body, Frame, StreetScene, Viewpoint
+from brink.sim.rendering.scene import Body, BodyKind, Frame, StreetScene, Viewpoint
 from brink.sim.replay import ReplayError, render
 from brink.sim.replay.frame import FramePainter
 from brink.sim.replay.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
@@ -120,11 +121,14 @@ def test_labelled_pictures_are_reproducible_and_differ_between_splits() -> None:
 
 
 @pytest.mark.parametrize("split", list(Split))
-def test_no_body_in_a_labelled_picture_stands_within_half_a_metre_of_the_ego_car(
+def test_bodies_in_labelled_pictures_stand_away_from_the_ego_car_and_people_in_no_vehicle(
     monkeypatch: pytest.MonkeyPatch, split: Split
 ) -> None:
     """Street and people are as in real pictures; only the painting is left out."""
     views: list[tuple[Viewpoint, list[Body]]] = []
+
+    def rectangle(body: Body) -> Rectangle:
+        return Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
 
     class Unpainted:
         def __init__(self, scene: StreetScene, *_: object) -> None:
@@ -139,9 +143,10 @@ def test_no_body_in_a_labelled_picture_stands_within_half_a_metre_of_the_ego_car
     assert len(list(labelled_frames(split, 400))) == len(views) == 400
     for view, bodies in views:
         ego = Rectangle(view.x_m, view.y_m, view.yaw_rad, 0.5 * EGO_CAR.length_m, 0.5 * EGO_CAR.width_m)
-        for body in bodies:
-            other = Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
-            assert signed_gap_m(ego, other) > 0.5
+        assert all(signed_gap_m(ego, rectangle(body)) > 0.5 for body in bodies)
+        people = [body for body in bodies if body.kind is BodyKind.PERSON]
+        for person, vehicle in product(people, (body for body in bodies if body.kind is BodyKind.VEHICLE)):
+            assert signed_gap_m(rectangle(person), rectangle(vehicle)) > 0.0
     assert sum(len(bodies) for _, bodies in views) > 400 * 10
 
 

@@ -78,7 +78,7 @@ def test_boxes_follow_a_zoom(seed: int, size_px: tuple[int, int]) -> None:
     assert shown.shape == (size_px[1], size_px[0], 3)
     for box, ignored in zip(truth.boxes, truth.ignored, strict=True):
         if not ignored:
-            assert np.abs(box - bright_box(shown)).max() <= 2.0
+            assert np.abs(box - bright_box(shown)).max() <= 1.0
 
 
 def test_a_box_that_a_zoom_cuts_off_is_ignored_or_gone() -> None:

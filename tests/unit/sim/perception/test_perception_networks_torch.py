@@ -15,7 +15,15 @@ from brink.sim.perception import training
 from brink.sim.perception.boxes import GroundTruth, mean_average_precision
 from brink.sim.perception.detector import INPUT_PX, NetworkDetector, decode, find_detector, load_file_detector
 from brink.sim.perception.network import Network, detection_loss, make_target
-from brink.sim.perception.training import Settings, TrainingSet, detect_all, export_onnx, to_tensor, train
+from brink.sim.perception.training import (
+    WHOLE_EPOCHS,
+    Settings,
+    TrainingSet,
+    detect_all,
+    export_onnx,
+    to_tensor,
+    train,
+)
 from brink.sim.perception.user_files import DetectorError, check_loads, weights_digest
 
 pytestmark = pytest.mark.long("needs torch")
@@ -118,6 +126,14 @@ def test_ignored_boxes_are_not_trained() -> None:
     assert float(detection_loss(wrong, target.edges, target)) == pytest.approx(
         float(detection_loss(calm, target.edges, target))
     )
+
+
+def test_a_box_counts_though_its_centre_lies_in_a_smaller_ignored_one() -> None:
+    target = make_target([truth((0, 40, 40, 200, 160), (1, 100, 80, 140, 120), ignored=(1,))])
+    row, column = (100 // 4, 120 // 4)
+    assert float(target.heat[0, 0, row, column]) == 1.0
+    assert float(target.heat_mask[0, 0, row, column]) == 1.0
+    assert float(target.heat_mask[0, 0, row, column + 2]) == 0.0
 
 
 def test_the_network_can_overfit_one_picture() -> None:
@@ -272,7 +288,7 @@ def street_images() -> TrainingSet:
     return TrainingSet(planes=pictures(32), truths=(STREET,) * 32)
 
 
-SETTINGS = Settings(frames=32, epochs=3, seed=1)
+SETTINGS = Settings(frames=32, epochs=WHOLE_EPOCHS + 2, seed=1)
 
 
 def weights_after(out: Path, images: TrainingSet, settings: Settings = SETTINGS) -> dict[str, Tensor]:
@@ -301,5 +317,5 @@ def test_an_interrupted_training_goes_on_with_the_same_result(
 
 def test_a_checkpoint_of_other_settings_is_refused(street_images: TrainingSet, tmp_path: Path) -> None:
     weights_after(tmp_path, street_images)
-    with pytest.raises(ValueError, match="expected a run with the settings"):
-        weights_after(tmp_path, street_images, Settings(frames=32, epochs=3, seed=2))
+    with pytest.raises(ValueError, match="expected the state of a run with"):
+        weights_after(tmp_path, street_images, Settings(frames=32, epochs=WHOLE_EPOCHS + 2, seed=2))
