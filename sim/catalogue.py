@@ -31,7 +31,7 @@ EXTRAS: Final[Mapping[str, str]] = {
     "brink-aeb@2": "vision",
     "brink-dataset@2": "vision",
     "brink-drive-camera@2": "vision",
-    "brink-encounter-camera@1": "vision",
+    "brink-encounter-camera@2": "vision",
     "gymnasium@1": "gymnasium",
     "highway-env@1": "highway",
     "sumo@1": "sumo",

@@ -27,6 +27,7 @@ from brink.server.api.schemas import CampaignView
 from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.errors import InvalidInput
+from brink.sim.perception.user_files import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from brink.bench.detector import ClassAccuracy, DetectorAccuracy, StepAccuracy
@@ -213,7 +214,7 @@ def detector(
             metavar="ID",
             help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE.",
         ),
-    ] = "brink-det@2",
+    ] = DEFAULT_DETECTOR,
     images: Annotated[int, typer.Option(min=10, help="Number of images.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the images and of the perturbations.")] = 2,
     threshold: Annotated[
@@ -231,14 +232,11 @@ def detector(
     Example: brink bench detector --images 200 --picture detector.png
     """
     from brink.bench.detector import measure_detector
-    from brink.sim.errors import SimulatorError
-    from brink.sim.perception.detector import find_detector
+    from brink.server.problems.base import wrong_detector
 
     check_picture(picture)
-    try:
-        find_detector(detector_id)
-    except SimulatorError as error:
-        raise InvalidInput.at("--detector", str(error).removeprefix("detector: ")) from None
+    if wrong := wrong_detector(detector_id):
+        raise InvalidInput.at("--detector", wrong[0][1])
     with _progress() as progress:
         found = measure_detector(
             detector_id, images=images, seed=seed, threshold=threshold, processes=processes, progress=progress

@@ -8,7 +8,7 @@ from brink.sim.errors import InvalidEpisode
 MODULES: Final = ("scenariogeneration", "cv2")
 """Modules of the extra `exchange`, without which nothing can be exported."""
 URBAN_SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1", "brink-drive-camera@2")
-ENCOUNTER_SIMULATORS: Final = ("brink-encounter@1", "brink-encounter-camera@1")
+ENCOUNTER_SIMULATORS: Final = ("brink-encounter@1", "brink-encounter-camera@2")
 STREET_SIMULATORS: Final = ("brink-aeb@2",)
 EXPORTABLE: Final = (*URBAN_SIMULATORS, *ENCOUNTER_SIMULATORS, *STREET_SIMULATORS)
 """Simulators whose worlds have roads that can be exported."""

@@ -83,7 +83,7 @@ class AebCrossingParams:
     threshold: float = setting(0.5, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     person_frames: int = setting(
         PERSON_FRAMES,
-        help="In how many of the last three frames a person must be reported to trigger the brake (1 in the paper).",
+        help="Number of the last three frames in which a person must be reported, to brake (1 in the paper).",
         ge=1,
         le=PERSON_WINDOW,
     )

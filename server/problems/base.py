@@ -16,7 +16,7 @@ from brink.search.algorithm import Evaluation, Measured
 from brink.search.space import SearchSpace
 from brink.search.traffic.participants import RoadLimits
 from brink.sim.catalogue import plugin_ids
-from brink.sim.episode import EpisodeSpec
+from brink.sim.episode import EpisodeSpec, nearest
 from brink.sim.perception.user_files import KINDS, DetectorError, check_loads
 from brink.worker.wire import Completed
 
@@ -488,7 +488,7 @@ def wrong_detector(name: str) -> list[tuple[str, str]]:
     known = plugin_ids(DETECTORS)
     if ":" not in name and name not in known:
         expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)])
-        return [("detector", f"expected one of {expected}; got {name!r}")]
+        return [("detector", f"expected one of {expected}; got {name!r}{nearest(name, known)}")]
     try:
         check_loads(name)
     except DetectorError as error:

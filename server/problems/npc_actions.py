@@ -34,7 +34,7 @@ from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 from brink.worker.wire import Completed
 
-SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}
+SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@2"}
 """Simulators by the perception of the driving system."""
 ORACLES: Final = (
     "no-collision@1", "front-gap@2", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",

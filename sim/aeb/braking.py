@@ -132,7 +132,7 @@ class EmergencyBrake:
         danger: A vehicle that stands in this region triggers the brake.
         hold_s: How long braking continues without a trigger.
         enabled: Whether the brake is enabled at all.
-        person_frames: In how many of the last three frames a person triggers the brake, 1 to 3.
+        person_frames: Number of the last three frames in which a person must be reported to trigger it, 1 to 3.
     """
 
     warning: Region
@@ -161,7 +161,7 @@ class EmergencyBrake:
             height_px: Height of the image.
             hold_s: How long braking continues without a trigger.
             enabled: Whether the brake is enabled at all.
-            person_frames: In how many of the last three frames a person triggers the brake, 1 to 3.
+            person_frames: Number of the last three frames in which a person must be reported to trigger it, 1 to 3.
         """
         return cls(
             warning=Region.from_reference(730.0, 230.0, width_px, height_px),

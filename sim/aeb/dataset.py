@@ -38,7 +38,7 @@ from brink.sim.aeb.specification import (
 from brink.sim.aeb.street import CRUISE_MPS, KERB_M, LANE_M, LANE_Y_M, PERSON_SIZE_M, STRIP_M, make_street
 from brink.sim.bullet.engine import bullet_versions
 from brink.sim.encounter.witness import Rectangle, signed_gap_m
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
+from brink.sim.episode import EpisodeResult, EpisodeSpec, parse_integer
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.perception.boxes import GroundTruth, LabelledFrame, curves
 from brink.sim.perception.detector import LABELS, Picture, find_detector
@@ -291,14 +291,9 @@ def _parse_request(spec: EpisodeSpec) -> _Request:
         raise InvalidEpisode(
             f"scenario.dataset: expected {SIMULATOR_DATA!r} or the path of an annotations file, got {dataset!r}"
         )
-    frames = _whole("frames", spec.scenario.get("frames"), 1, MAX_FRAMES)
-    return _Request(dataset, frames, _whole("seed", spec.scenario.get("seed", 0), 0, 2**31), digest)
-
-
-def _whole(name: str, value: Json, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise InvalidEpisode(f"scenario.{name}: expected a whole number in [{low}, {high}], got {value!r}")
-    return value
+    frames = parse_integer("scenario.frames", spec.scenario.get("frames"), 1, MAX_FRAMES)
+    seed = parse_integer("scenario.seed", spec.scenario.get("seed", 0), 0, 2**31)
+    return _Request(dataset, frames, seed, digest)
 
 
 @lru_cache(maxsize=1)

@@ -2,7 +2,8 @@
 
 A box covers the visible pixels of a body, because hidden parts cannot be detected and say nothing about how near the
 body is to the lane. Bodies that are almost hidden and boxes that are too small are *ignored*: a detection on them
-counts neither for nor against a detector, and training leaves them out.
+counts neither for nor against a detector, and training leaves them out. The geometric ground truth of
+`brink.sim.aeb.sight.OracleSight` applies the same limits to whole boxes, since it has no pixels.
 """
 
 from typing import Final

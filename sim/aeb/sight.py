@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
-from brink.sim.aeb.labels import label_boxes
+from brink.sim.aeb.labels import MIN_VISIBLE, label_boxes
 from brink.sim.aeb.scores import Scores, score_episode
 from brink.sim.aeb.street import Street
 from brink.sim.driving.camera import Body as Prism
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
-from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, Detections, GroundTruth
+from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, Detections, GroundTruth
 from brink.sim.perception.detector import LABELS, Detector
 from brink.sim.perturbations import Mode, Perturbation, Pipeline
 from brink.sim.rendering.renderer import Renderer
@@ -80,7 +80,11 @@ class OracleSight:
 
     def __init__(self, width_px: int, height_px: int, *, reported: bool = True) -> None:
         self._camera = Camera(
-            width_px=width_px, height_px=height_px, min_height_px=MIN_HEIGHT_SHARE * height_px
+            width_px=width_px,
+            height_px=height_px,
+            min_width_px=MIN_WIDTH_SHARE * width_px,
+            min_height_px=MIN_HEIGHT_SHARE * height_px,
+            hidden_fraction=1.0 - MIN_VISIBLE,
         )
         self._reported = reported
 

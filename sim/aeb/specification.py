@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Final, Self
 
 from brink.sim.aeb.braking import HOLD_S, PERSON_FRAMES, PERSON_WINDOW
-from brink.sim.episode import Json, JsonObject, nearest, parse_choice, parse_number
+from brink.sim.episode import Json, JsonObject, nearest, parse_choice, parse_integer, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.perturbations import CATALOGUE, Mode, Perturbation, PerturbationError, parse_perturbations
@@ -204,7 +204,7 @@ class Options:
         size_px: Size of the camera's image.
         hold_s: How long braking continues without a trigger.
         braking: Whether the brake works.
-        person_frames: In how many of the last three frames a person triggers the brake, 1 to 3.
+        person_frames: Number of the last three frames in which a person must be reported to trigger it, 1 to 3.
     """
 
     size_px: tuple[int, int] = SIZE_PX
@@ -229,16 +229,9 @@ class Options:
         if not isinstance(braking, bool):
             raise InvalidEpisode(f"options.braking: expected true or false, got {braking!r}")
         hold_s = parse_number("options.hold_s", document.get("hold_s", HOLD_S), 0.0, 10.0)
-        person_frames = document.get("person_frames", PERSON_FRAMES)
-        if (
-            not isinstance(person_frames, int)
-            or isinstance(person_frames, bool)
-            or not 1 <= person_frames <= PERSON_WINDOW
-        ):
-            raise InvalidEpisode(
-                f"options.person_frames: expected 1 to {PERSON_WINDOW} of the last {PERSON_WINDOW} frames, got "
-                f"{person_frames!r}"
-            )
+        person_frames = parse_integer(
+            "options.person_frames", document.get("person_frames", PERSON_FRAMES), 1, PERSON_WINDOW
+        )
         return cls(
             size_px=(round(width_px), round(height_px)),
             hold_s=hold_s,

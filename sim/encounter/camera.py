@@ -1,4 +1,4 @@
-"""The simulator `brink-encounter-camera@1`: encounters in which a detector processes rendered camera images.
+"""The simulator `brink-encounter-camera@2`: encounters in which a detector processes rendered camera images.
 
 The road is rendered from the ego's camera, and the detector's boxes are converted to the driving system's image.
 """
@@ -65,7 +65,7 @@ class EncounterCamera:
 class BrinkEncounterCamera(BrinkEncounter):
     """Runs encounters with a camera in the loop."""
 
-    id: ClassVar[str] = "brink-encounter-camera@1"
+    id: ClassVar[str] = "brink-encounter-camera@2"
 
     def _check(self, behaviour: Mapping[str, Json]) -> None:
         check_detector(behaviour)

@@ -58,12 +58,12 @@ def augment(
     *,
     size_px: tuple[int, int] | None = None,
 ) -> tuple[Picture, GroundTruth]:
-    """Return a changed image and its ground truth.
+    """Return a changed image, shape ``(size_px[1], size_px[0], 3)``, and its ground truth, without boxes outside it.
 
     Args:
         picture: RGB, uint8, shape ``(h, w, 3)``.
         truth: Ground truth in px of the image.
-        other: Another image of the same size, for the collage.
+        other: Another image of the same shape, for the collage.
         rng: Source of randomness.
         size_px: Width and height of the result, at most those of the image; by default those of the image.
     """

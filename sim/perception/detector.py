@@ -12,7 +12,7 @@ with grey. Its output, in px of its input, has one of two forms:
 - three arrays: boxes ``(n, 4)`` as x_min, y_min, x_max, y_max, scores ``(n,)`` and labels ``(n,)``, in this order or
   named ``boxes``, ``scores`` and ``labels``, as in torchvision's detectors.
 
-An ONNX file with the input and the outputs of `brink-det@1`, as Brink's own training writes it, runs like that one.
+An ONNX file with the input and the outputs of `brink-det`, as Brink's own training writes it, runs like that one.
 
 Class names are read from ``FILE.json`` next to the weights, ``{"names": ["vehicle", "person"]}``, or from the
 metadata that YOLO's exporter writes. Without names, a single array of two classes means vehicle and person, and of
@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeAlias, cast
+from typing import Any, Final, Protocol, Self, TypeAlias, cast
 
 import cv2
 import numpy as np
@@ -242,20 +242,16 @@ def _shapes(session: onnxruntime.InferenceSession) -> list[tuple[Any, ...]]:
     return [tuple(put.shape) for put in (*session.get_inputs(), *session.get_outputs())]
 
 
-def has_own_shapes(session: onnxruntime.InferenceSession) -> bool:
-    """Return whether a network has the input and the outputs of `brink-det@1`, as Brink's own training writes it."""
-    return _shapes(session) == _OWN_SHAPES
-
-
 class NetworkDetector:
     """Runs a network of `brink-det` with onnxruntime on one thread.
 
     Args:
-        weights: An ONNX file with one input of shape ``(1, 3, 192, 320)`` and the outputs described in
+        session: A network with one input of shape ``(1, 3, 192, 320)`` and the outputs described in
             `brink.sim.perception.network`.
+        source: Its file, named in messages.
 
     Raises:
-        DetectorError: The file cannot be loaded, or is a different network.
+        DetectorError: It is a different network.
 
     Attributes:
         labels: The labels that it may give.
@@ -263,14 +259,23 @@ class NetworkDetector:
 
     labels = frozenset(range(len(LABELS)))
 
-    def __init__(self, weights: Path) -> None:
-        self._session = _load_onnx(weights)
-        if not has_own_shapes(self._session):
+    def __init__(self, session: onnxruntime.InferenceSession, source: str) -> None:
+        if _shapes(session) != _OWN_SHAPES:
             raise DetectorError(
-                f"{weights}: expected input and outputs of shapes {_OWN_SHAPES}, got {_shapes(self._session)}"
+                f"{source}: expected input and outputs of shapes {_OWN_SHAPES}, got {_shapes(session)}"
             )
-        self._weights = weights
-        self._input = self._session.get_inputs()[0].name
+        self._session = session
+        self._source = source
+        self._input = session.get_inputs()[0].name
+
+    @classmethod
+    def from_file(cls, weights: Path) -> Self:
+        """Load the network from an ONNX file.
+
+        Raises:
+            DetectorError: The file cannot be loaded, or is a different network.
+        """
+        return cls(_load_onnx(weights), str(weights))
 
     def infer(self, canvas: Picture) -> tuple[FloatArray, FloatArray]:
         """Return the heat map and the edges for a fitted image."""
@@ -281,7 +286,7 @@ class NetworkDetector:
         """Return the detections in an image."""
         canvas, scale = fit_picture(picture)
         heat, edges = self.infer(canvas)
-        _check_finite(str(self._weights), edges, heat)
+        _check_finite(self._source, edges, heat)
         found = decode(heat, edges)
         boxes = np.clip(found.boxes / np.float32(scale), 0.0, _limits(picture))
         return Detections(labels=found.labels, boxes=boxes, scores=found.scores)
@@ -292,7 +297,7 @@ def _limits(picture: Picture) -> FloatArray:
 
 
 def load_brink_det_1() -> NetworkDetector:
-    """Return `brink-det@1`, which was trained without augmentation; see `load_brink_det_2`."""
+    """Return `brink-det@1`, trained on earlier images with little augmentation; see `load_brink_det_2`."""
     return _load_own(1)
 
 
@@ -305,15 +310,21 @@ def load_brink_det_2() -> NetworkDetector:
     return _load_own(2)
 
 
+_TRAINED: Final = 2
+"""Version that the training program of this release makes."""
+
+
 @cache
 def _load_own(version: int) -> NetworkDetector:
     weights = Path(str(files("brink.sim.perception").joinpath(f"weights/brink-det-{version}.onnx")))
     if not weights.is_file():
-        raise DetectorError(
-            f"brink-det@{version}: weights are missing; expected {weights}. Those of brink-det@2 are trained by "
-            f"`python -m brink.sim.aeb train --out {weights.parent}` in one to two hours"
+        how = (
+            ""
+            if version < _TRAINED
+            else "; `python -m brink.sim.aeb train --out FOLDER` trains them in about an hour"
         )
-    return NetworkDetector(weights)
+        raise DetectorError(f"brink-det@{version}: weights are missing: expected {weights}{how}")
+    return NetworkDetector.from_file(weights)
 
 
 class LoadedNetwork(Protocol):
@@ -601,11 +612,9 @@ def load_file_detector(detector_id: str) -> FileDetector | NetworkDetector | Ult
     if kind == "torchscript":
         return FileDetector(_TorchNetwork(file), str(file))
     session = _load_onnx(file)
-    return (
-        NetworkDetector(file)
-        if has_own_shapes(session)
-        else FileDetector(_OnnxNetwork(file, session), str(file))
-    )
+    if _shapes(session) == _OWN_SHAPES:
+        return NetworkDetector(session, str(file))
+    return FileDetector(_OnnxNetwork(file, session), str(file))
 
 
 def _import(module: str, kind: str, requirement: str) -> Any:

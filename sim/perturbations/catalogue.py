@@ -160,7 +160,8 @@ _GENES = (
         name="snow",
         values=(1.5, 2.0, 3.0, 4.0, 5.0),
         unit="factor of lightness",
-        effect="falling flakes and their veil, the more the larger v is; settled snow takes v as its factor",
+        effect="flakes and a veil, both proportional to v - 1; dark pixels get a quarter of the lightness that a "
+        "factor of v would add",
     ),
     Gene(
         name="broken_lens",

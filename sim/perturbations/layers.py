@@ -62,31 +62,12 @@ def to_layer(field: Field) -> Layer:
     return cast(Layer, cv2.convertScaleAbs(field, alpha=255))
 
 
-def scale_lightness(frame: Frame, factor: float, below: float = 256.0) -> Frame:
-    """Multiply the lightness (L of HLS, 0 to 255) of a frame and clip it; hue and saturation do not change.
-
-    Args:
-        frame: Shape ``(height, width, 3)``.
-        factor: Factor on the lightness.
-        below: Pixels at least this light keep their exact values.
-    """
-    hls = cv2.cvtColor(frame, cv2.COLOR_RGB2HLS)
-    lightness = cv2.extractChannel(hls, 1)
-    cv2.insertChannel(cv2.convertScaleAbs(lightness, alpha=factor), hls, 1)
-    scaled = cast(Frame, cv2.cvtColor(hls, cv2.COLOR_HLS2RGB, dst=hls))
-    if below > 255:
-        return scaled
-    # The round trip through HLS loses a few grey values, so unchanged pixels are copied from the frame.
-    _, kept = cv2.threshold(lightness, np.ceil(below) - 1, 255, cv2.THRESH_BINARY)
-    return cast(Frame, cv2.copyTo(frame, kept, scaled))
-
-
 GAIN_STEPS = 45
 """Integer that stands for the gain of dark pixels in `darken_complement`; the largest gain is 255 / 45 of it."""
 
 
 def darken_complement(complement: Frame, factor: float) -> Frame:
-    """Multiply the lightness of a smooth frame by a factor below 1, like `scale_lightness` in half the time.
+    """Multiply the lightness of a smooth frame by a factor below 1, without a way over HLS.
 
     With hue and saturation fixed, the complement y of a channel becomes ``a y + c``, where a and c only depend on the
     pixel's lightness. They vary smoothly, so they are looked up at a quarter of the resolution. Saturated colours

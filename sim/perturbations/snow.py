@@ -129,7 +129,10 @@ def _draw_flakes(
         top = rng.integers(0, rows + margin, size=count)
         left = rng.integers(0, columns + margin, size=count)
         places = (top * layer.shape[1] + left)[:, None] + (down * layer.shape[1] + across)
-        layer.reshape(-1)[places] = stamp[down, across]
+        flat = layer.reshape(-1)
+        flat[places] = np.maximum(
+            flat[places], stamp[down, across]
+        )  # a faint rim leaves the core of another flake
     return layer[margin : margin + rows, margin : margin + columns]
 
 

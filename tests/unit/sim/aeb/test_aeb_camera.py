@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -18,7 +19,7 @@ from support.marks import mostly_long
 
 from brink.sim import catalogue
 from brink.sim.aeb import dataset
-from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
+from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames, render_frames
 from brink.sim.aeb.scores import rescore
 from brink.sim.aeb.simulator import BrinkAeb
 from brink.sim.encounter.witness import Rectangle, signed_gap_m
@@ -150,6 +151,18 @@ def test_bodies_in_labelled_pictures_stand_away_from_the_ego_car_and_people_in_n
     assert sum(len(bodies) for _, bodies in views) > 400 * 10
 
 
+def test_several_processes_render_the_pictures_of_a_single_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_a_street(split: Split, rng: np.random.Generator, width_px: int) -> Iterator[tuple[int, float]]:
+        for _ in range(dataset.FRAMES_A_STREET):
+            yield width_px, rng.random()
+
+    monkeypatch.setattr(dataset, "_street_frames", of_a_street)
+    with ThreadPoolExecutor(3) as pool:
+        found = list(render_frames(pool, Split.TEST, 45))
+    large = list(labelled_frames(Split.TEST, 34))
+    assert found == large + list(labelled_frames(Split.TEST, 11, seed=1, width_px=320))
+
+
 def test_no_more_pictures_are_drawn_than_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[int] = []
 
@@ -218,7 +231,7 @@ def test_the_second_gene_is_applied_to_the_result_of_the_first(known: Known) -> 
     ("changes", "message"),
     [
         ({"scenario": {"dataset": "elsewhere", "frames": 3}}, "scenario.dataset: elsewhere: No such file"),
-        ({"scenario": {"frames": 0}}, r"scenario.frames: expected a whole number in \[1, 5000\]"),
+        ({"scenario": {"frames": 0}}, r"scenario.frames: expected an integer in \[1, 5000\]"),
         ({"scenario": {"frames": 3, "size": 3}}, "unknown field 'size'"),
         ({"behaviour": {"detector": "unknown@1"}}, "detector: expected one of"),
         ({"behaviour": {"perturbations": [{"gene": "snwo", "level": 1}]}}, "snow"),

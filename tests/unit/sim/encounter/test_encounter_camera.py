@@ -27,7 +27,7 @@ DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@1", "threshol
 
 def seen(*users: JsonObject, duration_s: float = 4.0) -> EpisodeSpec:
     told = spec(*users, duration_s=duration_s)
-    return replace(told, simulator="brink-encounter-camera@1", behaviour=DETECTOR)
+    return replace(told, simulator="brink-encounter-camera@2", behaviour=DETECTOR)
 
 
 def test_the_ego_stops_for_detected_road_users() -> None:
@@ -113,5 +113,5 @@ def test_an_invalid_specification_is_refused(changes: JsonObject, message: str) 
 def test_each_simulator_runs_only_its_own_episodes() -> None:
     with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter@1, got"):
         BrinkEncounter().run(seen())
-    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter-camera@1, got"):
+    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter-camera@2, got"):
         BrinkEncounterCamera().run(spec())

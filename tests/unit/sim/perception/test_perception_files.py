@@ -267,11 +267,11 @@ def test_arrays_other_than_rgb_pictures_are_refused(picture: NDArray[np.uint8]) 
 
 def test_weights_that_cannot_be_loaded_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DetectorError, match="cannot be loaded"):
-        NetworkDetector(tmp_path / "missing.onnx")
+        NetworkDetector.from_file(tmp_path / "missing.onnx")
     broken = tmp_path / "broken.onnx"
     broken.write_bytes(b"not a network")
     with pytest.raises(DetectorError, match="cannot be loaded"):
-        NetworkDetector(broken)
+        NetworkDetector.from_file(broken)
 
 
 def test_an_unknown_detector_gets_a_suggestion() -> None:
@@ -334,7 +334,7 @@ class _BrokenSession:
 @pytest.mark.parametrize("output", [0, 1], ids=["heat", "edges"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_network_of_our_own_kind_that_answers_nan_or_infinity_is_refused(output: int, value: float) -> None:
-    detector = NetworkDetector(OWN_WEIGHTS)
+    detector = NetworkDetector.from_file(OWN_WEIGHTS)
     detector._session = _BrokenSession(detector._session, output, value)
     with pytest.raises(
         InvalidDetections, match=r"brink-det-1\.onnx: expected finite scores and boxes, got NaN"

@@ -69,7 +69,7 @@ STREET = truth((0, 10, 60, 110, 130), (1, 150, 70, 162, 110), (1, 200, 80, 206, 
 
 
 def test_onnxruntime_and_torch_give_the_same_output(network: Network, weights: Path) -> None:
-    detector = NetworkDetector(weights)
+    detector = NetworkDetector.from_file(weights)
     for picture in pictures(3):
         heat, edges = detector.infer(picture)
         with torch.no_grad():
@@ -84,7 +84,7 @@ def test_the_network_is_small(network: Network, weights: Path) -> None:
 
 
 def test_boxes_are_in_pixels_of_a_picture_of_any_size(weights: Path) -> None:
-    detector = NetworkDetector(weights)
+    detector = NetworkDetector.from_file(weights)
     for height, width in ((360, 640), (192, 320), (600, 800), (720, 1280), (50, 40)):
         picture = np.random.default_rng(1).integers(0, 256, (height, width, 3), dtype=np.uint8)
         found = detector.detect(picture)
@@ -173,7 +173,7 @@ def test_weights_with_other_outputs_are_refused(tmp_path: Path) -> None:
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(other, (torch.zeros(1, 3, 8, 8),), str(file), dynamo=False)
     with pytest.raises(DetectorError, match="expected input and outputs of shapes"):
-        NetworkDetector(file)
+        NetworkDetector.from_file(file)
 
 
 class Yolo(nn.Module):
