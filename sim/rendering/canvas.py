@@ -77,8 +77,13 @@ def _silhouette(outline: Outline, width_px: int, height_px: int) -> tuple[int, i
     """Return the top-left corner and the hard-edged mask of a body on its own, cropped to the image."""
     strokes, points, stamps = _solid_parts(outline)
     box = _bounds(points, stamps, width_px, height_px)
-    if box is None:
-        return None
+    return None if box is None else (box[0], box[1], _painted(strokes, points, stamps, box))
+
+
+def _painted(
+    strokes: list[IntArray], points: IntArray, stamps: list[Stamp], box: tuple[int, int, int, int]
+) -> Coverage:
+    """Return the hard-edged mask of a silhouette within a box of left, top, right and bottom edge."""
     left, top, right, bottom = box
     mask = np.zeros((bottom - top, right - left), np.uint8)
     points = points - np.array([left << SHIFT, top << SHIFT], np.int32)
@@ -92,7 +97,7 @@ def _silhouette(outline: Outline, width_px: int, height_px: int) -> tuple[int, i
         row, column = stamp.top_px - top, stamp.left_px - left
         region = mask[row : row + height, column : column + width]
         np.maximum(region, stamp.coverage, out=region)
-    return left, top, mask
+    return mask
 
 
 def _bounds(
@@ -216,35 +221,43 @@ def seen_bodies(frame: Frame, *, least_px: tuple[float, float], least_share: flo
 def _shows(outline: Outline, visible_px: int, least_share: float, shape: tuple[int, ...]) -> bool:
     """Return whether the visible share of a silhouette is large enough."""
     height_px, width_px = shape
-    _, points, stamps = _solid_parts(outline)
-    bounds = _bounds(points, stamps, width_px, height_px)
-    if bounds is not None:
-        left, top, right, bottom = bounds
-        # No silhouette is larger than its bounds, so most bodies need not be painted again.
-        if visible_px >= least_share * (right - left) * (bottom - top):
-            return True
-    alone = _silhouette(outline, width_px, height_px)
-    return alone is not None and visible_px / cv2.countNonZero(alone[2]) >= least_share
+    strokes, points, stamps = _solid_parts(outline)
+    box = _bounds(points, stamps, width_px, height_px)
+    if box is None:
+        return False
+    left, top, right, bottom = box
+    # No silhouette is larger than its bounds, so most bodies need not be painted again.
+    if visible_px >= least_share * (right - left) * (bottom - top):
+        return True
+    return visible_px / cv2.countNonZero(_painted(strokes, points, stamps, box)) >= least_share
 
 
 def _seen_boxes(ids: IdMask) -> dict[int, tuple[int, PixelBox]]:
     """Return the number of pixels of each id in a mask and their tight box, by ascending id, in one pass."""
-    places = np.flatnonzero(ids)
-    if len(places) == 0:
+    width = ids.shape[1]
+    flat = ids.ravel()
+    # Runs of equal pixels within a row are far fewer than pixels.
+    begins = np.ones(len(flat), np.bool_)
+    np.not_equal(flat[1:], flat[:-1], out=begins[1:])
+    begins[::width] = True
+    first = np.flatnonzero(begins)
+    last = np.append(first[1:], len(flat)) - 1
+    numbers = flat[first]
+    taken = np.flatnonzero(numbers)
+    if len(taken) == 0:
         return {}
-    numbers = ids.ravel()[places]
-    # Sorting is stable, so the first and last place of each id are in its first and last row.
-    order = np.argsort(numbers, kind="stable")
-    numbers, places = numbers[order], places[order]
+    # Sorting is stable, so the first and last run of each id are in its first and last row.
+    taken = taken[np.argsort(numbers[taken], kind="stable")]
+    first, last, numbers = first[taken], last[taken], numbers[taken]
     starts = np.concatenate(([0], np.flatnonzero(np.diff(numbers)) + 1))
     ends = np.append(starts[1:], len(numbers))
-    rows, columns = np.divmod(places, ids.shape[1])
+    rows = first // width
     edges = zip(
         numbers[starts].tolist(),
-        (ends - starts).tolist(),
-        np.minimum.reduceat(columns, starts).tolist(),
+        np.add.reduceat(last - first + 1, starts).tolist(),
+        np.minimum.reduceat(first - rows * width, starts).tolist(),
         rows[starts].tolist(),
-        np.maximum.reduceat(columns, starts).tolist(),
+        np.maximum.reduceat(last - rows * width, starts).tolist(),
         rows[ends - 1].tolist(),
         strict=True,
     )

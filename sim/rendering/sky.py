@@ -143,7 +143,9 @@ def _add_clouds(
     dense = np.clip(seen - cut - 0.4, 0, 2.2)
     shade = np.clip(1.04 - 0.13 * dense - 0.05 * (1 - lift) + 0.03 * seen, 0.62, 1.08)
     cloud = shade[..., None] * np.array(lighting.cloud_rgb, np.float32)
-    sky += (cloud - sky) * cover[..., None].astype(np.float32)
+    cloud -= sky
+    cloud *= cover[..., None].astype(np.float32)
+    sky += cloud
 
 
 def _add_town(rng: np.random.Generator, lighting: Lighting, turn: Picture) -> None:
