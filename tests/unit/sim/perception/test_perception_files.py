@@ -15,7 +15,6 @@ from support.onnx_file import write_network
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import Detections
 from brink.sim.perception.detector import (
-    WEIGHTS,
     CheckedDetector,
     NetworkDetector,
     find_detector,
@@ -279,7 +278,7 @@ def test_an_unknown_detector_gets_a_suggestion() -> None:
         find_detector("brink-dot@1")
 
 
-OWN_WEIGHTS = Path(str(files("brink.sim.perception").joinpath(WEIGHTS)))
+OWN_WEIGHTS = Path(str(files("brink.sim.perception").joinpath("weights/brink-det-1.onnx")))
 
 
 def test_weights_of_brinks_own_training_are_accepted(tmp_path: Path) -> None:
