@@ -330,16 +330,16 @@ class Searches(Criteria):
     def _explained_row(
         self, interaction: str, seed: int, campaign: Campaign, one: Combination
     ) -> dict[str, Any]:
-        """Return an explained finalist as a row of a table; unknown synergies are empty."""
+        """Return an explained finalist as a row of a table; unknown added_harms are empty."""
         state = campaign.state
         (place,) = [
             place for place, row in enumerate(state.individuals) if self._genome.chain(row) == one.chain
         ]
-        synergy = float(state.synergies[place])
+        added_harm = float(state.added_harms[place])
         return {
             "interaction": interaction, "seed": seed, "chain": words_of(self._named(state.individuals[place])),
             "alpha": round(float(state.alphas[place]), 4),
-            "synergy": "" if np.isnan(synergy) else round(synergy, 4),
+            "added_harm": "" if np.isnan(added_harm) else round(added_harm, 4),
             "hazardous": f"{one.tally.unsafe} of {one.tally.trials}",
             "parts": ", ".join(f"{part.unsafe} of {part.trials}" for part in one.parts.values()),
             "other_order": ", ".join(f"{order.unsafe} of {order.trials}" for order in one.orders.values()),

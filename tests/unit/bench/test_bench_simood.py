@@ -117,7 +117,7 @@ def test_share_of_explained_finalists_that_are_hazardous_by_interaction(tmp_path
         assert f"{len(both)} of {len(mine)} explained" in row.note
     found = [row for row in explained if row["interaction"] == "fitness" and row["only_together"] == "True"]
     assert found
-    assert all(float(row["synergy"]) >= 0.05 and row["other_order"] == "0 of 3" for row in found)
+    assert all(float(row["added_harm"]) >= 0.05 and row["other_order"] == "0 of 3" for row in found)
     assert rows["A9 share hazardous only together or in one order, paper's fitness"].met is None
 
 
