@@ -280,7 +280,10 @@ def explained_of(state: SimoodState) -> list[FloatArray]:
 
 
 def budget_for(space: SearchSpace, config: SimoodConfig, evaluations: int) -> int:
-    """Return the budget that lets the search itself make so many evaluations, those of parts included."""
+    """Return the budget that ends a search after so many evaluations, those of parts included, and what follows it.
+
+    Its `SimoodConfig.generations` may end it earlier.
+    """
     return evaluations + _reserve(config, ChainGenome.of(space))
 
 
