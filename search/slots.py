@@ -11,7 +11,7 @@ Source: Ferreira et al. 2022 (individuals of m distinct techniques with a level 
 """
 
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -180,24 +180,17 @@ class ChainGenome:
         return tuple(step for step in chain if step.level)
 
     def row(self, chain: Chain) -> FloatArray:
-        """Return the individual that applies a chain: its steps in the first slots, the other slots empty."""
+        """Return the individual that applies a chain: its steps in the first slots, the other slots empty.
+
+        Empty slots hold the first free techniques, so equal chains are equal rows.
+        """
         individual = np.zeros(self.component.dimension)
         for slot, (technique, level) in enumerate(chain):
             individual[self.columns(slot)] = technique, self.slots.intensity(technique, level)
-        self._empty(individual, range(len(chain), len(self.slots.pairs)))
+        free = sorted(set(range(len(self.slots.levels))) - {step.technique for step in chain})
+        for slot, technique in zip(range(len(chain), len(self.slots.pairs)), free, strict=False):
+            individual[self.columns(slot)] = technique, 0.0
         return frozen_array(individual)
-
-    def _empty(self, individual: FloatArray, slots: Iterable[int]) -> None:
-        """Empty some slots of a row in place.
-
-        They get the first free techniques, so that equal parts of two individuals are equal rows.
-        """
-        emptied = set(slots)
-        kept = set(range(len(self.slots.pairs))) - emptied
-        used = {int(individual[self.columns(slot)[0]]) for slot in kept}
-        free = iter(sorted(set(range(len(self.slots.levels))) - used))
-        for slot in sorted(emptied):
-            individual[self.columns(slot)] = next(free), 0.0
 
     def eta(self, individuals: FloatArray) -> FloatArray:
         """Return the mean intensity of each individual, shape ``(n, d)`` to ``(n,)``."""
@@ -249,14 +242,12 @@ class ChainGenome:
         return first, second
 
     def ablations(self, individual: FloatArray) -> list[FloatArray]:
-        """Return every proper part of an individual, the empty one first, then each swap of adjacent slots."""
+        """Return every proper part of an individual, the empty one first, then each swap of adjacent slots.
+
+        Parts are rows as `row` returns them: a part that two individuals share, in whatever slots, is one row.
+        """
+        variants = [self.row(part) for part in ((), *parts_of(self.chain(individual)))]
         slots = [self.columns(slot) for slot in range(len(self.slots.pairs))]
-        variants = []
-        for size in range(len(slots)):
-            for kept in itertools.combinations(range(len(slots)), size):
-                part = np.array(individual)
-                self._empty(part, set(range(len(slots))) - set(kept))
-                variants.append(part)
         for left, right in itertools.pairwise(slots):
             swapped = np.array(individual)
             swapped[left], swapped[right] = individual[right], individual[left]

@@ -12,9 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from brink.bench.measurement import Progress, Row, at_least
+from brink.bench.measurement import Progress, Row, at_least, at_most
 from brink.bench.simood_costs import Costs
-from brink.bench.simood_places import Criteria, NamedChain, Places, words_of
+from brink.bench.simood_places import CONFIRMATION_PLACES, Criteria, NamedChain, Places, words_of
 from brink.bench.simood_searches import Searches
 from brink.bench.trials import Record, Records, code_fingerprint
 from brink.search.analysis.combinations import HAZARDOUS, SAFE
@@ -32,8 +32,8 @@ DANGEROUS_STOP: Final = "no-dangerous-stop@1"
 
 CLEAN_PLACES: Final = range(20)
 SWEEP_PLACES: Final = range(3)
-CONFIRMATION_PLACES: Final = range(5)
 OBSTACLE_PLACES: Final = range(10)
+MAX_HARMFUL_GENES: Final = 3
 DEFAULT_REPEATS: Final = 3
 """Searches with each configuration of tables II and III, and campaigns of A9; the paper has 10."""
 
@@ -116,6 +116,7 @@ class Hazards(Criteria):
         rows = [
             at_least("A2 accidents of singles", _violations(records, ACCIDENT), 1, note),
             at_least("A2 dangerous stops of singles", _violations(records, DANGEROUS_STOP), 1, note),
+            harmful_genes_row(_unsafe_shares(singles)),
         ]
         for obstacle in ("novelty", "anomaly"):
             places = Places(replace(self._params, obstacle=obstacle))
@@ -183,6 +184,19 @@ def _violations(records: Sequence[Record], requirement: str) -> int:
 
 def _unsafe_shares(records: Mapping[NamedChain, Sequence[Record]]) -> dict[NamedChain, float]:
     return {chain: sum(record.unsafe for record in found) / len(found) for chain, found in records.items()}
+
+
+def harmful_genes_row(unsafe_shares: Mapping[NamedChain, float]) -> Row:
+    """Return how many genes are harmful at their first level: unsafe in any street, alone.
+
+    Args:
+        unsafe_shares: Share of the streets in which each gene at each level is unsafe.
+    """
+    harmful = [name for name in CATALOGUE if unsafe_shares[((name, 1),)] > 0.0]
+    return at_most(
+        "A2 genes harmful at level 1", len(harmful), MAX_HARMFUL_GENES,
+        f"of {len(CATALOGUE)}, unsafe in any of {len(SWEEP_PLACES)} streets: {', '.join(harmful) or 'none'}",
+    )  # fmt: skip
 
 
 def _singles() -> list[NamedChain]:

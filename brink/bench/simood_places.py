@@ -16,8 +16,8 @@ from brink.sim.perturbations import CATALOGUE
 NamedChain: TypeAlias = tuple[tuple[str, int], ...]
 """Genes and their levels, in the order in which they are applied; level 0 has no effect."""
 
-REPEATS: Final = range(3)
-"""Places in which each finalist is simulated."""
+CONFIRMATION_PLACES: Final = range(5)
+"""Places in which chains are simulated to call them hazardous or safe; with fewer, four of five would be all."""
 
 
 class Places:

@@ -1,29 +1,38 @@
 """The SiMOOD criteria A5, A6 and A9: searches on the data set, and what their finalists owe to interaction.
 
-Every search is one of `simood-ga@1` itself, without a coordinator; its individuals are evaluated as in a campaign.
-Finalists of all searches are simulated in the same streets, so that criteria share episodes.
+Every search is one of `simood-ga@1` itself, without a coordinator: it chooses and explains its finalists, too. The
+scenarios that it asks for are replaced by numbered streets that all searches share, so that criteria share episodes.
 """
 
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy import stats
 
-from brink.bench.measurement import Progress, Row, at_least
-from brink.bench.simood_places import REPEATS, Criteria, NamedChain, words_of
-from brink.bench.trials import Records
-from brink.search.algorithm import Evaluation, Measured
-from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
-from brink.search.analysis.combinations import HAZARDOUS, Combination, Verdict, combinations
+from brink.bench.measurement import Progress, Row, at_least, at_most
+from brink.bench.simood_places import CONFIRMATION_PLACES, Criteria, NamedChain, words_of
+from brink.bench.trials import Record, Records
+from brink.search.algorithm import Candidate, Evaluation, Measured, Question, Scored
+from brink.search.algorithms.simood import (
+    Simood,
+    SimoodConfig,
+    SimoodState,
+    Stage,
+    budget_for,
+    explained_of,
+    finalists_of,
+)
+from brink.search.analysis.combinations import HAZARDOUS, Combination, combinations, verdicts_by_chain
 from brink.search.analysis.statistics import compared
-from brink.search.slots import Chain, ChainGenome
-from brink.search.space import FloatArray
+from brink.search.fitness import wilson_interval
+from brink.search.slots import ChainGenome
+from brink.search.space import FloatArray, SearchSpace
 from brink.server.problems.aeb_crossing import AebCrossingParams
-from brink.sim.perturbations import CATALOGUE
+from brink.sim.episode import EpisodeSpec
 
 SEEDS: Final = range(10)
 GENERATIONS: Final = (10, 20, 30, 50)
@@ -32,6 +41,12 @@ OMEGAS: Final = (0.01, 0.1, 0.25, 0.5, 0.66, 0.75, 0.99)
 """The grids of the paper's tables II and III and of its Fig. 4, as in the authors' published code."""
 SIGNIFICANCE_LEVEL: Final = 0.05
 BUDGET: Final = 100_000
+PAPER_EVALUATIONS: Final = 60
+"""Individuals of a search with the paper's settings: n + k g."""
+EVALUATIONS: Final = 120
+"""Evaluations of a search that is compared with others, those of parts included; about as many as a search with the
+default settings needs."""
+MAX_HAZARDOUS_RANDOM_PAIRS: Final = 0.5
 MIN_SHARE_BY_INTERACTION: Final = 1 / 3
 PAPER: Final = replace(SimoodConfig(), interaction="none")
 _SIMOOD: Final = Simood()
@@ -58,12 +73,12 @@ def unique_genes(chains: Sequence[NamedChain]) -> int:
 
 
 def hazard_p_value(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return how likely chance alone makes as many chains hazardous in a first group, by Fisher's exact test.
+    """Return the one-sided p-value of Fisher's exact test that chains of the first group are hazardous more often.
 
     The unit is the chain: its streets share its perturbations and are not independent.
 
     Args:
-        first: Share of the streets in which each chain of the first group is hazardous.
+        first: Share of the streets in which each chain of the first group is unsafe.
         second: The same for the second group.
     """
     table = np.array([
@@ -73,31 +88,93 @@ def hazard_p_value(first: Sequence[float], second: Sequence[float]) -> float:
     return float(stats.fisher_exact(table, alternative="greater")[1])
 
 
+Shares: TypeAlias = Sequence[Mapping[NamedChain, float]]
+"""For each search, the share of the streets in which each of its chains is unsafe."""
+
+
+def hazard_rows(which: str, finalists: Shares, others: Shares, name: str) -> list[Row]:
+    """Return the rows of A5 that compare how often finalists and other chains are hazardous.
+
+    Fisher's test takes distinct chains of all searches together. Chains of one search are related, so that the share
+    of hazardous chains of each search is tested, too.
+
+    Args:
+        which: The fitness, in words.
+        finalists: Finalists of the genetic algorithm.
+        others: Chains of random searches.
+        name: What the others are, in the plural.
+    """
+    distinct = [list({chain: s for search in group for chain, s in search.items()}.values())
+                for group in (finalists, others)]  # fmt: skip
+    p_value = hazard_p_value(*distinct)
+    counts = " and ".join(f"{sum(s >= HAZARDOUS for s in group)} of {len(group)}" for group in distinct)
+    each = [
+        [statistics.fmean(s >= HAZARDOUS for s in search.values()) for search in group]
+        for group in (finalists, others)
+    ]
+    means = [statistics.fmean(shares) for shares in each]
+    tested = compared(*each)
+    return [
+        Row(
+            what=f"A5 Fisher p of hazardous finalists against {name}, {which}", value=p_value,
+            target=f"below {SIGNIFICANCE_LEVEL:g}", met=p_value < SIGNIFICANCE_LEVEL,
+            note=f"distinct chains, hazardous, unsafe in {HAZARDOUS:.0%} of {len(CONFIRMATION_PLACES)} streets: "
+            f"{counts}",
+        ),
+        Row(
+            what=f"A5 hazardous share of finalists minus that of {name}, {which}", value=means[0] - means[1],
+            target=f"above 0, p < {SIGNIFICANCE_LEVEL:g}",
+            met=means[0] > means[1] and tested.p_value < SIGNIFICANCE_LEVEL,
+            note=f"{means[0]:.2f} and {means[1]:.2f}; Mann-Whitney p {tested.p_value:.2g} of the shares of "
+            f"{len(each[0])} and {len(each[1])} searches",
+        ),
+    ]  # fmt: skip
+
+
+def share_words(part: int, whole: int) -> str:
+    """Return a count with its 95% Wilson interval, such as ``2 of 10 (6% to 51%)``."""
+    if not whole:
+        return "0 of 0"
+    low, high = (float(limit[0]) for limit in wilson_interval([part], [whole]))
+    return f"{part} of {whole} ({low:.0%} to {high:.0%})"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Campaign:
     """A whole campaign: its search, the simulation of its finalists, and their explanation.
 
     Attributes:
-        state: The search, when it was over.
-        finalists: The finalists, best first.
+        state: The algorithm when it was finished.
         explained: The explained finalists beside their parts and other orders.
-        episodes: Number of episodes, those of the explanation included.
     """
 
     state: SimoodState
-    finalists: list[NamedChain]
     explained: list[Combination]
-    episodes: int
 
     @property
     def measured(self) -> int:
-        """Number of evaluations on the data set."""
-        return len(self.state.individuals) + len(self.state.parts)
+        """Number of evaluations on the data set, those of parts included."""
+        return evaluations_of(self.state)
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes, those of the explanation included."""
+        return len(self.state.archive)
+
+    @property
+    def hazardous(self) -> int:
+        """Number of explained finalists that are hazardous."""
+        return sum(one.hazardous for one in self.explained)
 
     @property
     def by_interaction(self) -> int:
         """Number of explained finalists that are hazardous only together or only in one order."""
         return sum(one.only_together or one.order_matters for one in self.explained)
+
+
+def evaluations_of(state: SimoodState) -> int:
+    """Return the number of evaluations of a search, those of parts included."""
+    return len(state.individuals) + len(state.parts)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -107,12 +184,30 @@ class Search:
     Attributes:
         config: Configuration of the algorithm.
         seed: Seed of the search.
+        evaluations: Number of evaluations, those of parts included, after which it stops; None for as many as the
+            configuration says.
         state: Current state; None before the start.
     """
 
     config: SimoodConfig
     seed: int
+    evaluations: int | None = None
     state: SimoodState | None = None
+
+    def start(self, space: SearchSpace) -> None:
+        """Start the search."""
+        if self.evaluations is None:
+            config, budget = self.config, BUDGET
+        else:
+            config = replace(self.config, generations=self.evaluations)
+            budget = budget_for(space, config, self.evaluations)
+        self.state = _SIMOOD.start(space, config, seed=self.seed, budget=budget)
+
+    @property
+    def limit(self) -> int:
+        """Largest number of individuals."""
+        most = self.config.population_size + self.config.parents * self.config.generations
+        return most if self.evaluations is None else self.evaluations
 
 
 class Searches(Criteria):
@@ -138,62 +233,53 @@ class Searches(Criteria):
     def against_random(self) -> list[Row]:
         """Measure A5: the final mean fitness, and how often finalists and random pairs are hazardous.
 
-        Both with the paper's fitness and with that of the default settings.
+        Both with the paper's fitness and with that of the default settings. Searches that are compared stop at the
+        same number of evaluations, those of parts included.
         """
-        return [
-            *self._against_random("paper's fitness", PAPER),
-            *self._against_random("default fitness", SimoodConfig()),
-        ]
-
-    def _against_random(self, which: str, config: SimoodConfig) -> list[Row]:
-        bred, drawn = (
-            self._search(
-                f"A5 {propose}, {which}",
-                [Search(config=replace(config, propose=propose), seed=seed) for seed in SEEDS],
+        rows: list[Row] = []
+        for which, config, evaluations in (
+            ("paper's fitness", PAPER, PAPER_EVALUATIONS), ("default fitness", SimoodConfig(), EVALUATIONS),
+        ):  # fmt: skip
+            bred, drawn = (
+                self._search(
+                    f"A5 {propose}, {which}",
+                    [
+                        Search(config=replace(config, propose=propose), seed=seed, evaluations=evaluations)
+                        for seed in SEEDS
+                    ],
+                )
+                for propose in ("ga", "random")
             )
-            for propose in ("ga", "random")
-        )
-        fitness = [[float(np.mean(state.fitness)) for state in states] for states in (bred, drawn)]
-        means = [float(np.mean(values)) for values in fitness]
-        tested = compared(*fitness)
-        finalists = [self._named(row) for state in bred for row in finalists_of(state)]
-        pairs = [self._named(row) for state in drawn for row in state.individuals[: config.finalists]]
-        shares = [
-            self._hazardous_shares(f"A5 {part}, {which}", chains)
-            for part, chains in (("finalists", finalists), ("random pairs", pairs))
-        ]
-        p_value = hazard_p_value(*shares)
-        counts = " and ".join(
-            f"{sum(share >= HAZARDOUS for share in group)} of {len(group)}" for group in shares
-        )
-        evaluations = " and ".join(
-            str(sum(len(s.individuals) + len(s.parts) for s in states)) for states in (bred, drawn)
-        )
-        return [
-            Row(
-                what=f"A5 mean f of the GA minus that of random search, {which}", value=means[0] - means[1],
-                target="below 0, p < .05", met=means[0] < means[1] and tested.p_value < SIGNIFICANCE_LEVEL,
-                note=f"{means[0]:.3f} and {means[1]:.3f}; Mann-Whitney p {tested.p_value:.2g}, {len(SEEDS)} seeds, "
-                f"{evaluations} evaluations",
-            ),
-            Row(
-                what=f"A5 Fisher p of hazardous finalists against random pairs, {which}", value=p_value,
-                target="below .05", met=p_value < SIGNIFICANCE_LEVEL,
-                note=f"distinct chains, hazardous in {HAZARDOUS:.0%} of {len(REPEATS)} streets: {counts}",
-            ),
-        ]  # fmt: skip
+            finalists, selected, pairs = (
+                self._unsafe_shares(
+                    f"A5 {part}, {which}", [list(map(self._named, found)) for found in rows_of]
+                )
+                for part, rows_of in (
+                    ("finalists", [finalists_of(state) for state in bred]),
+                    ("finalists of random search", [finalists_of(state) for state in drawn]),
+                    ("random pairs", [state.individuals[: config.finalists] for state in drawn]),
+                )
+            )
+            rows += [
+                _fitness_row(which, bred, drawn), *hazard_rows(which, finalists, pairs, "random pairs"),
+                *hazard_rows(which, finalists, selected, "finalists of random search"),
+            ]  # fmt: skip
+        # Both fitnesses have the same random pairs.
+        return [*rows, random_pairs_row(pairs)]
 
-    def _hazardous_shares(self, part: str, chains: Sequence[NamedChain]) -> list[float]:
-        """Return the share of streets in which each distinct chain is hazardous."""
-        found = self._run_chains(part, list(dict.fromkeys(chains)), REPEATS)
-        return [sum(record.unsafe for record in records) / len(records) for records in found.values()]
+    def _unsafe_shares(self, part: str, searches: Sequence[Sequence[NamedChain]]) -> Shares:
+        """Simulate the chains of several searches; return the share of streets in which each is unsafe."""
+        distinct = list(dict.fromkeys(chain for chains in searches for chain in chains))
+        found = self._run_chains(part, distinct, CONFIRMATION_PLACES)
+        shares = {chain: sum(r.unsafe for r in records) / len(records) for chain, records in found.items()}
+        return [{chain: shares[chain] for chain in chains} for chains in searches]
 
     def tables(self) -> list[Row]:
         """Measure A6: tables II and III, and Fig. 4, with the paper's fitness and grids."""
         by_size = self._table_by_size()
         by_omega = self._table_by_omega()
         self._draw(by_omega)
-        falls_by = by_omega[0]["mean_intensity"] - by_omega[-1]["mean_intensity"]
+        intensity_drop = by_omega[0]["mean_intensity"] - by_omega[-1]["mean_intensity"]
         (usual,) = [row for row in by_size if (row["generations"], row["population"]) == (20, 20)]
         note = f"{len(self._repeats)} searches each; {self._folder / 'generations-population.csv'}"
         genes, hazards = (
@@ -206,13 +292,13 @@ class Searches(Criteria):
                 what="A6 unique genes, 20 generations, population 20", value=usual["unique_genes_mean"], target="",
                 met=None, note=f"{genes}; {note}",
             ),
-            at_least(
-                "A6 hazards, 20 generations, population 20", usual["hazards_mean"], 1,
-                f"{hazards}, of 20 simulated in one street; {note}",
+            Row(
+                what="A6 hazards, 20 generations, population 20", value=usual["hazards_mean"], target="", met=None,
+                note=f"{hazards}, of 20 simulated in one street; {note}",
             ),
             Row(
-                what=f"A6 mean intensity at omega {OMEGAS[0]:g} minus that at {OMEGAS[-1]:g}", value=falls_by,
-                target="above 0", met=falls_by > 0, note=f"{self._folder / 'omega.png'}",
+                what=f"A6 mean intensity at omega {OMEGAS[0]:g} minus that at {OMEGAS[-1]:g}", value=intensity_drop,
+                target="above 0", met=intensity_drop > 0, note=f"{self._folder / 'omega.png'}",
             ),
         ]  # fmt: skip
 
@@ -252,36 +338,38 @@ class Searches(Criteria):
         rows: list[dict[str, Any]] = []
         for index, omega in enumerate(OMEGAS):
             states = by_omega[index * len(self._repeats) : (index + 1) * len(self._repeats)]
-            unique = {self._named(state.individuals[place]) for state in states for place in state.population}
-            levels = [level / (CATALOGUE[gene].levels - 1) for chain in unique for gene, level in chain]
+            last = [[self._named(state.individuals[place]) for place in state.population] for state in states]
+            orders = [len({tuple(gene for gene, _ in chain) for chain in chains}) for chains in last]
+            etas = [self._genome.eta(state.individuals[list(state.population)]) for state in states]
             alphas = [state.alphas[place] for state in states for place in state.population]
             rows.append({
-                "omega": omega, "unique_individuals": len(unique),
-                "unique_orders": len({tuple(gene for gene, _ in chain) for chain in unique}),
-                "mean_intensity": round(float(np.mean(levels)), 4), "mean_alpha": round(float(np.mean(alphas)), 4),
+                "omega": omega, "unique_individuals": len({chain for chains in last for chain in chains}),
+                "unique_orders": round(statistics.fmean(orders), 2),
+                "mean_intensity": round(float(np.mean(np.concatenate(etas))), 4),
+                "mean_alpha": round(float(np.mean(alphas)), 4),
             })  # fmt: skip
         self._write("omega.csv", rows)
         return rows
 
     def interactions(self) -> list[Row]:
-        """Measure A9: how many explained finalists are hazardous only together or only in one order."""
+        """Measure A9: how many explained finalists are hazardous only together or only in one order.
+
+        All campaigns stop at the same number of evaluations, those of parts included. Random search with the default
+        fitness shows what breeding adds.
+        """
         rows, table = [], []
-        for which, config in (("default", SimoodConfig()), ("paper's fitness", PAPER)):
-            campaigns = self._campaigns(f"A9 {which}", config, self._repeats)
-            explained = sum(len(one.explained) for one in campaigns)
-            found = sum(one.by_interaction for one in campaigns)
-            note = (
-                f"{found} of {explained} explained, of {sum(len(one.finalists) for one in campaigns)} finalists of "
-                f"{len(campaigns)} campaigns; {self._folder / 'explained.csv'}"
-            )
-            what = f"A9 share hazardous only together or in one order, {which}"
-            share = found / explained if explained else 0.0
-            if config is PAPER:
-                rows.append(Row(what=what, value=share, target="", met=None, note=note))
-            else:
-                rows.append(at_least(what, share, MIN_SHARE_BY_INTERACTION, note))
+        for which, config in (
+            ("default fitness", SimoodConfig()), ("paper's fitness", PAPER),
+            ("random search with the default fitness", replace(SimoodConfig(), propose="random")),
+        ):  # fmt: skip
+            confirmed = replace(config, repeats=len(CONFIRMATION_PLACES))
+            campaigns = self._campaigns(f"A9 {which}", confirmed, self._repeats, EVALUATIONS)
+            rows += interaction_rows(
+                which, campaigns, MIN_SHARE_BY_INTERACTION if config == SimoodConfig() else None,
+                f"{self._folder / 'explained.csv'}",
+            )  # fmt: skip
             table += [
-                self._explained_row(config.interaction, seed, campaign, one)
+                self._explained_row(which, seed, campaign, one)
                 for seed, campaign in zip(self._repeats, campaigns, strict=True)
                 for one in campaign.explained
             ]
@@ -294,85 +382,65 @@ class Searches(Criteria):
         (found,) = self._campaigns("A7 a default campaign", SimoodConfig(), range(1))
         return found
 
-    def _campaigns(self, part: str, config: SimoodConfig, seeds: range) -> list[Campaign]:
-        """Search, simulate the finalists, and explain the hazardous ones, as campaigns do."""
-        states = self._search(part, [Search(config=config, seed=seed) for seed in seeds])
-        finalists = [list(finalists_of(state)) for state in states]
-        found = [self._verdicts(f"{part}, finalists", rows) for rows in finalists]
-        explained = [
-            [row for row in rows if any(v.unsafe for v in verdicts[self._genome.chain(row)].values())]
-            for rows, verdicts in zip(finalists, found, strict=True)
-        ]
-        campaigns = []
-        for state, rows, verdicts, hazardous in zip(states, finalists, found, explained, strict=True):
-            chosen = hazardous[: config.explained]
-            variants = [variant for row in chosen for variant in self._genome.ablations(row)]
-            verdicts = {**self._verdicts(f"{part}, explanation", variants), **verdicts}
-            chains = {self._genome.chain(row) for row in chosen}
-            campaigns.append(
-                Campaign(
-                    state=state,
-                    finalists=[self._named(row) for row in rows],
-                    explained=[one for one in combinations(verdicts) if one.chain in chains],
-                    episodes=len({self._named(row) for row in (*rows, *variants)}) * len(REPEATS),
-                )
-            )
+    def _campaigns(
+        self, part: str, config: SimoodConfig, seeds: range, evaluations: int | None = None
+    ) -> list[Campaign]:
+        """Run campaigns to their end."""
+        searches = [Search(config=config, seed=seed, evaluations=evaluations) for seed in seeds]
+        space, campaigns = self._places.problem.space, []
+        for state in self._search(part, searches, tuple(Stage)):
+            chains = {self._genome.chain(row) for row in explained_of(state)}
+            found = combinations(verdicts_by_chain(space, state.archive))
+            campaigns.append(Campaign(state=state, explained=[one for one in found if one.chain in chains]))
         return campaigns
 
-    def _verdicts(self, part: str, rows: Sequence[FloatArray]) -> dict[Chain, dict[bytes, Verdict]]:
-        """Simulate individuals in every street; return the verdicts by chain and street."""
-        named = {self._named(row): self._genome.chain(row) for row in rows}
-        return {
-            named[name]: {str(place).encode(): Verdict(place, record.unsafe) for place, record in enumerate(records)}
-            for name, records in self._run_chains(part, list(named), REPEATS).items()
-        }  # fmt: skip
-
-    def _explained_row(
-        self, interaction: str, seed: int, campaign: Campaign, one: Combination
-    ) -> dict[str, Any]:
-        """Return an explained finalist as a row of a table; unknown synergies are empty."""
+    def _explained_row(self, which: str, seed: int, campaign: Campaign, one: Combination) -> dict[str, Any]:
+        """Return an explained finalist as a row of a table; unknown added harm is empty."""
         state = campaign.state
         (place,) = [
             place for place, row in enumerate(state.individuals) if self._genome.chain(row) == one.chain
         ]
-        synergy = float(state.synergies[place])
+        added_harm = float(state.added_harms[place])
         return {
-            "interaction": interaction, "seed": seed, "chain": words_of(self._named(state.individuals[place])),
+            "search": which, "seed": seed, "chain": words_of(self._named(state.individuals[place])),
             "alpha": round(float(state.alphas[place]), 4),
-            "synergy": "" if np.isnan(synergy) else round(synergy, 4),
+            "added_harm": "" if np.isnan(added_harm) else round(added_harm, 4),
             "hazardous": f"{one.tally.unsafe} of {one.tally.trials}",
             "parts": ", ".join(f"{part.unsafe} of {part.trials}" for part in one.parts.values()),
             "other_order": ", ".join(f"{order.unsafe} of {order.trials}" for order in one.orders.values()),
             "only_together": one.only_together, "only_in_one_order": one.order_matters,
         }  # fmt: skip
 
-    def _search(self, part: str, searches: Sequence[Search]) -> list[SimoodState]:
-        """Run searches until they have finished with the data set; return their states."""
-        space = self._places.problem.space
-        total = sum(s.config.population_size + s.config.parents * s.config.generations for s in searches)
+    def _search(
+        self, part: str, searches: Sequence[Search], stages: Sequence[Stage] = (Stage.SEARCH, Stage.PARTS)
+    ) -> list[SimoodState]:
+        """Run searches until they have finished with some stages; return their states."""
+        total = sum(search.limit for search in searches)
         for search in searches:
-            search.state = _SIMOOD.start(space, search.config, seed=search.seed, budget=BUDGET)
+            search.start(self._places.problem.space)
         while True:
             asked = []
             for search in searches:
                 assert search.state is not None
-                if search.state.stage in (Stage.SEARCH, Stage.PARTS):
-                    state, candidates = _SIMOOD.ask(search.state)
-                    asked.append((search, state, candidates))
+                if search.state.stage in stages and not _SIMOOD.finished(search.state):
+                    asked.append((search, *_SIMOOD.ask(search.state)))
             if not asked:
                 break
-            chains = [self._named(c.vectors[-1]) for _, _, candidates in asked for c in candidates]
-            records = iter(self._records.run([self._places.evaluation(chain) for chain in chains]))
+            specs = [self._spec(candidate) for _, _, candidates in asked for candidate in candidates]
+            records = iter(self._records.run(specs))
             for search, state, candidates in asked:
-                answers: dict[int, Evaluation] = {
-                    c.number: Measured(objectives=next(records).objectives) for c in candidates
-                }
-                search.state = _SIMOOD.tell(state, answers)
-            self._progress(
-                part, sum(len(s.state.individuals) for s in searches if s.state is not None), total
-            )
+                search.state = _SIMOOD.tell(state, {c.number: _answer(c, next(records)) for c in candidates})
+            done = (len(search.state.individuals) for search in searches if search.state is not None)
+            self._progress(part, min(total, sum(done)), total)
         self._progress(part, total, total)
         return [search.state for search in searches if search.state is not None]
+
+    def _spec(self, candidate: Candidate) -> EpisodeSpec:
+        """Return the evaluation of a candidate, or its episode in a numbered street that all searches share."""
+        chain = self._named(candidate.vectors[self._genome.index])
+        if candidate.question is Question.DATASET:
+            return self._places.evaluation(chain)
+        return self._places.episode(candidate.seed_number or 0, chain)
 
     def _named(self, individual: FloatArray) -> NamedChain:
         """Return the chain of an individual; empty slots are genes at level 0."""
@@ -389,12 +457,11 @@ class Searches(Criteria):
 
         figure = Figure(figsize=(7, 3.6), layout="constrained")
         left, right = figure.subplots(1, 2)
-        omegas, unique, intensities, alphas = (
-            [row[name] for row in rows]
-            for name in ("omega", "unique_individuals", "mean_intensity", "mean_alpha")
+        omegas, orders, intensities, alphas = (
+            [row[name] for row in rows] for name in ("omega", "unique_orders", "mean_intensity", "mean_alpha")
         )
-        left.bar(omegas, unique, width=0.18, color="#0072b2")
-        left.set(xlabel="omega", ylabel="unique individuals in the last population")
+        left.bar(omegas, orders, width=0.18, color="#0072b2")
+        left.set(xlabel="omega", ylabel="orders of techniques in a last population")
         right.plot(omegas, intensities, "o-", color="#0072b2", label="mean intensity")
         right.plot(omegas, alphas, "s--", color="#d55e00", label="mean alpha (mAP)")
         right.set(xlabel="omega", ylim=(0, 1))
@@ -414,3 +481,70 @@ def _tabulated(generations: int, population: int, runs: Sequence[Mapping[str, An
         for part, value in zip(("mean", "sd", "min", "max"), spread, strict=True):
             row[f"{name}_{part}"] = round(value, 4)
     return row
+
+
+def _answer(candidate: Candidate, record: Record) -> Evaluation:
+    if candidate.question is Question.DATASET:
+        return Measured(objectives=record.objectives)
+    return Scored(
+        unsafe=record.unsafe, robustness=min(record.robustness.values()), objectives=record.objectives
+    )
+
+
+def _fitness_row(which: str, bred: Sequence[SimoodState], drawn: Sequence[SimoodState]) -> Row:
+    fitness = [[float(np.mean(state.fitness)) for state in states] for states in (bred, drawn)]
+    means = [statistics.fmean(values) for values in fitness]
+    tested = compared(*fitness)
+    spent = " and ".join(
+        f"{statistics.fmean(evaluations_of(state) for state in states):.1f}" for states in (bred, drawn)
+    )
+    return Row(
+        what=f"A5 mean f of the GA minus that of random search, {which}", value=means[0] - means[1],
+        target="below 0, p < .05", met=means[0] < means[1] and tested.p_value < SIGNIFICANCE_LEVEL,
+        note=f"{means[0]:.3f} and {means[1]:.3f}; Mann-Whitney p {tested.p_value:.2g}, {len(SEEDS)} seeds, "
+        f"{spent} evaluations a search, those of parts included",
+    )  # fmt: skip
+
+
+def random_pairs_row(pairs: Shares) -> Row:
+    """Return how many distinct random pairs are hazardous."""
+    shares = list({chain: share for search in pairs for chain, share in search.items()}.values())
+    hazardous = sum(share >= HAZARDOUS for share in shares)
+    return at_most(
+        "A5 share of hazardous random pairs", hazardous / len(shares), MAX_HAZARDOUS_RANDOM_PAIRS,
+        f"{share_words(hazardous, len(shares))}, unsafe in {HAZARDOUS:.0%} of {len(CONFIRMATION_PLACES)} streets",
+    )  # fmt: skip
+
+
+def interaction_rows(which: str, campaigns: Sequence[Campaign], least: float | None, table: str) -> list[Row]:
+    """Return the rows of A9 for one kind of campaign.
+
+    Args:
+        which: The kind of campaign, in words.
+        campaigns: The campaigns.
+        least: Smallest share of explained finalists that are hazardous only together or in one order; None without
+            a target.
+        table: Name of the file with the explained finalists.
+    """
+    explained = sum(len(one.explained) for one in campaigns)
+    hazardous = sum(one.hazardous for one in campaigns)
+    found = sum(one.by_interaction for one in campaigns)
+    finalists = sum(len(finalists_of(one.state)) for one in campaigns)
+    spent = statistics.fmean(one.measured for one in campaigns)
+    note = (
+        f"{share_words(found, explained)} explained: unsafe in at least one street; of {finalists} finalists of "
+        f"{len(campaigns)} campaigns of {spent:.1f} evaluations; {table}"
+    )
+    what = f"A9 share of explained finalists hazardous only together or in one order, {which}"
+    share = found / explained if explained else 0.0
+    return [
+        Row(what=what, value=share, target="", met=None, note=note)
+        if least is None
+        else at_least(what, share, least, note),
+        Row(
+            what=f"A9 share of hazardous ones that are so only together or in one order, {which}",
+            value=found / hazardous if hazardous else 0.0, target="", met=None,
+            note=f"{share_words(found, hazardous)} hazardous: unsafe in {HAZARDOUS:.0%} of "
+            f"{len(CONFIRMATION_PLACES)} streets",
+        ),
+    ]  # fmt: skip

@@ -33,10 +33,10 @@ from brink.cli.options import (
 from brink.cli.tolerance import fetch_tolerance_findings
 from brink.report.combinations import (
     COLUMNS,
+    added_harm_words,
     claim_words,
     combination_rows,
     draw_chains,
-    synergy_words,
     tally_words,
 )
 from brink.report.figures import VIOLATION_TYPES, Drawing
@@ -152,11 +152,11 @@ class CombinationFindings:
     def show(self, screen: Console, shown: int = CHAINS_SHOWN) -> None:
         """Print the chains, the techniques, and the summary sentence."""
         chains = self._found.combinations
-        table = plain_table("chain", "unsafe", "parts alone", "other order", "synergy", "", right={"synergy"})
+        table = plain_table("chain", "unsafe", "parts alone", "other order", "added harm", "")
         for one in chains[:shown]:
             table.add_row(
                 one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",
-                ", ".join(map(tally_words, one.orders)), synergy_words(one), claim_words(one),
+                ", ".join(map(tally_words, one.orders)), added_harm_words(one), claim_words(one),
             )  # fmt: skip
         if chains:
             screen.print(table)
@@ -174,6 +174,8 @@ class CombinationFindings:
                     _ratio(step.joined_unsafe, step.joined_trials),
                 )  # fmt: skip
             screen.print(table)
+        if self._found.explanation:
+            screen.print(self._found.explanation, style="dim")
         screen.print(self.sentence())
 
     def write(self, folder: Path) -> list[Path]:

@@ -1,6 +1,7 @@
 """Results as pandas data frames; pandas is imported when the first one is made."""
 
 from collections.abc import Mapping, Sequence
+from types import UnionType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,7 +15,11 @@ from brink.search.space import BoolArray, SearchSpace
 if TYPE_CHECKING:
     import pandas as pd
 
-_DTYPES: Final[Mapping[type, str]] = {int: "int64", float: "float64", bool: "bool", str: "str"}
+_DTYPES: Final[Mapping[type | UnionType, str]] = {
+    int: "int64", float: "float64", bool: "bool", str: "str", int | None: "Int64", bool | None: "boolean",
+}  # fmt: skip
+_MAY_BE_MISSING: Final = (float, int | None, bool | None)
+"""Types of columns that may be None in some rows or all, so that pandas cannot tell them from the values."""
 
 
 def data_frame(columns: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
@@ -27,19 +32,20 @@ def data_frame(columns: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> "pd.
     return frame
 
 
-def typed_frame(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, type]) -> "pd.DataFrame":
+def typed_frame(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, type | UnionType]) -> "pd.DataFrame":
     """Return a data frame of rows, which has its columns with their types also where there are no rows.
 
     Args:
         rows: Rows that have these columns, and possibly others.
-        columns: Columns with the type of their values.
+        columns: Columns with the type of their values; whole numbers and truth values that may be missing as
+            ``int | None`` and ``bool | None``.
 
     Raises:
         MissingExtra: pandas is not installed.
     """
     if rows:
-        unknown = [name for name, kind in columns.items() if kind is float]  # perhaps None in all rows
-        return data_frame(rows).astype(dict.fromkeys(unknown, "float64"))
+        dtypes = {name: _DTYPES[kind] for name, kind in columns.items() if kind in _MAY_BE_MISSING}
+        return data_frame(rows).astype(dtypes)
     pd = _pandas()
     return data_frame(
         {name: pd.Series([], dtype=_DTYPES.get(kind, "object")) for name, kind in columns.items()}

@@ -12,7 +12,7 @@ from PIL import Image
 from brink.report.campaign_facts import Facts
 from brink.report.campaign_pictures import shown_replays
 from brink.report.campaign_words import boundary_words, count, limiting, noun, others_recorded, share
-from brink.report.combinations import claim_words, synergy_words, tally_words
+from brink.report.combinations import added_harm_words, claim_words, tally_words
 from brink.report.pair_pictures import facts as pair_facts
 from brink.report.pair_pictures import findings as pair_findings
 from brink.report.pair_pictures import share_words
@@ -356,7 +356,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
     rows = [
         (
             one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",
-            ", ".join(map(tally_words, one.orders)), "yes" if one.hazardous else "no", synergy_words(one),
+            ", ".join(map(tally_words, one.orders)), "yes" if one.hazardous else "no", added_harm_words(one),
             claim_words(one),
         )
         for one in chains[:MOST_ROWS]
@@ -366,8 +366,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
         title="Changes to the camera image",
         paragraphs=[
             "A chain is a list of changes that are applied to the image in order. It counts as hazardous if at least "
-            f"{HAZARDOUS:.0%} of the drives with it were unsafe. Its synergy is how much worse the component is on "
-            "the data set than with the most harmful part of the chain alone; at 0 or less, the rest adds nothing."
+            f"{HAZARDOUS:.0%} of the drives with it were unsafe. {found.explanation}".rstrip()
         ],
         pictures=[
             picture
@@ -379,7 +378,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
         tables=[
             Table(
                 label="Chains of changes", rows=rows,
-                columns=("chain", "unsafe", "parts alone", "other order", "hazardous", "synergy", "how"),
+                columns=("chain", "unsafe", "parts alone", "other order", "hazardous", "added harm", "how"),
                 more=f"{more:,} more: brink combinations {facts.view.id} --shown {len(chains)}" if more else "",
             )
         ],

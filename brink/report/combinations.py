@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Mapping
 from pathlib import Path
+from types import UnionType
 from typing import Any, Final
 
 from brink.report.figures import Drawing
@@ -20,14 +21,18 @@ def claim_words(one: CombinationView) -> str:
     return ", ".join(name for name, holds in claims.items() if holds)
 
 
-def synergy_words(one: CombinationView) -> str:
-    """Return the synergy of a chain with its sign, such as ``+0.12``; empty if it is unknown."""
-    return "" if one.synergy is None else f"{one.synergy:+.2f}"
+def added_harm_words(one: CombinationView) -> str:
+    """Return the added harm of a chain, such as ``+0.120 (interacts)``; empty if it is unknown."""
+    if one.added_harm is None:
+        return ""
+    rounded = round(one.added_harm, 3)
+    words = f"{rounded:+.3f}" if rounded else "0.000"  # without the sign of -0.0
+    return f"{words} (interacts)" if one.interacts else words
 
 
-COLUMNS: Final[Mapping[str, type]] = {
-    "chain": str, "unsafe": int, "trials": int, "alpha": float, "synergy": float, "hazardous": bool,
-    "only_together": bool, "order_matters": bool, "minimal": bool, "example": int,
+COLUMNS: Final[Mapping[str, type | UnionType]] = {
+    "chain": str, "unsafe": int, "trials": int, "alpha": float, "added_harm": float, "interacts": bool | None,
+    "hazardous": bool, "only_together": bool, "order_matters": bool, "minimal": bool, "example": int | None,
 }  # fmt: skip
 """Columns of a table of chains; `example` is an unsafe solution whose parts or other order are safe."""
 

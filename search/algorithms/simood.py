@@ -3,18 +3,20 @@
 Individuals are ordered slots of distinct techniques, each at a level (`brink.search.slots`). The search runs in
 stages. In the first, most evaluations measure the component on a data set (`Question.DATASET`), which is cheap. The
 finalists, the best individual of each order of techniques, are then simulated, all in the same few scenarios with the
-same seeds. Finally the hazardous finalists are explained: their parts and other orders of the same techniques are
-simulated in the same scenarios. Only simulated solutions end up in the archive. For comparison, the first stage can
-also simulate every individual, or draw individuals at random.
+same seeds. Finally the finalists that are unsafe in at least one scenario are explained, those unsafe most often
+first: their parts and other orders of the same techniques are simulated in the same scenarios. Only simulated
+solutions end up in the archive. For comparison, the first stage can also simulate every individual, or draw
+individuals at random.
 
 The fitness, minimised, is f = alpha + omega eta, or f = omega eta - alpha if alpha counts errors. alpha is an
 objective measured by the problem, eta the mean intensity. No individual is evaluated twice, and none enters the
 population twice.
 
-A chain interacts if it does more harm than each of its parts alone, by a margin (`brink.search.interaction`). The
+A chain interacts if it does more harm than its most harmful part alone, by a margin (`brink.search.interaction`). The
 paper does not ask for that, and much of what it finds is one harmful technique with a free rider. By default, a chain
 that does not interact has a worse fitness than every chain that does, as in Deb's rules for infeasible solutions: the
-less its synergy, the worse. To know that, each technique at a level is evaluated alone, too, once in a search.
+less its added harm, the worse. Among chains without any added harm, and among finalists that do not interact, the
+paper's fitness decides. To know that, each technique at a level is evaluated alone, too, once in a search.
 
 Sources: Ferreira, Guerin, Guiochet, Waeselynck, "SiMOOD: Evolutionary Testing Simulation with Out-Of-Distribution
 Images", PRDC 2022. Deb, "An efficient constraint handling method for genetic algorithms", 2000. What differs from the
@@ -24,7 +26,7 @@ paper: docs/adr/0051-interaction-in-simood.md.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -39,7 +41,7 @@ from brink.search.algorithms.ledger import (
 )
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
-from brink.search.interaction import TOLERANCE, synergy
+from brink.search.interaction import added_harm, interacts
 from brink.search.settings import setting
 from brink.search.slots import Chain, ChainGenome, parts_of
 from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
@@ -48,6 +50,7 @@ from brink.search.streams import Stream, generator
 ALPHA: Final = "alpha"
 """Objective that a problem must measure: the quality of the component, in [0, 1], or its number of errors, from 0."""
 
+_Alpha = TypeVar("_Alpha", float, FloatArray)
 _MAX_ATTEMPTS: Final = 100
 """Number of times that an individual is mutated, and then drawn again, because it is known, before it is given up."""
 
@@ -85,15 +88,15 @@ class SimoodConfig(BoundaryConfig):
     )
     interaction: str = setting(
         "fitness",
-        help="Whether chains that do more harm than their parts come first: in the fitness, only when finalists are "
-        "chosen, or not at all, as in the paper.",
+        help="Whether chains that do more harm than their most harmful part come first: in the fitness, only when "
+        "finalists are chosen, or not at all, as in the paper.",
         choices=("fitness", "finalists", "none"),
     )
     margin: float = setting(
         0.05,
-        help="Synergy from which a chain interacts: by how much more it changes alpha than each of its parts alone.",
+        help="Added harm from which a chain interacts: by how much it is worse than its most harmful part alone, in "
+        "units of alpha: mAP, or number of errors.",
         ge=0,
-        le=1,
     )
     propose: str = setting(
         "ga", help="How individuals are proposed: bred, or drawn at random.", choices=("ga", "random")
@@ -102,10 +105,14 @@ class SimoodConfig(BoundaryConfig):
     repeats: int = setting(3, help="Scenarios in which each finalist is simulated.", ge=1, le=1_000)
     explained: int = setting(
         5,
-        help="Number of hazardous finalists whose parts and other orders are also simulated.",
+        help="Number of finalists, unsafe in at least one scenario, whose parts and other orders are also simulated.",
         ge=0,
         le=10_000,
     )
+
+    def quality(self, alpha: _Alpha) -> _Alpha:
+        """Return alpha with the sense of a quality: lower values are more harm."""
+        return alpha if self.alpha == "quality" else -alpha
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,7 +123,7 @@ class SimoodState(LedgerState):
         config: Settings.
         individuals: All evaluated individuals, in the order of asking, shape ``(a, d)``.
         alphas: Their alpha, infinite if it could not be measured, shape ``(a,)``.
-        synergies: Their synergy, NaN as long as it is unknown, shape ``(a,)``.
+        added_harms: Their added harm, NaN as long as it is unknown, shape ``(a,)``.
         parts: All evaluated parts of individuals, as `ChainGenome.row` has them, shape ``(p, d)``.
         part_alphas: Their alpha, infinite if it could not be measured, shape ``(p,)``.
         population: Positions of the population in `individuals`; that of the last generation until the next is told.
@@ -129,7 +136,7 @@ class SimoodState(LedgerState):
     config: SimoodConfig
     individuals: FloatArray
     alphas: FloatArray
-    synergies: FloatArray
+    added_harms: FloatArray
     parts: FloatArray
     part_alphas: FloatArray
     population: tuple[int, ...]
@@ -167,7 +174,7 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
             frozen_array(np.empty(0)),
         )
         state = SimoodState(
-            config=config, ledger=ledger, individuals=no_rows, alphas=no_values, synergies=no_values, parts=no_rows,
+            config=config, ledger=ledger, individuals=no_rows, alphas=no_values, added_harms=no_values, parts=no_rows,
             part_alphas=no_values, population=(), children=no_rows, bred=0,
         )  # fmt: skip
         rng = generator(ledger.seed, Stream.START)
@@ -201,8 +208,9 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
             "stage": state.stage.value,
         }  # fmt: skip
         arrays = {
-            "individuals": state.individuals, "alphas": state.alphas[:, None], "synergies": state.synergies[:, None],
-            "parts": state.parts, "part_alphas": state.part_alphas[:, None], "children": state.children,
+            "individuals": state.individuals, "alphas": state.alphas[:, None],
+            "added_harms": state.added_harms[:, None], "parts": state.parts,
+            "part_alphas": state.part_alphas[:, None], "children": state.children,
         }  # fmt: skip
         return header, arrays
 
@@ -221,18 +229,15 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
             raise DocumentError(f"stage: expected one of {', '.join(Stage)}, got {stage!r}")
         if not isinstance(bred, int) or not isinstance(given_up, int):
             raise DocumentError(f"bred, given_up: expected whole numbers, got {bred!r} and {given_up!r}")
-        alphas, synergies, part_alphas = (
-            frozen_array(stored_rows(document, name, 1)[:, 0])
-            for name in ("alphas", "synergies", "part_alphas")
-        )
+        parts = stored_rows(document, "parts", width)
         return SimoodState(
             config=config,
             ledger=ledger,
             individuals=individuals,
-            alphas=alphas,
-            synergies=synergies,
-            parts=stored_rows(document, "parts", width),
-            part_alphas=part_alphas,
+            alphas=_stored_values(document, "alphas", len(individuals)),
+            added_harms=_stored_values(document, "added_harms", len(individuals)),
+            parts=parts,
+            part_alphas=_stored_values(document, "part_alphas", len(parts)),
             population=tuple(population),
             children=stored_rows(document, "children", width),
             bred=bred,
@@ -241,19 +246,52 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
         )
 
 
+def _stored_values(document: Document, name: str, count: int) -> FloatArray:
+    values = stored_rows(document, name, 1)[:, 0]
+    if len(values) != count:
+        raise DocumentError(f"{name}: expected {count} values, got {len(values)}")
+    return frozen_array(values)
+
+
 def finalists_of(state: SimoodState) -> FloatArray:
     """Return the best evaluated individual of each order of techniques, best first, shape ``(n, d)``.
 
-    Unless `SimoodConfig.interaction` is ``none``, those that interact come first.
+    Best is what has the best fitness of the paper. Unless `SimoodConfig.interaction` is ``none``, those that interact
+    come first.
     """
     return state.individuals[_selected(state, _interacting(state))]
+
+
+def explained_of(state: SimoodState) -> list[FloatArray]:
+    """Return the finalists to explain: unsafe in at least one scenario, those unsafe most often first.
+
+    Args:
+        state: A state after the finalists were simulated.
+    """
+    genome, archive = ChainGenome.of(state.ledger.space), state.ledger.archive
+    verdicts: dict[bytes, list[bool]] = {}
+    keys = row_keys(archive.vectors[:, genome.space.slices[genome.index]])
+    for key, unsafe in zip(keys, archive.unsafe.tolist(), strict=True):
+        verdicts.setdefault(key, []).append(unsafe)
+    simulated = [(one, verdicts[key]) for one in finalists_of(state) if (key := one.tobytes()) in verdicts]
+    hazardous = [(one, sum(unsafe) / len(unsafe)) for one, unsafe in simulated if any(unsafe)]
+    ranked = sorted(hazardous, key=lambda pair: -pair[1])  # stable: on ties, the better finalist first
+    return [one for one, _ in ranked[: state.config.explained]]
+
+
+def budget_for(space: SearchSpace, config: SimoodConfig, evaluations: int) -> int:
+    """Return the budget that ends a search after so many evaluations, those of parts included, and what follows it.
+
+    Its `SimoodConfig.generations` may end it earlier.
+    """
+    return evaluations + _reserve(config, ChainGenome.of(space))
 
 
 def _selected(state: SimoodState, preferred: BoolArray) -> list[int]:
     """Return the positions of the finalists if some individuals, shape ``(a,)``, come before all others."""
     genome = ChainGenome.of(state.ledger.space)
     techniques = [genome.columns(slot)[0] for slot in range(len(genome.slots.pairs))]
-    fitness = _fitness(state)
+    fitness = _paper_fitness(state)
     best: dict[bytes, int] = {}
     for place in np.lexsort((fitness, ~preferred)).tolist():  # stable: on ties, the older first
         if np.isfinite(fitness[place]):
@@ -268,27 +306,35 @@ def _seeks_interaction(config: SimoodConfig, genome: ChainGenome) -> bool:
 
 def _interacting(state: SimoodState) -> BoolArray:
     """Return which individuals are known to interact, shape ``(a,)``."""
-    return np.asarray(state.synergies >= state.config.margin - TOLERANCE)  # NaN is not
+    margin = state.config.margin
+    return np.array([interacts(harm, margin) for harm in state.added_harms.tolist()], np.bool_)
+
+
+def _paper_fitness(state: SimoodState) -> FloatArray:
+    """Return f as in the paper for all individuals, shape ``(a,)``; infinite for those without an alpha."""
+    eta = ChainGenome.of(state.ledger.space).eta(state.individuals)
+    return np.asarray(_qualities(state.config, state.alphas) + state.config.omega * eta)
 
 
 def _fitness(state: SimoodState) -> FloatArray:
     """Return the fitness f of all individuals, shape ``(a,)``; infinite for those without an alpha.
 
     An individual that does not interact gets the worst possible f of those that do, and what it lacks of the margin.
-    That is infinite if it is unknown because a part could not be measured.
+    That is infinite if it is unknown because a part could not be measured. Added harm below 0 counts as 0: it is not
+    worse to have a part that masks another than to have a free rider, and most of it is noise.
     """
-    config, genome = state.config, ChainGenome.of(state.ledger.space)
-    fitness = _qualities(config, state.alphas) + config.omega * genome.eta(state.individuals)
-    if config.interaction != "fitness" or not _seeks_interaction(config, genome):
-        return np.asarray(fitness)
+    config, fitness = state.config, _paper_fitness(state)
+    if config.interaction != "fitness" or not _seeks_interaction(config, ChainGenome.of(state.ledger.space)):
+        return fitness
     worst = config.omega + (1.0 if config.alpha == "quality" else 0.0)
-    lacking = np.where(np.isfinite(state.synergies), config.margin - state.synergies, np.inf)
+    known = np.isfinite(state.added_harms)
+    lacking = np.where(known, config.margin - np.clip(state.added_harms, 0.0, None), np.inf)
     return np.where(_interacting(state), fitness, np.where(np.isfinite(fitness), worst + lacking, np.inf))
 
 
 def _qualities(config: SimoodConfig, alphas: FloatArray) -> FloatArray:
     """Return alphas such that less is more harm; infinite for those that could not be measured."""
-    return np.where(np.isfinite(alphas), alphas if config.alpha == "quality" else -alphas, np.inf)
+    return np.where(np.isfinite(alphas), config.quality(alphas), np.inf)
 
 
 def _known_qualities(state: SimoodState, genome: ChainGenome) -> dict[Chain, float]:
@@ -301,13 +347,13 @@ def _known_qualities(state: SimoodState, genome: ChainGenome) -> dict[Chain, flo
     }
 
 
-def _synergies(state: SimoodState, genome: ChainGenome, places: range) -> FloatArray:
-    """Return the synergies of the individuals at some positions, NaN where they are unknown."""
+def _added_harms(state: SimoodState, genome: ChainGenome, places: range) -> FloatArray:
+    """Return the added harm of the individuals at some positions, NaN where they are unknown."""
     known = _known_qualities(state, genome)
     found = []
     for place, quality in zip(places, _qualities(state.config, state.alphas[places]).tolist(), strict=True):
         chain = genome.chain(state.individuals[place])
-        value = synergy(chain, {**known, chain: quality}) if np.isfinite(quality) else None
+        value = added_harm(chain, {**known, chain: quality}) if np.isfinite(quality) else None
         found.append(np.nan if value is None else value)
     return np.array(found, np.float64)
 
@@ -322,7 +368,7 @@ def _with_alphas(
     pending: Sequence[Candidate],
     evaluations: Mapping[int, Evaluation],
 ) -> SimoodState:
-    """Return the state with the pending individuals and parts, their alphas and the synergies recorded."""
+    """Return the state with the pending individuals and parts, their alphas and added harm recorded."""
     whole = len(genome.slots.pairs)
     rows, alphas = [state.individuals], [state.alphas]
     part_rows, part_alphas = [state.parts], [state.part_alphas]
@@ -337,11 +383,10 @@ def _with_alphas(
         individuals=frozen_array(np.concatenate(rows)), alphas=frozen_array(np.concatenate(alphas)),
         parts=frozen_array(np.concatenate(part_rows)), part_alphas=frozen_array(np.concatenate(part_alphas)),
     )  # fmt: skip
-    # New parts can change only the synergies of older individuals that share more than one step with them, which the
-    # search itself does not evaluate.
+    # Pairs of steps are measured only after the search, so older values stay valid until then.
     first = len(state.individuals) if state.stage is Stage.SEARCH else 0
-    synergies = _synergies(told, genome, range(first, len(told.individuals)))
-    return replace(told, synergies=frozen_array(np.concatenate([state.synergies[:first], synergies])))
+    added_harms = _added_harms(told, genome, range(first, len(told.individuals)))
+    return replace(told, added_harms=frozen_array(np.concatenate([state.added_harms[:first], added_harms])))
 
 
 def _next_search(state: SimoodState, genome: ChainGenome) -> SimoodState:
@@ -384,8 +429,8 @@ def _joined(state: SimoodState) -> SimoodState:
     """Return the state after the evaluated children joined the population and the worst individuals left it."""
     place = _positions(state)
     joined = [*state.population, *(place[key] for key in row_keys(state.children) if key in place)]
-    fitness = _fitness(state)
-    best = sorted(joined, key=lambda position: float(fitness[position]))  # stable: on ties, the older first
+    fitness, paper = _fitness(state).tolist(), _paper_fitness(state).tolist()
+    best = sorted(joined, key=lambda one: (fitness[one], paper[one]))  # stable: on ties, the older first
     return replace(state, population=tuple(best[: state.config.population_size]), children=_no_rows(state))
 
 
@@ -484,7 +529,7 @@ def _selection(state: SimoodState, genome: ChainGenome) -> SimoodState:
             [row for part in parts_of(genome.chain(one)) if (row := genome.row(part)).tobytes() not in asked]
             for one in state.individuals
         ]
-        hopeful = np.isnan(state.synergies) & np.array([bool(rows) for rows in missing], np.bool_)
+        hopeful = np.isnan(state.added_harms) & np.array([bool(rows) for rows in missing], np.bool_)
         preferred = _interacting(state) | hopeful
         possible = [place for place in _selected(state, preferred) if preferred[place]]
         rows = {row.tobytes(): row for place in possible for row in missing[place]}
@@ -528,9 +573,6 @@ def _finals(state: SimoodState, genome: ChainGenome) -> SimoodState:
 
 
 def _explanation(state: SimoodState, genome: ChainGenome) -> SimoodState:
-    """Return the state with the parts and other orders of the hazardous finalists queued."""
-    archive = state.ledger.archive
-    unsafe = set(row_keys(archive.vectors[archive.unsafe][:, genome.space.slices[genome.index]]))
-    hazardous = [one for one in finalists_of(state) if one.tobytes() in unsafe]
-    variants = [variant for one in hazardous[: state.config.explained] for variant in genome.ablations(one)]
+    """Return the state with the parts and other orders of the explained finalists queued."""
+    variants = [variant for one in explained_of(state) for variant in genome.ablations(one)]
     return _with_simulations(state, genome, variants, Stage.EXPLANATION)

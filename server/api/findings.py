@@ -28,7 +28,7 @@ from brink.search.analysis.violations import (
 )
 from brink.search.archive import Archive
 from brink.search.errors import UnsupportedSpace
-from brink.search.interaction import synergy
+from brink.search.interaction import added_harm, interacts
 from brink.search.parameters import Categorical
 from brink.search.slots import Chain, ChainGenome, Step, slots_of
 from brink.search.space import SearchSpace
@@ -239,15 +239,14 @@ async def get_combinations(campaign_id: str, services: Services) -> Combinations
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     measured = await read(services.engines, lambda c: view_store.read_measured(c, campaign.id))
-    counts_errors = isinstance(found.plan.config, SimoodConfig) and found.plan.config.alpha == "errors"
+    config = found.plan.config if isinstance(found.plan.config, SimoodConfig) else None
 
-    def look() -> Combinations:
+    def build_view() -> Combinations:
         space = found.plan.problem.space
-        alphas = alphas_of(space, measured)
-        return combinations_view(space, found.archive, alphas, counts_errors=counts_errors)
+        return combinations_view(space, found.archive, alphas_of(space, measured), config)
 
     try:
-        return await asyncio.to_thread(look)
+        return await asyncio.to_thread(build_view)
     except UnsupportedSpace:
         raise _no_techniques(campaign) from None
 
@@ -321,8 +320,7 @@ def combinations_view(
     space: SearchSpace,
     archive: Archive,
     alphas: Mapping[Chain, float] | None = None,
-    *,
-    counts_errors: bool = False,
+    config: SimoodConfig | None = None,
 ) -> Combinations:
     """Return the tallies of all chains, the most informative ones first.
 
@@ -330,7 +328,7 @@ def combinations_view(
         space: Search space of the problem.
         archive: All evaluated solutions.
         alphas: What was measured on a data set, by chain.
-        counts_errors: Whether larger alphas are worse.
+        config: Settings of the search, for the sense of alpha and the margin; None if it was not SiMOOD.
 
     Raises:
         UnsupportedSpace: The problem has no ordered techniques.
@@ -345,13 +343,29 @@ def combinations_view(
         )
         for step, (alone, joined) in tally_by_step(verdicts).items()
     ]  # fmt: skip
-    known = alphas or {}
-    qualities = {chain: -alpha if counts_errors else alpha for chain, alpha in known.items()}
+    known, settings = alphas or {}, config or SimoodConfig()
+    qualities = {chain: settings.quality(alpha) for chain, alpha in known.items()}
+    margin = None if config is None else config.margin
     chains = [
-        _combination_view(names, one, known.get(one.chain), synergy(one.chain, qualities))
+        _combination_view(names, one, known.get(one.chain), added_harm(one.chain, qualities), margin)
         for one in combinations(verdicts)
     ]
-    return Combinations(words=_combinations_words(chains), steps=steps, combinations=chains)
+    return Combinations(
+        words=_combinations_words(chains), margin=margin, explanation=_explanation_words(chains, settings, margin),
+        steps=steps, combinations=chains,
+    )  # fmt: skip
+
+
+def _explanation_words(chains: Sequence[CombinationView], config: SimoodConfig, margin: float | None) -> str:
+    """Return what added harm means, in sentences; empty if it is unknown of every chain."""
+    if all(one.added_harm is None for one in chains):
+        return ""
+    unit = "mAP" if config.alpha == "quality" else "errors"
+    interacts = "" if margin is None else f" From {margin:g}, a chain interacts."
+    return (
+        f"Added harm: excess over the most harmful part alone, in {unit} on the data set. Effects that merely add up "
+        f"count; it says nothing about hazards in drives.{interacts}"
+    )
 
 
 def _combinations_words(chains: Sequence[CombinationView]) -> str:
@@ -396,14 +410,15 @@ def variants_view(space: SearchSpace, archive: Archive, number: int) -> list[Var
 
 
 def _combination_view(
-    names: TechniqueNames, one: Combination, alpha: float | None, found: float | None
+    names: TechniqueNames, one: Combination, alpha: float | None, harm: float | None, margin: float | None
 ) -> CombinationView:
     return CombinationView(
         chain=[names.step(step) for step in one.chain], words=names.words(one.chain),
         unsafe=one.tally.unsafe, trials=one.tally.trials,
         parts=_tallies(names, one.parts), orders=_tallies(names, one.orders),
         hazardous=one.hazardous, minimal=one.minimal, only_together=one.only_together,
-        order_matters=one.order_matters, alpha=alpha, synergy=found,
+        order_matters=one.order_matters, alpha=alpha, added_harm=harm,
+        interacts=None if harm is None or margin is None else interacts(harm, margin),
         together=list(one.joint_hazards), turned=list(one.order_hazards),
     )  # fmt: skip
 

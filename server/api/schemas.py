@@ -468,23 +468,29 @@ class CombinationView(ChainTally):
         ),
     ]
     orders: list[ChainTally]
-    hazardous: Annotated[bool, Field(description="Unsafe in at least four of five scenarios.")]
+    hazardous: Annotated[bool, Field(description="Unsafe in at least 80% of its scenarios.")]
     minimal: Annotated[bool, Field(description="Hazardous, but no part of it is.")]
     only_together: Annotated[
-        bool, Field(description="Hazardous, but every part is safe in at least four of five scenarios.")
+        bool, Field(description="Hazardous, but every part is safe in at least 80% of its scenarios.")
     ]
     order_matters: Annotated[
-        bool, Field(description="Hazardous, but another order is safe in at least four of five scenarios.")
+        bool, Field(description="Hazardous, but another order is safe in at least 80% of its scenarios.")
     ]
     alpha: Annotated[
         float | None,
         Field(description="Objective `alpha` on the data set; null if it was not measured there."),
     ] = None
-    synergy: Annotated[
+    added_harm: Annotated[
         float | None,
         Field(
-            description="By how much `alpha` is worse than that of the most harmful part; 0 or less if the other "
-            "techniques add nothing. Null if a technique was not measured alone."
+            description="How much worse `alpha` is than that of the most harmful part alone, on the data set; harms "
+            "that merely add up count. Null unless the chain and each of its techniques alone were measured there."
+        ),
+    ] = None
+    interacts: Annotated[
+        bool | None,
+        Field(
+            description="Whether the added harm reaches `margin`. Null if the added harm or the margin is unknown."
         ),
     ] = None
     together: Annotated[list[int], Field(description="Numbers of unsafe solutions whose parts are all safe.")]
@@ -517,6 +523,13 @@ class Combinations(View):
     """Results of a campaign on ordered perturbation techniques."""
 
     words: Annotated[str, Field(description="The finding in a sentence.")]
+    margin: Annotated[
+        float | None,
+        Field(description="Added harm from which a chain interacts; null if the search has no such setting."),
+    ] = None
+    explanation: Annotated[
+        str, Field(description="What added harm means, in sentences; empty if no chain has a known one.")
+    ] = ""
     steps: list[StepTally]
     combinations: Annotated[list[CombinationView], Field(description="Most informative first.")]
 

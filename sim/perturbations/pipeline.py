@@ -1,10 +1,14 @@
 """Applies an ordered list of perturbations to frames, each to the result of the previous one.
 
 The result depends only on (frame, perturbations, seed, mode, frame index). Every random field is drawn from a
-generator addressed by (seed, position in the list, frame index), so any frame of an episode can be reproduced on
-its own, in any process. Deterministic tables (masks, radial profiles, a pool of noise) are cached by size.
+generator addressed by (seed, gene, frame index), so any frame of an episode can be reproduced on its own, in any
+process. A gene has the same field alone, after another gene and before it: what differs between a list and its parts,
+or between two orders, is due to the genes. A gene that is listed again has another field each time. Deterministic
+tables (masks, radial profiles, a pool of noise) are cached by size.
 """
 
+import zlib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -126,21 +130,31 @@ class Mode(StrEnum):
     PER_EPISODE = "per_episode"
 
 
-def generator(seed: int, position: int, frame: int) -> np.random.Generator:
+def field_of(gene: str, occurrence: int = 0) -> int:
+    """Return the number of a gene's random field.
+
+    Args:
+        gene: Name of the gene.
+        occurrence: How many times the same list contains the gene before, from 0.
+    """
+    return zlib.crc32(f"{gene} {occurrence}".encode())
+
+
+def generator(seed: int, field: int, frame: int) -> np.random.Generator:
     """Return the random generator for one perturbation in one frame.
 
     Args:
         seed: The episode's seed, >= 0.
-        position: Position of the perturbation in its list, from 0.
+        field: Number of the random field, >= 0, as `field_of` returns it.
         frame: Index of the frame, from 0.
 
     Raises:
         InvalidPerturbation: One of them is not an integer >= 0.
     """
-    for name, word in (("seed", seed), ("position", position), ("frame", frame)):
+    for name, word in (("seed", seed), ("field", field), ("frame", frame)):
         if not _is_index(word):
             raise InvalidPerturbation(f"{name}: expected an integer >= 0, got {word!r}")
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(STREAM, position, frame)))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(STREAM, field, frame)))
 
 
 def apply(frame: Frame, perturbation: Perturbation, rng: np.random.Generator) -> Frame:
@@ -223,8 +237,11 @@ class Pipeline:
         if not _is_index(index):
             raise InvalidFrame(f"index: expected the index of a frame, an integer >= 0, got {index!r}")
         drawn_at = index if self.mode is Mode.PER_FRAME else 0
-        for position, perturbation in enumerate(self.perturbations):
-            frame = apply(frame, perturbation, generator(self.seed, position, drawn_at))
+        occurrences: Counter[str] = Counter()
+        for perturbation in self.perturbations:
+            field = field_of(perturbation.gene, occurrences[perturbation.gene])
+            occurrences[perturbation.gene] += 1
+            frame = apply(frame, perturbation, generator(self.seed, field, drawn_at))
         return frame
 
 

@@ -20,11 +20,13 @@ from typer.testing import CliRunner
 import brink
 from brink.cli.commands import app
 from brink.cli.findings import CombinationFindings
+from brink.report.combinations import added_harm_words
 from brink.search.algorithm import Candidate, Evaluation, Question
+from brink.search.algorithms.simood import SimoodConfig
 from brink.search.archive import Archive, Neighbourhood, archive_digest
 from brink.search.slots import ChainGenome, Step
 from brink.server.api.findings import combinations_view
-from brink.server.api.schemas import Combinations
+from brink.server.api.schemas import Combinations, CombinationView
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
@@ -212,39 +214,60 @@ def slotted_alpha(chain: list[tuple[int, float]]) -> float:
     return 1.0 / (1.0 + math.hypot(first, strong, weak))
 
 
-def test_synergy_of_a_chain_is_how_much_worse_it_is_than_its_worst_part(finished: Finished) -> None:
+def test_added_harm_of_a_chain_is_how_much_worse_it_is_than_its_worst_part(finished: Finished) -> None:
     names = [
         gene.choices for gene in Slotted(NoParams()).space.components[1].parameters if gene.name == "gene_1"
     ]
     chains = finished.get("/combinations")["combinations"]
-    explained = [one for one in chains if one["synergy"] is not None]
+    assert finished.get("/combinations")["margin"] == 0.05
+    explained = [one for one in chains if one["added_harm"] is not None]
     assert len(explained) >= 4, "every finalist was measured, and so was each of its techniques alone"
     for one in explained:
         chain = [(names[0].index(step["technique"]), step["level"] / step["levels"]) for step in one["chain"]]
         assert one["alpha"] == pytest.approx(slotted_alpha(chain))
         parts = [slotted_alpha([step]) for step in chain]
-        assert one["synergy"] == pytest.approx(min(parts) - one["alpha"])
+        assert one["added_harm"] == pytest.approx(min(parts) - one["alpha"])
+        assert one["interacts"] == (min(parts) - one["alpha"] >= 0.05 - 1e-9)
     never_measured = [one for one in chains if one["alpha"] is None]
-    assert all(one["synergy"] is None for one in never_measured)
+    assert all(one["added_harm"] is None and one["interacts"] is None for one in never_measured)
 
 
 def test_chains_are_a_data_frame_and_a_table(finished: Finished, tmp_path: Path) -> None:
     found = finished.get("/combinations")
     frame = brink.connect(str(finished.client.base_url)).campaign(finished.id).result().combinations()
     assert list(frame["chain"]) == [one["words"] for one in found["combinations"]]
-    assert list(frame["synergy"].dropna()) == [
-        one["synergy"] for one in found["combinations"] if one["synergy"] is not None
+    assert list(frame["added_harm"].dropna()) == [
+        one["added_harm"] for one in found["combinations"] if one["added_harm"] is not None
     ]
+    assert [str(frame[name].dtype) for name in ("interacts", "example")] == ["boolean", "Int64"]
     files = CombinationFindings(Combinations.model_validate(found)).write(tmp_path)
     assert {file.name for file in files} == {"combinations.json", "combinations.csv", "hazards.csv"}
     with (tmp_path / "combinations.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["chain"] for row in rows] == list(frame["chain"])
-    synergies = ["" if one["synergy"] is None else str(one["synergy"]) for one in found["combinations"]]
-    assert [row["synergy"] for row in rows] == synergies
+    added_harms = [
+        "" if one["added_harm"] is None else str(one["added_harm"]) for one in found["combinations"]
+    ]
+    assert [row["added_harm"] for row in rows] == added_harms
 
 
-def test_errors_count_as_harm_in_the_synergy() -> None:
+@pytest.mark.parametrize(
+    ("harm", "interacts", "words"),
+    [
+        (0.0462, False, "+0.046"), (0.05, True, "+0.050 (interacts)"), (-0.12, False, "-0.120"),
+        (-0.0004, None, "0.000"), (None, None, ""),
+    ],
+)  # fmt: skip
+def test_added_harm_is_shown_with_three_decimals(
+    harm: float | None, interacts: bool | None, words: str
+) -> None:
+    chain: dict[str, Any] = {"chain": [], "words": "", "unsafe": 0, "trials": 1, "parts": [], "orders": []}
+    claims = dict.fromkeys(("hazardous", "minimal", "only_together", "order_matters"), False)
+    one = CombinationView(**chain, **claims, together=[], turned=[], added_harm=harm, interacts=interacts)
+    assert added_harm_words(one) == words
+
+
+def test_errors_count_as_added_harm() -> None:
     space = Slotted(NoParams()).space
     alphas = {(Step(0, 4),): 0.3, (Step(1, 12),): 0.2, (Step(0, 4), Step(1, 12)): 0.9}
     genome = ChainGenome.of(space)
@@ -253,10 +276,19 @@ def test_errors_count_as_harm_in_the_synergy() -> None:
     archive = Archive.empty(space, Neighbourhood(radius=0.3, p_th=0.1, z=1.96)).grown(
         np.array([0]), row[None], np.array([True]), np.array([-1.0])
     )
-    (one,) = combinations_view(space, archive, alphas, counts_errors=True).combinations
-    assert (one.alpha, one.synergy) == (0.9, pytest.approx(0.6))
-    (one,) = combinations_view(space, archive, alphas).combinations
-    assert one.synergy == pytest.approx(-0.7)
+    found = combinations_view(space, archive, alphas, SimoodConfig(alpha="errors", margin=0.6))
+    (one,) = found.combinations
+    assert (one.alpha, one.interacts) == (0.9, True)
+    assert one.added_harm == pytest.approx(0.6)
+    assert found.margin == 0.6
+    assert "in errors on the data set" in found.explanation
+    (one,) = combinations_view(space, archive, alphas, SimoodConfig(margin=0.0)).combinations
+    assert one.added_harm == pytest.approx(-0.7)
+    assert one.interacts is False
+    found = combinations_view(space, archive, alphas)
+    assert (found.margin, found.combinations[0].interacts) == (None, None), "not a search for interaction"
+    found = combinations_view(space, archive, {}, SimoodConfig())
+    assert (found.combinations[0].interacts, found.explanation) == (None, "")
 
 
 def test_variants_of_a_solution_end_with_the_solution(finished: Finished) -> None:
@@ -300,5 +332,6 @@ def test_command_prints_combinations_and_a_sentence(
     assert found == finished.get("/combinations")
     assert found["combinations"][0]["words"] in printed.stdout
     assert "chains are hazardous" in printed.stdout
-    assert "synergy" in printed.stdout
+    assert "added harm" in printed.stdout
+    assert "From 0.05, a chain interacts." in " ".join(printed.stdout.split())
     assert "3 of 3" in printed.stdout

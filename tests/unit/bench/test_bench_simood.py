@@ -10,17 +10,36 @@ from typer.testing import CliRunner
 
 from brink.bench import simood_searches
 from brink.bench.measurement import Row
-from brink.bench.simood import measure_simood
+from brink.bench.simood import harmful_genes_row, measure_simood
 from brink.bench.simood_costs import Times, time_rows
-from brink.bench.simood_searches import PAPER, Searches, hazard_p_value, spread_of, unique_genes
+from brink.bench.simood_places import NamedChain
+from brink.bench.simood_searches import (
+    PAPER,
+    Campaign,
+    Search,
+    Searches,
+    Shares,
+    evaluations_of,
+    hazard_p_value,
+    hazard_rows,
+    interaction_rows,
+    random_pairs_row,
+    share_words,
+    spread_of,
+    unique_genes,
+)
 from brink.bench.trials import Record, Records
 from brink.cli.commands import app
-from brink.search.algorithms.simood import SimoodConfig
+from brink.search.algorithms.simood import Simood, SimoodConfig, explained_of, finalists_of
+from brink.search.slots import ChainGenome
+from brink.search.testing import example_spaces
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
 from brink.sim.perturbations import CATALOGUE
 
 PARAMS = AebCrossingParams(techniques="brightness, contrast, smoke, dirty")
+SLOTS = example_spaces()["slots"]
+KINDS = ("default fitness", "paper's fitness", "random search with the default fitness")
 
 
 def steps_of(spec: EpisodeSpec) -> list[tuple[str, float]]:
@@ -91,34 +110,133 @@ def test_spread_of_repeated_searches() -> None:
 def test_ratios_with_the_papers_times_say_what_they_include() -> None:
     times = Times(making_s=0.0, evaluation_s=12.0, episode_s=120.0)
     rows = by_name(time_rows(60, times, measured=110, episodes=75))
-    ratios = {name.removeprefix("A7 ").split(",")[0]: row.value for name, row in rows.items()}
+    ratios = {name.removeprefix("A7 ").replace(", 60 pictures", ""): row.value for name, row in rows.items()}
+    twenty = "whole last population of 20 simulated, as in the paper's sum"
     assert ratios == {
-        "search alone": pytest.approx(10.0),
-        "whole last population of 120 simulated": pytest.approx(160 * 120 / (160 * 12 + 120 * 120)),
-        "whole last population of 20 simulated": pytest.approx(7_200 / 3_120),
-        "all 5 finalists in 3 streets": pytest.approx(7_200 / (720 + 15 * 120)),
-        "best 2 in one street": pytest.approx(7_200 / 960),
-        "default campaign with its explanation": pytest.approx((110 * 12 + 75 * 120) / 7_200),
+        "search alone, times faster": pytest.approx(10.0),
+        "whole last population of 120 simulated, paper's fitness, times faster": pytest.approx(
+            160 * 120 / (160 * 12 + 120 * 120)
+        ),
+        f"{twenty}, paper's fitness, times faster": pytest.approx(7_200 / 3_120),
+        "all 5 finalists in 3 streets, paper's fitness, times faster": pytest.approx(
+            7_200 / (720 + 15 * 120)
+        ),
+        "best 2 in one street, paper's fitness, times faster": pytest.approx(7_200 / 960),
+        f"{twenty}, default fitness, times faster": pytest.approx(13_200 / (1_320 + 20 * 120)),
+        "all 5 finalists in 3 streets, default fitness, times faster": pytest.approx(
+            13_200 / (1_320 + 15 * 120)
+        ),
+        "best 2 in one street, default fitness, times faster": pytest.approx(13_200 / (1_320 + 2 * 120)),
+        "default campaign with its explanation, share of 60 individuals in episodes, without parts or "
+        "explanation": pytest.approx((110 * 12 + 75 * 120) / 7_200),
     }
-    assert [row.target for row in rows.values()].count("at least 10") == 2
+    targeted = [row.what for row in rows.values() if row.target == "at least 10"]
+    assert targeted == [
+        "A7 search alone, 60 pictures, times faster",
+        "A7 best 2 in one street, default fitness, 60 pictures, times faster",
+    ]
 
 
 def test_share_of_explained_finalists_that_are_hazardous_by_interaction(tmp_path: Path) -> None:
     rows = by_name(searches(tmp_path).interactions())
     explained = rows_of(tmp_path / "explained.csv")
-    for which, interaction in (("default", "fitness"), ("paper's fitness", "none")):
-        mine = [row for row in explained if row["interaction"] == interaction]
+    for which in KINDS:
+        mine = [row for row in explained if row["search"] == which]
         both = [row for row in mine if row["only_together"] == "True"]
         assert mine, "smoke is hazardous, with or without company"
-        assert all("smoke" not in row["chain"] and row["parts"] == "0 of 3, 0 of 3, 0 of 3" for row in both)
+        assert all("smoke" not in row["chain"] and row["parts"] == "0 of 5, 0 of 5, 0 of 5" for row in both)
         assert all("smoke" in row["chain"] for row in mine if row not in both)
-        row = rows[f"A9 share hazardous only together or in one order, {which}"]
+        row = rows[f"A9 share of explained finalists hazardous only together or in one order, {which}"]
         assert row.value == pytest.approx(len(both) / len(mine))
-        assert f"{len(both)} of {len(mine)} explained" in row.note
-    found = [row for row in explained if row["interaction"] == "fitness" and row["only_together"] == "True"]
+        assert f"{share_words(len(both), len(mine))} explained" in row.note
+        assert row.target == ("at least 0.333333" if which == "default fitness" else "")
+        assert (
+            rows[f"A9 share of hazardous ones that are so only together or in one order, {which}"].value > 0
+        )
+    found = [row for row in explained if row["search"] != KINDS[1] and row["only_together"] == "True"]
     assert found
-    assert all(float(row["synergy"]) >= 0.05 and row["other_order"] == "0 of 3" for row in found)
-    assert rows["A9 share hazardous only together or in one order, paper's fitness"].met is None
+    assert all(float(row["added_harm"]) >= 0.05 and row["other_order"] == "0 of 5" for row in found)
+
+
+def test_a_share_of_nothing_misses_its_target() -> None:
+    state = Simood().start(SLOTS, SimoodConfig(), seed=1, budget=200)
+    none = Campaign(state=state, explained=[])
+    target, hazardous = interaction_rows("default fitness", [none], 1 / 3, "explained.csv")
+    assert (target.value, target.met, hazardous.value, hazardous.met) == (0.0, False, 0.0, None)
+    assert target.note.startswith("0 of 0 explained")
+
+
+def test_campaigns_of_the_benchmark_explain_what_the_algorithm_explains(tmp_path: Path) -> None:
+    found = searches(tmp_path)
+    for campaign in found._campaigns("test", replace(SimoodConfig(), repeats=5, explained=3), range(2)):
+        genome = ChainGenome.of(campaign.state.ledger.space)
+        rows = explained_of(campaign.state)
+        assert {one.chain for one in campaign.explained} == {genome.chain(row) for row in rows}
+        assert len(rows) == 3
+        assert all(one.complete and one.tally.trials == 5 for one in campaign.explained)
+
+
+def test_searches_that_are_compared_stop_at_the_same_number_of_evaluations(tmp_path: Path) -> None:
+    found = searches(tmp_path)
+    for config in (PAPER, SimoodConfig(), replace(SimoodConfig(), propose="random")):
+        (state,) = found._search("test", [Search(config=config, seed=1, evaluations=70)])
+        assert 68 <= evaluations_of(state) <= 70
+
+
+def test_random_pairs_and_finalists_of_random_search_are_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simood_searches, "SEEDS", range(2))
+    found = searches(tmp_path)
+    rows = by_name(found.against_random())
+    assert len(rows) == 11
+    for which in KINDS[:2]:
+        for name in ("random pairs", "finalists of random search"):
+            assert f"A5 Fisher p of hazardous finalists against {name}, {which}" in rows
+            assert f"A5 hazardous share of finalists minus that of {name}, {which}" in rows
+    asked = found._records.asked  # type: ignore[attr-defined]
+    assert {spec.seed for spec in asked if spec.requirements} == {0, 1, 2, 3, 4}
+    assert rows["A5 share of hazardous random pairs"].target == "at most 0.5"
+
+
+def test_hazards_are_compared_by_chain_and_by_search() -> None:
+    a, b, c, d = ((("snow", level), ("rain", 1)) for level in (1, 2, 3, 4))
+    finalists: Shares = [{a: 1.0, b: 0.8}, {a: 1.0, c: 0.6}, {b: 0.8, c: 0.6}]
+    others: Shares = [{d: 0.0, c: 0.6}, {d: 0.0}, {c: 0.6}]
+    fisher, shares = hazard_rows("default fitness", finalists, others, "random pairs")
+    assert fisher.value == pytest.approx(3 / 10), (
+        "2 of 3 distinct chains, 0 of 2: (3 choose 2) / (5 choose 2)"
+    )
+    assert fisher.note.endswith("2 of 3 and 0 of 2")
+    assert fisher.met is False
+    assert shares.value == pytest.approx((1 + 1 / 2 + 1 / 2) / 3), "each search counts once"
+    assert shares.met is False, "three searches are too few"
+    _, shares = hazard_rows("default fitness", [{a: 1.0, b: 0.6}] * 8, [{d: 0.0}] * 8, "random pairs")
+    assert shares.met is True
+
+
+def test_random_pairs_count_once() -> None:
+    a, b, c = ((("snow", level), ("rain", 1)) for level in (1, 2, 3))
+    row = random_pairs_row([{a: 1.0, b: 0.6}, {a: 1.0, c: 0.8}])
+    assert row.value == pytest.approx(2 / 3)
+    assert row.met is False
+    assert row.note.startswith("2 of 3 (")
+    assert random_pairs_row([{a: 1.0, b: 0.6}]).met is True
+
+
+def test_counts_have_their_wilson_interval() -> None:
+    assert share_words(2, 10) == "2 of 10 (6% to 51%)"
+    assert share_words(0, 0) == "0 of 0"
+
+
+def test_a_gene_is_harmful_if_its_first_level_is_unsafe_in_any_street() -> None:
+    shares: dict[NamedChain, float] = {
+        ((name, level),): 0.0 for name, gene in CATALOGUE.items() for level in range(1, gene.levels)
+    }
+    shares |= {(("snow", 1),): 1 / 3, (("smoke", 1),): 1.0, (("rain", 2),): 1.0}
+    row = harmful_genes_row(shares)
+    assert (row.value, row.target, row.met) == (2, "at most 3", True)
+    assert {"snow", "smoke"} == set(row.note.rsplit(": ", 1)[1].split(", "))
 
 
 def test_a_default_campaign_counts_all_its_evaluations_and_episodes(tmp_path: Path) -> None:
@@ -127,7 +245,7 @@ def test_a_default_campaign_counts_all_its_evaluations_and_episodes(tmp_path: Pa
     asked = found._records.asked  # type: ignore[attr-defined]
     assert campaign.measured == len({spec.digest() for spec in asked if not spec.requirements})
     assert campaign.episodes == len({spec.digest() for spec in asked if spec.requirements})
-    assert len(campaign.finalists) == 5
+    assert len(finalists_of(campaign.state)) == 5
 
 
 def test_tables_have_the_spread_of_their_searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,6 +266,10 @@ def test_tables_have_the_spread_of_their_searches(tmp_path: Path, monkeypatch: p
     assert all(int(run["simulated"]) == 20 for run in runs), "the whole last population"
     assert rows["A6 unique genes, 20 generations, population 20"].met is None
     assert (tmp_path / "omega.png").stat().st_size > 0
+    assert rows["A6 hazards, 20 generations, population 20"].target == ""
+    weak, strong = rows_of(tmp_path / "omega.csv")[::-1]
+    assert float(weak["mean_intensity"]) < float(strong["mean_intensity"])
+    assert all(1 <= float(row["unique_orders"]) <= 12 for row in (weak, strong)), "4 x 3 orders"
 
 
 def test_searches_with_the_papers_fitness_measure_no_parts(tmp_path: Path) -> None:

@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 
 from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
-from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
-from brink.search.errors import ConfigError
+from brink.search.algorithms.simood import (
+    Simood,
+    SimoodConfig,
+    SimoodState,
+    Stage,
+    budget_for,
+    explained_of,
+    finalists_of,
+)
+from brink.search.errors import ConfigError, DocumentError
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.search.testing import check_algorithm, example_spaces, play
@@ -114,7 +122,7 @@ def test_parts_and_other_orders_of_hazardous_finalists_are_simulated_in_the_same
     expected = {(0.0, 0.0, 1.0, 0.0)}
     for one in (np.frombuffer(row) for row in hazardous):
         first, strong, second, weak = one.tolist()
-        expected |= {(first, strong, float(first == 0), 0.0), (float(second == 0), 0.0, second, weak)}
+        expected |= {(first, strong, float(first == 0), 0.0), (second, weak, float(second == 0), 0.0)}
         expected.add((second, weak, first, strong))
     expected -= {tuple(c.vectors[1]) for c in finalists}
     assert {tuple(c.vectors[1]) for c in variants} == expected
@@ -278,7 +286,7 @@ def test_chains_that_harm_more_than_their_parts_come_first(interaction: str) -> 
         assert not len(paper.parts)
 
 
-def test_fitness_of_a_chain_without_synergy_is_what_it_lacks_behind_the_worst_with_synergy() -> None:
+def test_fitness_of_a_chain_that_does_not_interact_is_what_it_lacks_behind_the_worst_that_does() -> None:
     state, generations = run_to_end(interacting, generations=0, omega=0.5, margin=0.05)
     first = generations[0]
     parts = {
@@ -288,12 +296,63 @@ def test_fitness_of_a_chain_without_synergy_is_what_it_lacks_behind_the_worst_wi
     }
     for place, fitness in zip(state.population, state.fitness, strict=True):
         a, strong, b, weak = state.individuals[place].tolist()
-        synergy = min(parts[int(a), strong], parts[int(b), weak]) - state.alphas[place]
-        assert state.synergies[place] == pytest.approx(synergy)
-        expected = (
-            state.alphas[place] + 0.5 * (strong + weak) / 2 if synergy >= 0.05 else 1.5 + 0.05 - synergy
-        )
-        assert fitness == pytest.approx(expected)
+        added_harm = min(parts[int(a), strong], parts[int(b), weak]) - state.alphas[place]
+        assert state.added_harms[place] == pytest.approx(added_harm)
+        lacking = 0.05 - max(0.0, added_harm)
+        paper = state.alphas[place] + 0.5 * (strong + weak) / 2
+        assert fitness == pytest.approx(paper if added_harm >= 0.05 else 1.5 + lacking)
+
+
+def one_after_another(candidate: Candidate) -> Evaluation:
+    """Return the least of two alphas: the more intense technique does all the harm, so that nothing interacts."""
+    alpha = 1.0 - 0.8 * float(max(candidate.vectors[1][[1, 3]]))
+    if candidate.question is Question.DATASET:
+        return Measured(objectives={"alpha": alpha})
+    return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
+
+
+def paper_fitness(state: SimoodState) -> np.ndarray[Any, Any]:
+    return np.asarray(state.alphas + state.config.omega * state.individuals[:, [1, 3]].mean(axis=1))
+
+
+@pytest.mark.parametrize("propose", ["ga", "random"])
+def test_where_nothing_interacts_the_papers_fitness_decides(propose: str) -> None:
+    for seed in range(3):
+        state, _ = run_to_end(one_after_another, seed=seed, propose=propose)
+        assert state.added_harms == pytest.approx(0.0, abs=1e-12)
+        paper = paper_fitness(state)
+        best: dict[tuple[float, ...], float] = {}
+        for row, value in zip(state.individuals, paper, strict=True):
+            order = tuple(row[[0, 2]])
+            best[order] = min(value, best.get(order, np.inf))
+        found = [paper[(state.individuals == one).all(axis=1)][0] for one in finalists_of(state)]
+        assert found == pytest.approx(sorted(best.values())[:5]), "the best of each order, best first"
+        population = paper[list(state.population)]
+        assert list(population) == sorted(population)
+        assert list(population) == pytest.approx(sorted(paper)[:20]), "the best ever bred or drawn"
+
+
+def test_where_nothing_interacts_breeding_is_as_good_as_with_the_papers_fitness() -> None:
+    def best(seed: int, **changes: Any) -> float:
+        state, _ = run_to_end(one_after_another, seed=seed, generations=60, **changes)
+        return float(paper_fitness(state)[list(state.population)].mean())
+
+    for seed in range(4):
+        assert best(seed) == best(seed, interaction="none") < best(seed, propose="random")
+
+
+def test_a_campaign_whose_parts_all_fail_simulates_its_best_chains() -> None:
+    def answer(candidate: Candidate) -> Evaluation:
+        return Failed(reason="no") if candidate.vectors[1][3] == 0 else one_after_another(candidate)
+
+    state, generations = run_to_end(answer, explained=0)
+    assert np.isnan(state.added_harms).all()
+    assert np.isinf(state.part_alphas).all()
+    finalists = finalists_of(state)
+    assert len(finalists) == 5
+    assert {c.vectors[1].tobytes() for c in generations[-1]} == {row.tobytes() for row in finalists}
+    best = state.individuals[int(np.argmin(paper_fitness(state)))]
+    np.testing.assert_array_equal(finalists[0], best)
 
 
 def test_each_technique_at_a_level_is_evaluated_alone_once() -> None:
@@ -319,7 +378,7 @@ def test_only_parts_of_possible_finalists_are_evaluated_for_the_choice_of_finali
     assert all(not any(parts) or all(parts) for parts in stages)
     searched = [place for place, parts in enumerate(stages) if not any(parts)]
     assert searched == list(range(len(searched))), "parts come after the search"
-    known = ~np.isnan(state.synergies)
+    known = ~np.isnan(state.added_harms)
     assert 5 <= known.sum() < len(state.individuals)
 
 
@@ -338,8 +397,8 @@ def test_chain_with_a_part_that_could_not_be_measured_does_not_interact() -> Non
 
     state, _ = run_to_end(answer, generations=60)
     with_dirt = (state.individuals[:, [0, 2]] == 3).any(axis=1)
-    assert np.isnan(state.synergies[with_dirt]).all()
-    assert not (finalists_of(state)[:, [0, 2]] == 3).any()
+    assert np.isnan(state.added_harms[with_dirt]).all()
+    assert not (state.individuals[list(state.population)][:, [0, 2]] == 3).any()
 
 
 def test_parts_of_two_steps_count_for_finalists_of_three() -> None:
@@ -368,6 +427,63 @@ def test_parts_of_two_steps_count_for_finalists_of_three() -> None:
             state, candidates = SIMOOD.ask(state)
             state = SIMOOD.tell(state, {c.number: answer(c) for c in candidates})
         assert all(set(row[::2]) == {1, 2, 3} for row in finalists_of(state))
+
+
+def test_finalists_that_are_unsafe_most_often_are_explained_first() -> None:
+    asked: list[bytes] = []
+
+    def answer(candidate: Candidate) -> Evaluation:
+        """Call the five finalists, in their order, unsafe in 1, 0, 4, 1 and 3 of 4 scenarios."""
+        if candidate.question is Question.DATASET:
+            return answered(candidate)
+        key, scenario = candidate.vectors[1].tobytes(), candidate.seed_number
+        assert scenario is not None
+        if key not in asked:
+            asked.append(key)
+        unsafe = scenario < [1, 0, 4, 1, 3, *[0] * 100][asked.index(key)]
+        return Scored(unsafe=unsafe, robustness=-1.0 if unsafe else 1.0, objectives={})
+
+    for explained, expected in ((5, [2, 4, 0, 3]), (2, [2, 4])):
+        asked.clear()
+        state, _ = run_to_end(answer, finalists=5, repeats=4, explained=explained)
+        assert asked[:5] == [row.tobytes() for row in finalists_of(state)]
+        assert [asked.index(one.tobytes()) for one in explained_of(state)] == expected
+
+
+def test_a_margin_of_errors_may_exceed_one() -> None:
+    """Each technique alone costs 2 errors, both together 7: 5 more than the most harmful part."""
+
+    def answer(candidate: Candidate) -> Evaluation:
+        levels = candidate.vectors[1][[1, 3]]
+        errors = 7.0 if (levels > 0).all() else 2.0
+        if candidate.question is Question.DATASET:
+            return Measured(objectives={"alpha": errors})
+        return Scored(unsafe=True, robustness=-1.0, objectives={"alpha": errors})
+
+    for margin, interact in ((5.0, True), (5.5, False)):
+        state, _ = run_to_end(answer, alpha="errors", margin=margin, generations=1)
+        assert state.added_harms == pytest.approx(5.0)
+        assert (state.fitness < 0).all() == interact, "f = omega eta - 7, or omega and what is lacking"
+
+
+@pytest.mark.parametrize("propose", ["ga", "random"])
+@pytest.mark.parametrize("interaction", ["fitness", "none"])
+def test_searches_can_be_stopped_at_the_same_number_of_evaluations(propose: str, interaction: str) -> None:
+    config = SimoodConfig(interaction=interaction, propose=propose, generations=200)
+    budget = budget_for(SPACE, config, 100)
+    state, generations = run_to_end(budget=budget, interaction=interaction, propose=propose, generations=200)
+    asked = sum(c.question is Question.DATASET for generation in generations for c in generation)
+    assert 98 <= asked <= 100, "a child and its parts are at most three evaluations"
+    assert asked == len(state.individuals) + len(state.parts)
+
+
+@pytest.mark.parametrize("name", ["alphas", "added_harms", "part_alphas"])
+def test_a_document_with_too_few_values_is_refused(name: str) -> None:
+    state, _ = run_to_end(generations=1)
+    document = SIMOOD.dump(state)
+    damaged = dataclasses.replace(document, arrays={**document.arrays, name: document.arrays[name][:-1]})
+    with pytest.raises(DocumentError, match=f"^{name}: expected [0-9]+ values, got [0-9]+$"):
+        SIMOOD.load(SPACE, state.config, damaged, state.archive)
 
 
 def test_seeds_give_different_searches() -> None:

@@ -34,10 +34,8 @@ def grey(value: int, height: int = 720, width: int = 1280) -> Frame:
     return np.full((height, width, 3), value, dtype=np.uint8)
 
 
-def perturb(
-    frame: Frame, gene: str, level: int, *, seed: int = 0, position: int = 0, index: int = 0
-) -> Frame:
-    return apply(frame, Perturbation(gene, level), generator(seed, position, index))
+def perturb(frame: Frame, gene: str, level: int, *, seed: int = 0, field: int = 0, index: int = 0) -> Frame:
+    return apply(frame, Perturbation(gene, level), generator(seed, field, index))
 
 
 def digest(frame: Frame) -> str:
@@ -48,6 +46,6 @@ def all_digests() -> str:
     """Return one digest a line for the highest level of each gene, in the order of the catalogue."""
     frame = street()
     return "\n".join(
-        digest(perturb(frame, gene.name, gene.levels - 1, seed=9, position=1, index=4))
+        digest(perturb(frame, gene.name, gene.levels - 1, seed=9, field=1, index=4))
         for gene in CATALOGUE.values()
     )

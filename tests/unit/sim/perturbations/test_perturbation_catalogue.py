@@ -104,7 +104,7 @@ def test_an_index_that_is_not_of_a_frame_is_refused(index: int, mode: Mode) -> N
 
 @pytest.mark.parametrize("words", [(-1, 0, 0), (0, 1.0, 0), (0, 0, True)])
 def test_a_generator_is_addressed_by_whole_numbers(words: tuple[int, int, int]) -> None:
-    with pytest.raises(InvalidPerturbation, match=r"(seed|position|frame): expected an integer >= 0, got"):
+    with pytest.raises(InvalidPerturbation, match=r"(seed|field|frame): expected an integer >= 0, got"):
         generator(*words)
     assert generator(1, 2, np.int64(3)).random() == generator(1, 2, 3).random()  # type: ignore[arg-type]
 

@@ -10,7 +10,7 @@ import pytest
 from perturbed_pictures import EFFECTIVE, all_digests, blocks, digest, night, perturb, street
 from support.marks import mostly_long
 
-from brink.sim.perturbations import CATALOGUE, Mode, Perturbation, Pipeline, apply, generator
+from brink.sim.perturbations import CATALOGUE, Mode, Perturbation, Pipeline, apply, field_of, generator
 
 GENES = list(CATALOGUE)
 DETERMINISTIC = {"gaussian_blur", "grid_dropout", "brightness", "contrast"}
@@ -55,10 +55,10 @@ def test_another_process_gives_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize("gene", [gene for gene in GENES if gene not in DETERMINISTIC])
-def test_seed_position_and_frame_each_change_the_random_fields(gene: str) -> None:
+def test_seed_field_and_frame_each_change_the_random_fields(gene: str) -> None:
     frame = blocks()
     level = 1 if gene == "channel_dropout" else TOP[gene]
-    for word in ("seed", "position", "index"):
+    for word in ("seed", "field", "index"):
         drawn = {digest(perturb(frame, gene, level, **{word: value})) for value in range(12)}
         assert len(drawn) > 1, word
 
@@ -98,9 +98,28 @@ def test_the_second_gene_is_applied_to_the_result_of_the_first() -> None:
     frame = street()
     first, second = Perturbation("smoke", 5), Perturbation("rain", 3)
     both = Pipeline((first, second), seed=4)(frame, 7)
-    half = apply(frame, first, generator(4, 0, 7))
-    np.testing.assert_array_equal(both, apply(half, second, generator(4, 1, 7)))
-    assert not np.array_equal(both, apply(frame, second, generator(4, 1, 7)))
+    half = apply(frame, first, generator(4, field_of("smoke"), 7))
+    np.testing.assert_array_equal(both, apply(half, second, generator(4, field_of("rain"), 7)))
+    assert not np.array_equal(both, apply(frame, second, generator(4, field_of("rain"), 7)))
+
+
+def test_a_gene_has_the_same_random_field_alone_and_in_any_position() -> None:
+    frame = street()
+    noise, nothing = Perturbation("gaussian_noise", 4), Perturbation("rain", 0)
+    alone = Pipeline((noise,), seed=4)(frame, 7)
+    for chain in ((noise, nothing), (nothing, noise)):
+        np.testing.assert_array_equal(Pipeline(chain, seed=4)(frame, 7), alone)
+    brighter = Perturbation("contrast", 2)
+    after = Pipeline((brighter, noise), seed=4)(frame, 7)
+    own = apply(Pipeline((brighter,), seed=4)(frame, 7), noise, generator(4, field_of("gaussian_noise"), 7))
+    np.testing.assert_array_equal(after, own)
+
+
+def test_a_gene_that_is_listed_twice_has_two_random_fields() -> None:
+    dark, dropout = np.zeros((180, 320, 3), np.uint8) + 200, Perturbation("coarse_dropout", 1)
+    once = (Pipeline((dropout,), seed=4)(dark, 0) == 0).sum()
+    twice = (Pipeline((dropout, dropout), seed=4)(dark, 0) == 0).sum()
+    assert twice > once, "other squares than the first time"
 
 
 @pytest.mark.parametrize("gene", ["dirty", "broken_lens", "gaussian_noise", "rain", "snow"])

@@ -2,7 +2,7 @@
 
 import { download } from "../../api.js";
 import { attribute, h, keyed, replace, text } from "../../dom.js";
-import { count, figure, percent, plural, spaced } from "../../format.js";
+import { count, figure, percent, plural, signed, spaced } from "../../format.js";
 import { loadOnNews } from "../../polling.js";
 import { link } from "../../router.js";
 import { badge, outcomeBadge } from "../../parts/elements.js";
@@ -223,14 +223,15 @@ export function findings(context, id, tells) {
     const telling = read.combinations.filter((one) => one.hazardous).slice(0, MOST);
     combinations.hidden = read.combinations.length === 0;
     replace(combinations, h("h2", null, "Combinations of techniques"),
+      telling.length > 0 && read.explanation && h("p.hint", null, read.explanation),
       h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Combinations of techniques" },
-        h("table", null, h("caption", null, telling.length ? "Hazardous combinations: unsafe in at least four of five scenarios" : "No hazardous combination so far"),
-          head("Techniques, in order", "Unsafe", "Parts", "Synergy", "Conclusion"),
+        h("table", null, h("caption", null, telling.length ? "Hazardous combinations: unsafe in at least 80% of their scenarios" : "No hazardous combination so far"),
+          head("Techniques, in order", "Unsafe", "Parts", "Added harm", "Conclusion"),
           h("tbody", null, telling.map((one) => h("tr", null, h("th", { scope: "row" }, one.words),
             h("td", null, `${one.unsafe} of ${one.trials}`),
             h("td.small", null, one.parts.map((each) => h("div", null, `${each.words || "nothing"}: ${each.unsafe} of ${each.trials}`))),
-            h("td", { title: "How much worse alpha is than with the most harmful part alone" }, one.synergy === null ? "–" : `${one.synergy < 0 ? "−" : "+"}${Math.abs(one.synergy).toFixed(2)}`),
-            h("td", null, [one.only_together && "hazardous only together", one.order_matters && "order matters", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
+            h("td", null, one.added_harm === null ? "–" : signed(one.added_harm)),
+            h("td", null, [one.only_together && "hazardous only together", one.interacts && "interacts on the data set", one.order_matters && "order matters", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
               (one.together[0] ?? one.turned[0]) !== undefined && [" ", solution(one.together[0] ?? one.turned[0])])))))),
       alone(read.steps));
   }
