@@ -119,6 +119,7 @@ class Execution(Body):
         Field(
             ge=1,
             le=1000,
+            exclude_if=lambda given: given == DEFAULT_MAX_LOSSES,  # the hashes of older submissions stay valid
             description="Leases lost with their workers before a job is quarantined; they are no failed attempts.",
         ),
     ] = DEFAULT_MAX_LOSSES
@@ -229,10 +230,8 @@ class CampaignBody(Body):
     def document_hash(self) -> str:
         """Return a hash that identifies identical submissions, whatever their tags and notes are."""
         document = self.document()
-        if self.execution.max_losses == DEFAULT_MAX_LOSSES:
-            del document["execution"]["max_losses"]  # the hashes of older submissions stay valid
         if self.llm is None:
-            del document["llm"]
+            del document["llm"]  # the hashes of older submissions stay valid
         if not self.repeats:
             del document["repeats"]
         if not self.ground_truth:

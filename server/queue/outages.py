@@ -23,7 +23,7 @@ NOTED_LEASES = 0.1
 
 _LAST_SWEEP = select(SweepRow.swept_at)
 _NOTE_SWEEP = update(SweepRow).values(swept_at=bindparam("now"))
-_SHORT = select(JobRow.id).where(IS_LEASED, JobRow.lease_expires_at < bindparam("until")).order_by(JobRow.id)
+_SHORT = select(JobRow.id).where(IS_LEASED, JobRow.lease_expires_at < bindparam("until"))
 _NOT_YET_EXTENDED = _SHORT.where(JobRow.interrupted == false())
 _EXTEND = (
     update(JobRow)
@@ -71,7 +71,8 @@ def begin_sweep(connection: Connection, *, lease_s: float, sweep_s: float, resum
     extended = 0
     if is_gap or resuming:
         extended = _extend(connection, now + timedelta(seconds=lease_s), again=is_gap)
-    if away_s is None or resuming or not 0 <= away_s <= NOTED_LEASES * lease_s:  # below 0: the clock was put back
+    # A negative time means that the clock was put back.
+    if away_s is None or resuming or not 0 <= away_s <= NOTED_LEASES * lease_s:
         connection.execute(_NOTE_SWEEP, {"now": now})
     return Sweep(away_s=away_s, extended=extended)
 
