@@ -22,13 +22,12 @@ def upgrade() -> None:
     op.add_column("jobs", sa.Column("max_losses", sa.Integer(), nullable=False, server_default="10"))
     op.add_column("jobs", sa.Column("lost_token", sa.String(length=64), nullable=True))
     op.add_column("jobs", sa.Column("interrupted", sa.Boolean(), nullable=False, server_default=sa.false()))
-    sweeps = op.create_table(
+    op.create_table(
         "sweeps",
         sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("swept_at", UtcDateTime(timezone=True), nullable=True),
+        sa.Column("swept_at", UtcDateTime(timezone=True), nullable=False),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_sweeps")),
     )
-    op.bulk_insert(sweeps, [{"id": 1, "swept_at": None}])
 
 
 def downgrade() -> None:

@@ -119,7 +119,7 @@ class Execution(Body):
         Field(
             ge=1,
             le=1000,
-            exclude_if=lambda given: given == DEFAULT_MAX_LOSSES,  # the hashes of older submissions stay valid
+            exclude_if=lambda given: given == DEFAULT_MAX_LOSSES,  # for the hashes of older submissions
             description="Leases lost with their workers before a job is quarantined; they are no failed attempts.",
         ),
     ] = DEFAULT_MAX_LOSSES

@@ -304,12 +304,12 @@ class JobRow(Base):
 
 
 class SweepRow(Base):
-    """The last sweep of any coordinator, in a single row."""
+    """The last sweep of any coordinator, in a single row; there is none before the first sweep."""
 
     __tablename__ = "sweeps"
 
     id: Mapped[int] = mapped_column(Integer, primary_key=True)
-    swept_at: Mapped[datetime | None]
+    swept_at: Mapped[datetime]
 
 
 class ViolationNameRow(Base):

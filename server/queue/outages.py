@@ -8,7 +8,7 @@ so that coordinators which share a database share it too.
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from sqlalchemy import Connection, bindparam, false, select, update
+from sqlalchemy import Connection, bindparam, false, insert, select, update
 
 from brink.server.db.models import JobRow, SweepRow
 from brink.server.db.sql import database_now, in_list, lock_rows
@@ -61,18 +61,20 @@ def begin_sweep(connection: Connection, *, lease_s: float, sweep_s: float, resum
     Returns:
         None if another coordinator is sweeping: no lease may be taken back before it has committed.
     """
-    # Skipped, not waited for, if locked: two coordinators with other writes in their transactions could deadlock.
-    last = connection.execute(lock_rows(_LAST_SWEEP, connection, SweepRow, skip_locked=True)).one_or_none()
-    if last is None:
-        return None
     now = database_now(connection)
-    away_s = None if last.swept_at is None else (now - last.swept_at).total_seconds()
+    # Skipped, not waited for, if locked: two coordinators with other writes in their transactions could deadlock.
+    last = connection.execute(lock_rows(_LAST_SWEEP, connection, SweepRow, skip_locked=True)).scalar()
+    if last is None:
+        if connection.execute(_LAST_SWEEP).scalar() is not None:
+            return None
+        connection.execute(insert(SweepRow).values(id=1, swept_at=now))
+    away_s = None if last is None else (now - last).total_seconds()
     is_gap = away_s is None or away_s > max(GAP_LEASES * lease_s, GAP_SWEEPS * sweep_s)
     extended = 0
     if is_gap or resuming:
         extended = _extend(connection, now + timedelta(seconds=lease_s), again=is_gap)
     # A negative time means that the clock was put back.
-    if away_s is None or resuming or not 0 <= away_s <= NOTED_LEASES * lease_s:
+    if resuming or (away_s is not None and not 0 <= away_s <= NOTED_LEASES * lease_s):
         connection.execute(_NOTE_SWEEP, {"now": now})
     return Sweep(away_s=away_s, extended=extended)
 
