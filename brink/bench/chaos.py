@@ -2,8 +2,9 @@
 
 Two coordinators and four workers share a Postgres server. A proxy loses, delays, truncates and repeats their
 messages. Processes, episodes, database connections and the database itself are killed or suspended, and the clocks of
-two workers are wrong. Afterwards no acknowledged verdict may be missing or counted twice, no job may be stuck, and
-every archive must be identical to that of the same campaign without faults.
+two workers are wrong. In outages, no coordinator runs for longer than a lease. Afterwards no acknowledged verdict may
+be missing or counted twice, no job may be stuck or in quarantine, and every archive must be identical to that of the
+same campaign without faults.
 """
 
 import asyncio
@@ -53,6 +54,8 @@ SUSPENDED_S = (1.0, 6.0)
 """How long a process is suspended; the longest time exceeds the lease time."""
 DOWN_S = (0.0, 3.0)
 """How long a killed process stays down."""
+OUTAGE_S = (3.5, 9.0)
+"""How long all coordinators are down in an outage: always longer than a lease."""
 CONCURRENT_CAMPAIGNS = 2
 FINISH_TIMEOUT_S = 240.0
 """How long the campaigns may take to finish after the last fault."""
@@ -456,6 +459,7 @@ class Site:
         self._recoveries: set[asyncio.Task[None]] = set()
         self._faults: dict[str, tuple[int, Callable[[], Awaitable[bool]]]] = {
             "coordinator killed": (3, lambda: self._end(self.coordinators, Process.kill)),
+            "all coordinators down for longer than a lease": (2, self._kill_coordinators),
             "coordinator told to stop": (1, lambda: self._end(self.coordinators, Process.stop)),
             "coordinator stands still": (3, lambda: self._suspend(self.coordinators)),
             "worker killed": (4, lambda: self._end(self.workers, Process.kill)),
@@ -526,6 +530,25 @@ class Site:
             await asyncio.sleep(down_s)
             process.start()
             self._down.discard(process)
+
+        self._recover_later(restart())
+        return True
+
+    async def _kill_coordinators(self) -> bool:
+        """Kill all coordinators for longer than a lease; no job may be charged for it."""
+        down = [one for one in self.coordinators if one not in self._down]
+        if len(down) < len(self.coordinators):  # the other one would come back during the outage
+            return False
+        self._down.update(down)
+        outage_s = self._rng.uniform(*OUTAGE_S)
+
+        async def restart() -> None:
+            for one in down:
+                await asyncio.to_thread(one.kill)
+            await asyncio.sleep(outage_s)
+            for one in down:
+                one.start()
+                self._down.discard(one)
 
         self._recover_later(restart())
         return True

@@ -265,6 +265,12 @@ async def _list_campaigns(api: Api, asked: dict[str, Any], place: str, *, follow
         )
 
 
+def _attempts(job: JobViewModel) -> str:
+    """Return in words how often a quarantined job was tried."""
+    lost = f" and {job.losses} lost workers" if job.losses else ""
+    return f"{job.counted_attempts} attempts{lost}"
+
+
 def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: int, place: str) -> None:
     screen = console()
     series = progress.generations
@@ -295,7 +301,7 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
     for job in quarantined[:ERRORS_SHOWN]:
         error = (job.last_error or "").strip().splitlines()
         screen.print(
-            f"  quarantined: job {job.id}, solution {job.number}, {job.attempt} attempts: "
+            f"  quarantined: job {job.id}, solution {job.number}, {_attempts(job)}: "
             f"{error[0] if error else ''}"
         )
     if len(quarantined) > ERRORS_SHOWN:
@@ -526,7 +532,7 @@ def cancel(campaign: CampaignId, database: Database = None, server: Server = Non
 
 
 def retry(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
-    """Put the quarantined jobs of a campaign back into the queue, with all their attempts restored.
+    """Put the quarantined jobs of a campaign back into the queue, with all their attempts and losses restored.
 
     Jobs of earlier generations stay quarantined: the search has moved on without them.
 

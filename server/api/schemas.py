@@ -271,6 +271,7 @@ class SolutionView(View):
     ]
     seed: int
     attempts: int | None
+    losses: Annotated[int | None, Field(description="Attempts among them whose worker stopped responding.")]
     words: Annotated[str, Field(description="Description in words.")]
     parameters: Annotated[
         dict[str, dict[str, Any]],
@@ -590,8 +591,13 @@ class JobViewModel(View):
     kind: str
     needs: str
     status: JobStatus
-    attempt: int
+    attempt: Annotated[int, Field(description="Leases so far, except those that were given back.")]
+    counted_attempts: Annotated[int, Field(description="Attempts that count towards `max_attempts`.")]
     max_attempts: int
+    losses: Annotated[
+        int, Field(description="Attempts whose worker stopped responding, which count towards `max_losses`.")
+    ]
+    max_losses: int
     worker: str | None
     last_error: str | None
     created_at: datetime

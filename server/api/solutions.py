@@ -220,7 +220,7 @@ def _solution(
         neighbours=None if index is None else int(archive.neighbours[index]),
         unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
         interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
-        seed=row.seed, attempts=row.attempt,
+        seed=row.seed, attempts=row.attempt, losses=row.losses,
         words=describe_candidate(problem, vectors, activity), parameters=problem.space.decode(vectors),
         titles=_titles(problem.space) if full else {},
         activity=None if activity is None else activity_view(problem.space, activity),

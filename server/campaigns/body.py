@@ -33,6 +33,10 @@ DEFAULT_EPS = 0.02
 DEFAULT_PAIRS_D_TH = 0.2
 """Default of the smallest distance between two distinct pairs."""
 
+DEFAULT_MAX_LOSSES = 10
+"""Default of how often a job may lose its worker: generous, because machines are preempted more often than they are
+killed by what they run."""
+
 _FORMER_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     algorithm: {"distance": "paper"} for algorithm in ("mosat@1", "mumoea@1", "nsga2@1")
 }
@@ -107,7 +111,18 @@ class Execution(Body):
     """How a campaign's simulations are executed."""
 
     cache: Annotated[bool, Field(description="Whether to reuse the results of identical simulations.")] = True
-    max_attempts: Annotated[int, Field(ge=1, le=20, description="Attempts before a job is quarantined.")] = 3
+    max_attempts: Annotated[
+        int, Field(ge=1, le=20, description="Failed attempts before a job is quarantined.")
+    ] = 3
+    max_losses: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=1000,
+            exclude_if=lambda given: given == DEFAULT_MAX_LOSSES,  # for the hashes of older submissions
+            description="Leases lost with their workers before a job is quarantined; they are no failed attempts.",
+        ),
+    ] = DEFAULT_MAX_LOSSES
     max_failed_share: Annotated[
         float, Field(ge=0, le=1, description="Share of failed candidates above which the campaign pauses.")
     ] = 0.2

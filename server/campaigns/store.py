@@ -67,7 +67,9 @@ class Campaign:
     def job_settings(self) -> JobSettings:
         """The settings of its jobs."""
         execution = self.body.execution
-        return JobSettings(cache=execution.cache, max_attempts=execution.max_attempts)
+        return JobSettings(
+            cache=execution.cache, max_attempts=execution.max_attempts, max_losses=execution.max_losses
+        )
 
 
 _TAGS = select(CampaignTagRow.campaign_id, CampaignTagRow.tag).where(
@@ -250,7 +252,7 @@ def set_status(
 
 
 def retry_job(connection: Connection, job_id: int) -> None:
-    """Return a quarantined job to the queue with a fresh set of attempts, each of which is leased alone.
+    """Return a quarantined job to the queue with fresh attempts and losses, each of which is leased alone.
 
     Raises:
         NotFound: There is no such job.
@@ -275,7 +277,10 @@ def retry_job(connection: Connection, job_id: int) -> None:
             raise Conflict(
                 f"job {job_id}: the campaign continued without solution {job.number}, which counts as failed"
             )
-    if not job_store.requeue(connection, job_id, more_attempts=campaign.body.execution.max_attempts):
+    execution = campaign.body.execution
+    if not job_store.requeue(
+        connection, job_id, more_attempts=execution.max_attempts, more_losses=execution.max_losses
+    ):
         raise Conflict(f"job {job_id} was just changed by another request; check it again")
     note_change(connection, campaign.id)
 

@@ -311,6 +311,7 @@ def _solutions(campaign_id: str) -> Select[*tuple[Any, ...]]:
             SolutionRow.number, SolutionRow.generation, SolutionRow.vector, SolutionRow.seed,
             SolutionRow.spec_hash, SolutionRow.verdict, SolutionRow.robustness, SolutionRow.objectives,
             SolutionRow.failure, SolutionRow.origin, job.spec, job.result, job.attempt,
+            job.losses,
         )
         .outerjoin(
             EVALUATIONS,

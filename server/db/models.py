@@ -2,7 +2,7 @@
 
 A campaign asks for generations of solutions. Each solution that needs a simulation has a job, and a job stores the
 outcome of its simulation, which jobs with the same specification hash share. Each table belongs to one package, whose
-store modules contain its queries: jobs, traces and workers to `brink.server.queue`, most others to
+store modules contain its queries: jobs, sweeps, traces and workers to `brink.server.queue`, most others to
 `brink.server.campaigns`.
 """
 
@@ -23,6 +23,7 @@ from sqlalchemy import (
     String,
     Text,
     UniqueConstraint,
+    false,
     func,
     select,
     text,
@@ -282,16 +283,33 @@ class JobRow(Base):
     timeout_s: Mapped[float]
     status: Mapped[str] = mapped_column(String(12))
     attempt: Mapped[int] = mapped_column(Integer, default=0)
+    """Number of leases so far, except those that were given back."""
     max_attempts: Mapped[int] = mapped_column(Integer)
+    losses: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
+    """How many of these leases ran out."""
+    max_losses: Mapped[int] = mapped_column(Integer, default=10, server_default="10")
     not_before: Mapped[datetime | None]
     lease_token: Mapped[str | None] = mapped_column(String(64))
+    lost_token: Mapped[str | None] = mapped_column(String(64))
+    """Token of the last lease if it ran out and nobody has leased the job since."""
     lease_worker: Mapped[str | None] = mapped_column(String(64))
     lease_expires_at: Mapped[datetime | None]
+    interrupted: Mapped[bool] = mapped_column(default=False, server_default=false())
+    """Whether no coordinator was there during the last lease, which was not renewed since: its end is not a loss."""
     failed_worker: Mapped[str | None] = mapped_column(String(64))
     result: Mapped[str | None] = mapped_column(Text)
     last_error: Mapped[str | None] = mapped_column(Text)
     created_at: Mapped[datetime]
     finished_at: Mapped[datetime | None]
+
+
+class SweepRow(Base):
+    """The last sweep of any coordinator, in a single row; there is none before the first sweep."""
+
+    __tablename__ = "sweeps"
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True)
+    swept_at: Mapped[datetime]
 
 
 class ViolationNameRow(Base):

@@ -27,7 +27,7 @@ from sqlalchemy import JSON, Connection, RowMapping, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
-from brink.server.campaigns.body import search_text, stored_body
+from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, search_text, stored_body
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.models import (
@@ -58,7 +58,9 @@ LARGEST_BYTES: Final = 64 * 1024**3
 """Maximum size of all members together, unpacked."""
 _BATCH: Final = 500
 _MANIFEST: Final = "manifest.json"
-_LEASE: Final = ("lease_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before")
+_LEASE: Final = (
+    "lease_token", "lost_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before",
+)  # fmt: skip
 _TABLES: Final[Mapping[str, type[Base]]] = {
     "campaigns": CampaignRow,
     "campaign_tags": CampaignTagRow,
@@ -73,13 +75,16 @@ _TABLES: Final[Mapping[str, type[Base]]] = {
 }
 _OPTIONAL: Final = ("campaign_tags", "known_solutions")
 """Tables that a file has only if the campaign has rows there; files of older versions lack them."""
-_OPTIONAL_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {"campaigns": {"notes": ""}}
+_OPTIONAL_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "campaigns": {"notes": ""},
+    "jobs": {"losses": 0, "max_losses": DEFAULT_MAX_LOSSES},
+}
 """Columns that a file has only if their values are others than these; files of older versions lack them."""
 _VECTORS: Final[Mapping[str, str]] = {"solutions": "vectors", "known_solutions": "known-vectors"}
 """Arrays with the vectors of a table's rows."""
 _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
     "campaigns": ("idempotency_key", "turn", "sequence", "search_text"),
-    "jobs": ("id", "cache", *_LEASE),
+    "jobs": ("id", "cache", "interrupted", *_LEASE),
 }
 """Columns that are meaningless in another database, or follow from others."""
 

@@ -45,7 +45,7 @@ IS_EVALUATION = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
 IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
 
 EVALUATIONS = (
-    select(JobRow.campaign_id, JobRow.number, JobRow.spec, JobRow.result, JobRow.attempt)
+    select(JobRow.campaign_id, JobRow.number, JobRow.spec, JobRow.result, JobRow.attempt, JobRow.losses)
     .where(IS_EVALUATION)
     .subquery("evaluations")
 )
@@ -75,11 +75,13 @@ class JobSettings:
 
     Attributes:
         cache: Whether the jobs share results with identical simulations.
-        max_attempts: Attempts before quarantine.
+        max_attempts: Failed attempts before quarantine.
+        max_losses: Lost leases before quarantine.
     """
 
     cache: bool
     max_attempts: int
+    max_losses: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +89,9 @@ class Job:
     """The current state of a job.
 
     Attributes:
+        attempt: Number of leases so far, except those that were given back.
+        counted_attempts: Those among them that were not lost; after `max_attempts` of them, the job is quarantined.
+        losses: The others; after `max_losses` of them, it is quarantined as well.
         worker: The worker that holds its lease, or None.
     """
 
@@ -97,7 +102,10 @@ class Job:
     needs: str
     status: JobStatus
     attempt: int
+    counted_attempts: int
     max_attempts: int
+    losses: int
+    max_losses: int
     worker: str | None
     last_error: str | None
     created_at: datetime
@@ -173,6 +181,7 @@ def enqueue(
                 "campaign_id": campaign_id, "number": number, "kind": kind, "spec": job.spec,
                 "spec_hash": job.spec_hash, "needs": job.needs, "cache": settings.cache,
                 "timeout_s": job.timeout_s, "attempt": 0, "max_attempts": settings.max_attempts,
+                "losses": 0, "max_losses": settings.max_losses,
                 "status": JobStatus.DONE if job.spec_hash in known else JobStatus.QUEUED,
                 "result": known.get(job.spec_hash), "created_at": now,
                 "finished_at": now if job.spec_hash in known else None,
@@ -243,13 +252,14 @@ def cancel_evaluations(connection: Connection, campaign_id: str) -> None:
     )
 
 
-def requeue(connection: Connection, job_id: int, *, more_attempts: int) -> bool:
+def requeue(connection: Connection, job_id: int, *, more_attempts: int, more_losses: int) -> bool:
     """Return a quarantined job to the queue.
 
     Args:
         connection: In a write transaction.
         job_id: The job.
-        more_attempts: Attempts in addition to those already made.
+        more_attempts: Failed attempts in addition to those so far.
+        more_losses: Lost leases in addition to those so far.
 
     Returns:
         False if the job is not in quarantine any more.
@@ -259,7 +269,8 @@ def requeue(connection: Connection, job_id: int, *, more_attempts: int) -> bool:
         .where(JobRow.id == job_id, JobRow.status == JobStatus.QUARANTINED)
         .values(
             status=JobStatus.QUEUED,
-            max_attempts=JobRow.attempt + more_attempts,
+            max_attempts=JobRow.attempt - JobRow.losses + more_attempts,
+            max_losses=JobRow.losses + more_losses,
             not_before=None,
             lease_token=None,
             finished_at=None,
@@ -378,14 +389,16 @@ def _outcomes(connection: Connection, campaign_id: str, condition: ColumnElement
 
 _JOB = (
     JobRow.id, JobRow.campaign_id, JobRow.number, JobRow.kind, JobRow.needs, JobRow.status, JobRow.attempt,
-    JobRow.max_attempts, JobRow.lease_worker, JobRow.last_error, JobRow.created_at, JobRow.finished_at,
+    JobRow.max_attempts, JobRow.losses, JobRow.max_losses, JobRow.lease_worker, JobRow.last_error,
+    JobRow.created_at, JobRow.finished_at,
 )  # fmt: skip
 
 
 def _job(row: Row[*tuple[Any, ...]]) -> Job:
     return Job(
         id=row.id, campaign=row.campaign_id, number=row.number, kind=row.kind, needs=row.needs,
-        status=JobStatus(row.status), attempt=row.attempt, max_attempts=row.max_attempts,
+        status=JobStatus(row.status), attempt=row.attempt, counted_attempts=row.attempt - row.losses,
+        max_attempts=row.max_attempts, losses=row.losses, max_losses=row.max_losses,
         worker=row.lease_worker if row.status == JobStatus.LEASED else None, last_error=row.last_error,
         created_at=row.created_at, finished_at=row.finished_at,
     )  # fmt: skip

@@ -156,6 +156,8 @@ _GRANT = BulkUpdate(
     status=JobStatus.LEASED,
     attempt=JobRow.attempt + 1,
     lease_expires_at=bindparam("expires"),
+    lost_token=None,
+    interrupted=False,
     not_before=None,
 )
 _NOT_LOCKED = CampaignRow.id.in_(
@@ -227,7 +229,9 @@ def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -
     held = [row.id for row in rows if secrets.compare_digest(row.lease_token, wanted[row.id])]
     if held:
         expires = database_now(connection) + timedelta(seconds=lease_s)
-        connection.execute(update(JobRow).where(JobRow.id.in_(held)).values(lease_expires_at=expires))
+        connection.execute(
+            update(JobRow).where(JobRow.id.in_(held)).values(lease_expires_at=expires, interrupted=False)
+        )
     return sorted(held)
 
 

@@ -1,7 +1,8 @@
 """The SQL of reports: results stored, jobs finished, retried, or put into quarantine.
 
 Each public function is a unit for `brink.server.db.writer.Writer`. An outcome is stored and its job finished in one
-transaction, and only if the outcome names the token of the lease that still holds the job.
+transaction, and only if the outcome names the token of the job's last lease: while that lease holds, and after it ran
+out until the job is granted again.
 """
 
 import secrets
@@ -10,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any, TypeAlias
 
-from sqlalchemy import Connection, Row, bindparam, func, insert, select, update
+from sqlalchemy import Connection, Row, bindparam, case, func, insert, select, update
 
 from brink.server.db.models import JobRow, TraceRow
 from brink.server.db.sql import BulkUpdate, database_now, in_list, lock_rows
@@ -24,13 +25,14 @@ JobRecord: TypeAlias = Row[*tuple[Any, ...]]
 
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
+MAX_DOUBLINGS = 30
 MAX_EXPIRED = 1000
 """Maximum number of leases that one sweep takes back, so that other writes do not wait long if all expire at once."""
 
 # Built once: building a statement takes longer than running it.
 _REPORTED = select(
-    JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
-    JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
+    JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token, JobRow.lost_token,
+    JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.losses, JobRow.spec_hash, JobRow.cache,
 ).where(in_list(JobRow.id, "jobs"))  # fmt: skip
 _REPORTED_IN_ORDER = _REPORTED.add_columns(func.clock_timestamp(type_=UtcDateTime).label("now")).order_by(
     JobRow.id
@@ -45,12 +47,44 @@ _TWINS = (
     .order_by(JobRow.id)
 )
 _EXPIRED = (
-    select(JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.max_attempts, JobRow.lease_worker)
+    select(
+        JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.losses, JobRow.max_losses, JobRow.lease_worker,
+        JobRow.interrupted,
+    )
     .where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))
     .order_by(JobRow.lease_expires_at)
     .limit(bindparam("most"))
+)  # fmt: skip
+_LOSE = (
+    update(JobRow)
+    .where(in_list(JobRow.id, "jobs"))
+    .values(losses=JobRow.losses + 1, lost_token=JobRow.lease_token, lease_token=None)
 )
-_FORGET_TOKENS = update(JobRow).where(in_list(JobRow.id, "jobs")).values(lease_token=None)
+_TAKE_BACK = (
+    update(JobRow)
+    .where(in_list(JobRow.id, "jobs"))
+    .values(
+        status=JobStatus.QUEUED,
+        attempt=JobRow.attempt - 1,
+        lost_token=JobRow.lease_token,
+        lease_token=None,
+        lease_expires_at=None,
+    )
+)
+"""For interrupted leases. The mark stays until the next lease: `_RESTORE` then knows what to undo."""
+_RESTORE = (
+    update(JobRow)
+    .where(in_list(JobRow.id, "jobs"))
+    .values(
+        status=JobStatus.LEASED,
+        attempt=JobRow.attempt + case((JobRow.interrupted, 1), else_=0),
+        losses=JobRow.losses - case((JobRow.interrupted, 0), else_=1),
+        lease_token=JobRow.lost_token,
+        lost_token=None,
+        lease_expires_at=bindparam("now"),
+        interrupted=False,
+    )
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +110,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailedAttempt:
-    """An attempt that failed or whose lease expired.
+    """An attempt that failed or whose lease ran out.
 
     Attributes:
         worker: The worker that held the lease.
@@ -116,10 +150,25 @@ class Report:
     quarantined: tuple[FailedAttempt, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expiry:
+    """The leases that a sweep took back.
+
+    Attributes:
+        campaigns: The campaigns that have no open evaluation left because of it.
+        lost: Leases that were lost with their workers.
+        interrupted: Leases that ended after an outage, which count for nothing.
+    """
+
+    campaigns: tuple[str, ...] = ()
+    lost: Sequence[FailedAttempt] = ()
+    interrupted: Sequence[FailedAttempt] = ()
+
+
 def store_outcomes(
     connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms
 ) -> tuple[Report, datetime]:
-    """Store the outcomes of jobs whose leases still hold; all others change nothing.
+    """Store the outcomes of jobs that nobody else holds; all others change nothing.
 
     Args:
         connection: In a write transaction.
@@ -139,6 +188,7 @@ def store_outcomes(
         found = connection.execute(lock_rows(_REPORTED_IN_ORDER, connection, JobRow), known).all()
         now = found[0].now if found else database_now(connection)
     rows: dict[int, JobRecord] = {row.id: row for row in found}
+    rows |= _restore_lost(connection, rows, outcomes, now)
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
     for outcome in outcomes:
@@ -152,7 +202,7 @@ def store_outcomes(
     sharing = _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
     failed = _fail(
         connection,
-        [(rows[job], o) for job, o in accepted.items() if o.result is None],
+        [_failure(rows[job], o) for job, o in accepted.items() if o.result is None],
         now,
         terms.retry_backoff_s,
     )
@@ -166,25 +216,52 @@ def store_outcomes(
     return stored, now
 
 
-def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], list[FailedAttempt]]:
-    """Take back the oldest `MAX_EXPIRED` expired leases; their jobs are retried later or put into quarantine.
+def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
+    """Take back the oldest `MAX_EXPIRED` leases that ran out.
 
-    Returns:
-        The campaigns that have no open evaluation left because of it, and the failed attempts.
+    Those that an outage interrupted count as given back. The others are lost: their jobs are retried later, or put
+    into quarantine after too many losses.
     """
     now = database_now(connection)
     expired = lock_rows(_EXPIRED, connection, JobRow, skip_locked=True)
     rows = connection.execute(expired, {"now": now, "most": MAX_EXPIRED}).all()
     if not rows:
-        return (), []
-    failures = []
-    for row in rows:
-        error = f"lease expired: worker {row.lease_worker} stopped responding"
-        failures.append((row, Outcome(job=row.id, token="", result=None, error=error)))
-    failed = _fail(connection, failures, now, terms.retry_backoff_s)
-    # Nothing was reported: a result that arrives later with this token must not be answered as stored.
-    connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})
-    return idle_campaigns(connection, {row.campaign_id for row in rows}), failed
+        return Expiry()
+    interrupted = [row for row in rows if row.interrupted]
+    lost = [row for row in rows if not row.interrupted]
+    failed = _fail(connection, [_loss(row) for row in lost], now, terms.retry_backoff_s)
+    if lost:
+        connection.execute(_LOSE, {"jobs": [row.id for row in lost]})
+    if interrupted:
+        connection.execute(_TAKE_BACK, {"jobs": [row.id for row in interrupted]})
+    return Expiry(
+        campaigns=idle_campaigns(connection, {row.campaign_id for row in lost}),
+        lost=failed,
+        interrupted=[_interruption(row) for row in interrupted],
+    )
+
+
+def _restore_lost(
+    connection: Connection, rows: Mapping[int, JobRecord], outcomes: Sequence[Outcome], now: datetime
+) -> dict[int, JobRecord]:
+    """Restore the lost leases whose outcomes have come after all, unless their jobs were granted to others since.
+
+    Returns:
+        The new rows of these jobs.
+    """
+    late = {
+        outcome.job
+        for outcome in outcomes
+        if (row := rows.get(outcome.job)) is not None
+        and row.status == JobStatus.QUEUED
+        and row.lost_token is not None
+        and secrets.compare_digest(row.lost_token, outcome.token)
+    }
+    if not late:
+        return {}
+    known = {"jobs": sorted(late)}
+    connection.execute(_RESTORE, {**known, "now": now})
+    return {row.id: row for row in connection.execute(_REPORTED, known)}
 
 
 def _status_of(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> str:
@@ -229,30 +306,71 @@ def _share(
     return {twin.campaign_id for twin in twins}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Failure:
+    """What happens to a job whose attempt failed or was lost.
+
+    Attributes:
+        row: The job.
+        error: What happened.
+        times: How often it has happened to the job, this time included, at least 1.
+        retry: Whether the job is tried again.
+    """
+
+    row: JobRecord
+    error: str
+    times: int
+    retry: bool
+
+
+def _failure(row: JobRecord, outcome: Outcome) -> _Failure:
+    times = row.attempt - row.losses
+    retry = not outcome.final and times < row.max_attempts
+    return _Failure(row=row, error=outcome.error, times=times, retry=retry)
+
+
+def _loss(row: JobRecord) -> _Failure:
+    times = row.losses + 1
+    error = f"lease expired: worker {row.lease_worker} stopped responding"
+    retry = times < row.max_losses
+    if not retry:
+        again = "" if times == 1 else f", the {times}th time that this job lost its worker"
+        error += f"{again}: does it kill its workers, or are they all stopped?"
+    return _Failure(row=row, error=error, times=times, retry=retry)
+
+
+def _interruption(row: JobRecord) -> FailedAttempt:
+    reason = "lease expired after an outage of the coordinator, which counts for nobody"
+    return FailedAttempt(
+        job=row.id, campaign=row.campaign_id, worker=row.lease_worker, attempt=row.attempt, reason=reason,
+        final=False,
+    )  # fmt: skip
+
+
 def _fail(
-    connection: Connection, failures: Sequence[tuple[JobRecord, Outcome]], now: datetime, backoff_s: float
+    connection: Connection, failures: Sequence[_Failure], now: datetime, backoff_s: float
 ) -> list[FailedAttempt]:
     """Return failed jobs to the queue after a backoff, or put them into quarantine."""
     if not failures:
         return []
     values, failed = [], []
-    for row, outcome in failures:
-        retry = not outcome.final and row.attempt < row.max_attempts
-        wait_s = min(MAX_BACKOFF_S, backoff_s * 2 ** (row.attempt - 1))
+    for failure in failures:
+        row, retry = failure.row, failure.retry
+        wait_s = min(MAX_BACKOFF_S, backoff_s * 2 ** min(failure.times - 1, MAX_DOUBLINGS))
         values.append(
             {
                 "failed": row.id,
                 "by": row.lease_worker,
                 "next_status": JobStatus.QUEUED if retry else JobStatus.QUARANTINED,
                 "wait_until": now + timedelta(seconds=wait_s) if retry else None,
-                "error": outcome.error[-MAX_ERROR_CHARACTERS:],
+                "error": failure.error[-MAX_ERROR_CHARACTERS:],
                 "ended": None if retry else now,
             }
         )
         failed.append(
             FailedAttempt(
                 job=row.id, campaign=row.campaign_id, worker=row.lease_worker, attempt=row.attempt,
-                reason=outcome.error, final=not retry,
+                reason=failure.error, final=not retry,
             )
         )  # fmt: skip
     connection.execute(

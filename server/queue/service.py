@@ -18,10 +18,11 @@ from sqlalchemy import Connection
 from brink.server.db.writer import BatchedUnit, Writer
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.metrics import Metrics
-from brink.server.queue import lease_store, report_store, workers
+from brink.server.queue import lease_store, outages, report_store, workers
 from brink.server.queue.job_store import idle_campaigns
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
-from brink.server.queue.report_store import FailedAttempt, Outcome, Report
+from brink.server.queue.outages import Sweep
+from brink.server.queue.report_store import Expiry, FailedAttempt, Outcome, Report
 from brink.server.queue.wakeups import Wakeups
 from brink.server.settings import Settings
 from brink.worker.wire import (
@@ -149,6 +150,25 @@ class _LiveWorkers:
     count: Counter[str]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Swept:
+    """What a sweep found and did.
+
+    Attributes:
+        sweep: How it began; None if another coordinator was sweeping.
+        expiry: The leases taken back.
+        elsewhere: What each live worker of any coordinator can run; empty if there is only this one.
+        due_retries: How many retries are due.
+        draining: The workers that were asked to exit.
+    """
+
+    sweep: Sweep | None
+    expiry: Expiry
+    elsewhere: dict[str, tuple[str, ...]]
+    due_retries: int
+    draining: dict[str, workers.Process]
+
+
 @dataclass(slots=True)
 class QueueService:
     """The queue of one coordinator process."""
@@ -160,6 +180,7 @@ class QueueService:
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
     stopping: bool = False
+    _resuming: bool = True
     _workers: dict[str, _WorkerRecord] = field(default_factory=dict)
     _live: _LiveWorkers | None = None
     _elsewhere: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -311,37 +332,43 @@ class QueueService:
                 record.failed += not isinstance(item.outcome, Completed)
 
     async def sweep(self) -> None:
-        """Take back expired leases and forget workers that are gone."""
+        """Take back leases that ran out, except after an outage, and forget workers that are gone."""
+        # Until this sweep has succeeded, nobody knows whether workers could renew their leases.
+        resuming, self._resuming = self._resuming, True
         terms = self.terms()
-        alone = self._is_alone
         unrecorded = self._drop_absent()
 
-        def unit(
-            connection: Connection,
-        ) -> tuple[
-            dict[str, tuple[str, ...]], tuple[str, ...], list[FailedAttempt], int, dict[str, workers.Process]
-        ]:
+        def unit(connection: Connection) -> _Swept:
             for name, worker in unrecorded.items():
                 workers.add_counts(connection, name, done=worker.done, failed=worker.failed)
-            workers.forget_absent(connection, FORGET_S)
-            live = {} if alone else workers.live_capabilities(connection, self.settings.worker_seen_s)
-            if alone:  # workers on this machine need not be waited for: their processes can be looked up
-                lease_store.end_now(connection, workers.leases_of_dead(connection))
-            idle, expired = report_store.expire(connection, terms)
-            due_retries = lease_store.count_due_retries(connection, terms.elsewhere)
-            return live, idle, expired, due_retries, workers.read_draining(connection)
+            return self._sweep(connection, terms, resuming=resuming)
 
-        live, idle, expired, due_retries, self._draining = await self.writer.write(unit)
-        self._elsewhere = {name: able for name, able in live.items() if name not in self._workers}
+        swept = await self.writer.write(unit)
+        self._resuming = resuming and swept.sweep is None
+        self._draining = swept.draining
+        self._elsewhere = {name: able for name, able in swept.elsewhere.items() if name not in self._workers}
         self._live = None
-        if expired:
-            log.warning("leases that ran out: %d", len(expired))
-            for attempt in expired:
-                log.info("lease ran out", extra=attempt.log_fields)
-            _log_quarantined(expired)
-            self.metrics.expired.inc(len(expired))
-        self.wakeups.wake(due_retries)
-        self.on_due({*idle, *(attempt.campaign for attempt in expired if attempt.final)})
+        _log_swept(swept)
+        expiry = swept.expiry
+        self.metrics.expired.inc(len(expiry.lost) + len(expiry.interrupted))
+        self.wakeups.wake(None if expiry.interrupted else swept.due_retries)
+        self.on_due({*expiry.campaigns, *(attempt.campaign for attempt in expiry.lost if attempt.final)})
+
+    def _sweep(self, connection: Connection, terms: LeaseTerms, *, resuming: bool) -> _Swept:
+        workers.forget_absent(connection, FORGET_S)
+        settings, alone = self.settings, self._is_alone
+        sweep = outages.begin_sweep(
+            connection, lease_s=settings.lease_s, sweep_s=settings.sweep_s, resuming=resuming
+        )
+        if alone:  # workers on this machine need not be waited for: their processes can be looked up
+            lease_store.end_now(connection, workers.leases_of_dead(connection))
+        return _Swept(
+            sweep=sweep,
+            expiry=report_store.expire(connection, terms) if sweep is not None else Expiry(),
+            elsewhere={} if alone else workers.live_capabilities(connection, settings.worker_seen_s),
+            due_retries=lease_store.count_due_retries(connection, terms.elsewhere),
+            draining=workers.read_draining(connection),
+        )
 
     def _drop_absent(self) -> dict[str, _WorkerRecord]:
         """Drop workers that are dead or have not made contact; return those with unrecorded counts."""
@@ -422,6 +449,20 @@ def _log_report(request: ResultsRequest, report: Report) -> None:
                 "worker": request.worker.id,
             }
             log.debug("result %s", status, extra={**about, "outcome": item.outcome.kind})
+
+
+def _log_swept(swept: _Swept) -> None:
+    sweep, expiry = swept.sweep, swept.expiry
+    if sweep is not None and sweep.extended:
+        away_s = round(sweep.away_s or 0.0, 1)
+        log.info("leases got a full term: no coordinator served their workers", extra={
+            "leases": sweep.extended, "away_s": away_s,
+        })  # fmt: skip
+    if expiry.lost:
+        log.warning("leases that ran out: %d", len(expiry.lost))
+    for attempt in (*expiry.lost, *expiry.interrupted):
+        log.info("lease ran out", extra=attempt.log_fields)
+    _log_quarantined(expiry.lost)
 
 
 def _log_quarantined(attempts: Iterable[FailedAttempt]) -> None:

@@ -48,7 +48,7 @@ class Target:
         mine: A job of it that the worker ``mine`` holds.
         theirs: A job of another campaign that the worker ``theirs`` holds.
         reported: A job that ``mine`` has reported.
-        lost: A job whose lease ran out.
+        lost: A job whose lease ran out, and which another worker has leased since.
     """
 
     client: httpx.Client
@@ -159,8 +159,6 @@ def prepare(client: httpx.Client, engines: Engines) -> Target:
     running = submit(client, ball(seed=2, execution={"cache": False}))
     reported, lost, held = (mine.lease(max_jobs=1)[0] for _ in range(3))
     assert mine.report([reported]) == ["accepted"]
-    submit(client, ball(seed=3, priority=100, execution={"cache": False}))
-    (other,) = theirs.lease(max_jobs=1)
     past = datetime.now(UTC) - timedelta(hours=1)
     with engines.writer.begin() as connection:
         connection.execute(update(JobRow).where(JobRow.id == lost.job).values(lease_expires_at=past))
@@ -171,6 +169,10 @@ def prepare(client: httpx.Client, engines: Engines) -> Target:
         return status == "queued"
 
     eventually(taken_back, "the sweeper takes the lease back")
+    (again,) = FakeWorker(client, id="third").lease(max_jobs=1)
+    assert again.job == lost.job
+    submit(client, ball(seed=3, priority=100, execution={"cache": False}))
+    (other,) = theirs.lease(max_jobs=1)
     return Target(
         client=client, engines=engines, tokens=_tokens(engines), finished=finished, running=running, mine=held,
         theirs=other, reported=reported, lost=lost,

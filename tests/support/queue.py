@@ -14,11 +14,12 @@ from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
 from brink.server.campaigns.step_store import Asked, NewSolution
 from brink.server.db.engine import Engines
-from brink.server.db.models import JobRow
+from brink.server.db.models import JobRow, SweepRow
 from brink.server.db.sql import database_now
-from brink.server.queue import job_store, lease_store, report_store
+from brink.server.queue import job_store, lease_store, outages, report_store
 from brink.server.queue.job_store import NewJob
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
+from brink.server.queue.outages import Sweep
 from brink.server.queue.report_store import Outcome, Report
 from brink.server.states import CampaignStatus
 from brink.worker.wire import HeldLease, LeasedJob
@@ -74,13 +75,14 @@ class Queue:
         priority: int = 0,
         cache: bool = True,
         max_attempts: int = 3,
+        max_losses: int = 3,
         needs: str = SIMULATOR,
     ) -> str:
         """Store a campaign with that many jobs, or with a job for each of these hashes; return its id."""
         body = CampaignBody(
             name="test", problem=PluginChoice(id="ball@1"), algorithm=PluginChoice(id="ga@1"),
             budget=Budget(simulations=1000), priority=priority,
-            execution=Execution(cache=cache, max_attempts=max_attempts),
+            execution=Execution(cache=cache, max_attempts=max_attempts, max_losses=max_losses),
         )  # fmt: skip
         name = f"{next(self._numbers):08x}"  # the same each time: ties between campaigns are broken by id
         hashes = [secrets.token_hex(32) for _ in range(jobs)] if isinstance(jobs, int) else list(jobs)
@@ -162,9 +164,27 @@ class Queue:
         return self.run(lambda c: lease_store.release(c, [held(job) for job in jobs]))
 
     def expire(self) -> tuple[tuple[str, ...], int]:
-        """Take back the leases that ran out."""
-        campaigns, lost = self.run(lambda c: report_store.expire(c, TERMS))
-        return campaigns, len(lost)
+        """Take back the leases that ran out; return the campaigns that are idle now, and how many leases."""
+        taken = self.run(lambda c: report_store.expire(c, TERMS))
+        return taken.campaigns, len(taken.lost) + len(taken.interrupted)
+
+    def begin_sweep(self, *, resuming: bool = False) -> Sweep | None:
+        """Begin a sweep of a coordinator that sweeps every second, with leases of 60 s."""
+        return self.run(
+            lambda c: outages.begin_sweep(c, lease_s=TERMS.lease_s, sweep_s=1.0, resuming=resuming)
+        )
+
+    def be_away(self, *, seconds: float) -> None:
+        """Let this time pass without a coordinator: leases end earlier, and so was the last sweep."""
+
+        def unit(connection: Connection) -> None:
+            for column in (JobRow.lease_expires_at, SweepRow.swept_at):
+                found = connection.execute(select(column.class_.id, column).where(column.is_not(None))).all()
+                for row_id, moment in found:
+                    change = update(column.class_).where(column.class_.id == row_id)
+                    connection.execute(change.values({column: moment - timedelta(seconds=seconds)}))
+
+        self.run(unit)
 
     def run_out(self, *jobs: LeasedJob) -> None:
         """Let leases run out and take them back."""

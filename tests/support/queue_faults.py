@@ -17,7 +17,7 @@ from typing import Final
 from sqlalchemy.exc import IntegrityError
 
 from brink.server.db.engine import Engines, open_engines
-from brink.server.queue import job_store, lease_policy, lease_store, report_store
+from brink.server.queue import job_store, lease_policy, lease_store, outages, report_store
 from support.databases import sqlite_template
 from support.queue_machine import QueueMachine, Step, replay, search
 
@@ -145,14 +145,14 @@ FAULTS = {
         report_store, 'return "duplicate"', 'return "stale"',
     ),
     "a failed job is lost": Fault(
-        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = False",
+        report_store, "retry = not outcome.final and times < row.max_attempts", "retry = False",
     ),
     "a failed job is tried for ever": Fault(
-        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = not outcome.final",
+        report_store, "retry = not outcome.final and times < row.max_attempts", "retry = not outcome.final",
     ),
     "a job that can never run is tried again": Fault(
-        report_store, "retry = not outcome.final and row.attempt < row.max_attempts",
-        "retry = row.attempt < row.max_attempts",
+        report_store, "retry = not outcome.final and times < row.max_attempts",
+        "retry = times < row.max_attempts",
     ),
     "failed jobs do not back off": Fault(
         report_store, '"wait_until": now + timedelta(seconds=wait_s) if retry else None', '"wait_until": None',
@@ -166,7 +166,8 @@ FAULTS = {
         report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)",
     ),
     "a late report is called stored": Fault(
-        report_store, 'connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})', "",
+        report_store, "losses=JobRow.losses + 1, lost_token=JobRow.lease_token, lease_token=None",
+        "losses=JobRow.losses + 1",
     ),
     "a result is not shared": Fault(
         report_store,
@@ -188,7 +189,40 @@ FAULTS = {
         "status=JobStatus.CANCELLED,",
     ),
     "a retry by hand has no attempts": Fault(
-        job_store, "max_attempts=JobRow.attempt + more_attempts", "max_attempts=JobRow.attempt",
+        job_store, "max_attempts=JobRow.attempt - JobRow.losses + more_attempts",
+        "max_attempts=JobRow.attempt - JobRow.losses",
+    ),
+    "a retry by hand has no losses": Fault(job_store, "max_losses=JobRow.losses + more_losses,", ""),
+    "a late result is not taken": Fault(
+        report_store, "rows |= _restore_lost(connection, rows, outcomes, now)", "",
+    ),
+    "a late result is taken after quarantine": Fault(
+        report_store, "and row.status == JobStatus.QUEUED and row.lost_token",
+        "and row.status != JobStatus.LEASED and row.lost_token",
+    ),
+    "a lost lease stays lost after its failure is reported": Fault(
+        report_store, "losses=JobRow.losses - case((JobRow.interrupted, 0), else_=1)", "losses=JobRow.losses",
+    ),
+    "a lost lease counts as a failed attempt": Fault(
+        report_store, "times = row.attempt - row.losses", "times = row.attempt",
+    ),
+    "a job loses its workers for ever": Fault(report_store, "retry = times < row.max_losses", "retry = True"),
+    "leases run out in an outage": Fault(outages, "if is_gap or resuming: extended", "if resuming: extended"),
+    "leases run out while a coordinator restarts": Fault(
+        outages, "if is_gap or resuming: extended", "if is_gap: extended",
+    ),
+    "a coordinator that restarts keeps leases for ever": Fault(
+        outages, "_SHORT if again else _NOT_YET_EXTENDED", "_SHORT",
+    ),
+    "an outage counts as a loss": Fault(outages, "interrupted=True", "interrupted=False"),
+    "a late result after an outage is a loss less": Fault(
+        report_store, "attempt=JobRow.attempt + case((JobRow.interrupted, 1), else_=0)", "attempt=JobRow.attempt",
+    ),
+    "a renewed lease is interrupted for ever": Fault(
+        lease_store, "lease_expires_at=expires, interrupted=False", "lease_expires_at=expires",
+    ),
+    "a new lease is interrupted from the start": Fault(
+        lease_store, "interrupted=False, not_before=None", "not_before=None",
     ),
 }  # fmt: skip
 """The faults, by what goes wrong."""

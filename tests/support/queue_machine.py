@@ -33,6 +33,7 @@ T = TypeVar("T")
 WORKERS = ("w1", "w2", "w3")
 NEEDS = ("faulty@1", "other@1")
 MAX_ATTEMPTS = 2
+MAX_LOSSES = 3
 MAX_JOBS = 24
 TURN = 4
 
@@ -64,7 +65,11 @@ class ModelJob:
     status: str = "queued"
     attempt: int = 0
     max_attempts: int = MAX_ATTEMPTS
+    losses: int = 0
+    max_losses: int = MAX_LOSSES
     token: str | None = None
+    lost_token: str | None = None
+    interrupted: bool = False
     worker: str | None = None
     failed_worker: str | None = None
     due: bool = True
@@ -168,12 +173,31 @@ class Model:
         for lease in granted:
             job = self.jobs[lease.job]
             job.status, job.attempt, job.token, job.worker = "leased", job.attempt + 1, lease.token, worker
+            job.lost_token, job.interrupted = None, False
 
     def fail(self, job: ModelJob, *, final: bool) -> None:
         """Take in a failed attempt."""
-        over = final or job.attempt >= job.max_attempts
+        self._end_attempt(job, over=final or job.attempt - job.losses >= job.max_attempts)
+
+    def run_out(self, job: ModelJob) -> None:
+        """Take in a lease that ran out."""
+        job.lost_token, job.token = job.token, None
+        if job.interrupted:
+            job.status, job.attempt, job.due = "queued", job.attempt - 1, True
+            return
+        job.losses += 1
+        self._end_attempt(job, over=job.losses >= job.max_losses)
+
+    def _end_attempt(self, job: ModelJob, *, over: bool) -> None:
         job.status, job.due = "quarantined" if over else "queued", over
-        job.failed_worker, job.worker = job.worker, None
+        job.failed_worker = job.worker
+
+    def restore(self, job: ModelJob) -> None:
+        """Take in that the worker of a lease that ran out is there after all."""
+        job.status, job.token, job.lost_token = "leased", job.lost_token, None
+        job.attempt += job.interrupted
+        job.losses -= not job.interrupted
+        job.interrupted = False
 
     def finish(self, job: ModelJob) -> None:
         """Take in a result: queued equal simulations reuse it."""
@@ -222,6 +246,7 @@ class QueueMachine(RuleBasedStateMachine):
         super().__init__()
         empty(self.engines)
         self.queue = Queue(engines=self.engines)
+        self.queue.begin_sweep()
         self.model = Model()
         self.leases: list[LeasedJob] = []
         self.history: list[Step] = []
@@ -236,7 +261,12 @@ class QueueMachine(RuleBasedStateMachine):
     )
     def submit(self, hashes: list[str], needs: str, priority: int, cache: bool) -> None:
         name = self.queue.campaign(
-            hashes, max_attempts=MAX_ATTEMPTS, needs=needs, priority=priority, cache=cache
+            hashes,
+            max_attempts=MAX_ATTEMPTS,
+            max_losses=MAX_LOSSES,
+            needs=needs,
+            priority=priority,
+            cache=cache,
         )
         campaign = ModelCampaign(name, priority, cache)
         known = {spec_hash: cache and self.model.known(spec_hash) for spec_hash in hashes}
@@ -374,6 +404,8 @@ class QueueMachine(RuleBasedStateMachine):
     def report_of(self, lease: LeasedJob, *, failed: bool, final: bool) -> None:
         """Report a job to the queue and to the model, and compare the answers."""
         job = self.model.jobs.get(lease.job)
+        if job is not None and job.status == "queued" and job.lost_token == lease.token:
+            self.model.restore(job)
         holds = job is not None and job.token == lease.token
         expected = (
             "stale" if job is None or not holds else "accepted" if job.status == "leased" else "duplicate"
@@ -404,17 +436,31 @@ class QueueMachine(RuleBasedStateMachine):
         job = self.model.jobs.get(lease.job)
         holds = job is not None and job.status == "leased" and job.token == lease.token
         assert self.queue.renew(lease) == ([lease.job] if holds else [])
+        if job is not None and holds:
+            job.interrupted = False
 
     @precondition(lambda self: self.running)
     @step(pick=PICK, waits=st.booleans())
     def run_out(self, pick: int, waits: bool) -> None:
         lease = picked(pick, self.running)
         self.queue.run_out(lease)
-        job = self.model.jobs[lease.job]
-        self.model.fail(job, final=False)
-        job.token = None
+        self.model.run_out(self.model.jobs[lease.job])
         if waits:
             self._end_backoffs()
+
+    @step(restarts=st.booleans())
+    def be_away(self, restarts: bool) -> None:
+        """No coordinator is there for an hour, or one restarts so fast that no sweep is missing."""
+        leased = [job for job in self.model.jobs.values() if job.status == "leased"]
+        extended = [job for job in leased if not (restarts and job.interrupted)]
+        if not restarts:
+            self.queue.be_away(seconds=3600)
+        begun = self.queue.begin_sweep(resuming=restarts)
+        assert begun is not None
+        assert begun.extended == len(extended)
+        assert self.queue.expire()[1] == 0, "a lease ran out in an outage"
+        for job in extended:
+            job.interrupted = True
 
     @step()
     def sweep(self) -> None:
@@ -442,7 +488,8 @@ class QueueMachine(RuleBasedStateMachine):
         assert job.status == "quarantined"
         assert not ended
         job.status, job.token, job.due = "queued", None, True
-        job.max_attempts = job.attempt + MAX_ATTEMPTS
+        job.max_attempts = job.attempt - job.losses + MAX_ATTEMPTS
+        job.max_losses = job.losses + MAX_LOSSES
 
     @precondition(lambda self: self.model.campaigns)
     @step(pick=PICK)
@@ -482,9 +529,13 @@ class QueueMachine(RuleBasedStateMachine):
 
     @invariant()
     def jobs_are_in_the_same_states(self) -> None:
-        rows = {row.id: (row.status, row.attempt, row.max_attempts) for row in self.queue.jobs()}
+        rows = {
+            row.id: (row.status, row.attempt, row.max_attempts, row.losses, row.max_losses)
+            for row in self.queue.jobs()
+        }
         assert rows == {
-            number: (job.status, job.attempt, job.max_attempts) for number, job in self.model.jobs.items()
+            number: (job.status, job.attempt, job.max_attempts, job.losses, job.max_losses)
+            for number, job in self.model.jobs.items()
         }
 
     @invariant()

@@ -109,6 +109,7 @@ def stale(stale_backend: Databases, request: pytest.FixtureRequest) -> Iterator[
 def hot(queue: Queue) -> None:
     """Do what workers do all the time."""
     jobs = queue.lease(max_jobs=4)
+    queue.run_out(jobs[0])  # its result is late
     demand = LeaseDemand(worker="w1", capabilities=(SIMULATOR,), max_jobs=4, terms=TERMS)
     outcomes = tuple(Outcome(job=job.job, token=job.token, result=RESULT) for job in jobs[:2])
     failed = (Outcome(job=jobs[2].job, token=jobs[2].token, result=None, error="crashed: boom"),)
@@ -119,17 +120,20 @@ def hot(queue: Queue) -> None:
 
 
 def periodic(queue: Queue) -> None:
-    """Do what the sweeper does, when two leases have run out and a worker is dead."""
+    """Do what the sweeper does: at first, and when two leases have run out and a worker is dead."""
     engines = queue.engines
     dead = WorkerIdentity(id="w3", host="here", pid=NO_PROCESS, machine=machine_name())
     queue.run(lambda connection: workers.record_contact(connection, dead, [SIMULATOR], done=0, failed=0))
     queue.lease("w3", max_jobs=1)
-    queue.end_leases(*queue.lease("w4", max_jobs=2))
+    interrupted, lost = queue.lease("w4", max_jobs=2)
     writer = Writer(engines.writer)
     settings = settings_for(engines.writer.url.render_as_string(hide_password=False))
     idle: list[str] = []
     service = QueueService(settings=settings, writer=writer, on_due=idle.extend)
     try:
+        asyncio.run(service.sweep())  # extends all leases: the coordinator has just started
+        queue.renew(lost)
+        queue.end_leases(interrupted, lost)
         asyncio.run(service.sweep())
     finally:
         writer.close()

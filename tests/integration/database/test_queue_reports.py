@@ -1,13 +1,15 @@
 """What becomes of reported outcomes: on SQLite and on Postgres."""
 
 import pytest
+from sqlalchemy import update
 from support.databases import on_sqlite
 from support.queue import RESULT, Queue
 
 from brink.server.campaigns import store
 from brink.server.campaigns.store import retry_job
 from brink.server.campaigns.traces import request_trace
-from brink.server.db.models import TraceRow
+from brink.server.db.models import JobRow, TraceRow
+from brink.server.db.sql import database_now
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue import report_store
 from brink.server.queue.report_store import Outcome
@@ -17,8 +19,8 @@ from brink.worker.wire import LeasedJob
 A, B = "a" * 64, "b" * 64
 
 
-def one_lease(queue: Queue, max_attempts: int = 3) -> LeasedJob:
-    queue.campaign(1, max_attempts=max_attempts)
+def one_lease(queue: Queue, max_attempts: int = 3, max_losses: int = 3) -> LeasedJob:
+    queue.campaign(1, max_attempts=max_attempts, max_losses=max_losses)
     (job,) = queue.lease()
     return job
 
@@ -61,13 +63,53 @@ def test_a_result_without_a_lease_is_stale(queue: Queue, change: dict[str, objec
     assert queue.job(job.job) == before
 
 
-def test_a_late_result_is_stale_while_its_job_waits(queue: Queue) -> None:
+def test_a_late_result_is_accepted_once_while_its_job_waits(queue: Queue) -> None:
     job = one_lease(queue)
     queue.run_out(job)
-    before = queue.job(job.job)
-    assert queue.complete(job) == ("stale",)
-    assert queue.fail(job) == ("stale",)
-    assert queue.job(job.job) == before
+    assert queue.complete(job, job) == ("accepted", "duplicate")
+    row = queue.job(job.job)
+    assert (row.status, row.result, row.attempt, row.losses) == ("done", RESULT, 1, 0)
+    assert queue.complete(job) == ("duplicate",)
+    assert queue.job(job.job) == row
+
+
+def test_a_late_failure_is_a_failed_attempt_and_no_loss(queue: Queue) -> None:
+    job = one_lease(queue, max_attempts=2)
+    queue.run_out(job)
+    assert queue.fail(job, error="crashed: boom") == ("accepted",)
+    row = queue.job(job.job)
+    assert (row.status, row.attempt, row.losses, row.last_error) == ("queued", 1, 0, "crashed: boom")
+    assert queue.fail(job) == ("duplicate",)
+    queue.end_backoffs()
+    queue.fail(*queue.lease("w2"))
+    assert queue.job(job.job).status == "quarantined"
+
+
+def test_a_late_result_finishes_equal_simulations_and_names_their_campaigns(queue: Queue) -> None:
+    first, second = queue.campaign([A]), queue.campaign([A])
+    (job,) = queue.lease()
+    queue.run_out(job)
+    report = queue.report(Outcome(job=job.job, token=job.token, result=RESULT))
+    assert (report.statuses, set(report.campaigns)) == (("accepted",), {first, second})
+    assert queue.states(first) == queue.states(second) == ["done"]
+
+
+def test_a_late_result_is_stale_when_an_equal_simulation_was_faster(queue: Queue) -> None:
+    queue.campaign([A, A])
+    (late,) = queue.lease()
+    queue.run_out(late)
+    (fast,) = queue.lease("w2")
+    assert fast.job != late.job
+    queue.complete(fast, result='{"fast":1}')
+    assert queue.complete(late) == ("stale",)
+    assert queue.job(late.job).result == '{"fast":1}'
+
+
+def test_a_late_result_is_taken_after_a_retry_by_hand(queue: Queue) -> None:
+    job = one_lease(queue, max_losses=1)
+    queue.run_out(job)
+    queue.retry(job.job)
+    assert queue.complete(job) == ("accepted",)
 
 
 def test_a_late_result_is_stale_while_another_worker_runs_its_job(queue: Queue) -> None:
@@ -83,7 +125,7 @@ def test_a_late_result_is_stale_while_another_worker_runs_its_job(queue: Queue) 
 
 
 def test_a_late_result_is_stale_after_quarantine(queue: Queue) -> None:
-    job = one_lease(queue, max_attempts=1)
+    job = one_lease(queue, max_losses=1)
     queue.run_out(job)
     assert queue.job(job.job).status == "quarantined"
     assert queue.complete(job) == ("stale",)
@@ -156,17 +198,53 @@ def test_a_failed_job_is_tried_again_until_quarantine(queue: Queue) -> None:
     assert queue.lease() == []
 
 
-def test_leases_that_run_out_end_in_quarantine_too(queue: Queue) -> None:
-    campaign = queue.campaign(1, max_attempts=2)
-    for _ in range(2):
-        queue.run_out(*queue.lease())
+def test_a_job_that_kills_each_of_its_workers_ends_in_quarantine(queue: Queue) -> None:
+    campaign = queue.campaign(1, max_attempts=2, max_losses=4)
+    for times in range(1, 5):
+        assert queue.states(campaign) == ["queued"]
+        queue.run_out(*queue.lease(f"w{times}"))
         queue.end_backoffs()
+    row = queue.jobs(campaign)[0]
+    assert (row.status, row.losses) == ("quarantined", 4)
+    assert row.last_error == (
+        "lease expired: worker w4 stopped responding, the 4th time that this job lost its worker: "
+        "does it kill its workers, or are they all stopped?"
+    )
+
+
+def test_losses_and_failed_attempts_are_counted_apart(queue: Queue) -> None:
+    campaign = queue.campaign(1, max_attempts=2, max_losses=3)
+    for loses in (True, True, False):
+        (job,) = queue.lease()
+        queue.run_out(job) if loses else queue.fail(job)
+        queue.end_backoffs()
+    row = queue.jobs(campaign)[0]
+    assert (row.status, row.attempt, row.losses) == ("queued", 3, 2)
+    queue.fail(*queue.lease())
     assert queue.states(campaign) == ["quarantined"]
-    assert queue.jobs(campaign)[0].last_error
+
+
+def test_backoffs_of_losses_do_not_add_to_those_of_failures(queue: Queue) -> None:
+    job = one_lease(queue, max_losses=9)
+    for _ in range(3):
+        queue.run_out(job)
+        queue.end_backoffs()
+        (job,) = queue.lease()
+    queue.fail(job)
+    wait_s = (queue.job(job.job).not_before - queue.run(database_now)).total_seconds()
+    assert wait_s == pytest.approx(10.0, abs=5.0)
+
+
+def test_a_job_that_is_lost_a_thousand_times_has_the_longest_backoff(queue: Queue) -> None:
+    job = one_lease(queue, max_losses=1000)
+    queue.run(lambda connection: connection.execute(update(JobRow).values(losses=998, attempt=999)))
+    queue.run_out(job)
+    wait_s = (queue.job(job.job).not_before - queue.run(database_now)).total_seconds()
+    assert wait_s == pytest.approx(report_store.MAX_BACKOFF_S, abs=5.0)
 
 
 def test_the_last_lease_to_run_out_names_the_campaign_whose_step_is_due(queue: Queue) -> None:
-    campaign = queue.campaign(1, max_attempts=1)
+    campaign = queue.campaign(1, max_losses=1)
     queue.lease(lease_s=-1.0)
     assert queue.expire() == ((campaign,), 1)
 
@@ -180,7 +258,7 @@ def test_a_sweep_takes_back_the_oldest_expired_leases(queue: Queue, monkeypatch:
     assert {queue.job(job.job).status for job in (*oldest, late[2])} == {"queued"}
     assert {queue.job(job.job).status for job in late[:2]} == {"leased"}
     assert queue.complete(*late[:2]) == ("accepted", "accepted"), "those still hold"
-    assert queue.complete(*oldest) == ("stale", "stale")
+    assert {queue.job(job.job).losses for job in oldest} == {1}
     assert queue.expire()[1] == 0
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sqlalchemy import func, select, text
-from support.api import FakeWorker, ball, coordinator, expect, finish, progress, submit
+from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, submit
 from support.databases import BACKENDS, Databases, databases_for, on_sqlite
 from support.marks import mostly_long
 from support.queue import Queue
@@ -36,9 +36,13 @@ def reached(wanted: int) -> Callable[[dict[str, Any]], bool]:
 
 def export(database: str, file: Path) -> tuple[str, str]:
     """Run a campaign and write it to a file; return its id and its digest."""
-    with coordinator(database) as client:
+    engines = open_engines(database)
+    with coordinator(database, sweep_s=0.05) as client:
         campaign = submit(client, ball(simulations=60))
+        Queue(engines=engines).end_leases(*FakeWorker(client, id="lost").lease(max_jobs=1))
+        eventually(lambda: progress(client, campaign)["leased"] == 0, "the lease runs out")
         digest = str(FakeWorker(client).work(campaign)["digest"])
+    engines.dispose()
     told = run("export", campaign[:4], "--out", str(file), "--database", database, "--json")
     assert told.exit_code == 0, told.output
     assert json.loads(told.stdout)["rows"]["solutions"] == 70
@@ -90,6 +94,7 @@ def test_import_equals_what_was_exported(
         assert run("export", campaign, "--out", str(again), "--database", elsewhere).exit_code == 0
         assert run("doctor", "--thorough", "--database", elsewhere).exit_code == 0
         assert members(again) == members(file)
+        assert members(file)["jobs.jsonl"].count(b'"losses":1') == 1
         with pytest.raises(Conflict, match="already exists"):
             run("import", str(file), "--database", elsewhere)
 

@@ -37,7 +37,7 @@ def _twice(target: Target) -> Iterable[Answer]:
     yield target.say("results", results(target.reported.job, target.reported.token, outcome_of(target.mine)))
 
 
-@row("a result after its lease expired", 200, says="stale")
+@row("a result after its lease expired and the job was leased again", 200, says="stale")
 def _late(target: Target) -> Iterable[Answer]:
     yield target.say("results", results(target.lost.job, target.lost.token, outcome_of(target.lost)))
 

@@ -31,6 +31,8 @@ def test_newer_fields_change_the_hash_only_if_they_are_set() -> None:
     assert parse_body(PLAIN).document_hash() == first
     assert parse_body({**PLAIN, "repeats": 0}).document_hash() == first
     assert parse_body({**PLAIN, "repeats": 5}).document_hash() != first
+    assert parse_body({**PLAIN, "execution": {"max_losses": 10}}).document_hash() == first
+    assert parse_body({**PLAIN, "execution": {"max_losses": 9}}).document_hash() != first
 
 
 def test_a_newer_setting_of_a_language_model_changes_the_hash_only_if_it_is_set() -> None:

@@ -10,7 +10,7 @@ import { callout, segments, sure, waitsFor, workerCommand } from "../parts/eleme
 const STATUSES = ["quarantined", "leased", "queued"];
 const WORDS = { quarantined: "In quarantine", leased: "Leased", queued: "Queued" };
 const HINTS = {
-  quarantined: "Jobs that failed at every attempt. Campaigns continue without them. Jobs of campaigns that have not ended can be retried.",
+  quarantined: "Jobs that failed at every attempt, or lost their worker too often. Campaigns continue without them. Jobs of campaigns that have not ended can be retried.",
   leased: "Jobs that a worker is running or will run next.",
   queued: "Jobs that wait for a worker. Jobs that failed before are leased alone.",
 };
@@ -224,7 +224,8 @@ function jobRow(first, steer, retry) {
     h("td.mono.small", null, first.needs), attempts, since, worker, h("td.errors", null, error), h("td.again", null, again, ended));
   node.update = (job) => {
     text(campaign, job.name);
-    text(attempts, `${job.attempt} of ${job.max_attempts}`);
+    const losses = job.losses ? `, ${job.losses} of ${job.max_losses} lost` : "";
+    text(attempts, `${job.counted_attempts} of ${job.max_attempts}${losses}`);
     text(worker, job.worker ?? "–");
     text(since, ago(job.finished_at ?? job.created_at, job.now));
     error.hidden = !job.last_error;

@@ -58,6 +58,7 @@ export async function show(main, context, { parts }) {
     figures.update({
       ...(campaign.looks_for_boundary ? { Fitness: figure(read.fitness) } : {}), Generation: count(read.generation), Origin: read.origin ? spaced(read.origin) : "–",
       Seed: String(read.seed), Attempts: count(read.attempts),
+      ...(read.losses ? { "Lost attempts": count(read.losses) } : {}),
     });
   }
 
