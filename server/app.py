@@ -103,6 +103,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.campaigns.close)
             await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
+            await loop.run_in_executor(None, context.decoding.shutdown)
             await loop.run_in_executor(None, context.figures.close)
             await loop.run_in_executor(None, context.scheduler.close)
             await loop.run_in_executor(None, context.queue.writer.close)
@@ -211,6 +212,7 @@ def _context(
         metrics=metrics,
         figures=Figures(SLOW_AT_ONCE, archives),
         drawing=drawing,
+        decoding=ThreadPoolExecutor(1, thread_name_prefix="brink-decode"),
     )
 
 

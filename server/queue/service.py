@@ -241,9 +241,8 @@ class QueueService:
         Raises:
             InvalidInput: A trace is not base64.
         """
-        outcomes = [
-            _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
-        ]
+        traced = any(isinstance(item.outcome, Completed) and item.outcome.trace for item in request.results)
+        outcomes = await asyncio.to_thread(_outcomes, request) if traced else _outcomes(request)
         contacts = [self._note_contact(request.worker, None)]
         draining = self._is_draining(request.worker)
         wanted = None if draining else request.lease
@@ -428,6 +427,15 @@ def _log_quarantined(attempts: Iterable[FailedAttempt]) -> None:
     for attempt in attempts:
         if attempt.final:
             log.info("job in quarantine", extra=attempt.log_fields)
+
+
+def _outcomes(request: ResultsRequest) -> list[Outcome]:
+    """Return the outcomes that a worker reports.
+
+    Raises:
+        InvalidInput: A trace is not base64.
+    """
+    return [_outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)]
 
 
 def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> Outcome:
