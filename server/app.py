@@ -39,6 +39,7 @@ from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
+from brink.server.campaigns.result_check import ResultCheck
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
 from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
@@ -178,8 +179,9 @@ def _context(
     wakeups = Wakeups()
     scheduler = Scheduler(engines, stepper, wakeups)
     queue = QueueService(
-        settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups
-    )
+        settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups,
+        check=ResultCheck(),
+    )  # fmt: skip
     campaigns = CampaignService(
         engines=engines,
         writer=writer,

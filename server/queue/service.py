@@ -21,7 +21,7 @@ from brink.server.metrics import Metrics
 from brink.server.queue import lease_store, report_store, workers
 from brink.server.queue.job_store import idle_campaigns
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
-from brink.server.queue.report_store import FailedAttempt, Outcome, Report
+from brink.server.queue.report_store import FailedAttempt, Outcome, Report, ResultCheck
 from brink.server.queue.wakeups import Wakeups
 from brink.server.settings import Settings
 from brink.worker.wire import (
@@ -62,6 +62,7 @@ class Exchange:
         outcomes: The reported outcomes.
         release: Leases given back.
         demand: The jobs wanted next, if any.
+        check: Refuses results that are of no use; None to store all.
     """
 
     terms: LeaseTerms
@@ -69,6 +70,7 @@ class Exchange:
     outcomes: tuple[Outcome, ...] = ()
     release: tuple[HeldLease, ...] = ()
     demand: LeaseDemand | None = None
+    check: ResultCheck | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +94,7 @@ def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list
         for record in exchange.contacts:
             record(connection)
     outcomes = [outcome for exchange in exchanges for outcome in exchange.outcomes]
-    stored, now = report_store.store_outcomes(connection, outcomes, exchanges[0].terms)
+    stored, now = report_store.store_outcomes(connection, outcomes, exchanges[0].terms, exchanges[0].check)
     released = [lease_store.release(connection, exchange.release) for exchange in exchanges]
     demands = [exchange.demand for exchange in exchanges if exchange.demand is not None]
     granted = lease_store.lease_together(connection, demands, now)
@@ -159,6 +161,7 @@ class QueueService:
     metrics: Metrics = field(default_factory=Metrics)
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
+    check: ResultCheck | None = None
     stopping: bool = False
     _workers: dict[str, _WorkerRecord] = field(default_factory=dict)
     _live: _LiveWorkers | None = None
@@ -252,6 +255,7 @@ class QueueService:
         exchange = Exchange(
             terms=terms, contacts=tuple(filter(None, contacts)), outcomes=tuple(outcomes),
             release=tuple(request.release), demand=_demand(wanted, terms) if wanted is not None else None,
+            check=self.check,
         )  # fmt: skip
         stored = await self.writer.write(BatchedUnit(run_exchanges, exchange))
         report, released, granted = stored.report, stored.released, stored.granted
@@ -301,13 +305,15 @@ class QueueService:
         record = self._workers.get(request.worker.id)
         for item, status in zip(request.results, report.statuses, strict=True):
             self.metrics.results.labels(status).inc()
-            if status != "accepted":
+            if status not in ("accepted", "invalid"):
                 continue
-            if not isinstance(item.outcome, Completed):
-                self.metrics.failures.labels(item.outcome.reason).inc()
+            done = status == "accepted" and isinstance(item.outcome, Completed)
+            if not done:
+                reason = "invalid-result" if isinstance(item.outcome, Completed) else item.outcome.reason
+                self.metrics.failures.labels(reason).inc()
             if record is not None:
-                record.done += isinstance(item.outcome, Completed)
-                record.failed += not isinstance(item.outcome, Completed)
+                record.done += done
+                record.failed += not done
 
     async def sweep(self) -> None:
         """Take back expired leases and forget workers that are gone."""
@@ -448,7 +454,8 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
                 raise InvalidInput(
                     [FieldError(pointer=f"/results/{index}/outcome/trace", message="expected base64")]
                 ) from None
-        return Outcome(job=job, token=token, result=outcome.model_dump_json(exclude={"trace"}), trace=trace)
+        result = outcome.model_dump_json(exclude={"trace"})
+        return Outcome(job=job, token=token, result=result, completed=outcome, trace=trace)
     reason, message = getattr(outcome, "reason", "error"), getattr(outcome, "message", "")
     error = f"{reason}: {message}".replace("\0", "�")  # Postgres text cannot contain NUL
     return Outcome(job=job, token=token, result=None, error=error, final=reason == "invalid")
