@@ -21,7 +21,7 @@ are not candidates, have no number, and are neither in the archive nor part of t
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -218,6 +218,17 @@ class Algorithm(Protocol):
             DocumentError: The document is corrupt, of another algorithm, or of an unknown version.
         """
         ...
+
+
+@runtime_checkable
+class NeedsObjectives(Protocol):
+    """An algorithm that cannot be told evaluations without certain objectives.
+
+    Attributes:
+        needed_objectives: Names of the objectives.
+    """
+
+    needed_objectives: ClassVar[tuple[str, ...]]
 
 
 @runtime_checkable

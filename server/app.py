@@ -39,6 +39,7 @@ from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
+from brink.server.campaigns.result_check import ResultCheck
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
 from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
@@ -103,6 +104,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.campaigns.close)
             await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
+            await loop.run_in_executor(None, context.decoding.shutdown)
             await loop.run_in_executor(None, context.figures.close)
             await loop.run_in_executor(None, context.scheduler.close)
             await loop.run_in_executor(None, context.queue.writer.close)
@@ -177,8 +179,9 @@ def _context(
     wakeups = Wakeups()
     scheduler = Scheduler(engines, stepper, wakeups)
     queue = QueueService(
-        settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups
-    )
+        settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups,
+        check=ResultCheck(),
+    )  # fmt: skip
     campaigns = CampaignService(
         engines=engines,
         writer=writer,
@@ -211,6 +214,7 @@ def _context(
         metrics=metrics,
         figures=Figures(SLOW_AT_ONCE, archives),
         drawing=drawing,
+        decoding=ThreadPoolExecutor(1, thread_name_prefix="brink-decode"),
     )
 
 

@@ -5,18 +5,28 @@ Every error has a JSON pointer to the field, what was expected, what was given, 
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+import reprlib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from brink.server.errors import FieldError, InvalidInput, nearest
 
 MAX_FILE_BYTES = 1024 * 1024
+MAX_VALUES = 100_000
+"""Maximum number of values in a YAML file."""
+MAX_ERRORS = 50
+"""Maximum number of invalid fields that are described; a person corrects the first ones and tries again."""
+MANY_ERRORS = 1_000
+"""Where there are more, none is described, since a document with so many was not written for this model."""
+LONGEST_SHOWN = 120
+"""Maximum number of characters of an invalid value in a message."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -25,6 +35,14 @@ class Body(BaseModel):
     """Base class of all request bodies: strict types, no unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_few_fields(cls, given: object) -> object:
+        """Reject a document with very many fields at once, rather than with an error for each."""
+        if isinstance(given, Mapping) and len(given) > MANY_ERRORS:
+            raise ValueError(f"expected at most {len(cls.model_fields)} fields, got {len(given)}")
+        return given
 
 
 def check_printable(text: str) -> str:
@@ -155,14 +173,18 @@ def _child(node: yaml.Node | None, part: str) -> tuple[yaml.Mark | None, yaml.No
     return None, None
 
 
-def parse_yaml(text: str) -> object:
+def parse_yaml(text: str, *, max_values: int = MAX_VALUES) -> object:
     """Parse YAML or JSON.
 
+    Args:
+        text: The text.
+        max_values: Maximum number of values in it.
+
     Raises:
-        InvalidInput: The text is not YAML.
+        InvalidInput: The text is not YAML, or has too many values.
     """
     try:
-        document: object = yaml.load(text, _Loader)
+        document = _Loader(text).read(max_values)
     except yaml.YAMLError as error:
         raise InvalidInput.at("", _yaml_problem(error)) from None
     except (ValueError, RecursionError) as error:  # an invalid date; unlimited nesting
@@ -172,16 +194,75 @@ def parse_yaml(text: str) -> object:
 
 
 class _Loader(yaml.SafeLoader):
-    """A YAML loader that rejects duplicate keys, of which YAML would silently use the last."""
+    """A YAML loader that rejects what would be misread, or would not fit into memory.
+
+    These are duplicate keys, of which YAML would silently use the last, and aliases of aliases, with which a few
+    lines stand for billions of values.
+    """
+
+    _max_values = MAX_VALUES
+    _values = 0
+
+    def read(self, max_values: int) -> object:
+        """Return the document.
+
+        Args:
+            max_values: Maximum number of its values.
+
+        Raises:
+            yaml.YAMLError: The text is not YAML, or has too many values.
+        """
+        self._max_values = max_values
+        try:
+            root = self.get_single_node()
+            if root is None:
+                return None
+            if _count_values(root, max_values, {}) > max_values:
+                raise self._too_many(root.start_mark)
+            document: object = self.construct_document(root)
+            return document
+        finally:
+            self.dispose()
+
+    def compose_node(self, parent: Any, index: Any) -> yaml.Node | None:
+        self._values += 1
+        if self._values > 2 * self._max_values:  # keys are nodes, too
+            raise self._too_many(self.get_mark())
+        node: yaml.Node | None = super().compose_node(parent, index)
+        return node
+
+    def _too_many(self, mark: yaml.Mark) -> yaml.YAMLError:
+        expected = f"expected at most {self._max_values} values, counting each alias as what it stands for"
+        return yaml.constructor.ConstructorError(None, None, expected, mark)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
         for key, _ in reversed(node.value):
-            if isinstance(key, yaml.ScalarNode) and key.value != "<<" and keys.count(key.value) > 1:
+            if isinstance(key, yaml.ScalarNode) and key.value != "<<" and counts[key.value] > 1:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"{key.value!r} is given twice", key.start_mark
                 )
         return super().construct_mapping(node, deep)
+
+
+def _count_values(node: yaml.Node, endless: int, known: dict[yaml.Node, int]) -> int:
+    """Return the number of values of a node, counting each alias as what it stands for.
+
+    Args:
+        node: The node.
+        endless: Count of a node that contains itself.
+        known: Counts of the nodes visited before, which is extended.
+    """
+    if node in known:
+        return known[node]
+    known[node] = endless
+    children: list[yaml.Node] = []
+    if isinstance(node, yaml.SequenceNode):
+        children = node.value
+    elif isinstance(node, yaml.MappingNode):
+        children = [one for _, one in node.value]
+    known[node] = 1 + sum(_count_values(one, endless, known) for one in children)
+    return known[node]
 
 
 def _yaml_problem(error: yaml.YAMLError) -> str:
@@ -202,18 +283,29 @@ def invalid_input(error: ValidationError, model: type[BaseModel], prefix: str = 
         model: The model that was violated.
         prefix: JSON pointer to the validated part of the document.
     """
-    return InvalidInput(_field_error(item, model, prefix) for item in error.errors(include_url=False))
+    if error.error_count() > MANY_ERRORS:
+        return InvalidInput.at(
+            prefix, f"expected a {model.__name__}, got {error.error_count()} invalid fields"
+        )
+    items = error.errors(include_url=False)
+    described = [_field_error(item, model, prefix) for item in items[:MAX_ERRORS]]
+    return InvalidInput([*described, *_not_described(len(items))])
 
 
-def field_errors(items: Iterable[Any], model: type[BaseModel] | None) -> list[FieldError]:
+def field_errors(items: Sequence[Any], model: type[BaseModel] | None) -> list[FieldError]:
     """Return a request's validation errors, whose locations start with ``body``, ``query`` or ``path``."""
     errors = []
-    for item in items:
+    for item in items[:MAX_ERRORS]:
         part, *location = item["loc"]
         body = part == "body"
         relative = {**item, "loc": tuple(location)}
         errors.append(_field_error(relative, (model if body else None) or Body, "" if body else f"/{part}"))
-    return errors
+    return errors + _not_described(len(items))
+
+
+def _not_described(count: int) -> list[FieldError]:
+    more = count - MAX_ERRORS
+    return [FieldError(pointer="", message=f"and {more} more invalid fields")] if more > 0 else []
 
 
 def _field_error(item: Any, model: type[BaseModel], prefix: str) -> FieldError:
@@ -235,16 +327,21 @@ def _field_error(item: Any, model: type[BaseModel], prefix: str) -> FieldError:
     if item["type"] in ("model_type", "model_attributes_type", "dict_type"):
         valid = sorted(_fields_at(model, location))
         fields = f" with {', '.join(valid)}" if valid else ""
-        message = f"expected a mapping{fields}, got {repr(item['input'])[:120]}"
+        message = f"expected a mapping{fields}, got {_shown(item['input'])}"
         return FieldError(pointer=pointer, message=message)
     message = item["msg"].removeprefix("Value error, ")
     valid = [str(value) for value in _literals(item)]
-    shown = repr(item.get("input"))
     return FieldError(
         pointer=pointer,
-        message=f"{message[0].lower()}{message[1:]}, got {shown[:120]}",
+        message=f"{message[0].lower()}{message[1:]}, got {_shown(item.get('input'))}",
         nearest=nearest(str(item.get("input")), valid) if valid else None,
     )
+
+
+def _shown(value: object) -> str:
+    """Return a value for a message, without writing out all of a large one."""
+    large = isinstance(value, dict | list | str) and len(value) > LONGEST_SHOWN
+    return (reprlib.repr(value) if large else repr(value))[:LONGEST_SHOWN]
 
 
 def _literals(item: Any) -> list[str]:

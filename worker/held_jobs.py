@@ -283,6 +283,9 @@ class HeldJobs:
             self._waiting = deque(job for job in self._waiting if _key(job) not in released)
             self._note_if_idle()
             for outcome, status in zip(report.outcomes, statuses, strict=True):
+                if status.status == "invalid":
+                    fields = {"job": outcome.leased.job, "attempt": outcome.leased.attempt}
+                    log.warning("the result lacks what its campaign needs", extra=fields)
                 if status.status == "stale":
                     fields = {"job": outcome.leased.job, "attempt": outcome.leased.attempt}
                     log.info("the lease was lost before the outcome arrived", extra=fields)

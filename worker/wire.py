@@ -212,8 +212,11 @@ class ResultStatus(Message):
 
     job: int
     status: Annotated[
-        Literal["accepted", "duplicate", "stale"],
-        Field(description="`duplicate`: already stored. `stale`: the lease was lost; nothing changed."),
+        Literal["accepted", "invalid", "duplicate", "stale"],
+        Field(
+            description="`invalid`: the result lacks what its campaign needs, so the attempt failed. `duplicate`: "
+            "already stored. `stale`: the lease was lost; nothing changed."
+        ),
     ]
 
 

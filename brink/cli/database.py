@@ -63,7 +63,7 @@ def doctor(
     thorough: Annotated[
         bool,
         typer.Option(
-            "--thorough", help="Read all checkpoints and distances as well, and recompute some distances."
+            "--thorough", help="Read all results, checkpoints and distances, and recompute some distances."
         ),
     ] = False,
     database: Database = None,

@@ -23,6 +23,7 @@ import numpy as np
 from brink.search.algorithm import Candidate, Evaluation, Origin, Proposal, Scored, SeedRequest
 from brink.search.algorithms.ledger import Ledger, LedgerAlgorithm, stored_rows
 from brink.search.algorithms.multi_objective import (
+    CRITICALITY,
     Child,
     MultiObjectiveConfig,
     MultiObjectiveState,
@@ -254,6 +255,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
     id = "mumoea@1"
     summary = "muMOEA: adaptive multi-objective search, seeded by patterns or a language model."
     config_type: type[Any] = MumoeaConfig
+    needed_objectives = (CRITICALITY,)
     layout = 3
 
     def _min_budget(self, space: SearchSpace, config: MumoeaConfig) -> int:

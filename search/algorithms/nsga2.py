@@ -16,6 +16,7 @@ import numpy as np
 from brink.search.algorithm import Evaluation, Origin
 from brink.search.algorithms.ledger import Ledger, LedgerAlgorithm
 from brink.search.algorithms.multi_objective import (
+    CRITICALITY,
     Child,
     MultiObjectiveConfig,
     MultiObjectiveState,
@@ -66,6 +67,7 @@ class Nsga2(LedgerAlgorithm[Nsga2Config, MultiObjectiveState]):
     id = "nsga2@1"
     summary = "NSGA-II: critical and diverse scenarios of scripted traffic, with fixed rates."
     config_type: type[Any] = Nsga2Config
+    needed_objectives = (CRITICALITY,)
     layout = 2
 
     def _min_budget(self, space: SearchSpace, config: Nsga2Config) -> int:

@@ -1,5 +1,6 @@
 """Routes of campaigns: submission, control, progress, the overview of all, and language-model calls."""
 
+import asyncio
 from collections.abc import Mapping
 from datetime import datetime
 from functools import partial
@@ -76,6 +77,9 @@ from brink.sim.catalogue import worker_for
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 
+MAX_FILE_VALUES = 10_000
+"""Maximum number of values in a campaign file that is checked here: parsing YAML takes long."""
+
 TagQuery = Annotated[
     list[Tag] | None,
     Query(max_length=MOST_TAGS, description="Only campaigns with this tag; with all of them, if repeated."),
@@ -129,9 +133,13 @@ async def check_campaign(
     services: Services,
 ) -> CampaignBody:
     """Validate a campaign file without submitting it; return the parsed campaign, or the errors of a submission."""
-    body = parse_body(parse_yaml(text))
+    body = await asyncio.get_running_loop().run_in_executor(services.decoding, _parsed_file, text)
     await services.campaigns.check(body)
     return body
+
+
+def _parsed_file(text: str) -> CampaignBody:
+    return parse_body(parse_yaml(text, max_values=MAX_FILE_VALUES))
 
 
 @router.get("")

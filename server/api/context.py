@@ -58,6 +58,8 @@ class Context:
     figures: Figures
     drawing: ThreadPoolExecutor
     """Threads for rendering: a video takes seconds, and nothing else should wait for it."""
+    decoding: ThreadPoolExecutor
+    """A thread for large messages: decoding one takes too long for the event loop, and several take much memory."""
 
 
 async def context_of(request: Request) -> Context:  # async: a thread switch would cost more than the lookup

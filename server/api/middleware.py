@@ -1,6 +1,5 @@
 """Middleware for every request: authentication, rate and size limits, security headers, metrics, access log."""
 
-import asyncio
 import logging
 import math
 import re
@@ -15,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from brink.server.access.authentication import Authenticator
 from brink.server.access.tokens import allows
+from brink.server.api.body_limits import LimitedBody, body_limit
 from brink.server.api.context import CALLER
 from brink.server.api.problem_details import problem
 from brink.server.api.service import FOLDER as DOCS_FOLDER
@@ -26,8 +26,6 @@ from brink.worker.log import log_fields
 OPEN_PATHS = ("/", "/healthz", "/readyz", "/docs", "/openapi.json")
 """Paths that need no token, since they reveal nothing about campaigns."""
 OPEN_FOLDERS = (f"{DOCS_FOLDER}/", f"{page.FOLDER}/")
-MIN_BODY_BYTES_PER_S = 10_000.0
-"""Average rate at which a body must arrive once it takes longer than the request timeout."""
 
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -51,7 +49,7 @@ class AccessMiddleware:
     Args:
         app: The inner application.
         authenticator: Checks tokens and rates; with None, everyone is served.
-        max_body_bytes: Largest accepted body.
+        max_body_bytes: Largest accepted body of any path; see `brink.server.api.body_limits`.
         stall_s: How long a body may take to arrive, unless it is large.
     """
 
@@ -124,27 +122,30 @@ class AccessMiddleware:
     async def _serve_limited(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = {name.lower(): value for name, value in scope["headers"]}
         length = headers.get(b"content-length", b"0")
-        if not length.isdigit() or int(length) > self._max_body_bytes:
-            await self._too_large(scope, receive, send)
+        limit = body_limit(scope["path"], self._max_body_bytes)
+        too_large = problem(413, "Body too large", limit.words())
+        if not length.isdigit() or int(length) > limit.max_bytes:
+            await too_large(scope, receive, send)
             return
-        body = _LimitedBody(receive, self._max_body_bytes, self._stall_s)
+        body = LimitedBody(receive, limit, self._stall_s)
+
+        started = False
 
         async def send_unless_cut(message: Message) -> None:
-            if not (body.exceeded or body.late):
+            nonlocal started
+            started = started or not (body.exceeded or body.late)
+            if started:
                 await send(message)
 
         await self._app(scope, body.receive, send_unless_cut)
+        if started:
+            return
         if body.exceeded:
-            await self._too_large(scope, receive, send)
+            await too_large(scope, receive, send)
         elif body.late:
             await problem(
                 408, "Request timeout", "the body took too long to arrive", headers={"Connection": "close"}
             )(scope, receive, send)
-
-    async def _too_large(self, scope: Scope, receive: Receive, send: Send) -> None:
-        await problem(413, "Body too large", f"expected at most {self._max_body_bytes} bytes")(
-            scope, receive, send
-        )
 
 
 def _unprintable_path(scope: Scope) -> Response | None:
@@ -163,40 +164,6 @@ def _rate_limited(wait_s: float) -> Response:
 
 def _is_open(path: str) -> bool:
     return path in OPEN_PATHS or path.startswith(OPEN_FOLDERS)
-
-
-class _LimitedBody:
-    """A request body that looks like a disconnect once it is too large or takes too long to arrive."""
-
-    def __init__(self, receive: Receive, max_bytes: int, stall_s: float) -> None:
-        self._receive = receive
-        self._max_bytes = max_bytes
-        self._received_bytes = 0
-        self._ended = False
-        self._began_s = time.monotonic()
-        self._stall_s = stall_s
-        self.late = False
-        """Whether the body took too long to arrive."""
-
-    @property
-    def exceeded(self) -> bool:
-        """Whether the body is larger than the limit."""
-        return self._received_bytes > self._max_bytes
-
-    async def receive(self) -> Message:
-        """Return the next part of the body; after the last one, wait for the client to disconnect."""
-        if self._ended:
-            return await self._receive()
-        due_s = self._began_s + self._stall_s + self._received_bytes / MIN_BODY_BYTES_PER_S
-        try:
-            async with asyncio.timeout(max(0.0, due_s - time.monotonic())):
-                message = await self._receive()
-        except TimeoutError:
-            self.late = True
-            return {"type": "http.disconnect"}
-        self._received_bytes += len(message.get("body", b""))
-        self._ended = not message.get("more_body", False)
-        return {"type": "http.disconnect"} if self.exceeded else message
 
 
 _READS: Final = frozenset({"GET", "HEAD"})

@@ -50,6 +50,7 @@ from brink.server.campaigns.plan import (
     vector_bytes,
 )
 from brink.server.campaigns.repeats import PlannedRepeats, plan_boundary_repeats, store_repeats
+from brink.server.campaigns.result_check import UNREADABLE, evaluate
 from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.step_store import (
     Asked,
@@ -65,11 +66,11 @@ from brink.server.db.writer import Writer, is_transient
 from brink.server.errors import Damaged, InvalidInput, Unavailable
 from brink.server.llm.settings import LlmSettings
 from brink.server.metrics import Metrics
-from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
+from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobOutcome, first_line
 from brink.server.queue.wakeups import Wakeups
-from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
+from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
 from brink.worker.wire import Completed
 
 FEW_FAILURES = 3
@@ -498,12 +499,9 @@ def _evaluations(
 def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> Evaluation:
     """Return the evaluation of a result; a result that the problem cannot read fails only its own candidate."""
     try:
-        outcome = Completed.model_validate_json(result)
-        if question is Question.DATASET:
-            assert isinstance(problem, MeasuresOnData)  # checked when the candidate was asked for
-            return problem.measurement(outcome)
-        return problem.evaluation(outcome)
-    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+        kind = JobKind.DATASET if question is Question.DATASET else JobKind.EPISODE
+        return evaluate(problem, kind, Completed.model_validate_json(result))
+    except UNREADABLE as error:
         return Failed(reason=f"error: the result cannot be evaluated: {type(error).__name__}: {error}")
 
 

@@ -98,7 +98,7 @@ class PluginChoice(Body):
         Field(min_length=1, max_length=100, examples=["urban-injected@1"]),
         AfterValidator(check_printable),
     ]
-    params: JsonValues = Field(default_factory=dict)
+    params: Annotated[JsonValues, Field(max_length=1_000)] = Field(default_factory=dict)
 
 
 class Budget(Body):

@@ -21,7 +21,13 @@ from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, DistanceBlockRow
 from brink.server.db.sql import database_now
 from brink.server.db.upgrade import current_revision, head_revision
-from brink.server.errors import ServerError
+from brink.server.errors import InvalidInput, ServerError
+from brink.server.operations.verification import (
+    Verification,
+    count_missing_jobs,
+    verify_counts,
+    verify_results,
+)
 from brink.server.queue import job_store
 from brink.server.queue.workers import list_workers
 from brink.server.settings import Settings
@@ -35,6 +41,9 @@ OVERDUE_S: Final = 30.0
 LEAST_FREE_BYTES: Final = 1 << 30
 SAMPLED_ROWS: Final = 64
 """Solutions of each campaign whose stored distances are verified."""
+VERIFIED_RESULTS: Final = 20_000
+"""Results that are evaluated again unless all are to be: these take a few seconds."""
+RESTORE: Final = "restore the database from a backup; what the search found since then rests on this"
 
 
 class State(StrEnum):
@@ -68,7 +77,7 @@ def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator
     Args:
         settings: The coordinator's settings.
         engines: Its database.
-        thorough: Also read all checkpoints and distances, and verify some distances by computing them again.
+        thorough: Also read all results, checkpoints and distances, and verify some distances by computing them again.
     """
     try:
         with engines.reader.connect() as connection:
@@ -91,6 +100,7 @@ def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator
         _leases,
         _jobs,
         _campaigns,
+        lambda connection: _results(connection, None if thorough else VERIFIED_RESULTS),
     ]
     if settings.sqlite_file is not None:
         checks.insert(0, lambda connection: _file(connection, settings))
@@ -185,6 +195,39 @@ def _campaigns(connection: Connection) -> Iterator[Finding]:
             select(func.count()).where(CampaignRow.status == CampaignStatus.RUNNING)
         ).scalar_one()
         yield Finding("campaigns", State.FINE, f"{running} running, none of them stuck")
+
+
+def _results(connection: Connection, limit: int | None) -> Iterator[Finding]:
+    """Look for solutions without jobs, and evaluate results again, those of the latest campaigns first.
+
+    Args:
+        connection: Sees one snapshot.
+        limit: Maximum number of results; None for all.
+    """
+    sound = True
+    for name, count, first in count_missing_jobs(connection):
+        sound = False
+        found = f"{name}: the jobs of {count} solutions are missing, the first of them of solution {first}"
+        yield Finding("results", State.WRONG, found, RESTORE)
+    verified = 0
+    names = connection.execute(select(CampaignRow.id).order_by(CampaignRow.created_at.desc())).scalars().all()
+    for name in names:
+        campaign = CAMPAIGNS.find(connection, name)
+        assert campaign is not None
+        wrong = verify_counts(connection, campaign)
+        try:
+            done = verify_results(connection, campaign, None if limit is None else limit - verified)
+        except InvalidInput as error:
+            advice = "install the plug-ins that the campaign was run with"
+            yield Finding("results", State.LOOK, f"{name} cannot be verified here: {error}", advice)
+            sound, done = False, Verification()
+        verified += done.verified
+        for words in filter(None, (wrong, str(done))):
+            sound = False
+            yield Finding("results", State.WRONG, f"{name}: {words}", RESTORE)
+    if sound:
+        rest = "" if limit is None or verified < limit else ", the newest; --thorough verifies all"
+        yield Finding("results", State.FINE, f"verdicts of {verified} solutions verified{rest}")
 
 
 def _stored(connection: Connection) -> Iterator[Finding]:

@@ -7,9 +7,9 @@ out until the job is granted again.
 
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from sqlalchemy import Connection, Row, bindparam, case, func, insert, select, update
 
@@ -19,6 +19,7 @@ from brink.server.db.types import UtcDateTime
 from brink.server.queue.job_store import IS_LEASED, idle_campaigns
 from brink.server.queue.lease_policy import LeaseTerms
 from brink.server.states import JobStatus
+from brink.worker.wire import Completed
 
 JobRecord: TypeAlias = Row[*tuple[Any, ...]]
 """Some columns of a job."""
@@ -95,6 +96,7 @@ class Outcome:
         job: Id of the job.
         token: Token of the lease.
         result: The completed episode as JSON, without its trace, or None if the attempt failed.
+        completed: The same, parsed.
         trace: The recorded trace, if any.
         error: Why the attempt failed.
         final: Whether another attempt would be pointless.
@@ -103,9 +105,18 @@ class Outcome:
     job: int
     token: str
     result: str | None
+    completed: Completed | None = None
     trace: bytes | None = None
     error: str = ""
     final: bool = False
+
+
+class ResultCheck(Protocol):
+    """Knows which results are of use to a campaign."""
+
+    def __call__(self, connection: Connection, campaign_id: str, kind: str, result: Completed) -> str | None:
+        """Return why a campaign cannot use a result of a job of the given kind, or None if it can."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +149,7 @@ class Report:
     """The result of storing outcomes.
 
     Attributes:
-        statuses: ``accepted``, ``duplicate`` or ``stale``, in the order of the outcomes.
+        statuses: ``accepted``, ``invalid``, ``duplicate`` or ``stale``, in the order of the outcomes.
         campaigns: The campaigns that have no open evaluation left.
         owners: The campaign of each known job.
         quarantined: The final attempts at jobs that went into quarantine.
@@ -166,7 +177,7 @@ class Expiry:
 
 
 def store_outcomes(
-    connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms
+    connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms, check: ResultCheck | None = None
 ) -> tuple[Report, datetime]:
     """Store the outcomes of jobs that nobody else holds; all others change nothing.
 
@@ -174,6 +185,7 @@ def store_outcomes(
         connection: In a write transaction.
         outcomes: What workers report.
         terms: Terms with the backoff of retries.
+        check: Refuses results that are of no use; their attempts have failed. None to store all results.
 
     Returns:
         The report, with the campaigns of all accepted outcomes, idle or not; and the database's time.
@@ -193,9 +205,13 @@ def store_outcomes(
     accepted: dict[int, Outcome] = {}
     for outcome in outcomes:
         status = _status_of(rows.get(outcome.job), outcome, outcome.job in accepted)
-        statuses.append(status)
         if status == "accepted":
+            reason = _invalid(connection, rows[outcome.job], outcome, check)
+            if reason is not None:
+                status = "invalid"
+                outcome = replace(outcome, result=None, trace=None, error=f"invalid result: {reason}")
             accepted[outcome.job] = outcome
+        statuses.append(status)
     done = {job: outcome.result for job, outcome in accepted.items() if outcome.result is not None}
     _finish(connection, done, now)
     _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
@@ -272,6 +288,15 @@ def _status_of(row: JobRecord | None, outcome: Outcome, reported_before: bool) -
     if row.status == JobStatus.LEASED and not reported_before:
         return "accepted"
     return "duplicate"
+
+
+def _invalid(
+    connection: Connection, row: JobRecord, outcome: Outcome, check: ResultCheck | None
+) -> str | None:
+    """Return why a result is refused, or None."""
+    if check is None or outcome.completed is None:
+        return None
+    return check(connection, row.campaign_id, row.kind, outcome.completed)
 
 
 def _finish(connection: Connection, done: Mapping[int, str], now: datetime) -> None:

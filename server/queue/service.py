@@ -22,7 +22,7 @@ from brink.server.queue import lease_store, outages, report_store, workers
 from brink.server.queue.job_store import idle_campaigns
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
 from brink.server.queue.outages import Sweep
-from brink.server.queue.report_store import Expiry, FailedAttempt, Outcome, Report
+from brink.server.queue.report_store import Expiry, FailedAttempt, Outcome, Report, ResultCheck
 from brink.server.queue.wakeups import Wakeups
 from brink.server.settings import Settings
 from brink.worker.wire import (
@@ -63,6 +63,7 @@ class Exchange:
         outcomes: The reported outcomes.
         release: Leases given back.
         demand: The jobs wanted next, if any.
+        check: Refuses results that are of no use; None to store all.
     """
 
     terms: LeaseTerms
@@ -70,6 +71,7 @@ class Exchange:
     outcomes: tuple[Outcome, ...] = ()
     release: tuple[HeldLease, ...] = ()
     demand: LeaseDemand | None = None
+    check: ResultCheck | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +95,7 @@ def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list
         for record in exchange.contacts:
             record(connection)
     outcomes = [outcome for exchange in exchanges for outcome in exchange.outcomes]
-    stored, now = report_store.store_outcomes(connection, outcomes, exchanges[0].terms)
+    stored, now = report_store.store_outcomes(connection, outcomes, exchanges[0].terms, exchanges[0].check)
     released = [lease_store.release(connection, exchange.release) for exchange in exchanges]
     demands = [exchange.demand for exchange in exchanges if exchange.demand is not None]
     granted = lease_store.lease_together(connection, demands, now)
@@ -179,6 +181,7 @@ class QueueService:
     metrics: Metrics = field(default_factory=Metrics)
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
+    check: ResultCheck | None = None
     stopping: bool = False
     _resuming: bool = True
     _workers: dict[str, _WorkerRecord] = field(default_factory=dict)
@@ -262,9 +265,8 @@ class QueueService:
         Raises:
             InvalidInput: A trace is not base64.
         """
-        outcomes = [
-            _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
-        ]
+        traced = any(isinstance(item.outcome, Completed) and item.outcome.trace for item in request.results)
+        outcomes = await asyncio.to_thread(_outcomes, request) if traced else _outcomes(request)
         contacts = [self._note_contact(request.worker, None)]
         draining = self._is_draining(request.worker)
         wanted = None if draining else request.lease
@@ -274,6 +276,7 @@ class QueueService:
         exchange = Exchange(
             terms=terms, contacts=tuple(filter(None, contacts)), outcomes=tuple(outcomes),
             release=tuple(request.release), demand=_demand(wanted, terms) if wanted is not None else None,
+            check=self.check,
         )  # fmt: skip
         stored = await self.writer.write(BatchedUnit(run_exchanges, exchange))
         report, released, granted = stored.report, stored.released, stored.granted
@@ -323,13 +326,15 @@ class QueueService:
         record = self._workers.get(request.worker.id)
         for item, status in zip(request.results, report.statuses, strict=True):
             self.metrics.results.labels(status).inc()
-            if status != "accepted":
+            if status not in ("accepted", "invalid"):
                 continue
-            if not isinstance(item.outcome, Completed):
-                self.metrics.failures.labels(item.outcome.reason).inc()
+            done = status == "accepted" and isinstance(item.outcome, Completed)
+            if not done:
+                reason = "invalid-result" if isinstance(item.outcome, Completed) else item.outcome.reason
+                self.metrics.failures.labels(reason).inc()
             if record is not None:
-                record.done += isinstance(item.outcome, Completed)
-                record.failed += not isinstance(item.outcome, Completed)
+                record.done += done
+                record.failed += not done
 
     async def sweep(self) -> None:
         """Take back leases that ran out, except after an outage, and forget workers that are gone."""
@@ -471,6 +476,15 @@ def _log_quarantined(attempts: Iterable[FailedAttempt]) -> None:
             log.info("job in quarantine", extra=attempt.log_fields)
 
 
+def _outcomes(request: ResultsRequest) -> list[Outcome]:
+    """Return the outcomes that a worker reports.
+
+    Raises:
+        InvalidInput: A trace is not base64.
+    """
+    return [_outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)]
+
+
 def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> Outcome:
     if isinstance(outcome, Completed):
         trace = None
@@ -481,7 +495,8 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
                 raise InvalidInput(
                     [FieldError(pointer=f"/results/{index}/outcome/trace", message="expected base64")]
                 ) from None
-        return Outcome(job=job, token=token, result=outcome.model_dump_json(exclude={"trace"}), trace=trace)
+        result = outcome.model_dump_json(exclude={"trace"})
+        return Outcome(job=job, token=token, result=result, completed=outcome, trace=trace)
     reason, message = getattr(outcome, "reason", "error"), getattr(outcome, "message", "")
     error = f"{reason}: {message}".replace("\0", "�")  # Postgres text cannot contain NUL
     return Outcome(job=job, token=token, result=None, error=error, final=reason == "invalid")

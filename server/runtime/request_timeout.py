@@ -1,15 +1,22 @@
 """HTTP/1.1 with a request timeout: connections whose request does not arrive in time are closed.
 
-The bodies of requests that are being served have their own timeout, in `brink.server.api.middleware`.
+The bodies of requests that are being served have their own timeout, in `brink.server.api.body_limits`.
+
+A response may be complete while the client still sends the body, for example if the body is too large. Closing a
+connection with unread data resets it, and clients that send everything before they read would never see the response.
+So the rest of the body is read and discarded for a limited time, as nginx does (``lingering_close``).
 """
 
 import asyncio
+from collections.abc import Callable
 from typing import ClassVar, Final
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 LINGER_S: Final = 5.0
-"""How long the rest of a body is discarded after an early response, so that the client can read the response."""
+"""Time limit for the next part of a body after the response."""
+MAX_LINGER_S: Final = 30.0
+"""Time limit for all of it."""
 MAX_HEAD_BYTES: Final = 64 * 1024
 _TOO_LARGE: Final = (
     b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
@@ -28,6 +35,8 @@ class TimeoutProtocol(HttpToolsProtocol):
     _head_open = False
     _head_bytes = 0
     _body_open = False
+    _discarding = False
+    _received_s = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the timer for the first request."""
@@ -36,6 +45,9 @@ class TimeoutProtocol(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Process data, then restart or stop the timer."""
+        self._received_s = self.loop.time()
+        if self._discarding:
+            return
         super().data_received(data)
         self._head_bytes = self._head_bytes + len(data) if self._head_open else 0
         if self._head_bytes > MAX_HEAD_BYTES and not self.transport.is_closing():
@@ -57,6 +69,8 @@ class TimeoutProtocol(HttpToolsProtocol):
         """Record that a head has ended."""
         self._head_open, self._body_open = False, True
         super().on_headers_complete()
+        if self.cycle is not None:
+            self.cycle.transport = _LingeringTransport(self.transport, self.close_after_response)
 
     def on_message_complete(self) -> None:
         """Record that a body has ended."""
@@ -68,8 +82,34 @@ class TimeoutProtocol(HttpToolsProtocol):
         super().on_response_complete()
         if self._head_open:
             self._update_timer()
-        if self._body_open:
-            self.loop.call_later(LINGER_S, self._close_unless_ended, self.cycle)
+        if self._body_open and not self._discarding:
+            self._linger(self.cycle, self.loop.time() + MAX_LINGER_S)
+
+    def close_after_response(self) -> None:
+        """Close the connection for the client to read; discard an unread body for a limited time before that."""
+        if not self._body_open:
+            self.transport.close()
+            return
+        self._discarding = True
+        self.flow.resume_reading()
+        if self.transport.can_write_eof():
+            self.transport.write_eof()
+        self._linger(self.cycle, self.loop.time() + MAX_LINGER_S)
+
+    def _linger(self, finished: object, end_s: float) -> None:
+        """Wait for the rest of a body; close the connection once it is overdue.
+
+        Args:
+            finished: The exchange that it belongs to.
+            end_s: When it must have ended, in the loop's time.
+        """
+        if self.transport.is_closing() or self.cycle is not finished or not self._body_open:
+            return
+        due_s = min(end_s, max(self._received_s, end_s - MAX_LINGER_S) + LINGER_S)
+        if self.loop.time() >= due_s:
+            self.transport.close()
+        else:
+            self.loop.call_at(due_s, self._linger, finished, end_s)
 
     def _update_timer(self) -> None:
         served = self.cycle is not None and not self.cycle.response_complete
@@ -83,9 +123,26 @@ class TimeoutProtocol(HttpToolsProtocol):
             self._timer.cancel()
             self._timer = None
 
-    def _close_unless_ended(self, finished: object) -> None:
-        if self.cycle is finished and self._body_open:
-            self.transport.close()
+
+class _LingeringTransport(asyncio.Transport):
+    """A transport as a response sees it, which ends the connection only after the client could read the response."""
+
+    def __init__(self, transport: asyncio.Transport, close: Callable[[], None]) -> None:
+        super().__init__()
+        self._transport = transport
+        self._close = close
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Send data."""
+        self._transport.write(data)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._close()
+
+    def is_closing(self) -> bool:
+        """Return whether the connection has ended or is about to."""
+        return self._transport.is_closing()
 
 
 def protocol_with_timeout(stall_s: float) -> type[TimeoutProtocol]:

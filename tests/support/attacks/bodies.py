@@ -35,7 +35,7 @@ def _huge_integers(target: Target) -> Iterable[Answer]:
             yield target.submit(_with(b'"simulations": 60', b'"simulations": ' + sign + b"9" * digits))
 
 
-@row("JSON nested 100,000 levels deep", 400, 422)
+@row("JSON nested 100,000 levels deep", 400, 413, 422)
 def _deep(target: Target) -> Iterable[Answer]:
     for inner in (
         b"[" * 100_000 + b"]" * 100_000,
@@ -147,6 +147,41 @@ def _endless(target: Target) -> Iterable[Answer]:
     yield target.ask("POST", CAMPAIGNS, "user", content=parts(), headers=headers)
 
 
+@row("a small body of very many values", 413, says="JSON values")
+def _many_values(target: Target) -> Iterable[Answer]:
+    for item in (b"1", b"{}", b"[]", b'"a"', b'{"a":1}'):
+        many = b"[" + b",".join([item] * 100_001) + b"]"
+        yield target.submit(many)
+        yield target.submit(_with(b'"ball@1"', b'"ball@1", "params": {"limit": ' + many + b"}"))
+        yield target.say("results", b'{"worker":{"id":"mine"},"results":' + many + b"}")
+        few = b"[" + b",".join([item] * 2_001) + b"]"
+        yield target.say("heartbeat", b'{"worker":{"id":"mine"},"leases":' + few + b"}")
+        yield target.say("lease", b'{"worker":{"id":"mine"},"capabilities":' + few + b"}")
+
+
+@row("very many unknown fields", 422, says="fields")
+def _many_fields(target: Target) -> Iterable[Answer]:
+    many = b", ".join(b'"f%d": 1' % number for number in range(90_000))
+    yield target.submit(BALL[:-1] + b", " + many + b"}")
+    yield target.submit(_with(b'"ball@1"', b'"ball@1", ' + many))
+    yield target.say("results", b'{"worker":{"id":"mine"},"results":[], ' + many + b"}")
+
+
+@row("very many unknown parameters", 422)
+def _many_parameters(target: Target) -> Iterable[Answer]:
+    many = b", ".join(b'"f%d": 1' % number for number in range(90_000))
+    yield target.submit(_with(b'"ball@1"', b'"ball@1", "params": {' + many + b"}"))
+
+
+@row("a campaign file whose aliases stand for billions of values", 422, says="alias")
+def _aliases(target: Target) -> Iterable[Answer]:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 9)}]" for level in range(1, 12)]
+    for text in ("\n".join(lines), "a: &a [*a]"):
+        headers = {"Content-Type": "application/yaml"}
+        yield target.ask("POST", f"{CAMPAIGNS}/check", "user", content=text.encode(), headers=headers)
+
+
 @row("a body shorter than its Content-Length", 408)
 def _lie(target: Target) -> Iterable[Answer]:
     yield target.send(HEAD + b"Content-Length: 5000\r\n\r\n" + BALL)
@@ -178,5 +213,6 @@ def _both(target: Target) -> Iterable[Answer]:
 
 BODIES: tuple[Attack, ...] = (
     _not_finite, _huge_integers, _deep, _twice, _no_json, _no_campaign, _unknown_fields, _types, _billions,
-    _content_types, _bomb, _too_long, _endless, _lie, _longer, _unended, _no_length, _both,
+    _content_types, _bomb, _too_long, _endless, _many_values, _many_fields, _many_parameters,
+    _aliases, _lie, _longer, _unended, _no_length, _both,
 )  # fmt: skip

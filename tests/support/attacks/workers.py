@@ -158,7 +158,26 @@ def _wishes(target: Target) -> Iterable[Answer]:
         yield target.say("results", results(job, "0" * 32, outcome_of(target.mine)))  # type: ignore[arg-type]
 
 
+@row("text or a truth value as a number from a worker", 422)
+def _no_numbers(target: Target) -> Iterable[Answer]:
+    for wrong in ("8", True, [8], {"$gt": 0}):
+        for field in ("max_jobs", "wait_s"):
+            yield target.say("lease", {**WANTED, field: wrong})
+        yield target.say("lease", {**WANTED, "worker": {"id": "mine", "pid": wrong}})
+        lease = {"job": wrong, "token": target.mine.token}
+        yield target.say("heartbeat", {"worker": {"id": "mine"}, "leases": [lease]})
+        yield target.say("results", {"worker": {"id": "mine"}, "results": [], "release": [lease]})
+        whole = outcome_of(target.mine)
+        verdict = {**whole["verdicts"]["distance@1"], "robustness": wrong}
+        for outcome in (
+            {**whole, "verdicts": {"distance@1": verdict}},
+            {**whole, "objectives": {"a": wrong}},
+        ):
+            yield target.say("results", results(target.mine.job, target.mine.token, outcome))
+
+
 WORKERS: tuple[Attack, ...] = (
     _forged, _another_jobs, _another_workers, _twice, _late, _nowhere, _heartbeat, _release, _not_finite,
     _no_result, _enormous, _no_base64, _enormous_trace, _odd_text, _identity, _wishes,
+    _no_numbers,
 )  # fmt: skip
