@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from support.api import FakeWorker, coordinator, expect, finish, listening_coordinator, progress, submit
 from support.databases import Databases
-from support.problems import NoParams, Slotted, small_problems
+from support.problems import Slotted, small_problems
 from typer.testing import CliRunner
 
 import brink
@@ -25,10 +25,12 @@ from brink.search.algorithm import Candidate, Evaluation, Question
 from brink.search.algorithms.simood import SimoodConfig
 from brink.search.archive import Archive, Neighbourhood, archive_digest
 from brink.search.slots import ChainGenome, Step
+from brink.search.space import Categorical
 from brink.server.api.findings import combinations_view
 from brink.server.api.schemas import Combinations, CombinationView
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
+from brink.server.problems.base import NoParams
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 SIMOOD = {
@@ -215,9 +217,12 @@ def slotted_alpha(chain: list[tuple[int, float]]) -> float:
 
 
 def test_added_harm_of_a_chain_is_how_much_worse_it_is_than_its_worst_part(finished: Finished) -> None:
-    names = [
-        gene.choices for gene in Slotted(NoParams()).space.components[1].parameters if gene.name == "gene_1"
+    genes = [
+        parameter
+        for parameter in Slotted(NoParams()).space.components[1].parameters
+        if isinstance(parameter, Categorical) and parameter.name == "gene_1"
     ]
+    names = [gene.choices for gene in genes]
     chains = finished.get("/combinations")["combinations"]
     assert finished.get("/combinations")["margin"] == 0.05
     explained = [one for one in chains if one["added_harm"] is not None]
