@@ -53,7 +53,7 @@ def test_health_needs_no_token(guarded: httpx.Client) -> None:
 
 
 def test_api_description_needs_neither_token_nor_internet(guarded: httpx.Client) -> None:
-    with httpx.Client(base_url=guarded.base_url) as stranger:
+    with httpx.Client(base_url=guarded.base_url, timeout=30.0) as stranger:
         assert "/api/v1/jobs/lease" in stranger.get("/openapi.json").json()["paths"]
         page = stranger.get("/docs").text
         files = re.findall(r'(?:src|href)="([^"]+)"', page)
