@@ -324,9 +324,10 @@ def test_a_worker_leases_only_jobs_that_it_can_run(coordinator: FakeCoordinator)
 
 
 def test_two_workers_share_a_queue(coordinator: FakeCoordinator) -> None:
-    for _ in range(30):
-        coordinator.add({"fault": "wait", "slow_s": 0.02})
     with running_worker(coordinator.url, worker_id="a"), running_worker(coordinator.url, worker_id="b"):
+        coordinator.wait_until(lambda c: {m.worker.id for m in c.served(LeaseRequest)} == {"a", "b"})
+        for _ in range(30):
+            coordinator.add({"fault": "wait", "slow_s": 0.02})
         coordinator.wait_for_all()
     pids = {o.provenance["pid"] for j in coordinator.jobs.values() if isinstance(o := j.outcome, Completed)}
     assert len(pids) == 2
