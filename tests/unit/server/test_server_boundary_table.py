@@ -26,7 +26,7 @@ def solution(number: int, **changes: Any) -> SolutionView:
     known: dict[str, Any] = {
         "number": number, "generation": 2, "verdict": SolutionVerdict.SAFE, "robustness": 0.5, "objectives": None,
         "failure": None, "origin": None, "fitness": 0.05, "neighbours": 40, "unsafe_neighbours": 4,
-        "interval": (0.04, 0.23), "seed": 2**52 + 1, "attempts": 1, "words": 'fog, "late", 3 s',
+        "interval": (0.04, 0.23), "seed": 2**52 + 1, "attempts": 1, "losses": 0, "words": 'fog, "late", 3 s',
         "outcome": "front gap held",
         "parameters": {"scenario": {"weather": "fog", "lanes": 2}, "behaviour": {"late_s": 3.25}},
         "verdicts": {"front-gap@1": {"robustness": 0.5, "unit": "m", "violated_at_s": None}},
