@@ -36,6 +36,8 @@ LEARNING_RATE: Final = 3e-3
 AVERAGE_DECAY: Final = 0.999
 """Decay of the moving average of all weights, which is the trained network."""
 PROGRESS_EVERY: Final = 500
+_FEWEST_STEPS: Final = 20
+"""The schedule of the learning rate divides by zero if its first tenth is a single step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,7 +122,7 @@ class _State:
         network = Network()
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] # the stubs lack it
         optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-4)
-        steps = max(1, settings.epochs * (settings.frames // BATCH))
+        steps = max(_FEWEST_STEPS, settings.epochs * (settings.frames // BATCH))
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimiser, LEARNING_RATE, total_steps=steps, pct_start=0.1
         )
