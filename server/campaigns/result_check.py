@@ -47,7 +47,7 @@ def evaluate(problem: Problem, kind: JobKind, result: Completed) -> Evaluation:
 
 @dataclass(slots=True)
 class ResultCheck:
-    """Checks the results of all campaigns; each is made from its document once."""
+    """Checks the results of all campaigns; keeps the plans of the last ones."""
 
     _plans: OrderedDict[str, Plan | None] = field(default_factory=OrderedDict)
     _lock: Lock = field(default_factory=Lock)
@@ -70,9 +70,7 @@ class ResultCheck:
             evaluation = evaluate(plan.problem, JobKind(kind), result)
         except UNREADABLE as error:
             return _reason(plan, result, error)
-        except (
-            Exception
-        ):  # a fault of a plug-in, which must not fail the results of others; the step reports it
+        except Exception:  # a plug-in's fault must not fail the results of others; the step reports it
             log.exception("result cannot be checked", extra={"campaign": campaign_id})
             return None
         if isinstance(evaluation, Scored) and isinstance(plan.algorithm, NeedsObjectives):
