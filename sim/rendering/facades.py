@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 import cv2
 import numpy as np
 
-from brink.sim.rendering.scene import Picture, Rgb, choose
+from brink.sim.rendering.scene import Picture, Rgb, choose, scaled
 from brink.sim.rendering.textures import Noise, smooth_noise
 
 PX_PER_M: Final = 22.0
@@ -107,10 +107,6 @@ def _fill(image: Picture, rect: _Rect, scale: float, rgb: Rgb) -> None:
         cv2.rectangle(image, corner, opposite, rgb, -1)
 
 
-def _scaled(rgb: Rgb, share: float) -> Rgb:
-    return rgb[0] * share, rgb[1] * share, rgb[2] * share
-
-
 @lru_cache(maxsize=160)
 def draw_facade(look: int, length_m: float, height_m: float, night: bool, front: bool) -> Picture:
     """Draw one side of a building as an image of shape ``(up, along, 3)``, with row 0 at the eaves.
@@ -202,7 +198,7 @@ def _wall_tile(style: int, shade: int) -> Picture:
     if style in _BRICK:
         _bricks(colour, rng, course=3, brick=8, mortar=(182, 172, 160))
     elif style in _STONE:
-        _bricks(colour, rng, course=12, brick=24, mortar=_scaled(_WALLS[style], 0.78))
+        _bricks(colour, rng, course=12, brick=24, mortar=scaled(_WALLS[style], 0.78))
     colour *= _plaster()
     return np.clip(colour, 0, 255).astype(np.uint8)
 
@@ -272,13 +268,13 @@ def _trim(wall: _Wall, length_m: float, height_m: float, ground_m: float, *, fro
     look = wall.look
     if front and choose(look, 51, 3) == 0:
         base = wall.pick(52, _WALLS)
-        wall.box((0.0, ground_m, length_m, height_m - ground_m), _scaled(base, 0.88))
+        wall.box((0.0, ground_m, length_m, height_m - ground_m), scaled(base, 0.88))
         for row in range(1, 6):
             wall.shade((0.0, ground_m + 0.5 * row, length_m, 0.06), 0.84)
     if choose(look, 53, 2) == 0:
         wall.box((0.0, ground_m, length_m, 0.16), _STONE_RGB)
         wall.shade((0.0, ground_m + 0.16, length_m, 0.09), 0.62)
-    wall.box((0.0, 0.0, length_m, 0.35), _scaled(_STONE_RGB, 0.96))
+    wall.box((0.0, 0.0, length_m, 0.35), scaled(_STONE_RGB, 0.96))
     wall.box((0.0, 0.0, length_m, 0.10), (84, 78, 74))
     wall.shade((0.0, 0.35, length_m, 0.22), 0.66)
     wall.shade((0.0, height_m - 0.55, length_m, 0.55), 0.66)
@@ -328,7 +324,7 @@ class _Panes:
         left, foot = x_m - half_m, sill_m + 0.45
         wall.shade((left, foot + 0.12, 2 * half_m, 0.5), 0.72)
         wall.shade((left, foot - 0.95, 2 * half_m, 0.95), 0.80)
-        wall.box((left, foot, 2 * half_m, 0.13), _scaled(_STONE_RGB, 0.9))
+        wall.box((left, foot, 2 * half_m, 0.13), scaled(_STONE_RGB, 0.9))
         rail = wall.pick(57, ((46, 46, 48), (196, 196, 194), (92, 74, 60)))
         for number in range(int(2 * half_m / 0.16) + 1):
             wall.box((left + 0.16 * number, foot - 0.95, 0.05, 0.95), rail)
@@ -360,7 +356,7 @@ def _window(
 ) -> tuple[Picture, Picture]:
     fine = scale * _FINE
     image = np.empty((size[1] * _FINE, size[0] * _FINE, 3), np.uint8)
-    image[:] = _scaled(_STONE_RGB, 0.94)
+    image[:] = scaled(_STONE_RGB, 0.94)
     glow = np.zeros_like(image)
     wide_m, high_m = size[0] / scale - 0.3, size[1] / scale - 0.3
     rgb = _FRAMES[frame]
@@ -368,7 +364,7 @@ def _window(
     _fill(image, (0.15, 0.19, wide_m, high_m - 0.06), fine, rgb)
     _fill(image, (0.0, high_m + 0.14, wide_m + 0.3, 0.09), fine, (214, 210, 202))
     _fill(image, (0.0, high_m + 0.23, wide_m + 0.3, 0.07), fine, (96, 92, 88))
-    light = _scaled(_LIT[int(rng.integers(len(_LIT)))], float(rng.uniform(0.5, 0.95)))
+    light = scaled(_LIT[int(rng.integers(len(_LIT)))], float(rng.uniform(0.5, 0.95)))
     left, top, right, bottom = (
         round(edge * fine) for edge in (0.22, 0.25, 0.22 + wide_m - 0.14, 0.25 + high_m - 0.19)
     )
@@ -381,7 +377,7 @@ def _window(
     for bar in bars:
         _fill(image, bar, fine, rgb)
         _fill(glow, bar, fine, (0, 0, 0))
-    _fill(image, (0.15, 0.19, wide_m, 0.07), fine, _scaled(rgb, 0.5))  # the lintel's shadow
+    _fill(image, (0.15, 0.19, wide_m, 0.07), fine, scaled(rgb, 0.5))  # the lintel's shadow
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
     return small, cv2.resize(glow, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
 
@@ -414,15 +410,15 @@ def _glaze(region: Picture, shine: Picture, rng: np.random.Generator, variant: i
 def _door(wall: _Wall, x_m: float, foot_m: float, height_m: float) -> None:
     rgb = wall.pick(49, _DOORS)
     top = foot_m - 2.42
-    wall.box((x_m - 0.72, top, 1.44, height_m), _scaled(_STONE_RGB, 0.98))
+    wall.box((x_m - 0.72, top, 1.44, height_m), scaled(_STONE_RGB, 0.98))
     wall.shade((x_m - 0.55, top + 0.16, 1.1, 0.05), 0.5)
-    wall.box((x_m - 0.54, top + 0.2, 1.08, height_m), _scaled(rgb, 0.55))
+    wall.box((x_m - 0.54, top + 0.2, 1.08, height_m), scaled(rgb, 0.55))
     wall.box((x_m - 0.5, top + 0.62, 1.0, height_m), rgb)
     wall.box((x_m - 0.46, top + 0.24, 0.92, 0.34), (74, 88, 98))
     _fill(wall.glow, (x_m - 0.46, top + 0.24, 0.92, 0.34), wall.scale, (150, 126, 84))
     for side in (-0.42, 0.06):
-        wall.box((x_m + side, top + 0.8, 0.36, 0.6), _scaled(rgb, 0.76))
-        wall.box((x_m + side, top + 1.55, 0.36, 0.7), _scaled(rgb, 0.76))
+        wall.box((x_m + side, top + 0.8, 0.36, 0.6), scaled(rgb, 0.76))
+        wall.box((x_m + side, top + 1.55, 0.36, 0.7), scaled(rgb, 0.76))
     wall.box((x_m + 0.40, top + 1.45, 0.06, 0.1), (206, 190, 140))
     wall.box((x_m - 0.85, foot_m + 0.02, 1.7, 0.25), (150, 148, 142))
     wall.shade((x_m - 0.85, foot_m + 0.12, 1.7, 0.14), 0.72)
@@ -432,10 +428,10 @@ def _shop(wall: _Wall, x_m: float, foot_m: float, wide_m: float, high_m: float) 
     """Draw a shop window with goods behind its glass."""
     left, top = x_m - wide_m / 2, foot_m - 0.35 - high_m
     rng = wall.rng
-    wall.box((left - 0.08, top - 0.08, wide_m + 0.16, high_m + 0.16), _scaled(wall.pick(47, _SHOPS), 0.7))
+    wall.box((left - 0.08, top - 0.08, wide_m + 0.16, high_m + 0.16), scaled(wall.pick(47, _SHOPS), 0.7))
     wall.box((left, top, wide_m, high_m), (56, 62, 66))
     wall.box((left, top, wide_m, 0.45 * high_m), (88, 102, 114))
-    light = _scaled(_LIT[int(rng.integers(len(_LIT)))], float(rng.uniform(0.5, 0.85)))
+    light = scaled(_LIT[int(rng.integers(len(_LIT)))], float(rng.uniform(0.5, 0.85)))
     lit = float(rng.random()) < 0.75
     if lit:
         _fill(wall.glow, (left, top, wide_m, high_m), wall.scale, light)
@@ -443,11 +439,11 @@ def _shop(wall: _Wall, x_m: float, foot_m: float, wide_m: float, high_m: float) 
         high, wide = float(rng.uniform(0.25, 0.8)), float(rng.uniform(0.15, 0.5))
         at = left + float(rng.uniform(0.05, max(wide_m - wide - 0.05, 0.06)))
         rgb = _GOODS[int(rng.integers(len(_GOODS)))]
-        wall.box((at, top + high_m - high, wide, high), _scaled(rgb, 0.62))
+        wall.box((at, top + high_m - high, wide, high), scaled(rgb, 0.62))
         if lit:
-            _fill(wall.glow, (at, top + high_m - high, wide, high), wall.scale, _scaled(rgb, 0.8))
-    wall.box((left + 0.48 * wide_m, top, 0.05, high_m), _scaled(wall.pick(47, _SHOPS), 0.8))
-    wall.box((left, foot_m - 0.33, wide_m, 0.3), _scaled(wall.pick(47, _SHOPS), 0.85))
+            _fill(wall.glow, (at, top + high_m - high, wide, high), wall.scale, scaled(rgb, 0.8))
+    wall.box((left + 0.48 * wide_m, top, 0.05, high_m), scaled(wall.pick(47, _SHOPS), 0.8))
+    wall.box((left, foot_m - 0.33, wide_m, 0.3), scaled(wall.pick(47, _SHOPS), 0.85))
 
 
 def _fascia(wall: _Wall, length_m: float, top_m: float) -> None:
@@ -466,7 +462,7 @@ def _fascia(wall: _Wall, length_m: float, top_m: float) -> None:
     if choose(wall.look, 59, 2) == 0:
         for number in range(int((length_m - 0.6) / 0.3)):
             cloth = rgb if number % 2 else (226, 222, 212)
-            wall.box((0.3 + 0.3 * number, top_m + 0.52, 0.3, 0.48), _scaled(cloth, 0.92))
+            wall.box((0.3 + 0.3 * number, top_m + 0.52, 0.3, 0.48), scaled(cloth, 0.92))
         wall.shade((0.3, top_m + 1.0, length_m - 0.6, 0.22), 0.55)
 
 
@@ -490,7 +486,7 @@ def _clutter(wall: _Wall, length_m: float, height_m: float) -> None:
 def _poster(wall: _Wall, rect: _Rect) -> None:
     left, top, wide, high = rect
     rng = wall.rng
-    wall.box(rect, _scaled(_POSTERS[int(rng.integers(len(_POSTERS)))], 0.9))
+    wall.box(rect, scaled(_POSTERS[int(rng.integers(len(_POSTERS)))], 0.9))
     wall.box(
         (left + 0.1 * wide, top + 0.12 * high, 0.8 * wide, 0.4 * high), _GOODS[int(rng.integers(len(_GOODS)))]
     )

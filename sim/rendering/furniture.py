@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Final, TypeAlias
 
-from brink.sim.rendering.scene import Furniture, FurnitureKind, Rgb, choose, choose_fraction
+from brink.sim.rendering.scene import Furniture, FurnitureKind, Rgb, choose, choose_fraction, scaled
 from brink.sim.rendering.solids import Face, Finish, Group, Mesh, Plane, make_mesh
 
 Point: TypeAlias = tuple[float, float, float]
@@ -91,13 +91,9 @@ def _circle(radius_m: float, count: int, wide: float = 1.0) -> list[tuple[float,
     return [(radius_m * math.cos(turn), wide * radius_m * math.sin(turn)) for turn in turns]
 
 
-def _dark(rgb: Rgb, by: float) -> Rgb:
-    return rgb[0] * by, rgb[1] * by, rgb[2] * by
-
-
 def _paint(look: int, question: int) -> Rgb:
     shade = 0.8 + 0.35 * choose_fraction(look, question + 1)
-    return _dark(_PAINTS[choose(look, question, len(_PAINTS))], shade)
+    return scaled(_PAINTS[choose(look, question, len(_PAINTS))], shade)
 
 
 def _add_wheels(parts: _Parts, hubs: tuple[float, float], radius: float, tyre: Rgb) -> None:
@@ -145,7 +141,7 @@ def _bicycle(item: Furniture, parts: _Parts) -> Plane:
         tube(start, end, rgb)
     if choose(item.look, 3, 2):
         tube((-0.2, 0.72 * item.height_m), head, rgb)
-    tube(hubs[1], (0.34, 0.94 * item.height_m), _dark(rgb, 0.8))
+    tube(hubs[1], (0.34, 0.94 * item.height_m), scaled(rgb, 0.8))
     tube((-0.38, 0.89 * item.height_m), (-0.14, 0.90 * item.height_m), tyre, 0.03)
     bar, half = 0.97 * item.height_m, 0.48 * item.width_m
     parts.sheet(
@@ -165,7 +161,7 @@ def _bin(item: Furniture, parts: _Parts) -> Plane:
         ring = _circle(0.86 * x, 8)
     parts.prism(ring, (0.0, 0.88 * high), rgb, narrow=1.14)
     parts.prism(
-        [(1.1 * a, 1.1 * b) for a, b in ring], (0.88 * high, high), _dark(rgb, 0.6), Group.CABIN, narrow=0.7
+        [(1.1 * a, 1.1 * b) for a, b in ring], (0.88 * high, high), scaled(rgb, 0.6), Group.CABIN, narrow=0.7
     )
     return (0.0, 0.0, 1.0), 0.88 * high
 
@@ -185,7 +181,7 @@ def _post_box(item: Furniture, parts: _Parts) -> Plane:
     radius, high = 0.5 * item.width_m, item.height_m
     parts.prism(_circle(0.94 * radius, 10), (0.0, 0.12 * high), (30, 30, 32))
     parts.prism(_circle(0.94 * radius, 10), (0.12 * high, 0.86 * high), rgb)
-    parts.prism(_circle(radius, 10), (0.86 * high, 0.93 * high), _dark(rgb, 0.85), Group.CABIN)
+    parts.prism(_circle(radius, 10), (0.86 * high, 0.93 * high), scaled(rgb, 0.85), Group.CABIN)
     parts.prism(_circle(radius, 10), (0.93 * high, high), rgb, Group.CABIN, narrow=0.55)
     for side in (1.0, -1.0):
         x = side * 0.95 * radius
@@ -213,7 +209,7 @@ def _sign(item: Furniture, parts: _Parts) -> Plane:
             for i in range(count)
         ]
         parts.faces.append(Face(plate, rgb, Group.DISCS, True, Finish.PAINT, px))
-        parts.faces.append(Face(plate[::-1], _dark(_STEEL, 1.2), Group.DISCS, True, Finish.PAINT, px))
+        parts.faces.append(Face(plate[::-1], scaled(_STEEL, 1.2), Group.DISCS, True, Finish.PAINT, px))
     if choose(item.look, 3, 2):
         low, wide = centre - half - 0.32, 0.8 * half
         words = [
@@ -230,7 +226,7 @@ def _meter(item: Furniture, parts: _Parts) -> Plane:
     """A parking meter or ticket machine: a post or a cabinet with a head of another colour, as tall as a person."""
     rgb, x, y, high = _paint(item.look, 1), 0.5 * item.length_m, 0.5 * item.width_m, item.height_m
     slim = 0.3 if choose(item.look, 3, 2) else 0.8
-    parts.box((-slim * x, -slim * y, 0.0), (slim * x, slim * y, 0.74 * high), _dark(rgb, 0.8))
+    parts.box((-slim * x, -slim * y, 0.0), (slim * x, slim * y, 0.74 * high), scaled(rgb, 0.8))
     parts.box((-x, -y, 0.74 * high), (x, y, high), rgb, Group.CABIN)
     face = [
         (x, -0.7 * y, 0.82 * high),
@@ -250,7 +246,7 @@ def _planter(item: Furniture, parts: _Parts) -> Plane:
     flower = _FLOWERS[choose(item.look, 5, len(_FLOWERS))]
     for number, (low, high, wide) in enumerate(((1.0, 1.5, 0.98), (1.5, 2.0, 0.7))):
         ring = [(x / y * a, b) for a, b in _circle(wide * y, 7)]
-        shade = _dark(leaves, 0.8 + 0.3 * number)
+        shade = scaled(leaves, 0.8 + 0.3 * number)
         parts.prism(ring, (low * rim, high * rim), shade, Group.CABIN, narrow=0.68)
     for number in range(7):
         turn, size = math.tau * choose_fraction(item.look, 20 + number), 0.05
@@ -267,7 +263,7 @@ def _planter(item: Furniture, parts: _Parts) -> Plane:
 
 def _bench(item: Furniture, parts: _Parts) -> Plane:
     x, y, seat = 0.5 * item.length_m, 0.5 * item.width_m, 0.5 * item.height_m
-    wood = _dark(_WOOD, 0.7 + 0.5 * choose_fraction(item.look, 1))
+    wood = scaled(_WOOD, 0.7 + 0.5 * choose_fraction(item.look, 1))
     for at in (-0.8, 0.8):
         parts.box((at * x - 0.03, -0.8 * y, 0.0), (at * x + 0.03, 0.8 * y, seat - 0.05), (48, 50, 52))
     for low, high in ((-1.0, -0.36), (-0.30, 0.36), (0.42, 1.0)):
@@ -280,7 +276,7 @@ def _bench(item: Furniture, parts: _Parts) -> Plane:
             (x, -y, high * seat),
             (-x, -y, high * seat),
         ]
-        parts.sheet(slat, _dark(wood, 0.9), Group.WHEELS)
+        parts.sheet(slat, scaled(wood, 0.9), Group.WHEELS)
     return (0.0, 0.0, 1.0), seat - 0.05
 
 

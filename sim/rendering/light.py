@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.rendering.scene import FloatArray, Light, Rgb
+from brink.sim.rendering.scene import FloatArray, Light, Rgb, scaled
 from brink.sim.rendering.view import View
 from brink.sim.world.scenario import TimeOfDay, Weather
 
@@ -118,19 +118,15 @@ def make_lighting(light: Light, seed: int) -> Lighting:
         sun_strength=sun_strength * dim,
         ambient_strength=ambient * dim,
         tint=np.array(tint),
-        haze_rgb=_scaled(haze, dim),
+        haze_rgb=scaled(haze, dim),
         haze_m=_HAZE_M[light.weather] * (0.8 if night else 1.0),
-        sky_top_rgb=_scaled(top, dim),
-        sky_low_rgb=_scaled(low_rgb, dim),
+        sky_top_rgb=scaled(top, dim),
+        sky_low_rgb=scaled(low_rgb, dim),
         cloud_cover=_CLOUDS.get(light.weather, 0.95),
-        cloud_rgb=_scaled(cloud, dim),
+        cloud_rgb=scaled(cloud, dim),
         shadow_strength=0.0 if night else ((0.36 if low else 0.46) if sunny else 0.08),
         wet=light.weather not in (Weather.CLEAR, Weather.CLOUDY),
         rain_intensity=rain,
         night=night,
         lights_on=night or rain > 0.5 or (low and not sunny),
     )
-
-
-def _scaled(rgb: Rgb, share: float) -> Rgb:
-    return rgb[0] * share, rgb[1] * share, rgb[2] * share

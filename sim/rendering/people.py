@@ -358,56 +358,61 @@ def _torso(look: int, broad: float, *, coat: bool, vest: bool) -> list[_Stack]:
 def _head(look: int, child: float) -> list[_Stack]:
     """Return neck, hair, face and, on some, a cap, a hood or long hair."""
     tall, wide = 0.066 * (1 + 0.25 * child), 0.0435 * (1 + 0.28 * child)
-    top = 1.0
-    middle = top - tall
+    middle = 1.0 - tall
     kind = choose(look, 28, 8)
-
-    def ball(
-        x: float, z: float, high: float, across: float, along: float, jaw: float = 1.0
-    ) -> tuple[tuple[float, float, float, float], ...]:
-        rings = []
-        for turn in np.linspace(0.12, math.pi - 0.12, _RINGS).tolist():
-            narrow = math.sin(turn) * (1.0 if math.cos(turn) > -0.2 else jaw)
-            rings.append((x, z + high * math.cos(turn) / math.cos(0.12), across * narrow, along * narrow))
-        return tuple(rings)
-
     neck = _rings((0.006, middle - 0.3 * tall, 0.030, 0.032), (0.003, 0.825, 0.033, 0.034))
-    skull = ball(-0.002, middle, tall, wide, 1.2 * wide, 0.86)
-    face = ball(0.014, middle - 0.18 * tall, 0.80 * tall, 0.90 * wide, 1.0 * wide, 0.82)
+    skull = _ball(-0.002, middle, tall, wide, 1.2 * wide, 0.86)
+    face = _ball(0.014, middle - 0.18 * tall, 0.80 * tall, 0.90 * wide, 1.0 * wide, 0.82)
     crown = _HAIR if kind != 7 else _SKIN
     stacks = [
         _Stack(neck, _SKIN, _HEAD, 16, nearer=-0.5),
         _Stack(skull, crown, _HEAD),
         _Stack(face, _SKIN, _HEAD, 12, nearer=0.004),
+        *_headwear(kind, tall, wide),
     ]
+    for side in (1.0, -1.0):
+        eye = _ball(0.014 + 0.80 * wide, middle - 0.02 * tall, 0.07 * tall, 0.13 * wide, 0.10 * wide)
+        stacks.append(_Stack(eye, _DARK, _HEAD, 110, False, (-1.0, 0.999), side * 0.42 * wide, 0.0))
+    mouth = _ball(0.014 + 0.80 * wide, middle - 0.58 * tall, 0.05 * tall, 0.3 * wide, 0.1 * wide)
+    stacks.append(_Stack(mouth, _DARK, _HEAD, 150, False, (-1.0, 0.999)))
+    return stacks
+
+
+def _headwear(kind: int, tall: float, wide: float) -> list[_Stack]:
+    """Return long hair (kinds 0 and 1), a cap (2, with a brim, and 3), a hood (4) or nothing."""
+    top, middle = 1.0, 1.0 - tall
     if kind in (0, 1):
         long = _rings(
             (-0.008, middle + 0.4 * tall, 0.96 * wide, 0.9 * wide),
             (-0.016, middle - 0.3 * tall, 1.12 * wide, 0.9 * wide),
             (-0.022, 0.86, 1.1 * wide, 0.8 * wide), (-0.026, 0.80 - 0.05 * kind, 0.8 * wide, 0.6 * wide),
         )  # fmt: skip
-        stacks.append(_Stack(long, _HAIR, _HEAD, 18, nearer=0.002))
-    elif kind in (2, 3):
+        return [_Stack(long, _HAIR, _HEAD, 18, nearer=0.002)]
+    if kind in (2, 3):
+        low = top - 0.78 * tall
         cap = _rings(
             (-0.002, top, 0.5 * wide, 0.5 * wide), (-0.002, top - 0.16 * tall, 0.86 * wide, 1.04 * wide),
-            (0.0, top - 0.45 * tall, 1.04 * wide, 1.26 * wide), (0.0, top - 0.78 * tall, 1.05 * wide, 1.26 * wide),
+            (0.0, top - 0.45 * tall, 1.04 * wide, 1.26 * wide), (0.0, low, 1.05 * wide, 1.26 * wide),
         )  # fmt: skip
-        stacks.append(_Stack(cap, _HAT, _HEAD, 14, nearer=0.03))
-        if kind == 2:
-            low = top - 0.78 * tall
-            brim = _rings(
-                (0.040, low + 0.006, 0.9 * wide, 0.9 * wide), (0.052, low - 0.012, 0.8 * wide, 0.8 * wide)
-            )
-            stacks.append(_Stack(brim, _HAT, _HEAD, 40, nearer=0.031))
-    elif kind == 4:
-        hood = ball(-0.010, middle - 0.02 * tall, 1.0 * tall, 1.22 * wide, 1.32 * wide)
-        stacks.append(_Stack(hood, _TOP, _HEAD, 14, nearer=0.001))
-    for side in (1.0, -1.0):
-        eye = ball(0.014 + 0.80 * wide, middle - 0.02 * tall, 0.07 * tall, 0.13 * wide, 0.10 * wide)
-        stacks.append(_Stack(eye, _DARK, _HEAD, 110, False, (-1.0, 0.999), side * 0.42 * wide, 0.0))
-    mouth = ball(0.014 + 0.80 * wide, middle - 0.58 * tall, 0.05 * tall, 0.3 * wide, 0.1 * wide)
-    stacks.append(_Stack(mouth, _DARK, _HEAD, 150, False, (-1.0, 0.999)))
-    return stacks
+        brim = _rings(
+            (0.040, low + 0.006, 0.9 * wide, 0.9 * wide), (0.052, low - 0.012, 0.8 * wide, 0.8 * wide)
+        )
+        stacks = [_Stack(cap, _HAT, _HEAD, 14, nearer=0.03)]
+        return stacks if kind == 3 else [*stacks, _Stack(brim, _HAT, _HEAD, 40, nearer=0.031)]
+    if kind == 4:
+        hood = _ball(-0.010, middle - 0.02 * tall, 1.0 * tall, 1.22 * wide, 1.32 * wide)
+        return [_Stack(hood, _TOP, _HEAD, 14, nearer=0.001)]
+    return []
+
+
+def _ball(
+    x: float, z: float, high: float, across: float, along: float, jaw: float = 1.0
+) -> tuple[tuple[float, float, float, float], ...]:
+    rings = []
+    for turn in np.linspace(0.12, math.pi - 0.12, _RINGS).tolist():
+        narrow = math.sin(turn) * (1.0 if math.cos(turn) > -0.2 else jaw)
+        rings.append((x, z + high * math.cos(turn) / math.cos(0.12), across * narrow, along * narrow))
+    return tuple(rings)
 
 
 def _skirt(look: int, broad: float, *, coat: bool) -> list[_Stack]:

@@ -29,10 +29,7 @@ IdMask: TypeAlias = NDArray[np.int32]
 MAX_SIDE_PX = 8192
 MAX_ID = 2**31 - 1
 
-
 Rgb: TypeAlias = tuple[float, float, float]
-
-
 Coverage: TypeAlias = NDArray[np.uint8]
 
 
@@ -376,6 +373,11 @@ def choose(look: int, question: int, count: int) -> int:
 def choose_fraction(look: int, question: int) -> float:
     """Return a pseudo-random number in [0, 1) that depends only on the look and the question."""
     return choose(look, question, 4096) / 4096
+
+
+def scaled(rgb: Rgb, share: float) -> Rgb:
+    """Return a darker colour, or a lighter one if `share` is above 1."""
+    return rgb[0] * share, rgb[1] * share, rgb[2] * share
 
 
 def footprint(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: float) -> FloatArray:

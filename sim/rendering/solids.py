@@ -175,7 +175,19 @@ def draw_meshes(
     shown = shown[np.argsort(_ranks(meshes, eyes, owner)[shown], kind="stable")]
     owner, towards, normals = owner[shown], towards[shown], normals[shown]
     sight = towards / np.maximum(np.sqrt(np.einsum("ij,ij->i", towards, towards)), 1e-9)[:, None]
-    rgb = _shade(placed, meshes, shown, owner, normals, sight, cosine, sine, lighting, lit)
+    facing = np.einsum("ij,ij->i", normals, sight)
+    sun_x = lighting.sun[0] * cosine + lighting.sun[1] * sine
+    sun_y = lighting.sun[1] * cosine - lighting.sun[0] * sine
+    surface = _Surface(
+        owner=owner,
+        finish=np.concatenate([mesh.finish for mesh in meshes])[shown],
+        rgb=np.concatenate([mesh.rgb for mesh in meshes])[shown],
+        normals=normals,
+        facing=facing,
+        mirrored=2.0 * facing[:, None] * normals - sight,
+        sun=np.stack((sun_x, sun_y, np.full(len(placed), lighting.sun[2])), 1)[owner],
+    )
+    rgb = surface.shaded(placed, lighting, lit)
     haze = lighting.haze(ahead)[owner][:, None]
     rgb = np.clip(rgb * (1 - haze) + np.array(lighting.haze_rgb) * haze, 0, 255)
     return _strokes(meshes, seen, shown, owner, rgb, view)
@@ -215,62 +227,74 @@ def _seen(
 _GROUND_RGB: Final = 70.0
 
 
-def _shade(
-    placed: Sequence[PlacedMesh],
-    meshes: list[Mesh],
-    shown: NDArray[np.int64],
-    owner: NDArray[np.int64],
-    normals: FloatArray,
-    sight: FloatArray,
-    cosine: FloatArray,
-    sine: FloatArray,
-    lighting: Lighting,
-    lit: FloatArray,
-) -> FloatArray:
-    """Return the colours of the visible faces under the light, shape ``(shown, 3)``.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Surface:
+    """The visible faces of all models, each in the coordinates of its model.
 
-    Paint and glass are glossy: they mirror the sky or the ground, most at a grazing angle, and the sun.
+    Attributes:
+        owner: Index of each face's model, shape ``(n,)``.
+        finish: Finish of each face, shape ``(n,)``.
+        rgb: Colours, shape ``(n, 3)``.
+        normals: Unit vectors, shape ``(n, 3)``.
+        facing: Cosine between normal and sight, shape ``(n,)``.
+        mirrored: Unit vectors of the sight as the face mirrors it, shape ``(n, 3)``.
+        sun: Direction of the sun, shape ``(n, 3)``.
     """
-    facing = np.einsum("ij,ij->i", normals, sight)
-    finish = np.concatenate([mesh.finish for mesh in meshes])[shown]
-    rgb = np.concatenate([mesh.rgb for mesh in meshes])[shown]
-    sun_x = lighting.sun[0] * cosine + lighting.sun[1] * sine
-    sun_y = lighting.sun[1] * cosine - lighting.sun[0] * sine
-    to_sun = normals[:, 0] * sun_x[owner] + normals[:, 1] * sun_y[owner] + normals[:, 2] * lighting.sun[2]
-    from_sky = 0.80 + 0.22 * normals[:, 2]
-    share = lighting.ambient_strength * from_sky + lighting.sun_strength * np.maximum(to_sun, 0.0)
-    share = share + lit[owner] * (0.25 + 0.75 * facing) * 0.9
-    share = np.where(
-        finish == Finish.FLAT, 0.5 * share + 0.25 * (lighting.ambient_strength + lit[owner]), share
-    )
-    shaded = rgb * share[:, None] * lighting.tint
-    mirrored = 2.0 * facing[:, None] * normals - sight
-    to_sun = mirrored[:, 0] * sun_x[owner] + mirrored[:, 1] * sun_y[owner] + mirrored[:, 2] * lighting.sun[2]
-    glint = 150.0 * lighting.sun_strength * np.maximum(to_sun, 0.0) ** 14
-    paint, glass = finish == Finish.PAINT, finish == Finish.GLASS
-    gloss = 0.05 + 0.34 * (1 - facing[paint, None]) ** 3
-    ground = _GROUND_RGB * (lighting.ambient_strength + 0.5 * lighting.sun_strength)
-    around = np.where(mirrored[paint, 2:] > 0, np.array(lighting.sky_low_rgb), ground)
-    shaded[paint] += (around - shaded[paint]) * gloss
-    shaded[paint | glass] += glint[paint | glass, None]
-    sky = np.array(lighting.sky_low_rgb)
-    sheen = (
-        np.clip(0.10 + 0.30 * normals[glass, 2], 0.06, 0.34)[:, None]
-        + 0.18 * (1 - facing[glass])[:, None] ** 2
-    )
-    shaded[glass] = shaded[glass] * (1 - sheen) + sky * sheen
-    braking = np.array([item.braking for item in placed])[owner]
-    tail, lamp, third = finish == Finish.TAIL, finish == Finish.LAMP, finish == Finish.BRAKE
-    if lighting.lights_on:
-        driven = np.array([not item.parked for item in placed])[owner]
-        lamp &= driven
-        tail &= driven
-        shaded[lamp] = (255, 250, 232)
-        shaded[tail] = np.maximum(shaded[tail], (176, 22, 20))
-    shaded[tail & braking] = (255, 56, 44)
-    shaded[third & braking] = (255, 48, 40)
-    result: FloatArray = shaded
-    return result
+
+    owner: NDArray[np.int64]
+    finish: NDArray[np.int64]
+    rgb: FloatArray
+    normals: FloatArray
+    facing: FloatArray
+    mirrored: FloatArray
+    sun: FloatArray
+
+    def shaded(self, placed: Sequence[PlacedMesh], lighting: Lighting, lit: FloatArray) -> FloatArray:
+        """Return the colours of the faces under the light, shape ``(n, 3)``."""
+        rgb = self._diffuse(lighting, lit)
+        self._add_reflections(rgb, lighting)
+        self._switch_lamps(rgb, placed, lighting)
+        return rgb
+
+    def _diffuse(self, lighting: Lighting, lit: FloatArray) -> FloatArray:
+        from_sky = 0.80 + 0.22 * self.normals[:, 2]
+        to_sun = np.maximum(_dot(self.normals, self.sun), 0.0)
+        share = lighting.ambient_strength * from_sky + lighting.sun_strength * to_sun
+        share = share + lit[self.owner] * (0.25 + 0.75 * self.facing) * 0.9
+        flat = 0.5 * share + 0.25 * (lighting.ambient_strength + lit[self.owner])
+        share = np.where(self.finish == Finish.FLAT, flat, share)
+        diffuse: FloatArray = self.rgb * share[:, None] * lighting.tint
+        return diffuse
+
+    def _add_reflections(self, rgb: FloatArray, lighting: Lighting) -> None:
+        """Let paint and glass mirror the sun and the sky or the ground, most at a grazing angle."""
+        paint, glass = self.finish == Finish.PAINT, self.finish == Finish.GLASS
+        glint = 150.0 * lighting.sun_strength * np.maximum(_dot(self.mirrored, self.sun), 0.0) ** 14
+        gloss = 0.05 + 0.34 * (1 - self.facing[paint, None]) ** 3
+        ground = _GROUND_RGB * (lighting.ambient_strength + 0.5 * lighting.sun_strength)
+        sky = np.array(lighting.sky_low_rgb)
+        around = np.where(self.mirrored[paint, 2:] > 0, sky, ground)
+        rgb[paint] += (around - rgb[paint]) * gloss
+        rgb[paint | glass] += glint[paint | glass, None]
+        steep = np.clip(0.10 + 0.30 * self.normals[glass, 2], 0.06, 0.34)[:, None]
+        sheen = steep + 0.18 * (1 - self.facing[glass])[:, None] ** 2
+        rgb[glass] = rgb[glass] * (1 - sheen) + sky * sheen
+
+    def _switch_lamps(self, rgb: FloatArray, placed: Sequence[PlacedMesh], lighting: Lighting) -> None:
+        braking = np.array([item.braking for item in placed])[self.owner]
+        tail, third = self.finish == Finish.TAIL, self.finish == Finish.BRAKE
+        if lighting.lights_on:
+            driven = np.array([not item.parked for item in placed])[self.owner]
+            tail &= driven
+            rgb[(self.finish == Finish.LAMP) & driven] = (255, 250, 232)
+            rgb[tail] = np.maximum(rgb[tail], (176, 22, 20))
+        rgb[tail & braking] = (255, 56, 44)
+        rgb[third & braking] = (255, 48, 40)
+
+
+def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
+    product: FloatArray = first[:, 0] * second[:, 0] + first[:, 1] * second[:, 1] + first[:, 2] * second[:, 2]
+    return product
 
 
 _MARGIN: Final = 2 << SHIFT

@@ -6,14 +6,16 @@ A vehicle fills its box: it touches the full length, width and height, and the g
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
-from brink.sim.rendering.scene import Rgb, choose, choose_fraction
+from brink.sim.rendering.scene import Rgb, choose, choose_fraction, scaled
 from brink.sim.rendering.solids import Face, Finish, Group, Mesh, make_mesh, unit_normal
 
-Point = tuple[float, float, float]
+Point: TypeAlias = tuple[float, float, float]
+Part: TypeAlias = tuple[float, float, float, float]
+"""A part of a quadrilateral, as shares: left, right, bottom, top."""
 
 _GLASS: Final[Rgb] = (34, 42, 50)
 _RUBBER: Final[Rgb] = (24, 24, 25)
@@ -98,10 +100,10 @@ class _VehicleBuilder:
             faces.append(self._face(outline, self.paint, Group.LOWER, solid=True))
             sill = low + 0.09 * self.height_m
             faces.append(
-                self._strip(y, self.haunch_m, self.shoulder_m, low, sill, _dark(self.paint, 0.45), 22)
+                self._strip(y, self.haunch_m, self.shoulder_m, low, sill, scaled(self.paint, 0.45), 22)
             )
             band = self.belt_m - 0.10 * self.height_m
-            shade = _dark(self.paint, 0.86)
+            shade = scaled(self.paint, 0.86)
             faces.append(self._strip(y, self.haunch_m, self.shoulder_m, sill, band - 0.08, shade, 40))
             bright = _light(self.paint, 1.22)
             top = self.belt_m - 0.02 * self.height_m
@@ -111,11 +113,11 @@ class _VehicleBuilder:
             for seam in seams:
                 x = seam * self.length_m
                 faces.append(
-                    self._strip(y, x, x + 0.014, sill, self.belt_m - 0.02, _dark(self.paint, 0.4), 60)
+                    self._strip(y, x, x + 0.014, sill, self.belt_m - 0.02, scaled(self.paint, 0.4), 60)
                 )
             for seam in seams[1:]:
                 x = seam * self.length_m + 0.07
-                faces.append(self._strip(y, x, x + 0.17, band, band + 0.035, _dark(self.paint, 0.55), 80))
+                faces.append(self._strip(y, x, x + 0.17, band, band + 0.035, scaled(self.paint, 0.55), 80))
         return faces
 
     def _strip(
@@ -170,7 +172,7 @@ class _VehicleBuilder:
             ((-0.22, 0.22, bumper + 0.015, bumper + 0.075), _TRIM, 36),
             ((-0.135, 0.135, shape.nose_z - 0.21, shape.nose_z - 0.145), _PLATE, 26),
             ((-0.11, 0.11, shape.nose_z - 0.195, shape.nose_z - 0.16), _PRINT, 80),
-            ((-0.26, 0.26, shape.nose_z - 0.092, shape.nose_z - 0.080), _dark(_RIM, 0.5), 50),
+            ((-0.26, 0.26, shape.nose_z - 0.092, shape.nose_z - 0.080), scaled(_RIM, 0.5), 50),
             ((-0.035, 0.035, shape.nose_z - 0.105, shape.nose_z - 0.065), _RIM, 44),
             ((-edge, edge, bumper + 0.085, bumper + 0.098), _light(self.paint, 1.15), 40),
             ((-0.38, -0.29, bumper + 0.02, bumper + 0.065), _TRIM, 40),
@@ -185,7 +187,7 @@ class _VehicleBuilder:
             faces.append(self._face(self._end(nose, part), _LAMP, Group.LOWER, Finish.LAMP, shown_px=9))
             eye = (side * 0.315, side * (edge - 0.02), lamp_low / height + 0.014, lamp_high / height - 0.03)
             faces.append(
-                self._face(self._end(nose, eye), _dark(_LAMP, 0.6), Group.LOWER, Finish.LAMP, shown_px=50)
+                self._face(self._end(nose, eye), scaled(_LAMP, 0.6), Group.LOWER, Finish.LAMP, shown_px=50)
             )
             corner = self._corner(nose, 0.5 * (self.shoulder_m + nose), half, side, lamp_low, lamp_high)
             halfway = 0.5 * (half + 0.5 * self.width_m)
@@ -206,14 +208,14 @@ class _VehicleBuilder:
         rows: list[tuple[tuple[float, float, float, float], Rgb, float]] = [
             ((-edge, edge, low, low + 0.065), _TRIM, 16),
             ((-edge, edge, bumper + 0.045, bumper + 0.085), _light(self.paint, 1.14), 30),
-            ((-edge, edge, bumper + 0.085, bumper + 0.095), _dark(self.paint, 0.45), 50),
+            ((-edge, edge, bumper + 0.085, bumper + 0.095), scaled(self.paint, 0.45), 50),
             ((-edge + 0.03, -edge + 0.12, low + 0.09, low + 0.12), (120, 26, 24), 44),
             ((edge - 0.12, edge - 0.03, low + 0.09, low + 0.12), (120, 26, 24), 44),
-            ((-0.19, 0.19, top - 0.22, top - 0.115), _dark(self.paint, 0.62), 30),
+            ((-0.19, 0.19, top - 0.22, top - 0.115), scaled(self.paint, 0.62), 30),
             ((-0.14, 0.14, top - 0.20, top - 0.13), _PLATE, 22),
             ((-0.115, 0.115, top - 0.183, top - 0.147), _PRINT, 80),
             ((-0.03, 0.03, top - 0.09, top - 0.05), _RIM, 50),
-            ((0.24, 0.31, low - 0.01, low + 0.03), _dark(_RIM, 0.6), 60),
+            ((0.24, 0.31, low - 0.01, low + 0.03), scaled(_RIM, 0.6), 60),
         ]
         faces += [
             self._face(self._end(tail, part), rgb, Group.LOWER, Finish.FLAT, shown_px=px)
@@ -275,36 +277,21 @@ class _VehicleBuilder:
         return faces
 
     def _cabin(self) -> list[Face]:
-        shape, length, width = self.shape, self.length_m, self.width_m
-        base, roof = 0.5 * shape.base_width * width, 0.5 * shape.roof_width * width
+        # The mirrors come first so that the cabin hides the one on the far side.
+        return [*self._mirrors(), *self._side_walls(), *self._screens(), *self._roof()]
+
+    def _pillars(self, *, rear: bool) -> tuple[Point, Point]:
+        """Return the left corners of the cabin, at the belt and at the roof."""
+        shape = self.shape
+        base, roof = (shape.base_rear, shape.roof_rear) if rear else (shape.base_front, shape.roof_front)
         brow = self.height_m - min(0.05 * self.height_m, 0.07)
-        low = self.belt_m
-        x_bf, x_br = shape.base_front * length, shape.base_rear * length
-        x_rf, x_rr = shape.roof_front * length, shape.roof_rear * length
-        faces: list[Face] = []
+        half, roof_half = 0.5 * shape.base_width * self.width_m, 0.5 * shape.roof_width * self.width_m
+        return (base * self.length_m, half, self.belt_m), (roof * self.length_m, roof_half, brow)
 
-        def pane(quad: list[Point], panes: list[tuple[float, float, float, float]], px: float) -> None:
-            faces.append(self._face(quad, self.paint, Group.CABIN, solid=True))
-            for s0, s1, t0, t1 in panes:
-                add(quad, (s0 - 0.018, s1 + 0.018, t0 - 0.05, t1 + 0.04), _TRIM, Finish.FLAT, 26)
-                glass = [_within(quad, s, t) for s, t in ((s0, t0), (s1, t0), (s1, t1), (s0, t1))]
-                faces.append(self._face(glass, _GLASS, Group.CABIN, Finish.GLASS, shown_px=px))
-                add(glass, (0.0, 1.0, 0.58, 1.0), _SKY_IN_GLASS, Finish.GLASS, 20)
-                seats = ((0.17, 0.36), (0.64, 0.83)) if s1 - s0 > 0.6 else ((0.34, 0.66),)
-                for left, right in seats:
-                    add(glass, (left, right, 0.0, 0.46), _SEAT, Finish.FLAT, 40)
-                    add(glass, (left + 0.045, right - 0.045, 0.46, 0.66), _SEAT, Finish.FLAT, 54)
-                streak = ((0.50, 0.0), (0.60, 0.0), (0.80, 1.0), (0.70, 1.0))
-                shine = [_within(glass, s, t) for s, t in streak]
-                faces.append(self._face(shine, _STREAK, Group.CABIN, Finish.GLASS, shown_px=60))
-
-        def add(
-            quad: list[Point], part: tuple[float, float, float, float], rgb: Rgb, finish: Finish, px: float
-        ) -> None:
-            s0, s1, t0, t1 = part
-            corners = [_within(quad, s, t) for s, t in ((s0, t0), (s1, t0), (s1, t1), (s0, t1))]
-            faces.append(self._face(corners, rgb, Group.CABIN, finish, shown_px=px))
-
+    def _side_walls(self) -> list[Face]:
+        (x_br, base, low), (x_rr, roof, brow) = self._pillars(rear=True)
+        (x_bf, _, _), (x_rf, _, _) = self._pillars(rear=False)
+        shape, faces = self.shape, list[Face]()
         for side in (1.0, -1.0):
             quad = [
                 (x_br, side * base, low),
@@ -312,34 +299,76 @@ class _VehicleBuilder:
                 (x_rf, side * roof, brow),
                 (x_rr, side * roof, brow),
             ]
-            pane(quad, [(a, b, 0.10, 0.86) for a, b in shape.windows], 7)
+            faces += self._glazed(quad, [(a, b, 0.10, 0.86) for a, b in shape.windows], 7)
             if len(shape.windows) == 1 and choose(self.look, 6, 3):
-                # The name of a firm: a panel, a mark and two lines of print.
-                print_ = _VAN_PRINTS[choose(self.look, 7, len(_VAN_PRINTS))]
-                add(quad, (0.10, 0.70, -0.02, 0.16), print_, Finish.PAINT, 24)
-                add(quad, (0.16, 0.28, 0.38, 0.74), print_, Finish.PAINT, 24)
-                add(quad, (0.32, 0.66, 0.56, 0.70), print_, Finish.PAINT, 30)
-                add(quad, (0.32, 0.58, 0.40, 0.47), _dark(print_, 0.7), Finish.PAINT, 40)
-        screen = [(x_bf, base, low), (x_bf, -base, low), (x_rf, -roof, brow), (x_rf, roof, brow)]
-        pane(screen, [(0.045, 0.955, 0.04, 0.93)], 5)
-        rear = [(x_br, base, low), (x_br, -base, low), (x_rr, -roof, brow), (x_rr, roof, brow)]
+                faces += self._print(quad)
+        return faces
+
+    def _print(self, wall: list[Point]) -> list[Face]:
+        """Return the name of a firm on a van: a panel, a mark and two lines of print."""
+        rgb = _VAN_PRINTS[choose(self.look, 7, len(_VAN_PRINTS))]
+        return [
+            self._panel(wall, (0.10, 0.70, -0.02, 0.16), rgb, Finish.PAINT, 24),
+            self._panel(wall, (0.16, 0.28, 0.38, 0.74), rgb, Finish.PAINT, 24),
+            self._panel(wall, (0.32, 0.66, 0.56, 0.70), rgb, Finish.PAINT, 30),
+            self._panel(wall, (0.32, 0.58, 0.40, 0.47), scaled(rgb, 0.7), Finish.PAINT, 40),
+        ]
+
+    def _screens(self) -> list[Face]:
+        faces = []
+        glass = self.shape.rear_glass
         doors = [(0.10, 0.46, 0.35, 0.86), (0.54, 0.90, 0.35, 0.86)]
-        pane(rear, [(0.09, 0.91, shape.rear_glass, 0.86)] if shape.rear_glass < 0.25 else doors, 6)
-        third = [_within(rear, s, t) for s, t in ((0.40, 0.90), (0.60, 0.90), (0.60, 0.96), (0.40, 0.96))]
-        faces.append(self._face(third, (70, 14, 16), Group.CABIN, Finish.BRAKE, shown_px=14))
+        windows = [(0.09, 0.91, glass, 0.86)] if glass < 0.25 else doors
+        for is_rear, panes, px in ((False, [(0.045, 0.955, 0.04, 0.93)], 5), (True, windows, 6)):
+            (x_b, base, low), (x_r, roof, brow) = self._pillars(rear=is_rear)
+            quad = [(x_b, base, low), (x_b, -base, low), (x_r, -roof, brow), (x_r, roof, brow)]
+            faces += self._glazed(quad, panes, px)
+        faces.append(self._panel(quad, (0.40, 0.60, 0.90, 0.96), (70, 14, 16), Finish.BRAKE, 14))
+        return faces
+
+    def _roof(self) -> list[Face]:
+        _, (x_rr, roof, brow) = self._pillars(rear=True)
+        _, (x_rf, _, _) = self._pillars(rear=False)
+        front, rear = x_rf - 0.05 * self.length_m, x_rr + 0.02 * self.length_m
         top = [
-            (x_rf - 0.05 * length, 0.80 * roof, self.height_m),
-            (x_rf - 0.05 * length, -0.80 * roof, self.height_m),
-            (x_rr + 0.02 * length, -0.80 * roof, self.height_m),
-            (x_rr + 0.02 * length, 0.80 * roof, self.height_m),
+            (front, 0.80 * roof, self.height_m),
+            (front, -0.80 * roof, self.height_m),
+            (rear, -0.80 * roof, self.height_m),
+            (rear, 0.80 * roof, self.height_m),
         ]
         rim = [(x_rf, roof, brow), (x_rf, -roof, brow), (x_rr, -roof, brow), (x_rr, roof, brow)]
-        for i in range(4):
-            j = (i + 1) % 4
-            faces.append(self._face([rim[i], rim[j], top[j], top[i]], self.paint, Group.CABIN, solid=True))
-        faces.append(self._face(top, self.paint, Group.CABIN, solid=True))
-        # The mirrors come first so that the cabin hides the one on the far side.
-        return [*self._mirrors(), *faces]
+        slopes = [[rim[i], rim[j], top[j], top[i]] for i, j in ((0, 1), (1, 2), (2, 3), (3, 0))]
+        return [self._face(quad, self.paint, Group.CABIN, solid=True) for quad in (*slopes, top)]
+
+    def _glazed(self, wall: list[Point], panes: list[Part], px: float) -> list[Face]:
+        """Return a wall of the cabin with its windows, and the seats and the reflections that they show.
+
+        Args:
+            wall: Its four corners.
+            panes: The windows, as parts of the wall.
+            px: Apparent height of the vehicle from which on the windows are drawn.
+        """
+        faces = [self._face(wall, self.paint, Group.CABIN, solid=True)]
+        for s0, s1, t0, t1 in panes:
+            frame = (s0 - 0.018, s1 + 0.018, t0 - 0.05, t1 + 0.04)
+            glass = _part(wall, (s0, s1, t0, t1))
+            faces += [
+                self._panel(wall, frame, _TRIM, Finish.FLAT, 26),
+                self._face(glass, _GLASS, Group.CABIN, Finish.GLASS, shown_px=px),
+                self._panel(glass, (0.0, 1.0, 0.58, 1.0), _SKY_IN_GLASS, Finish.GLASS, 20),
+            ]
+            for left, right in ((0.17, 0.36), (0.64, 0.83)) if s1 - s0 > 0.6 else ((0.34, 0.66),):
+                faces += [
+                    self._panel(glass, (left, right, 0.0, 0.46), _SEAT, Finish.FLAT, 40),
+                    self._panel(glass, (left + 0.045, right - 0.045, 0.46, 0.66), _SEAT, Finish.FLAT, 54),
+                ]
+            streak = ((0.50, 0.0), (0.60, 0.0), (0.80, 1.0), (0.70, 1.0))
+            shine = [_within(glass, s, t) for s, t in streak]
+            faces.append(self._face(shine, _STREAK, Group.CABIN, Finish.GLASS, shown_px=60))
+        return faces
+
+    def _panel(self, quad: list[Point], part: Part, rgb: Rgb, finish: Finish, px: float) -> Face:
+        return self._face(_part(quad, part), rgb, Group.CABIN, finish, shown_px=px)
 
     def _mirrors(self) -> list[Face]:
         """Return the two wing mirrors, within the width of the body."""
@@ -355,8 +384,8 @@ class _VehicleBuilder:
                 (x, side * inner, high),
             ]
             faces += [
-                Face(quad, _dark(self.paint, 0.8), Group.CABIN, True, Finish.PAINT, 30.0),
-                Face(quad[::-1], _dark(self.paint, 0.7), Group.CABIN, True, Finish.PAINT, 30.0),
+                Face(quad, scaled(self.paint, 0.8), Group.CABIN, True, Finish.PAINT, 30.0),
+                Face(quad[::-1], scaled(self.paint, 0.7), Group.CABIN, True, Finish.PAINT, 30.0),
             ]
         return faces
 
@@ -400,7 +429,7 @@ class _VehicleBuilder:
                 for size, rgb, count, px in (
                     (1.0, _RUBBER, 14, 0),
                     (0.68, _RIM, 10, 14),
-                    (0.2, _dark(_RIM, 0.7), 6, 60),
+                    (0.2, scaled(_RIM, 0.7), 6, 60),
                 ):
                     disc = [(x, y, z) for x, z in _circle(axle, radius, size * radius, count)]
                     faces.append(
@@ -412,12 +441,8 @@ class _VehicleBuilder:
                         for share, turn in ((0.24, 0.0), (0.58, -0.42), (0.58, 0.42))
                         for a in (math.tau * spoke / 5 + turn,)
                     ]
-                    faces.append(self._face(gap, _dark(_RIM, 0.38), Group.DISCS, Finish.FLAT, shown_px=46.0))
+                    faces.append(self._face(gap, scaled(_RIM, 0.38), Group.DISCS, Finish.FLAT, shown_px=46.0))
         return faces
-
-
-def _dark(rgb: Rgb, by: float) -> Rgb:
-    return rgb[0] * by, rgb[1] * by, rgb[2] * by
 
 
 def _light(rgb: Rgb, by: float) -> Rgb:
@@ -440,6 +465,11 @@ def _within(quad: list[Point], s: float, t: float) -> Point:
     a, b, c, d = quad
     x, y, z = ((1 - t) * ((1 - s) * a[i] + s * b[i]) + t * ((1 - s) * d[i] + s * c[i]) for i in range(3))
     return x, y, z
+
+
+def _part(quad: list[Point], part: Part) -> list[Point]:
+    s0, s1, t0, t1 = part
+    return [_within(quad, s, t) for s, t in ((s0, t0), (s1, t0), (s1, t1), (s0, t1))]
 
 
 _PAINTS: Final[tuple[Rgb, ...]] = (
