@@ -18,6 +18,7 @@ from brink.bench.simood_places import CONFIRMATION_PLACES, Criteria, NamedChain,
 from brink.bench.simood_searches import Searches
 from brink.bench.trials import Record, Records, code_fingerprint
 from brink.search.analysis.combinations import HAZARDOUS, SAFE
+from brink.search.analysis.statistics import a12
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.perturbations import CATALOGUE
 
@@ -34,6 +35,8 @@ CLEAN_PLACES: Final = range(20)
 SWEEP_PLACES: Final = range(3)
 OBSTACLE_PLACES: Final = range(10)
 MAX_HARMFUL_GENES: Final = 3
+MEASURES: Final = {"alpha": "mAP", "decision_accuracy": "decision accuracy"}
+"""Objectives that are measured on the data set."""
 DEFAULT_REPEATS: Final = 3
 """Searches with each configuration of tables II and III, and campaigns of A9; the paper has 10."""
 
@@ -110,13 +113,16 @@ class Hazards(Criteria):
     def sweep(self) -> list[Row]:
         """Measure A2: every gene at every level, alone, in three places; fallen trees and overturned vehicles."""
         singles = self._run_chains("A2 singles", _singles(), SWEEP_PLACES)
-        self._write_sweep(singles)
+        evaluations = [self._places.evaluation(chain) for chain in singles]
+        measured = dict(zip(singles, self._run("A2 singles on data", evaluations), strict=True))
+        self._write_sweep(singles, measured)
         records = [record for of_chain in singles.values() for record in of_chain]
         note = f"{len(records)} episodes; table in {self._folder / 'singles.csv'}"
         rows = [
             at_least("A2 accidents of singles", _violations(records, ACCIDENT), 1, note),
             at_least("A2 dangerous stops of singles", _violations(records, DANGEROUS_STOP), 1, note),
             harmful_genes_row(_unsafe_shares(singles)),
+            *prediction_rows(_unsafe_shares(singles), measured),
         ]
         for obstacle in ("novelty", "anomaly"):
             places = Places(replace(self._params, obstacle=obstacle))
@@ -149,14 +155,18 @@ class Hazards(Criteria):
             )
         ]
 
-    def _write_sweep(self, singles: Mapping[NamedChain, Sequence[Record]]) -> None:
+    def _write_sweep(
+        self, singles: Mapping[NamedChain, Sequence[Record]], measured: Mapping[NamedChain, Record]
+    ) -> None:
         rows = []
-        for ((gene, level),), records in singles.items():
+        for chain, records in singles.items():
+            ((gene, level),) = chain
             alphas = [record.objectives["alpha"] for record in records if "alpha" in record.objectives]
             rows.append({
                 "gene": gene, "level": level, "places": len(records), "accidents": _violations(records, ACCIDENT),
                 "dangerous_stops": _violations(records, DANGEROUS_STOP),
                 "mean_alpha": round(sum(alphas) / max(1, len(alphas)), 4),
+                **{f"{name}_on_data": round(measured[chain].objectives[name], 4) for name in MEASURES},
             })  # fmt: skip
         self._write("singles.csv", rows)
 
@@ -197,6 +207,41 @@ def harmful_genes_row(unsafe_shares: Mapping[NamedChain, float]) -> Row:
         "A2 genes harmful at level 1", len(harmful), MAX_HARMFUL_GENES,
         f"of {len(CATALOGUE)}, unsafe in any of {len(SWEEP_PLACES)} streets: {', '.join(harmful) or 'none'}",
     )  # fmt: skip
+
+
+def prediction_rows(
+    unsafe_shares: Mapping[NamedChain, float], measured: Mapping[NamedChain, Record]
+) -> list[Row]:
+    """Return how well each measure on the data set predicts which chains are unsafe in any street.
+
+    The figure is the area under the ROC curve: the probability that an unsafe chain measures worse than a safe one.
+
+    Args:
+        unsafe_shares: Share of the streets in which each chain is unsafe.
+        measured: Evaluation of each chain on the data set.
+    """
+    rows = []
+    for name, words in MEASURES.items():
+        unsafe, safe = (
+            [
+                measured[chain].objectives[name]
+                for chain, share in unsafe_shares.items()
+                if (share > 0) == is_unsafe
+            ]
+            for is_unsafe in (True, False)
+        )
+        if unsafe and safe:
+            note = f"area under the ROC curve, {len(unsafe)} unsafe and {len(safe)} safe chains"
+            rows.append(
+                Row(
+                    what=f"A2 hazard predicted by {words}",
+                    value=a12(safe, unsafe),
+                    target="",
+                    met=None,
+                    note=note,
+                )
+            )
+    return rows
 
 
 def _singles() -> list[NamedChain]:

@@ -24,7 +24,9 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
+from brink.sim.aeb.braking import EmergencyBrake
 from brink.sim.aeb.labels import label_frame
+from brink.sim.aeb.scores import decision_accuracy
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
     CROSSING_M,
@@ -235,6 +237,8 @@ class DatasetEvaluator:
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Evaluate the detector; the objective ``alpha`` is its mAP at an IoU of 0.5.
 
+        `brink.sim.aeb.scores.decision_accuracy` is an objective, too, unless the data set lacks what it needs.
+
         Args:
             spec: `scenario` names the data set and the number of images, `behaviour` the detector and
                 perturbations.
@@ -262,10 +266,18 @@ class DatasetEvaluator:
             raise SimulationCrashed(
                 "expected at least one true box that is not ignored in the data set, got none"
             )
-        alpha = math.fsum(by_class.values()) / len(by_class)
+        objectives = {"alpha": math.fsum(by_class.values()) / len(by_class)}
+        decisions = decision_accuracy(
+            [truth for _, truth in frames],
+            detections,
+            [EmergencyBrake.for_picture(*picture.shape[1::-1]).warning for picture, _ in frames],
+            behaviour.threshold,
+        )
+        if math.isfinite(decisions):
+            objectives["decision_accuracy"] = decisions
         return EpisodeResult(
             verdicts={},
-            objectives={"alpha": alpha},
+            objectives=objectives,
             features={f"average_precision:{name}": value for name, value in by_class.items()},
             provenance=provenance(EVALUATOR_ID, cpu_s, bullet_versions(), frames=len(frames)),
         )

@@ -5,12 +5,16 @@ A box is inside if it intersects the region. Boxes on the other side are ignored
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from brink.sim.aeb.braking import EmergencyBrake, Region
+from brink.sim.aeb.braking import PERSON, EmergencyBrake, Region
 from brink.sim.perception.boxes import Detections, GroundTruth, mean_average_precision, precision_and_recall
+from brink.sim.perception.detector import LABELS
 from brink.sim.trace import Film
+
+_PERSON: Final = LABELS.index(PERSON)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +64,37 @@ def score_episode(
         precision_outside=outside[0],
         recall_outside=outside[1],
     )
+
+
+def decision_accuracy(
+    truths: Sequence[GroundTruth],
+    detections: Sequence[Detections],
+    warnings: Sequence[Region],
+    threshold: float,
+) -> float:
+    """Return how often single images lead to the right braking decision: the balanced accuracy, in [0, 1].
+
+    An image calls for the brake if a person meets the warning region. The value is the mean of two shares: of images
+    that call for the brake, those in which a person is reported there; of the others, those in which nobody is.
+    Images in which only an ignored person meets the region do not count. If one kind of image is missing, the other
+    decides; NaN if both are.
+
+    Args:
+        truths: Ground truth of each image.
+        detections: Detections in the same images.
+        warnings: Warning region of each image.
+        threshold: Minimum score of a detection that is passed to the brake.
+    """
+    right: dict[bool, list[bool]] = {True: [], False: []}
+    for truth, found, warning in zip(truths, detections, warnings, strict=True):
+        there = (truth.labels == _PERSON) & warning.intersects_each(truth.boxes)
+        if there.any() and truth.ignored[there].all():
+            continue
+        reported = (found.labels == _PERSON) & (found.scores >= threshold)
+        calls = bool(there.any())
+        right[calls].append(bool(warning.intersects_each(found.boxes[reported]).any()) == calls)
+    shares = [float(np.mean(answers)) for answers in right.values() if answers]
+    return sum(shares) / len(shares) if shares else float("nan")
 
 
 def rescore(film: Film, threshold: float) -> Scores:

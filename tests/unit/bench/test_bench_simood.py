@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from brink.bench import simood_searches
 from brink.bench.measurement import Row
-from brink.bench.simood import harmful_genes_row, measure_simood
+from brink.bench.simood import harmful_genes_row, measure_simood, prediction_rows
 from brink.bench.simood_costs import Times, time_rows
 from brink.bench.simood_places import NamedChain
 from brink.bench.simood_searches import (
@@ -237,6 +237,25 @@ def test_a_gene_is_harmful_if_its_first_level_is_unsafe_in_any_street() -> None:
     row = harmful_genes_row(shares)
     assert (row.value, row.target, row.met) == (2, "at most 3", True)
     assert {"snow", "smoke"} == set(row.note.rsplit(": ", 1)[1].split(", "))
+
+
+def test_a_measure_predicts_hazards_if_unsafe_chains_measure_worse() -> None:
+    shares: dict[NamedChain, float] = {
+        (("snow", level),): unsafe for level, unsafe in enumerate((0, 0, 1, 1), 1)
+    }
+    measured = {
+        chain: Record(
+            robustness={},
+            objectives={"alpha": alpha, "decision_accuracy": accuracy},
+            features={},
+            cpu_s=0,
+            wall_s=0,
+        )
+        for chain, alpha, accuracy in zip(shares, (0.8, 0.5, 0.6, 0.3), (0.9, 0.9, 0.7, 0.6), strict=True)
+    }
+    by_alpha, by_decision = prediction_rows(shares, measured)
+    assert (by_alpha.value, by_decision.value) == (0.75, 1.0)
+    assert not prediction_rows(dict.fromkeys(shares, 0.0), measured), "nothing is unsafe"
 
 
 def test_a_default_campaign_counts_all_its_evaluations_and_episodes(tmp_path: Path) -> None:
