@@ -18,15 +18,17 @@ from brink.sim.aeb.dataset import Split, render_frames
 TRAINING_FRAMES: Final = 10_000
 HELD_OUT_FRAMES: Final = 600
 EPOCHS: Final = 12
+MORE_EPOCHS: Final = 10
 
 
-def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
+def train(out: Path, *, frames: int, epochs: int, more_epochs: int, seed: int) -> None:
     """Train the detector and write its weights; validation and test images are not used for training.
 
     Args:
         out: Output folder.
         frames: Number of training images.
-        epochs: Number of epochs.
+        epochs: Number of epochs in the first cycle of the learning rate.
+        more_epochs: Number of epochs in the second cycle.
         seed: Seed of the initial weights, the order of the images and the augmentation.
     """
     from brink.sim.perception import training  # loads torch
@@ -40,7 +42,7 @@ def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
                 (Split.VALIDATION, HELD_OUT_FRAMES), (Split.TEST, HELD_OUT_FRAMES), (Split.TRAIN, frames)
             )
         )  # fmt: skip
-    settings = training.Settings(frames=frames, epochs=epochs, seed=seed)
+    settings = training.Settings(frames=frames, epochs=epochs, more_epochs=more_epochs, seed=seed)
     network, record = training.train(pictures, validation, settings, out)
     training.write_results(network, test, out, record=record)
 
@@ -60,7 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     training.add_argument(
         "--frames", type=int, default=TRAINING_FRAMES, help="number of training images (%(default)s)"
     )
-    training.add_argument("--epochs", type=int, default=EPOCHS, help="number of epochs (%(default)s)")
+    training.add_argument(
+        "--epochs",
+        type=int,
+        default=EPOCHS,
+        help="epochs in the first cycle of the learning rate (%(default)s)",
+    )
+    training.add_argument(
+        "--more-epochs", type=int, default=MORE_EPOCHS, help="epochs in the second cycle (%(default)s)"
+    )
     training.add_argument(
         "--seed",
         type=int,

@@ -42,8 +42,6 @@ Change: TypeAlias = Callable[[Picture, np.random.Generator], Picture]
 ZOOM: Final = (0.75, 1.6)
 MIN_LEFT: Final = 0.4
 """A box of which cropping leaves a smaller share is ignored."""
-UNCHANGED_SHARE: Final = 0.2
-"""Share of the images that are only mirrored, zoomed and cropped."""
 COLLAGE_SHARE: Final = 0.25
 MAX_COVERED: Final = 0.5
 """A box of which a collage covers a larger share is ignored."""
@@ -57,6 +55,7 @@ def augment(
     rng: np.random.Generator,
     *,
     size_px: tuple[int, int] | None = None,
+    unchanged: float = 0.0,
 ) -> tuple[Picture, GroundTruth]:
     """Return a changed image, shape ``(size_px[1], size_px[0], 3)``, and its ground truth, without boxes outside it.
 
@@ -66,13 +65,14 @@ def augment(
         other: Another image of the same shape, for the collage.
         rng: Source of randomness.
         size_px: Width and height of the result, at most those of the image; by default those of the image.
+        unchanged: Share of the images that are only mirrored, zoomed and cropped.
     """
     if rng.random() < 0.5:
         picture, truth = mirror(picture, truth)
     picture, truth = zoom(picture, truth, rng, size_px or (picture.shape[1], picture.shape[0]))
     if rng.random() < COLLAGE_SHARE:
         picture, truth = collage(picture, truth, other, rng)
-    if rng.random() < UNCHANGED_SHARE:
+    if rng.random() < unchanged:
         return picture, truth
     for change, chance in _CHANGES:
         if rng.random() < chance:

@@ -30,14 +30,44 @@ THREADS: Final = 2
 """A fixed number, because rounding differs between numbers of threads."""
 SECTION_PX: Final = (192, 128)
 """Size of the sections that most epochs are trained on, which takes less than half the time of whole images."""
-WHOLE_EPOCHS: Final = 3
-"""Number of epochs at the end that are trained on whole images."""
-LEARNING_RATE: Final = 3e-3
+WHOLE_EPOCHS: Final = (3, 2)
+"""Number of epochs at the end of each cycle that are trained on whole images."""
+LEARNING_RATES: Final = (3e-3, 2e-3)
+"""Highest learning rate of each cycle."""
+UNCHANGED_SHARES: Final = (0.2, 0.4)
+"""Share of the images in each cycle that are only mirrored, zoomed and cropped."""
 AVERAGE_DECAY: Final = 0.999
 """Decay of the moving average of all weights, which is the trained network."""
 PROGRESS_EVERY: Final = 500
 _FEWEST_STEPS: Final = 20
 """The schedule of the learning rate divides by zero if its first tenth is a single step."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """Settings of a training run.
+
+    Attributes:
+        frames: Number of training images.
+        epochs: Number of passes over the training images in the first cycle of the learning rate.
+        more_epochs: The same for the second cycle, which has less augmentation.
+        seed: Seed of the initial weights, the order of the images and the augmentation.
+    """
+
+    frames: int
+    epochs: int
+    more_epochs: int
+    seed: int
+
+    def cycle_of(self, epoch: int) -> int:
+        """Return the cycle of an epoch, 0 or 1."""
+        return int(epoch >= self.epochs)
+
+    def is_whole(self, epoch: int) -> bool:
+        """Return whether an epoch is trained on whole images."""
+        cycle = self.cycle_of(epoch)
+        end = self.epochs + cycle * self.more_epochs
+        return epoch >= end - WHOLE_EPOCHS[cycle]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,15 +147,12 @@ class _State:
     cpu_s: float = 0.0
 
     @classmethod
-    def initial(cls, settings: "Settings") -> "_State":
+    def initial(cls, settings: Settings) -> "_State":
         torch.manual_seed(settings.seed)
         network = Network()
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] # the stubs lack it
-        optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-4)
-        steps = max(_FEWEST_STEPS, settings.epochs * (settings.frames // BATCH))
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, LEARNING_RATE, total_steps=steps, pct_start=0.1
-        )
+        optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATES[0], weight_decay=1e-4)
+        schedule = _schedule(optimiser, settings, cycle=0)
         average = copy.deepcopy(network)
         return cls(network=network, average=average, optimiser=optimiser, schedule=schedule)
 
@@ -153,19 +180,14 @@ class _State:
         self.validation_map, self.cpu_s = content["validation_map"], content["cpu_s"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """Settings of a training run.
-
-    Attributes:
-        frames: Number of training images.
-        epochs: Number of passes over the training images.
-        seed: Seed of the initial weights, the order of the images and the augmentation.
-    """
-
-    frames: int
-    epochs: int
-    seed: int
+def _schedule(
+    optimiser: torch.optim.Optimizer, settings: Settings, cycle: int
+) -> torch.optim.lr_scheduler.LRScheduler:
+    epochs = (settings.epochs, settings.more_epochs)[cycle]
+    steps = max(_FEWEST_STEPS, epochs * (settings.frames // BATCH))
+    return torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, LEARNING_RATES[cycle], total_steps=steps, pct_start=0.1
+    )
 
 
 def train(
@@ -189,15 +211,18 @@ def train(
     state, checkpoint = _State.initial(settings), out / "training.pt"
     if checkpoint.is_file():
         state.load(checkpoint, run)
-    for epoch in range(len(state.validation_map), settings.epochs):
+    epochs = settings.epochs + settings.more_epochs
+    for epoch in range(len(state.validation_map), epochs):
         cpu_s = time.process_time()
+        if epoch == settings.epochs:
+            state.schedule = _schedule(state.optimiser, settings, cycle=1)
         loss = _train_epoch(state, pictures, settings, epoch)
         detections = detect_all(state.average, validation.planes)
         state.validation_map.append(mean_average_precision(validation.truths, detections))
         state.cpu_s += time.process_time() - cpu_s
         state.save(checkpoint, run)
         print(  # noqa: T201
-            f"epoch {epoch + 1} of {settings.epochs}: loss {loss:.3f}, "
+            f"epoch {epoch + 1} of {epochs}: loss {loss:.3f}, "
             f"validation mAP {state.validation_map[-1]:.3f}, {state.cpu_s:.0f} CPU s",
             flush=True,
         )
@@ -208,13 +233,15 @@ def train(
 def _train_epoch(state: _State, pictures: TrainingSet, settings: Settings, epoch: int) -> float:
     """Train one epoch; return the mean loss. Its random numbers depend on the seed and the epoch alone."""
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(epoch,)))
-    size_px = INPUT_PX if epoch >= settings.epochs - WHOLE_EPOCHS else SECTION_PX
+    size_px = INPUT_PX if settings.is_whole(epoch) else SECTION_PX
+    unchanged = UNCHANGED_SHARES[settings.cycle_of(epoch)]
     state.network.train()
     batches = len(pictures.truths) // BATCH
     order = rng.permutation(len(pictures.truths))
     total = 0.0
     for step in range(batches):
-        planes, truths = _augmented(pictures, order[step * BATCH : (step + 1) * BATCH], rng, size_px)
+        chosen = order[step * BATCH : (step + 1) * BATCH]
+        planes, truths = _augmented(pictures, chosen, rng, size_px, unchanged)
         heat, edges = state.network(to_tensor(planes))
         loss = detection_loss(heat, edges, make_target(truths, size_px))
         state.optimiser.zero_grad()
@@ -228,14 +255,18 @@ def _train_epoch(state: _State, pictures: TrainingSet, settings: Settings, epoch
 
 
 def _augmented(
-    pictures: TrainingSet, chosen: NDArray[np.intp], rng: np.random.Generator, size_px: tuple[int, int]
+    pictures: TrainingSet,
+    chosen: NDArray[np.intp],
+    rng: np.random.Generator,
+    size_px: tuple[int, int],
+    unchanged: float,
 ) -> tuple[Picture, list[GroundTruth]]:
     planes = np.empty((len(chosen), size_px[1], size_px[0], 3), np.uint8)
     truths = []
     for place, index in enumerate(chosen.tolist()):
         other = pictures.planes[int(rng.integers(len(pictures.planes)))]
         planes[place], truth = augment(
-            pictures.planes[index], pictures.truths[index], other, rng, size_px=size_px
+            pictures.planes[index], pictures.truths[index], other, rng, size_px=size_px, unchanged=unchanged
         )
         truths.append(truth)
     return planes, truths

@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -288,34 +289,41 @@ def street_images() -> TrainingSet:
     return TrainingSet(planes=pictures(32), truths=(STREET,) * 32)
 
 
-SETTINGS = Settings(frames=32, epochs=WHOLE_EPOCHS + 2, seed=1)
+SETTINGS = Settings(frames=32, epochs=WHOLE_EPOCHS[0] + 1, more_epochs=WHOLE_EPOCHS[1] + 1, seed=1)
 
 
 def weights_after(out: Path, images: TrainingSet, settings: Settings = SETTINGS) -> dict[str, Tensor]:
     return train(images, images, settings, out)[0].state_dict()
 
 
-def test_an_interrupted_training_goes_on_with_the_same_result(
-    street_images: TrainingSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    whole.mkdir()
-    parts.mkdir()
-    expected = weights_after(whole, street_images)
+@pytest.fixture(scope="module")
+def uninterrupted(street_images: TrainingSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Tensor]:
+    return weights_after(tmp_path_factory.mktemp("whole"), street_images)
 
+
+@pytest.mark.parametrize(
+    "complete", [1, SETTINGS.epochs, SETTINGS.epochs + 1], ids=["first cycle", "between", "second cycle"]
+)
+def test_an_interrupted_training_goes_on_with_the_same_result(
+    complete: int,
+    street_images: TrainingSet,
+    uninterrupted: dict[str, Tensor],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def interrupted(*_: object) -> list[object]:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        epochs = iter([detect_all])
+        epochs = iter([detect_all] * complete)
         patched.setattr(training, "detect_all", lambda *given: next(epochs, interrupted)(*given))
         with pytest.raises(KeyboardInterrupt):
-            weights_after(parts, street_images)
-    found = weights_after(parts, street_images)
-    assert all(torch.equal(found[name], value) for name, value in expected.items())
+            weights_after(tmp_path, street_images)
+    found = weights_after(tmp_path, street_images)
+    assert all(torch.equal(found[name], value) for name, value in uninterrupted.items())
 
 
 def test_a_checkpoint_of_other_settings_is_refused(street_images: TrainingSet, tmp_path: Path) -> None:
     weights_after(tmp_path, street_images)
     with pytest.raises(ValueError, match="expected the state of a run with"):
-        weights_after(tmp_path, street_images, Settings(frames=32, epochs=WHOLE_EPOCHS + 2, seed=2))
+        weights_after(tmp_path, street_images, replace(SETTINGS, seed=2))
