@@ -18,7 +18,7 @@ from brink.sim.aeb.dataset import Split, render_frames
 TRAINING_FRAMES: Final = 10_000
 HELD_OUT_FRAMES: Final = 600
 EPOCHS: Final = 12
-MORE_EPOCHS: Final = 10
+MORE_EPOCHS: Final = 8
 
 
 def train(out: Path, *, frames: int, epochs: int, more_epochs: int, seed: int) -> None:
