@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, insert, select
 
-from brink.search.algorithms.repeats import Repeats, Tallies, tallied
+from brink.search.algorithms.minimise import MinimiseConfig
+from brink.search.algorithms.repeats import Repeats, RepeatsConfig, Tallies, tallied
 from brink.search.archive import Archive
 from brink.search.errors import BoundaryTooLarge
 from brink.search.streams import Stream, generator
@@ -124,6 +125,20 @@ def _kind_of(repeats: int) -> FollowUpKind:
     if repeats == REDUCTION:
         return FollowUpKind.MINIMISE
     return FollowUpKind.COMPONENT if repeats == SINGLE else FollowUpKind.CONFIRM
+
+
+def is_follow_up(plan: Plan, repeats: int, numbers: Sequence[int]) -> bool:
+    """Return whether a campaign can be the follow-up that asks about these solutions.
+
+    Args:
+        plan: The plan of the campaign.
+        repeats: The stored number of repeats, which says what the follow-up asks.
+        numbers: The stored numbers of the solutions.
+    """
+    config = plan.config
+    if _kind_of(repeats) is FollowUpKind.MINIMISE:
+        return isinstance(config, MinimiseConfig) and 2 * len(config.safe) == len(numbers)
+    return isinstance(config, RepeatsConfig) and len(config.solutions) == len(numbers)
 
 
 def followed_by(connection: Connection, campaign_id: str) -> tuple[str, FollowUpKind] | None:
