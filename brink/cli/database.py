@@ -30,6 +30,7 @@ from brink.cli.options import (
 )
 from brink.server.access.authentication import TOKEN_CACHE_S
 from brink.server.access.tokens import create_token, list_tokens, revoke_token
+from brink.server.campaigns.deletion import erase_all
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
@@ -173,13 +174,16 @@ def prune_(
         )
     settings = settings_with(database=database)
     check_database(settings)
-    with _opened(settings) as engines, engines.writer.begin() as connection:
-        found = prune(
-            connection,
-            ended=None if ended_days is None else timedelta(days=ended_days),
-            traces=None if traces_days is None else timedelta(days=traces_days),
-            really=confirmed,
-        )
+    with _opened(settings) as engines:
+        with engines.writer.begin() as connection:
+            found = prune(
+                connection,
+                ended=None if ended_days is None else timedelta(days=ended_days),
+                traces=None if traces_days is None else timedelta(days=traces_days),
+                really=confirmed,
+            )
+        if confirmed:
+            erase_all(engines)
     for campaign, name in found.campaigns:
         print_line(f"{campaign}  {name}")
     outcome = "deleted" if confirmed else "would be deleted; add --yes"

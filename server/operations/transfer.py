@@ -93,7 +93,7 @@ _OPTIONAL_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
 _VECTORS: Final[Mapping[str, str]] = {"solutions": "vectors", "known_solutions": "known-vectors"}
 """Arrays with the vectors of a table's rows."""
 _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
-    "campaigns": ("idempotency_key", "turn", "sequence", "search_text"),
+    "campaigns": ("idempotency_key", "turn", "sequence", "search_text", "deleted_at"),
     "jobs": ("id", "cache", "interrupted", *_LEASE),
 }
 """Columns that are meaningless in another database, or follow from others."""
@@ -478,8 +478,10 @@ class _Import:
             Conflict: The campaign already exists.
         """
         campaign = self._campaign()
-        if CAMPAIGNS.find(self._connection, self._id) is not None:
-            raise Conflict(f"campaign {self._id} already exists")
+        same = select(CampaignRow.deleted_at).where(CampaignRow.id == self._id)
+        if (known := self._connection.execute(same).one_or_none()) is not None:
+            deleted = "was deleted and is still being erased: try again later, while a coordinator runs"
+            raise Conflict(f"campaign {self._id} {deleted if known.deleted_at else 'already exists'}")
         self._connection.execute(insert(CampaignRow).values(campaign))
         counts = {"campaigns": 1}
         for name, model in _TABLES.items():
