@@ -8,6 +8,7 @@ SearchError
 ├── DocumentError       a stored document is corrupt, or not the expected one
 │   └── OtherVersion    another version of the algorithm stored it
 ├── TooManyPairs        an archive holds more pairs than are looked at
+├── BoundaryTooLarge    too many boundary solutions would have to be compared with each other
 └── MissingExtra        an optional dependency is not installed
 """
 
@@ -60,6 +61,10 @@ class TooManyPairs(SearchError):
     def __init__(self, message: str, *, setting: str) -> None:
         self.setting = setting
         super().__init__(message)
+
+
+class BoundaryTooLarge(SearchError):
+    """Too many boundary solutions would have to be compared with each other to find the distinct ones."""
 
 
 class MissingExtra(SearchError):

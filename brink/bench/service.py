@@ -22,6 +22,7 @@ from typing import Any
 import httpx
 
 from brink.api.client import TIMEOUT, Api
+from brink.bench.lifeline import end_with_parent
 from brink.bench.measurement import children_of, cpu_seconds
 from brink.server.campaigns.body import CampaignBody, PluginChoice, parse_body
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
@@ -213,6 +214,7 @@ def _bare_pool(workers: int) -> Iterator[list[Connection]]:
 
 
 def _bare_loop(connection: Connection) -> None:
+    end_with_parent()
     simulators: dict[str, Any] = {}
     while (specs := connection.recv()) is not None:
         start_s = time.process_time()

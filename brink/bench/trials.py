@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
+from brink.bench.lifeline import end_with_parent
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeSpec, Json
 
@@ -178,8 +179,9 @@ class Records:
 
 
 def process_pool(processes: int) -> ProcessPoolExecutor:
-    """Return a pool of fresh processes: spawned, not forked."""
-    return ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    """Return a pool of fresh processes, spawned rather than forked, which end when this process does."""
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(processes, mp_context=spawn, initializer=end_with_parent)
 
 
 @contextmanager

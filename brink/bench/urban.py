@@ -21,6 +21,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from brink.bench.lifeline import start_tied
 from brink.bench.measurement import Progress, Row, at_least, memory_mib, under
 from brink.bench.trials import Trial, run_trial, run_trials, single_threaded
 from brink.search.space import FloatArray
@@ -558,7 +559,10 @@ def process_memory_mb(episodes: int, settle: int = 20) -> tuple[float, float]:
     # A new interpreter, because a spawned process would import the main module of this one.
     command = [sys.executable, "-m", "brink.bench.urban", str(episodes), str(settle)]
     with single_threaded():
-        answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        process = start_tied(command, stdout=subprocess.PIPE)
+        answer, _ = process.communicate()
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
     first_mb, last_mb = json.loads(answer.splitlines()[-1])
     return first_mb, last_mb
 

@@ -320,7 +320,7 @@ def results(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show the distinct boundary solutions of a campaign, or write them to a file.
+    """Show the distinct boundary solutions of a campaign, or write them to a file: the best 1,000, if there are more.
 
     Example: brink results 3f2a --t-b 0.1 --d-th 0.2 --out boundary.csv
     """
@@ -337,7 +337,7 @@ def results(
             else:
                 form = {**params, "format": out.suffix.removeprefix(".")}
                 out.write_bytes((await api.request("GET", path, params=form)).content)
-            typer.echo(f"{out}: {document['dbs']} distinct boundary solutions", err=as_json)
+            typer.echo(f"{out}: {Boundary.model_validate(document).words}", err=as_json)
         if as_json:
             print_json(document)
         elif out is None:
@@ -368,7 +368,7 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
             f"this campaign did not look for a boundary; see what it found with: {command}", soft_wrap=True
         )
     screen.print(
-        f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict{within_budget(boundary)}"
+        f"{boundary.dbs:,} distinct boundary solutions, {boundary.strict_dbs:,} strict{within_budget(boundary)}"
     )
     if found.looks_for_pairs and not any(cell.dbs for cell in boundary.grid):
         return
@@ -432,8 +432,10 @@ def solution_table(
             str(solution.number), solution.outcome or solution.verdict, f"{solution.robustness:.2f}",
             f"{solution.fitness:.3f}", f"{solution.unsafe_neighbours} of {solution.neighbours}", solution.words,
         )  # fmt: skip
-    if len(boundary.solutions) > shown:
-        table.add_row("…", "", "", "", "", f"and {len(boundary.solutions) - shown} more {rest}")
+    listed = len(boundary.solutions)
+    if listed > shown:
+        beyond = f", and {boundary.dbs - listed:,} that are not listed" if boundary.dbs > listed else ""
+        table.add_row("…", "", "", "", "", f"and {listed - shown} more {rest}{beyond}")
     return table
 
 

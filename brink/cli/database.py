@@ -30,6 +30,7 @@ from brink.cli.options import (
 )
 from brink.server.access.authentication import TOKEN_CACHE_S
 from brink.server.access.tokens import create_token, list_tokens, revoke_token
+from brink.server.campaigns.deletion import erase_all
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
@@ -98,7 +99,7 @@ def export(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write a campaign with all its data to one file, for archiving or for import into another database.
+    """Write a campaign with all its data and follow-ups to one file, to archive it or import it elsewhere.
 
     Example: brink export campaign 3f2a --out traffic.brink
     """
@@ -117,22 +118,25 @@ def import_(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read a campaign from a file.
+    """Read a campaign and its follow-ups from a file.
 
-    A running campaign becomes paused. Other campaigns cannot reuse the results of an imported one.
+    Running campaigns become paused. Other campaigns cannot reuse the results of imported ones.
 
     Example: brink import traffic.brink
     """
     settings = settings_with(database=database)
     prepare_database(settings)
     with _opened(settings) as engines, engines.writer.begin() as connection:
-        campaign, counts = import_campaign(connection, file)
-        status = CAMPAIGNS.get(connection, campaign).status
-    _print_transfer(f"campaign {campaign} imported from {file}", {"campaign": campaign}, counts, as_json)
-    if status is CampaignStatus.PAUSED and not as_json:
-        print_line(
-            f"it is paused; continue it with: {program()} resume {campaign}{database_option(settings)}"
-        )
+        campaigns, counts = import_campaign(connection, file)
+        found = [CAMPAIGNS.get(connection, campaign) for campaign in campaigns]
+    _print_transfer(
+        f"campaign {campaigns[0]} imported from {file}", {"campaign": campaigns[0]}, counts, as_json
+    )
+    for campaign in found:
+        if campaign.status is CampaignStatus.PAUSED and not as_json:
+            which = "it" if campaign.id == campaigns[0] else f"its follow-up {campaign.id}"
+            resume = f"{program()} resume {campaign.id}{database_option(settings)}"
+            print_line(f"{which} is paused; continue it with: {resume}")
 
 
 def _print_transfer(line: str, facts: dict[str, str], counts: dict[str, int], as_json: bool) -> None:
@@ -170,13 +174,16 @@ def prune_(
         )
     settings = settings_with(database=database)
     check_database(settings)
-    with _opened(settings) as engines, engines.writer.begin() as connection:
-        found = prune(
-            connection,
-            ended=None if ended_days is None else timedelta(days=ended_days),
-            traces=None if traces_days is None else timedelta(days=traces_days),
-            really=confirmed,
-        )
+    with _opened(settings) as engines:
+        with engines.writer.begin() as connection:
+            found = prune(
+                connection,
+                ended=None if ended_days is None else timedelta(days=ended_days),
+                traces=None if traces_days is None else timedelta(days=traces_days),
+                really=confirmed,
+            )
+        if confirmed:
+            erase_all(engines)
     for campaign, name in found.campaigns:
         print_line(f"{campaign}  {name}")
     outcome = "deleted" if confirmed else "would be deleted; add --yes"

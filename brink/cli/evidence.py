@@ -93,6 +93,8 @@ def evidence(
 ) -> None:
     """Export the boundary of a campaign: tables, rules, replays, and the boxes of true and detected objects.
 
+    Of a boundary with more than 1,000 solutions, the best 1,000 are exported.
+
     After a search for pairs, export these: tables, what is known of them, and pictures of the best ones.
 
     Without --server, this machine runs the episodes again; with it, the coordinator's workers do.
@@ -111,7 +113,7 @@ def evidence(
         return
     for line in summary["notes"]:
         screen.print(line, soft_wrap=True)
-    counts = f"{summary['solutions']} boundary solutions, {summary['replays']} with replays"
+    counts = f"{summary['words']}, {summary['replays']} with replays"
     if summary["pairs"] is not None:
         counts = f"{summary['pairs']} pairs, {summary['pictures']} with pictures; {counts}"
     screen.print(f"{out}: {counts}; start with {out / 'README.md'}", soft_wrap=True)
@@ -157,7 +159,8 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
         _tables(rows, options.folder, columns)
     readme.write_text(_readme(fetched, boundary, options, found, notes, drawn, pairs), encoding="utf-8")
     return {
-        "campaign": fetched.id, "folder": str(options.folder), "solutions": len(rows), "replays": drawn,
+        "campaign": fetched.id, "folder": str(options.folder), "solutions": len(rows),
+        "words": boundary.words, "replays": drawn,
         "pairs": None if pairs is None else len(pairs.view.pairs),
         "pictures": None if pairs is None else len(pairs.drawn), "rules": document, "notes": notes,
     }  # fmt: skip
@@ -257,7 +260,7 @@ def _readme(
         *(_boundary_words(fetched, boundary, options) if with_boundary else []),
         *(f"> {note}" for note in notes),
         "# Files",
-        _files(options.film, drawn, pairs, with_boundary=with_boundary),
+        _files(options.film, drawn, pairs, boundary.words, with_boundary=with_boundary),
         *([] if pairs is None else [pairs.section()]),
     ]  # fmt: skip
     if with_boundary:
@@ -291,11 +294,13 @@ def _boundary_words(fetched: FetchedArchive, boundary: Boundary, options: _Optio
     ]
 
 
-def _files(film: str | None, drawn: int, pairs: PairEvidence | None, *, with_boundary: bool) -> str:
+def _files(
+    film: str | None, drawn: int, pairs: PairEvidence | None, words: str, *, with_boundary: bool
+) -> str:
     lines = [] if pairs is None else pairs.files()
     if with_boundary:
         tables = ", ".join(f"`boundary.{form}`" for form in FORMATS if form != "parquet" or has_parquet())
-        lines.append(f"- {tables}: one row per boundary solution, best first.")
+        lines.append(f"- {tables}: {words}, one row each, best first.")
     if drawn:
         films = f" and `episodes/NUMBER.{film}`" if film else ""
         lines += [

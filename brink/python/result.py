@@ -10,6 +10,7 @@ import html
 import io
 import math
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -171,9 +172,11 @@ class AsyncResult(CampaignResult):
         return frame
 
     async def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
-        """Return the distinct boundary solutions as a data frame."""
+        """Return the distinct boundary solutions as a data frame: the best 1,000, if there are more."""
         async with self._connection.open() as api:
             view = await api.read(Boundary, f"/campaigns/{self.id}/boundary", {"t_b": t_b, "d_th": d_th})
+        if len(view.solutions) < view.dbs:
+            warnings.warn(f"only {view.words}", stacklevel=2)
         rows = boundary_rows(view, self.id, self._body)
         return typed_frame(rows, types_of(rows[0]) if rows else await self._boundary_columns(view))
 
@@ -322,7 +325,9 @@ class Result(CampaignResult):
         return wait_for(self._async.to_pandas)
 
     def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
-        """Return the distinct boundary solutions as a data frame, best first.
+        """Return the distinct boundary solutions as a data frame, best first; of more than 1,000, the best ones.
+
+        A warning says how many there are if these are not all.
 
         Args:
             t_b: Maximum fitness of a boundary solution.

@@ -22,7 +22,7 @@ from brink.search.analysis.combinations import HAZARDOUS
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
-from brink.server.api.schemas import TypeView
+from brink.server.api.schemas import Boundary, TypeView
 from brink.server.api.tolerance import Finding, ToleranceView
 from brink.server.problems.changes import as_sentence
 from brink.server.states import OutcomeKind
@@ -407,13 +407,13 @@ def boundary_section(facts: Facts, album: Album) -> Section | None:
             )
             for one in found.solutions[:MOST_ROWS]
         ]  # fmt: skip
-        more = len(found.solutions) - len(rows)
+        more = found.dbs - len(rows)
         if rows:
             tables = [
                 Table(
                     label="Distinct boundary solutions, best first", rows=rows, right=(0, 2, 3),
                     columns=("number", "outcome", "fitness", "unsafe neighbours", "description"),
-                    more=f"{more:,} more: brink results {facts.view.id}" if more else "",
+                    more=f"{more:,} more: brink results {facts.view.id}{_listed(found)}" if more else "",
                 )
             ]  # fmt: skip
     pictures = album("map.png", map_words)
@@ -433,6 +433,11 @@ def boundary_section(facts: Facts, album: Album) -> Section | None:
     return Section(
         title=title, paragraphs=paragraphs, pictures=pictures, gallery=gallery, lists=lists, tables=tables
     )
+
+
+def _listed(found: Boundary) -> str:
+    """Return what the command for the rest lists, unless that is all."""
+    return f" lists {found.words}" if len(found.solutions) < found.dbs else ""
 
 
 def _rules(facts: Facts) -> list[str]:

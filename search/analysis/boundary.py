@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.archive import ARRAYS, Archive
+from brink.search.errors import BoundaryTooLarge
 from brink.search.metric import Points
-from brink.search.space import BoolArray, FloatArray, IntArray
+from brink.search.space import BoolArray, IntArray
 
 IndexArray: TypeAlias = NDArray[np.intp]
 
@@ -34,6 +35,11 @@ IndexArray: TypeAlias = NDArray[np.intp]
 RADII: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
 P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Default settings of a sensitivity analysis."""
+
+MOST_COMPARED: Final = 300_000_000
+"""Distances that are computed for one request; they take about two seconds. 24,000 solutions never need more."""
+_BLOCK: Final = 1_000
+"""Solutions looked at in one go; bounds the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,7 +84,9 @@ def has_evidence(archive: Archive) -> BoolArray:
     return straddles & mixed
 
 
-def distinct_boundary(archive: Archive, t_b: float, d_th: float, strict: bool = False) -> IndexArray:
+def distinct_boundary(
+    archive: Archive, t_b: float, d_th: float, strict: bool = False, *, most_compared: int | None = None
+) -> IndexArray:
     """Return the distinct boundary solutions as positions in the archive, best first.
 
     Args:
@@ -86,30 +94,54 @@ def distinct_boundary(archive: Archive, t_b: float, d_th: float, strict: bool = 
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
         strict: Whether to return only those of them that have evidence of a boundary.
+        most_compared: Maximum number of distances to compute; None for no limit.
+
+    Raises:
+        BoundaryTooLarge: That takes more distances.
     """
     positions = np.flatnonzero(archive.fitness <= t_b)
     order = positions[np.lexsort((archive.numbers[positions], archive.fitness[positions]))]
-    taken = _spread(archive, order, d_th)
+    try:
+        taken = _spread(archive, order, d_th, most_compared)
+    except BoundaryTooLarge:
+        raise BoundaryTooLarge(
+            f"{order.size:,} solutions have a fitness of at most t_b {t_b:g}, and too many of them are at least d_th "
+            f"{d_th:g} apart to compare them all: choose a larger d_th or a smaller t_b"
+        ) from None
     return taken[has_evidence(archive)[taken]] if strict else taken
 
 
-def _spread(archive: Archive, order: IndexArray, d_th: float) -> IndexArray:
-    """Return the positions that greedy selection in the given order keeps, each at least d_th from all before it."""
+def _spread(archive: Archive, order: IndexArray, d_th: float, most_compared: int | None) -> IndexArray:
+    """Return the positions that greedy selection in the given order keeps, each at least d_th from all before it.
+
+    Raises:
+        BoundaryTooLarge: More than `most_compared` distances between blocks of solutions would have to be computed.
+    """
+    if d_th <= 0:
+        return order
     points = archive.metric.points(archive.vectors[order])
-    left = np.arange(order.size)
-    taken: list[int] = []
-    while left.size:
-        first, left = left[:1], left[1:]
-        taken.append(int(first[0]))
-        left = left[_distances_to(archive, points, first, left) >= d_th]
-    return order[np.array(taken, np.intp)]
+    taken, compared = np.empty(0, np.intp), 0
+    for begin in range(0, order.size, _BLOCK):
+        left = np.arange(begin, min(begin + _BLOCK, order.size))
+        compared += left.size * taken.size
+        if most_compared is not None and compared > most_compared:
+            raise BoundaryTooLarge
+        left = left[_are_apart(archive, points.take(left), points.take(taken), d_th)]
+        new: list[IndexArray] = []
+        while left.size:
+            first, left = left[:1], left[1:]
+            new.append(first)
+            left = left[_are_apart(archive, points.take(left), points.take(first), d_th)]
+        taken = np.concatenate([taken, *new])
+    return order[taken]
 
 
-def _distances_to(archive: Archive, points: Points, one: IndexArray, many: IndexArray) -> FloatArray:
-    distances = np.empty(many.size)
-    for _, columns, block in archive.metric.blocks(points.take(one), points.take(many)):
-        distances[columns] = block[0]
-    return distances
+def _are_apart(archive: Archive, some: Points, others: Points, d_th: float) -> BoolArray:
+    """Return which of some points are at least d_th from all of the others, shape ``(len(some),)``."""
+    apart = np.ones(len(some), np.bool_)
+    for rows, _, block in archive.metric.blocks(some, others):
+        apart[rows] &= (block >= d_th).all(axis=1)
+    return apart
 
 
 def dbs(archive: Archive, t_b: float, d_th: float) -> int:
@@ -135,7 +167,11 @@ def strict_dbs(archive: Archive, t_b: float, d_th: float) -> int:
 
 
 def dbs_grid(
-    archive: Archive, t_bs: Sequence[float] = PAPER_T_BS, d_ths: Sequence[float] = PAPER_D_THS
+    archive: Archive,
+    t_bs: Sequence[float] = PAPER_T_BS,
+    d_ths: Sequence[float] = PAPER_D_THS,
+    *,
+    most_compared: int | None = None,
 ) -> DbsGrid:
     """Return DBS and strict DBS for all pairs of thresholds.
 
@@ -143,16 +179,21 @@ def dbs_grid(
         archive: The evaluated solutions.
         t_bs: Maximum fitness of a boundary solution.
         d_ths: Minimum distance between two boundary solutions.
+        most_compared: Maximum number of distances to compute for each of the `d_ths`; those that take more are left
+            out of the grid. None for no limit.
     """
-    counts = np.zeros((2, len(t_bs), len(d_ths)), np.int64)
     evidence = has_evidence(archive)
-    for column, d_th in enumerate(d_ths):
+    counts: dict[float, list[tuple[int, int]]] = {}
+    for d_th in d_ths:
         # Solutions are taken in the order of fitness: those of a smaller t_b are the first of those of a larger one.
-        taken = distinct_boundary(archive, max(t_bs, default=0.0), d_th)
-        for row, t_b in enumerate(t_bs):
-            near = taken[archive.fitness[taken] <= t_b]
-            counts[:, row, column] = near.size, np.count_nonzero(evidence[near])
-    return DbsGrid(t_bs=tuple(t_bs), d_ths=tuple(d_ths), dbs=counts[0], strict=counts[1])
+        try:
+            taken = distinct_boundary(archive, max(t_bs, default=0.0), d_th, most_compared=most_compared)
+        except BoundaryTooLarge:
+            continue
+        near = [taken[archive.fitness[taken] <= t_b] for t_b in t_bs]
+        counts[d_th] = [(one.size, int(np.count_nonzero(evidence[one]))) for one in near]
+    both = np.array(list(counts.values()), np.int64).reshape(len(counts), len(t_bs), 2)
+    return DbsGrid(t_bs=tuple(t_bs), d_ths=tuple(counts), dbs=both[:, :, 0].T, strict=both[:, :, 1].T)
 
 
 def dbs_by_budget(

@@ -1,8 +1,8 @@
 """The limits on request bodies: how large, how many JSON values, and how long they may take to arrive.
 
 All limits are enforced while a body arrives, so that a refused body is neither kept in memory nor parsed. JSON values
-are counted without parsing: each value but the first one follows a comma or an opening bracket. Parsed, a value can
-take fifty times the memory of its text, and a parser runs without giving way to other requests.
+are counted without parsing: each value but the first one follows a comma or an opening bracket outside of strings.
+Parsed, a value can take fifty times the memory of its text, and a parser runs without giving way to other requests.
 """
 
 import asyncio
@@ -32,6 +32,49 @@ class BodyLimit:
     def words(self) -> str:
         """Return what is expected of a body."""
         return f"expected at most {self.max_bytes} bytes and {self.max_values} JSON values"
+
+
+_SLICE_BYTES: Final = 64 * 1024
+"""Text looked at in one go; bounds the memory for a text of nothing but quotation marks."""
+
+
+class ValueCounter:
+    """Counts the values of a JSON text that arrives in parts, without parsing it.
+
+    It only has to be right up to the first error of the text, where a parser stops.
+
+    Attributes:
+        values: Number of commas and opening brackets outside of strings so far.
+    """
+
+    def __init__(self) -> None:
+        self.values = 0
+        self._in_string = False
+        self._held = b""
+        self._is_wide = False
+
+    def add(self, part: bytes) -> None:
+        """Count the values of the next part."""
+        for start in range(0, len(part), _SLICE_BYTES):
+            self._add(part[start : start + _SLICE_BYTES])
+
+    def _add(self, part: bytes) -> None:
+        # In UTF-16 and UTF-32, which json.loads reads as well, quotation marks cannot be told from escaped ones here.
+        self._is_wide = self._is_wide or b"\0" in part
+        if self._is_wide:
+            self.values += _structure(part)
+            return
+        text = self._held + part
+        if b"\\" in text:
+            text = text.replace(b"\\\\", b"").replace(b'\\"', b"")
+        self._held = text[-1:] if text.endswith(b"\\") else b""  # the next part begins with what it escapes
+        pieces = text.split(b'"')
+        self.values += _structure(b"".join(pieces[int(self._in_string) :: 2]))
+        self._in_string ^= len(pieces) % 2 == 0
+
+
+def _structure(text: bytes) -> int:
+    return text.count(b",") + text.count(b"[") + text.count(b"{")
 
 
 DEFAULT_LIMIT: Final = BodyLimit(max_bytes=4 * 1024 * 1024, max_values=100_000)
@@ -69,7 +112,7 @@ class LimitedBody:
         self._receive = receive
         self._limit = limit
         self._received_bytes = 0
-        self._values = 0
+        self._counter = ValueCounter()
         self._ended = False
         self._began_s = time.monotonic()
         self._stall_s = stall_s
@@ -79,7 +122,7 @@ class LimitedBody:
     @property
     def exceeded(self) -> bool:
         """Whether the body is larger than the limit."""
-        return self._received_bytes > self._limit.max_bytes or self._values > self._limit.max_values
+        return self._received_bytes > self._limit.max_bytes or self._counter.values > self._limit.max_values
 
     async def receive(self) -> Message:
         """Return the next part of the body; after the last one, wait for the client to disconnect."""
@@ -96,6 +139,6 @@ class LimitedBody:
             return {"type": "http.disconnect"}
         part: bytes = message.get("body", b"")
         self._received_bytes += len(part)
-        self._values += part.count(b",") + part.count(b"[") + part.count(b"{")
+        self._counter.add(part)
         self._ended = not message.get("more_body", False)
         return {"type": "http.disconnect"} if self.exceeded else message

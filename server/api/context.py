@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 from brink.server.access.authentication import Caller
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.archives import Archives, Monitors
+from brink.server.campaigns.deletion import Eraser
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
@@ -40,6 +41,7 @@ class Context:
     engines: Engines
     campaigns: CampaignService
     experiments: ExperimentService
+    eraser: Eraser
     scorebook: ScoreCache
     monitors: Monitors
     queue: QueueService

@@ -30,7 +30,7 @@ from brink.server.api.findings import combinations_view, violation_types, violat
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView, PairView
 from brink.server.api.pairs import follow_up_view, pairs_view
 from brink.server.api.repeats import DEFAULT_REPEATS, repeats_view
-from brink.server.api.schemas import View
+from brink.server.api.schemas import View, listed_words
 from brink.server.api.solutions import boundary_words
 from brink.server.api.tolerance import tolerance_view
 from brink.server.campaigns.archives import ReadArchive
@@ -38,7 +38,7 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.campaigns.pairs import PairSettings, searches_for_pairs
 from brink.server.campaigns.plan import check_repeatable, looks_for_boundary
-from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats, followed_by, read_follow_ups
+from brink.server.campaigns.repeats import MOST, FollowUpKind, StoredRepeats, followed_by, read_follow_ups
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.violations import read_violations
@@ -608,12 +608,13 @@ def _boundary_steps(known: _Known) -> list[StepView]:
     again = [one for one in known.stored if one.boundary and one.kind is FollowUpKind.CONFIRM]
     open_one = next((one for one in again if one.campaign.status not in ENDED), None)
     if open_one or not (again or _cannot_repeat(known.found)):
-        noun = "the boundary solution" if distinct == 1 else f"the {distinct:,} distinct boundary solutions"
+        repeated = min(distinct, MOST)
+        what = listed_words(repeated, distinct).removeprefix("the ") if distinct > 1 else "boundary solution"
         steps.append(
             StepView(
                 kind=StepKind.REPEAT, question="Does the boundary hold?", label="Repeat the boundary",
-                words=f"Simulates {noun} with {DEFAULT_REPEATS} other seeds. It takes "
-                f"{DEFAULT_REPEATS * distinct:,} simulations.",
+                words=f"Simulates the {what} with {DEFAULT_REPEATS} other seeds. It takes "
+                f"{DEFAULT_REPEATS * repeated:,} simulations.",
                 command=f"brink repeats {campaign.id}",
                 request=StepRequest(path=f"campaigns/{campaign.id}/repeats", body={}),
                 follow_up=None if open_one is None else follow_up_view(open_one),

@@ -10,7 +10,7 @@ from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
 from brink.search.fitness import wilson_interval
 from brink.server.api.context import Services
 from brink.server.api.responses import set_created
-from brink.server.api.schemas import MAX_NUMBER, View
+from brink.server.api.schemas import MAX_NUMBER, View, listed_words
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.pairs import searches_for_pairs
@@ -109,6 +109,13 @@ class RepeatsView(View):
     t_b: float
     d_th: float
     p_th: float
+    distinct: Annotated[
+        int | None,
+        Field(
+            description="Number of distinct boundary solutions at t_b and d_th, of which the best 1,000 at most are "
+            "repeated; null if the solutions were named by number."
+        ),
+    ] = None
     simulations: int
     budget: int
     holding: Annotated[int, Field(description="Number of solutions whose interval contains p_th.")]
@@ -139,7 +146,10 @@ class RepeatsView(View):
 async def repeat_boundary(
     campaign_id: str, body: RepeatsBody, services: Services, response: Response
 ) -> RepeatsView:
-    """Simulate the distinct boundary solutions, or given ones, again with other seeds, as a new campaign."""
+    """Simulate the distinct boundary solutions, or given ones, again with other seeds, as a new campaign.
+
+    Of a boundary with more than 1,000 solutions, the best 1,000 are simulated, and `words` says so.
+    """
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     repeats, new = await services.campaigns.repeat(
@@ -202,7 +212,7 @@ def repeats_view(campaign: Campaign, stored: StoredRepeats, read_archive: ReadAr
     view = RepeatsView(
         campaign=stored.campaign.id, of=campaign.id, name=campaign.body.name, status=stored.campaign.status,
         status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
-        t_b=stored.t_b, d_th=stored.d_th,
+        t_b=stored.t_b, d_th=stored.d_th, distinct=_distinct(stored, read_archive),
         p_th=near.p_th, simulations=stored.campaign.completed, budget=stored.campaign.body.budget.simulations,
         holding=int((holds & known).sum()), below=counts[Conclusion.BELOW], above=counts[Conclusion.ABOVE],
         near=counts[Conclusion.NEAR], inconclusive=counts[Conclusion.INCONCLUSIVE],
@@ -212,6 +222,15 @@ def repeats_view(campaign: Campaign, stored: StoredRepeats, read_archive: ReadAr
     rated = stored.boundary or (looks_for_boundary(searched) and not searches_for_pairs(searched))
     to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
     return view.model_copy(update={"words": _in_words(view, to_clear)})
+
+
+def _distinct(stored: StoredRepeats, read_archive: ReadArchive) -> int | None:
+    """Return how many boundary solutions there are at the thresholds of repeats; None if these are of named ones."""
+    if not stored.boundary:
+        return None
+    if len(stored.numbers) < MOST:
+        return len(stored.numbers)
+    return len(read_archive.boundary(stored.t_b, stored.d_th))
 
 
 def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None:
@@ -230,8 +249,8 @@ def _in_words(view: RepeatsView, to_clear: int | None) -> str:
             a search that has nothing to do with p_th.
     """
     count, reason = len(view.solutions), f" ({view.status_reason})" if view.status_reason else ""
-    what = f"{count} boundary solutions" if view.boundary else f"{count} selected solutions"
-    what = what.removesuffix("s") if count == 1 else what
+    selected = "boundary solution" if view.boundary else "selected solution"
+    what = listed_words(count, view.distinct or count, selected)
     if view.pooled is None:
         return f"{what}, none simulated again yet: {view.status}{reason}"
     if view.boundary:

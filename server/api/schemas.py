@@ -338,11 +338,23 @@ class Boundary(View):
     d_th: float
     dbs: int
     strict_dbs: int
+    words: Annotated[
+        str,
+        Field(
+            description="How many solutions are listed, such as `8 distinct boundary solutions`, or, if these are "
+            "not all, `the best 1,000 of 34,512 distinct boundary solutions`."
+        ),
+    ] = ""
     note: str
-    grid: Annotated[list[DbsCell], Field(description="DBS at the paper's thresholds.")]
-    solutions: list[SolutionView]
+    grid: Annotated[
+        list[DbsCell],
+        Field(description="DBS at the paper's thresholds, without distances at which it takes too long."),
+    ]
+    solutions: Annotated[
+        list[SolutionView], Field(description="Best first; of more than `limit`, the best ones.")
+    ]
     strict: Annotated[
-        list[int], Field(description="The `number` of each solution that the strict DBS counts.")
+        list[int], Field(description="The `number` of each of these that the strict DBS counts.")
     ]
     within_budget: Annotated[
         BudgetBoundary | None,
@@ -352,6 +364,19 @@ class Boundary(View):
         KnownBoundary | None,
         Field(description="With the known results; null if the campaign did not start from any."),
     ] = None
+
+
+def listed_words(listed: int, distinct: int, what: str = "distinct boundary solution") -> str:
+    """Return how many solutions are listed, and of how many if these are not all.
+
+    Args:
+        listed: How many are listed, best first.
+        distinct: How many there are.
+        what: What one of them is called.
+    """
+    if listed < distinct:
+        return f"the best {listed:,} of {distinct:,} {what}s"
+    return f"{listed:,} {what}" if listed == 1 else f"{listed:,} {what}s"
 
 
 class ViolationView(View):

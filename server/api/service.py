@@ -97,7 +97,8 @@ async def metrics(services: Services) -> Response:
             if count.status is JobStatus.QUEUED:
                 waits.append((now - count.oldest).total_seconds())
         oldest.set(max(waits))
-        states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
+        shown = CampaignRow.deleted_at.is_(None)
+        states = select(CampaignRow.status, func.count()).where(shown).group_by(CampaignRow.status)
         for status, number in connection.execute(states):
             campaigns.labels(status).set(number)
         if (first := next_expiry(connection)) is not None:

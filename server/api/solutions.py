@@ -15,9 +15,10 @@ from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
 from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
-from brink.search.analysis.boundary import distinct_boundary, has_evidence
+from brink.search.analysis.boundary import has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
 from brink.search.archive import Archive
+from brink.search.errors import BoundaryTooLarge
 from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
@@ -35,13 +36,14 @@ from brink.server.api.schemas import (
     SolutionView,
     View,
     ViolatedView,
+    listed_words,
 )
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, MOST_KNOWN
 from brink.server.campaigns.known import KnownRecord, read_known
 from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
-from brink.server.campaigns.plan import looks_for_boundary, make_plan
+from brink.server.campaigns.plan import find_boundary, looks_for_boundary, make_plan
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
@@ -53,6 +55,8 @@ from brink.sim.verdict import Violated
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
 MAX_DISTANCES = 1_000
+MOST_LISTED = 1_000
+"""Maximum number of boundary solutions in a response: each has all that its episode measured, about 10 kB."""
 MEDIA = {"csv": "text/csv", "jsonl": "application/jsonl", "parquet": "application/vnd.apache.parquet"}
 """Media types of tables."""
 
@@ -105,12 +109,19 @@ async def get_boundary(
     services: Services,
     t_b: Threshold = DEFAULT_T_B,
     d_th: Threshold = DEFAULT_D_TH,
+    limit: Annotated[
+        int, Query(ge=1, le=MOST_LISTED, description="Maximum number of solutions to return, best first.")
+    ] = MOST_LISTED,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Boundary:
-    """Return the distinct boundary solutions, DBS and strict DBS; table formats have one row for each solution."""
+    """Return the distinct boundary solutions, DBS and strict DBS; table formats have one row for each solution.
+
+    If there are more than `limit`, the best ones are listed, and `words` says so; `dbs` and `strict_dbs` count all.
+    Thresholds at which too many solutions would have to be compared with each other are refused.
+    """
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    view = await read(services.engines, lambda c: boundary_view(c, campaign, found, t_b, d_th))
+    view = await read(services.engines, lambda c: boundary_view(c, campaign, found, t_b, d_th, limit))
     if format == "json":
         return view
     rows = boundary_rows(view, campaign.id, campaign.body)
@@ -276,7 +287,7 @@ def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
 
 
 def boundary_view(
-    connection: Connection, campaign: Campaign, read: ReadArchive, t_b: float, d_th: float
+    connection: Connection, campaign: Campaign, read: ReadArchive, t_b: float, d_th: float, limit: int
 ) -> Boundary:
     """Return the distinct boundary solutions of a campaign, best fitness first.
 
@@ -286,20 +297,30 @@ def boundary_view(
         read: Its archive.
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
+        limit: Maximum number of solutions to list.
+
+    Raises:
+        InvalidInput: Too many solutions would have to be compared with each other.
     """
     archive = read.archive
-    within = _within_budget(archive, campaign.body.budget.simulations, t_b, d_th)
-    known = _with_known(read, t_b, d_th)
-    chosen = distinct_boundary(archive, t_b, d_th)
-    strict = chosen[has_evidence(archive)[chosen]]
+    try:
+        chosen = read.boundary(t_b, d_th)
+        within = _within_budget(archive, campaign.body.budget.simulations, t_b, d_th)
+        known = _with_known(read, t_b, d_th)
+    except BoundaryTooLarge as error:
+        raise InvalidInput.at("/query/d_th", f"campaign {campaign.id}: {error}") from None
+    is_strict = has_evidence(archive)[chosen]
     grid = read.grid
-    numbers = [int(number) for number in archive.numbers[chosen]]
+    numbers = [int(number) for number in archive.numbers[chosen[:limit]]]
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
+    if len(rows) < len(numbers):
+        raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
     return Boundary(
         t_b=t_b,
         d_th=d_th,
         dbs=len(chosen),
-        strict_dbs=len(strict),
+        strict_dbs=int(np.count_nonzero(is_strict)),
+        words=listed_words(len(numbers), len(chosen)),
         note=_note(read, t_b, within, known),
         grid=[
             DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
@@ -307,7 +328,7 @@ def boundary_view(
             for column, d in enumerate(grid.d_ths)
         ],
         solutions=solution_views([rows[number] for number in numbers], read, full=True),
-        strict=[int(number) for number in archive.numbers[strict]],
+        strict=[number for number, strict in zip(numbers, is_strict[:limit], strict=True) if strict],
         within_budget=within,
         with_known=known,
     )
@@ -328,7 +349,7 @@ def _within_budget(archive: Archive, budget: int, t_b: float, d_th: float) -> Bu
     if count == len(archive):
         return None
     within = archive.first(count)
-    chosen = distinct_boundary(within, t_b, d_th)
+    chosen = find_boundary(within, t_b, d_th)
     return BudgetBoundary(
         simulations=budget, beyond=len(archive) - count, dbs=len(chosen),
         strict_dbs=int(np.count_nonzero(has_evidence(within)[chosen])),
@@ -339,7 +360,7 @@ def _with_known(read: ReadArchive, t_b: float, d_th: float) -> KnownBoundary | N
     """Return the boundary with the known results; None if the campaign did not start from any."""
     if not len(read.known):
         return None
-    chosen = distinct_boundary(read.with_known, t_b, d_th)
+    chosen = find_boundary(read.with_known, t_b, d_th)
     return KnownBoundary(
         results=len(read.known), dbs=len(chosen),
         strict_dbs=int(np.count_nonzero(has_evidence(read.with_known)[chosen])),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection
 
 from brink.search.algorithm import Known
-from brink.search.analysis.boundary import DbsGrid, dbs_grid
+from brink.search.analysis.boundary import MOST_COMPARED, DbsGrid, IndexArray, dbs_grid
 from brink.search.analysis.monitor import Model, Monitor, default_model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
@@ -21,7 +21,7 @@ from brink.search.space import FloatArray, IntArray
 from brink.server.campaigns import step_store, view_store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.known import KnownRecord, known_of, read_known
-from brink.server.campaigns.plan import Plan, make_plan, restored_archive
+from brink.server.campaigns.plan import Plan, find_boundary, make_plan, restored_archive
 from brink.server.campaigns.step_store import StoredArchive
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
@@ -31,6 +31,8 @@ from brink.server.single_flight import SingleFlightCache
 
 CACHED = 8
 """Maximum number of archives, and of monitors, in memory."""
+MOST_BOUNDARIES = 16
+"""Maximum number of boundaries of one archive in memory."""
 MOST_FITTED = 20_000
 """Maximum number of solutions that a monitor is fitted to, the latest ones; it bounds the time for the fit."""
 
@@ -63,8 +65,29 @@ class ReadArchive:
 
     @cached_property
     def grid(self) -> DbsGrid:
-        """DBS and strict DBS at the paper's thresholds."""
-        return dbs_grid(self.archive, PAPER_T_BS, PAPER_D_THS)
+        """DBS and strict DBS at the paper's thresholds, without distances at which they would take too long."""
+        return dbs_grid(self.archive, PAPER_T_BS, PAPER_D_THS, most_compared=MOST_COMPARED)
+
+    def boundary(self, t_b: float, d_th: float) -> IndexArray:
+        """Return the distinct boundary solutions as positions in the archive, best first.
+
+        Args:
+            t_b: Maximum fitness of a boundary solution.
+            d_th: Minimum distance between two boundary solutions.
+
+        Raises:
+            BoundaryTooLarge: It would take too long.
+        """
+        key = t_b, d_th
+        if key not in self._boundaries:
+            if len(self._boundaries) >= MOST_BOUNDARIES:
+                self._boundaries.clear()
+            self._boundaries[key] = find_boundary(self.archive, t_b, d_th)
+        return self._boundaries[key]
+
+    @cached_property
+    def _boundaries(self) -> dict[tuple[float, float], IndexArray]:
+        return {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

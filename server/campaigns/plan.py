@@ -23,11 +23,12 @@ from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.qd import QdConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.algorithms.tolerance import ToleranceConfig
+from brink.search.analysis.boundary import MOST_COMPARED, IndexArray, distinct_boundary
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.streams import episode_seed
 from brink.server.campaigns import step_store, store
-from brink.server.campaigns.body import CampaignBody, PluginChoice, StartFrom
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, PluginChoice, StartFrom
 from brink.server.campaigns.known import KnownRecord, given_records, insert_known, known_of
 from brink.server.campaigns.step_store import Asked, NewSolution, StoredArchive
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
@@ -336,6 +337,23 @@ def looks_for_boundary(algorithm_id: str) -> bool:
         algorithm.config_type,
         MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig,
     )
+
+
+def find_boundary(archive: Archive, t_b: float, d_th: float) -> IndexArray:
+    """Return the distinct boundary solutions as positions in the archive, best first, unless that takes too long.
+
+    At the usual thresholds, they are counted with each generation, and may be counted once more.
+
+    Args:
+        archive: The evaluated solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
+
+    Raises:
+        BoundaryTooLarge: There are too many to compare with each other.
+    """
+    usual = (t_b, d_th) == (DEFAULT_T_B, DEFAULT_D_TH)
+    return distinct_boundary(archive, t_b, d_th, most_compared=None if usual else MOST_COMPARED)
 
 
 def first_generations(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> tuple[LiveSearch, Asked]:

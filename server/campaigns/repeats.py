@@ -19,12 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, insert, select
 
-from brink.search.algorithms.repeats import Repeats, Tallies, tallied
-from brink.search.analysis.boundary import distinct_boundary
+from brink.search.algorithms.minimise import MinimiseConfig
+from brink.search.algorithms.repeats import Repeats, RepeatsConfig, Tallies, tallied
 from brink.search.archive import Archive
+from brink.search.errors import BoundaryTooLarge
 from brink.search.streams import Stream, generator
 from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
-from brink.server.campaigns.plan import Plan, PreparedCampaign, prepare_campaign, store_campaign
+from brink.server.campaigns.plan import (
+    Plan,
+    PreparedCampaign,
+    find_boundary,
+    prepare_campaign,
+    store_campaign,
+)
 from brink.server.campaigns.store import ENDED, Campaign, campaigns_of
 from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
 from brink.server.db.sql import note_change
@@ -120,6 +127,20 @@ def _kind_of(repeats: int) -> FollowUpKind:
     return FollowUpKind.COMPONENT if repeats == SINGLE else FollowUpKind.CONFIRM
 
 
+def is_follow_up(plan: Plan, repeats: int, numbers: Sequence[int]) -> bool:
+    """Return whether a campaign can be the follow-up that asks about these solutions.
+
+    Args:
+        plan: The plan of the campaign.
+        repeats: The stored number of repeats, which says what the follow-up asks.
+        numbers: The stored numbers of the solutions.
+    """
+    config = plan.config
+    if _kind_of(repeats) is FollowUpKind.MINIMISE:
+        return isinstance(config, MinimiseConfig) and 2 * len(config.safe) == len(numbers)
+    return isinstance(config, RepeatsConfig) and len(config.solutions) == len(numbers)
+
+
 def followed_by(connection: Connection, campaign_id: str) -> tuple[str, FollowUpKind] | None:
     """Return the id of the campaign that a follow-up asks about, and what it asks; None if it is no follow-up."""
     row = connection.execute(
@@ -131,7 +152,7 @@ def followed_by(connection: Connection, campaign_id: str) -> tuple[str, FollowUp
 def plan_boundary_repeats(
     campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, t_b: float, d_th: float
 ) -> PlannedRepeats | None:
-    """Plan repeats of a campaign's distinct boundary solutions; return None if it has none.
+    """Plan repeats of a campaign's distinct boundary solutions, the best `MOST` of them; return None if it has none.
 
     Args:
         campaign: The campaign.
@@ -142,9 +163,12 @@ def plan_boundary_repeats(
         d_th: Minimum distance between two solutions.
 
     Raises:
-        InvalidInput: The repeats cannot run.
+        InvalidInput: The repeats cannot run, or there are too many boundary solutions to compare with each other.
     """
-    chosen = distinct_boundary(archive, t_b, d_th)[:MOST]
+    try:
+        chosen = find_boundary(archive, t_b, d_th)[:MOST]
+    except BoundaryTooLarge as error:
+        raise InvalidInput.at("/d_th", f"campaign {campaign.id}: {error}") from None
     if not len(chosen):
         return None
     # With the campaign's own seed, the first repeats would be the same episodes as the campaign's.

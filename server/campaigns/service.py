@@ -18,6 +18,7 @@ from brink.search.archive import Archive
 from brink.server.campaigns import store, traces
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.body import CampaignBody, CampaignChange
+from brink.server.campaigns.deletion import Eraser, mark_deleted
 from brink.server.campaigns.plan import (
     Plan,
     PreparedCampaign,
@@ -83,11 +84,13 @@ class DocumentService(ABC, Generic[B, S]):
     Attributes:
         table: Where they are stored.
         checks: Threads for checks of submissions, which may load a neural network.
+        eraser: Erases what was deleted.
     """
 
     table: DocumentTable[S]
     engines: Engines
     writer: Writer
+    eraser: Eraser
     checks: ThreadPoolExecutor
 
     @abstractmethod
@@ -106,7 +109,7 @@ class DocumentService(ABC, Generic[B, S]):
 
     @abstractmethod
     def _delete(self, connection: Connection, stored: S) -> None:
-        """Delete a row with everything that belongs to it, unless repeats of its campaigns have not ended."""
+        """Delete a row, and mark its campaigns as deleted, unless repeats of these have not ended."""
 
     async def submit(self, body: B, key: str | None = None) -> tuple[S, bool]:
         """Check a submission and store it with all of its campaigns, all or nothing.
@@ -185,6 +188,8 @@ class DocumentService(ABC, Generic[B, S]):
     async def delete(self, name: str) -> None:
         """Delete a campaign or an experiment with everything that belongs to it.
 
+        From then on, nobody finds it; its rows are erased in the background.
+
         Raises:
             NotFound: No id matches, or several do.
             Conflict: It has not ended, or repeats of it have not.
@@ -199,6 +204,7 @@ class DocumentService(ABC, Generic[B, S]):
 
         await self.writer.write(unit)
         logging.getLogger(type(self).__module__).info("%s deleted", kind, extra={kind: exact_id})
+        self.eraser.start()
 
 
 def check_threads() -> ThreadPoolExecutor:
@@ -245,7 +251,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
 
     def _delete(self, connection: Connection, stored: Campaign) -> None:
         check_no_open_repeats(connection, stored.id)
-        store.delete_campaign(connection, stored.id)
+        mark_deleted(connection, [stored.id])
 
     def start(self, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
         """Start campaigns that were just stored.

@@ -1,4 +1,4 @@
-"""The SQL of campaigns: rows, status, deletion.
+"""The SQL of campaigns: rows, status, tags, retries.
 
 Functions that write are units for `brink.server.db.writer.Writer`; functions that read take a connection of the
 reader, which sees one snapshot.
@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
 
 from brink.server.campaigns.body import CampaignBody, CampaignChange, search_text, search_words, stored_body
-from brink.server.db.models import NEXT_SEQUENCE, CampaignRow, CampaignTagRow, RepeatsRow, SolutionRow
+from brink.server.db.models import NEXT_SEQUENCE, CampaignRow, CampaignTagRow, SolutionRow
 from brink.server.db.sql import DocumentTable, database_now, in_list, note_change
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue import job_store
@@ -104,7 +104,9 @@ def _campaign(row: Row[*tuple[Any, ...]], tags: list[str]) -> Campaign:
     )  # fmt: skip
 
 
-CAMPAIGNS = DocumentTable(kind="campaign", table=CampaignRow.__table__, build=campaigns_of)
+CAMPAIGNS = DocumentTable(
+    kind="campaign", table=CampaignRow.__table__, build=campaigns_of, shown=CampaignRow.deleted_at.is_(None)
+)
 
 
 def labelled(tags: Sequence[str], search: str) -> list[ColumnElement[bool]]:
@@ -284,11 +286,3 @@ def retry_job(connection: Connection, job_id: int) -> None:
         raise Conflict(f"job {job_id} was just changed by another request; check it again")
     note_change(connection, campaign.id)
 
-
-def delete_campaign(connection: Connection, campaign_id: str) -> None:
-    """Delete a campaign with its repeats, its data, and the traces that no other campaign shares."""
-    repeats_of = select(RepeatsRow.campaign_id).where(RepeatsRow.of_id == campaign_id)
-    for repeats in list(connection.execute(repeats_of).scalars()):
-        delete_campaign(connection, repeats)
-    job_store.delete_own_traces(connection, campaign_id)
-    connection.execute(delete(CampaignRow).where(CampaignRow.id == campaign_id))

@@ -17,7 +17,7 @@ RATE_WINDOW: Final = 5
 
 # Every open page runs this every few seconds, and SQLAlchemy takes longer to build it than the database to run it.
 _VERSION = select(CampaignRow.sequence, CampaignRow.finished_at).where(
-    CampaignRow.id == bindparam("campaign")
+    CampaignRow.id == bindparam("campaign"), CampaignRow.deleted_at.is_(None)
 )
 
 

@@ -117,6 +117,7 @@ class Chosen:
             found.append(inside | row.id.startswith(self.named.lower(), autoescape=True))
         if self.experiment is not None:
             found.append(ExperimentCampaignRow.experiment_id == self.experiment)
+        found.append(row.deleted_at.is_(None))
         if not self.follow_ups:
             found.append(RepeatsRow.campaign_id.is_(None))
         if words := labelled((), self.search):

@@ -73,6 +73,8 @@ class CampaignRow(Base):
         Index("ix_campaigns_created_at_id", "created_at", "id"),
         Index("ix_campaigns_running", "priority", "turn", sqlite_where=text("status = 'running'"),
               postgresql_where=text("status = 'running'")),
+        Index("ix_campaigns_deleted", "deleted_at", sqlite_where=text("deleted_at IS NOT NULL"),
+              postgresql_where=text("deleted_at IS NOT NULL")),
     )  # fmt: skip
 
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
@@ -101,6 +103,8 @@ class CampaignRow(Base):
     """Name, notes and tags without differences of case, which the databases ignore in different ways."""
     created_at: Mapped[datetime]
     finished_at: Mapped[datetime | None]
+    deleted_at: Mapped[datetime | None]
+    """When it was deleted: nobody finds it, and its rows are being erased."""
 
 
 class CampaignTagRow(Base):

@@ -5,7 +5,7 @@ SQLite and Postgres differ in most of these; this module hides the differences.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
@@ -23,6 +23,7 @@ from sqlalchemy import (
     func,
     select,
     text,
+    true,
     update,
 )
 from sqlalchemy.dialects.postgresql import ARRAY
@@ -113,11 +114,13 @@ class DocumentTable(Generic[V]):
         kind: What a row is called in messages, such as "campaign".
         table: Table with columns ``id``, ``created_at``, ``document_hash`` and ``idempotency_key``.
         build: Converts a row to a value.
+        shown: Condition on the rows that can be found; the others are as good as gone.
     """
 
     kind: str
     table: FromClause
     build: Callable[[Connection, Sequence[Row[*tuple[Any, ...]]]], list[V]]
+    shown: ColumnElement[bool] = field(default_factory=true)
 
     def find(self, connection: Connection, exact_id: str, *, lock: bool = False) -> V | None:
         """Return the value with an id, or None; with `lock`, lock its row until the transaction ends."""
@@ -144,7 +147,8 @@ class DocumentTable(Generic[V]):
             return found
         rows: Sequence[Row[*tuple[Any, ...]]] = ()
         if plausible and len(name) >= SHORTEST_ID:
-            matches = select(self.table).where(self.table.c.id.startswith(name, autoescape=True))
+            starts = self.table.c.id.startswith(name, autoescape=True)
+            matches = select(self.table).where(starts, self.shown)
             rows = connection.execute(matches.order_by(self.table.c.id).limit(AMBIGUOUS_SHOWN + 1)).all()
         if len(rows) == 1:
             return self.build(connection, rows)[0]
@@ -182,7 +186,7 @@ class DocumentTable(Generic[V]):
             statuses: Only values with one of these statuses; any if empty. Needs a column ``status``.
             conditions: Further conditions on the table.
         """
-        query = newest_first(self.table, limit=limit, before=before).where(*conditions)
+        query = newest_first(self.table, limit=limit, before=before).where(self.shown, *conditions)
         if document_hash is not None:
             query = query.where(self.table.c.document_hash == document_hash)
         if statuses:
@@ -192,7 +196,7 @@ class DocumentTable(Generic[V]):
     def _first(
         self, connection: Connection, condition: ColumnElement[bool], *, lock: bool = False
     ) -> V | None:
-        query = select(self.table).where(condition)
+        query = select(self.table).where(condition, self.shown)
         rows = connection.execute(lock_rows(query, connection, self.table) if lock else query).all()
         return self.build(connection, rows)[0] if rows else None
 

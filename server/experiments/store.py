@@ -7,7 +7,8 @@ from typing import Final
 
 from sqlalchemy import Connection, Row, bindparam, delete, exists, func, insert, select
 
-from brink.server.campaigns.store import Campaign, campaigns_of, delete_campaign
+from brink.server.campaigns.deletion import mark_deleted
+from brink.server.campaigns.store import Campaign, campaigns_of
 from brink.server.db.models import (
     CampaignRow,
     ExperimentCampaignRow,
@@ -238,7 +239,6 @@ _CACHED_AFTER: Final = (
 
 
 def delete_experiment(connection: Connection, experiment: Experiment) -> None:
-    """Delete an experiment with its campaigns and all that belongs to them."""
-    for member in experiment.members:
-        delete_campaign(connection, member.campaign.id)
+    """Delete an experiment, and mark its campaigns as deleted."""
+    mark_deleted(connection, [member.campaign.id for member in experiment.members])
     connection.execute(delete(ExperimentRow).where(ExperimentRow.id == experiment.id))

@@ -197,6 +197,17 @@ def _campaigns(connection: Connection) -> Iterator[Finding]:
         yield Finding("campaigns", State.FINE, f"{running} running, none of them stuck")
 
 
+    overdue = select(func.count()).where(CampaignRow.deleted_at < horizon)
+    if left := connection.execute(overdue).scalar_one():
+        advice = "any coordinator on this database goes on with it: brink serve"
+        found = f"{left} were deleted over {OVERDUE_S:g} s ago, and their rows are not erased yet"
+        yield Finding("campaigns", State.LOOK, found, advice)
+
+
+_SHOWN: Final = select(CampaignRow.id).where(CampaignRow.deleted_at.is_(None))
+"""Campaigns that were not deleted."""
+
+
 def _results(connection: Connection, limit: int | None) -> Iterator[Finding]:
     """Look for solutions without jobs, and evaluate results again, those of the latest campaigns first.
 
@@ -210,7 +221,7 @@ def _results(connection: Connection, limit: int | None) -> Iterator[Finding]:
         found = f"{name}: the jobs of {count} solutions are missing, the first of them of solution {first}"
         yield Finding("results", State.WRONG, found, RESTORE)
     verified = 0
-    names = connection.execute(select(CampaignRow.id).order_by(CampaignRow.created_at.desc())).scalars().all()
+    names = connection.execute(_SHOWN.order_by(CampaignRow.created_at.desc())).scalars().all()
     for name in names:
         campaign = CAMPAIGNS.find(connection, name)
         assert campaign is not None
@@ -232,7 +243,7 @@ def _results(connection: Connection, limit: int | None) -> Iterator[Finding]:
 
 def _stored(connection: Connection) -> Iterator[Finding]:
     """Read the checkpoint and the distances of each campaign, and verify some distances."""
-    names = connection.execute(select(CampaignRow.id).order_by(CampaignRow.created_at)).scalars().all()
+    names = connection.execute(_SHOWN.order_by(CampaignRow.created_at)).scalars().all()
     broken = 0
     compared = 0
     for name in names:

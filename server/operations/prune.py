@@ -1,4 +1,7 @@
-"""Retention: deletes campaigns that ended long ago, and traces, which can be recorded again."""
+"""Retention: deletes campaigns that ended long ago, and traces, which can be recorded again.
+
+`prune` only marks the campaigns as deleted; `brink.server.campaigns.deletion.erase_piece` then erases them.
+"""
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -6,7 +9,8 @@ from datetime import datetime, timedelta
 from sqlalchemy import ColumnElement, Connection, func, select
 from sqlalchemy.orm import aliased
 
-from brink.server.campaigns.store import ENDED, delete_campaign
+from brink.server.campaigns.deletion import mark_deleted
+from brink.server.campaigns.store import ENDED
 from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
 from brink.server.db.sql import database_now
 from brink.server.queue.job_store import delete_traces
@@ -46,6 +50,7 @@ def prune(
             .where(
                 CampaignRow.status.in_(ENDED),
                 CampaignRow.finished_at < now - ended,
+                CampaignRow.deleted_at.is_(None),
                 ~_repeated_since(now - ended),
             )
             .order_by(CampaignRow.finished_at)
@@ -55,8 +60,8 @@ def prune(
     for campaign_id, _ in found:
         of_campaign = select(func.count()).where(SolutionRow.campaign_id == campaign_id)
         solutions += connection.execute(of_campaign).scalar_one()
-        if really:
-            delete_campaign(connection, campaign_id)
+    if really:
+        mark_deleted(connection, [campaign_id for campaign_id, _ in found])
     deleted = 0 if traces is None else delete_traces(connection, now - traces, dry_run=not really)
     return Pruned(campaigns=tuple(found), solutions=solutions, traces=deleted)
 

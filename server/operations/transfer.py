@@ -4,6 +4,10 @@ The file is a zip archive: `manifest.json` with a format version and a checksum 
 JSON Lines for each table (`solutions.jsonl`), and arrays in NumPy's format (`arrays/vectors.npy`), which
 ``numpy.load`` can read. Nothing in it is ever executed.
 
+Follow-ups, such as repeats, are campaigns as well, and may have follow-ups themselves. The members of each are in a
+folder (`follow-ups/3f2a90c1/solutions.jsonl`), and `repeats.jsonl` says what each asks. Files of campaigns without
+follow-ups have neither.
+
 Imported files are not trusted: types, ranges, checksums and hashes are checked, the file is stored in one
 transaction, and its results are not shared with other campaigns.
 """
@@ -13,22 +17,25 @@ import io
 import json
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any, Final
+from typing import IO, Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sqlalchemy import JSON, Connection, RowMapping, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
+from brink.search.errors import ConfigError
 from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, search_text, stored_body
-from brink.server.campaigns.plan import make_plan
+from brink.server.campaigns.plan import Plan, make_plan
+from brink.server.campaigns.repeats import MOST, is_follow_up
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.models import (
     Base,
@@ -40,6 +47,7 @@ from brink.server.db.models import (
     JobRow,
     KnownSolutionRow,
     LlmCallRow,
+    RepeatsRow,
     SolutionRow,
     TraceRow,
     ViolationNameRow,
@@ -58,6 +66,8 @@ LARGEST_BYTES: Final = 64 * 1024**3
 """Maximum size of all members together, unpacked."""
 _BATCH: Final = 500
 _MANIFEST: Final = "manifest.json"
+_LINKS: Final = "repeats.jsonl"
+_FOLLOW_UPS: Final = "follow-ups/"
 _LEASE: Final = (
     "lease_token", "lost_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before",
 )  # fmt: skip
@@ -83,10 +93,31 @@ _OPTIONAL_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
 _VECTORS: Final[Mapping[str, str]] = {"solutions": "vectors", "known_solutions": "known-vectors"}
 """Arrays with the vectors of a table's rows."""
 _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
-    "campaigns": ("idempotency_key", "turn", "sequence", "search_text"),
+    "campaigns": ("idempotency_key", "turn", "sequence", "search_text", "deleted_at"),
     "jobs": ("id", "cache", "interrupted", *_LEASE),
 }
 """Columns that are meaningless in another database, or follow from others."""
+
+
+_Id = Annotated[str, Field(pattern=r"^[0-9A-Za-z]{1,16}$")]
+
+
+class Link(BaseModel):
+    """What a follow-up asks, as in the table of repeats."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    campaign_id: _Id
+    of_id: _Id
+    t_b: Annotated[float, Field(ge=0, le=1)]
+    d_th: Annotated[float, Field(ge=0, le=1)]
+    repeats: Annotated[int, Field(ge=0, le=10_000)]
+    numbers: Annotated[list[Annotated[int, Field(ge=0, lt=2**63)]], Field(min_length=1, max_length=MOST)]
+
+    @property
+    def folder(self) -> str:
+        """The folder of its members."""
+        return f"{_FOLLOW_UPS}{self.campaign_id}/"
 
 
 class BadFile(ServerError):
@@ -94,7 +125,7 @@ class BadFile(ServerError):
 
 
 def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dict[str, int]:
-    """Write a campaign to a file; return the number of rows of each table.
+    """Write a campaign with its follow-ups to a file; return the number of rows of each table.
 
     Args:
         connection: Sees one snapshot.
@@ -109,17 +140,17 @@ def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dic
     part = file.with_name(f"{file.name}.part")
     try:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-            counts = _Export(connection, archive, campaign_id).run()
+            counts = _export(connection, _Members(archive), campaign_id)
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
     return counts
 
 
-def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, int]]:
-    """Store the campaign of a file; return its id and the number of rows of each table.
+def import_campaign(connection: Connection, file: Path) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Store the campaign of a file and its follow-ups; return their ids, its own first, and the rows of each table.
 
-    A campaign that was running is paused.
+    Those that were running are paused.
 
     Args:
         connection: In a write transaction, which must be rolled back if this raises.
@@ -127,11 +158,11 @@ def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, 
 
     Raises:
         BadFile: The file is of another kind, damaged or inconsistent.
-        Conflict: A campaign with its id exists.
+        Conflict: A campaign with one of these ids exists.
     """
     try:
         with zipfile.ZipFile(file) as archive:
-            return _Import(connection, archive).run()
+            return _import(connection, _File(archive))
     except (IntegrityError, DataError) as error:
         words = str(error.orig).strip().splitlines()
         raise BadFile(f"{file}: its data cannot be stored: {words[0] if words else error}") from None
@@ -144,14 +175,74 @@ def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, 
         raise BadFile(f"{file}: expected an undamaged file written by brink export: {error}") from None
 
 
-class _Export:
-    """The export of one campaign."""
+class _Members:
+    """The members of a file that is being written.
 
-    def __init__(self, connection: Connection, archive: zipfile.ZipFile, campaign_id: str) -> None:
-        self._connection = connection
+    Attributes:
+        sums: Their checksums.
+    """
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive
+        self.sums: dict[str, str] = {}
+
+    @contextmanager
+    def member(self, name: str) -> Iterator[Any]:
+        """Open a member for writing, and record its checksum."""
+        digest = hashlib.sha256()
+
+        def write(data: bytes) -> None:
+            digest.update(data)
+            file.write(data)
+
+        with self._archive.open(name, "w", force_zip64=True) as file:
+            yield SimpleNamespace(write=write)
+        self.sums[name] = digest.hexdigest()
+
+    def write_manifest(self, campaign_id: str, rows: Mapping[str, int]) -> None:
+        """Write the manifest, which completes the file."""
+        manifest = {
+            "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": campaign_id,
+            "rows": rows, "sha256": self.sums,
+        }  # fmt: skip
+        self._archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+
+
+def _export(connection: Connection, members: _Members, campaign_id: str) -> dict[str, int]:
+    """Write a campaign and its follow-ups; return the number of rows of each table."""
+    counts = Counter(_Export(connection, members, campaign_id).run())
+    links = _links(connection, campaign_id)
+    for link in links:
+        counts.update(_Export(connection, members, link.campaign_id, link.folder).run())
+    if links:
+        counts["repeats"] = len(links)
+        with members.member(_LINKS) as member:
+            for link in links:
+                member.write(link.model_dump_json().encode() + b"\n")
+    members.write_manifest(campaign_id, counts)
+    return counts
+
+
+def _links(connection: Connection, campaign_id: str) -> list[Link]:
+    """Return what the follow-ups of a campaign ask, and their follow-ups, each after the one that it is about."""
+    found, waiting = list[Link](), [campaign_id]
+    while waiting:
+        own = RepeatsRow.of_id == waiting.pop(0)
+        query = select(RepeatsRow.__table__).where(own).order_by(RepeatsRow.campaign_id)
+        links = [Link.model_validate(dict(row)) for row in connection.execute(query).mappings()]
+        found += links
+        waiting += [link.campaign_id for link in links]
+    return found
+
+
+class _Export:
+    """The export of one campaign, to a folder of a file; empty for the campaign of the file itself."""
+
+    def __init__(self, connection: Connection, members: _Members, campaign_id: str, folder: str = "") -> None:
+        self._connection = connection
+        self._members = members
         self._id = campaign_id
-        self._sums: dict[str, str] = {}
+        self._folder = folder
 
     def run(self) -> dict[str, int]:
         """Write all members; return the number of rows of each table."""
@@ -161,11 +252,6 @@ class _Export:
             if name not in _OPTIONAL or self._has_rows(model.__table__)
         }
         counts["traces"] = self._write_traces()
-        manifest = {
-            "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": self._id,
-            "rows": counts, "sha256": self._sums,
-        }  # fmt: skip
-        self._archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
         return counts
 
     def _has_rows(self, table: Any) -> bool:
@@ -181,7 +267,7 @@ class _Export:
         query = query.order_by(*(table.c.id,) if name == "jobs" else table.primary_key.columns)
         vectors: list[bytes] = []
         count = 0
-        with self._member(f"{name}.jsonl") as member:
+        with self._members.member(f"{self._folder}{name}.jsonl") as member:
             for row in self._rows(query, _BATCH):
                 count += 1
                 plain = {
@@ -222,60 +308,88 @@ class _Export:
             yield from rows.mappings()
 
     def _write_array(self, name: str, array: NDArray[Any]) -> None:
-        with self._member(f"arrays/{name}.npy") as member:
+        with self._members.member(f"{self._folder}arrays/{name}.npy") as member:
             np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
-
-    @contextmanager
-    def _member(self, name: str) -> Iterator[Any]:
-        """Open a member of the archive for writing, and record its checksum."""
-        digest = hashlib.sha256()
-
-        def write(data: bytes) -> None:
-            digest.update(data)
-            file.write(data)
-
-        with self._archive.open(name, "w", force_zip64=True) as file:
-            yield SimpleNamespace(write=write)
-        self._sums[name] = digest.hexdigest()
 
 
 def _json(value: Any) -> Any:
     return value.isoformat() if isinstance(value, datetime) else value
 
 
-class _Import:
-    """The import of one file."""
+class _File:
+    """A file to import, whose members have passed the check of their checksums.
 
-    def __init__(self, connection: Connection, archive: zipfile.ZipFile) -> None:
-        self._connection = connection
+    Attributes:
+        campaign: Id of its campaign.
+        members: Names of its members, without the manifest.
+
+    Raises:
+        BadFile: It is of another kind, too large, or damaged.
+    """
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive
         if sum(info.file_size for info in archive.infolist()) > LARGEST_BYTES:
             raise BadFile(
                 f"expected a file whose contents are at most {LARGEST_BYTES // 1024**3} GiB when unpacked"
             )
-        self._manifest = self._read_manifest()
-        self._id = str(self._manifest["campaign"])
-
-    def run(self) -> tuple[str, dict[str, int]]:
-        """Store the campaign; return its id and the number of rows of each table.
-
-        Raises:
-            BadFile: The file is damaged or inconsistent.
-            Conflict: The campaign already exists.
-        """
-        for name, expected in self._manifest["sha256"].items():
+        manifest = self._read_manifest()
+        self.campaign: str = manifest["campaign"]
+        sums: dict[str, str] = manifest["sha256"]
+        self.members: frozenset[str] = frozenset(sums)
+        for name, expected in sums.items():
             if self._digest(name) != expected:
                 raise BadFile(f"{name}: damaged: it does not match its checksum")
-        campaign = self._campaign()
-        if CAMPAIGNS.find(self._connection, self._id) is not None:
-            raise Conflict(f"campaign {self._id} already exists")
-        self._connection.execute(insert(CampaignRow).values(campaign))
-        counts = {"campaigns": 1}
-        for name, model in _TABLES.items():
-            if name != "campaigns" and (name not in _OPTIONAL or f"{name}.jsonl" in self._sums):
-                counts[name] = self._insert(name, model)
-        counts["traces"] = self._traces()
-        return self._id, counts
+
+    def open(self, member: str) -> IO[bytes]:
+        """Open a member for reading.
+
+        Raises:
+            KeyError: There is no such member.
+        """
+        return self._archive.open(member)
+
+    def documents(self, member: str) -> Iterator[tuple[int, Any]]:
+        """Yield the documents of a member in JSON Lines, each with the number of its line, from 1 on.
+
+        Raises:
+            BadFile: A line is too long, or is not JSON.
+        """
+        with self.open(member) as file:
+            for place, line in enumerate(_lines(file, member), start=1):
+                try:
+                    yield place, json.loads(line)
+                except ValueError as error:
+                    raise BadFile(f"{member}, line {place}: {error}") from None
+
+    def links(self) -> list[Link]:
+        """Return what the follow-ups in the file ask.
+
+        Raises:
+            BadFile: They do not fit the members of the file.
+        """
+        found: list[Link] = []
+        if _LINKS in self.members:
+            for place, document in self.documents(_LINKS):
+                try:
+                    found.append(Link.model_validate(document))
+                except ValidationError as error:
+                    fault = error.errors(include_url=False)[0]
+                    where = ".".join(str(part) for part in fault["loc"])
+                    raise BadFile(f"{_LINKS}, line {place}: {where}: {fault['msg']}") from None
+        known = {self.campaign}
+        for place, link in enumerate(found, start=1):
+            if link.of_id not in known or link.campaign_id in known:
+                raise BadFile(f"{_LINKS}, line {place}: expected a new follow-up of a campaign before it")
+            known.add(link.campaign_id)
+        folders = {
+            name.removeprefix(_FOLLOW_UPS).split("/")[0]
+            for name in self.members
+            if name.startswith(_FOLLOW_UPS)
+        }
+        if folders != known - {self.campaign}:
+            raise BadFile(f"{_LINKS}: expected a line for each folder in {_FOLLOW_UPS}")
+        return found
 
     def _read_manifest(self) -> dict[str, Any]:
         manifest: Any
@@ -306,23 +420,96 @@ class _Import:
                 digest.update(data)
         return digest.hexdigest()
 
+
+def _import(connection: Connection, file: _File) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Store the campaign of a file and its follow-ups; return their ids, and the number of rows of each table."""
+    links = file.links()
+    counts = Counter(_Import(connection, file, file.campaign).run())
+    for place, link in enumerate(links, start=1):
+        one = _Import(connection, file, link.campaign_id, link.folder)
+        counts.update(one.run())
+        _check_link(connection, one.plan, link, f"{_LINKS}, line {place}")
+        connection.execute(insert(RepeatsRow).values(link.model_dump()))
+    if links:
+        counts["repeats"] = len(links)
+    return (file.campaign, *(link.campaign_id for link in links)), counts
+
+
+def _check_link(connection: Connection, plan: Plan, link: Link, where: str) -> None:
+    """Check that an imported campaign can be the follow-up that a link says it is; `where` names its line in errors.
+
+    Raises:
+        BadFile: It is none, or asks about other solutions.
+    """
+    try:
+        plan.algorithm.check(plan.problem.space, plan.config, budget=plan.body.budget.simulations)
+    except ConfigError as error:
+        raise BadFile(f"{link.folder}campaigns.jsonl: document: {error}") from None
+    if not is_follow_up(plan, link.repeats, link.numbers):
+        raise BadFile(f"{where}: expected repeats and numbers as in campaign {link.campaign_id}")
+    numbers = set(link.numbers)
+    known = select(SolutionRow.number).where(
+        SolutionRow.campaign_id == link.of_id, SolutionRow.number.in_(numbers)
+    )
+    if unknown := numbers - set(connection.execute(known).scalars()):
+        raise BadFile(f"{where}: numbers: campaign {link.of_id} has no solution {min(unknown)}")
+
+
+class _Import:
+    """The import of one campaign, from a folder of a file; empty for the campaign of the file itself.
+
+    Attributes:
+        plan: The plan of the campaign, once it is stored.
+    """
+
+    plan: Plan
+
+    def __init__(self, connection: Connection, file: _File, campaign_id: str, folder: str = "") -> None:
+        self._connection = connection
+        self._file = file
+        self._id = campaign_id
+        self._folder = folder
+
+    def run(self) -> dict[str, int]:
+        """Store the campaign; return the number of rows of each table.
+
+        Raises:
+            BadFile: The file is inconsistent.
+            Conflict: The campaign already exists.
+        """
+        campaign = self._campaign()
+        same = select(CampaignRow.deleted_at).where(CampaignRow.id == self._id)
+        if (known := self._connection.execute(same).one_or_none()) is not None:
+            deleted = "was deleted and is still being erased: try again later, while a coordinator runs"
+            raise Conflict(f"campaign {self._id} {deleted if known.deleted_at else 'already exists'}")
+        self._connection.execute(insert(CampaignRow).values(campaign))
+        counts = {"campaigns": 1}
+        for name, model in _TABLES.items():
+            if name != "campaigns" and (name not in _OPTIONAL or self._has(f"{name}.jsonl")):
+                counts[name] = self._insert(name, model)
+        counts["traces"] = self._traces()
+        return counts
+
+    def _has(self, name: str) -> bool:
+        return f"{self._folder}{name}" in self._file.members
+
     def _campaign(self) -> dict[str, Any]:
         rows = list(self._rows("campaigns", CampaignRow.__table__))
         if len(rows) != 1 or rows[0]["id"] != self._id:
-            raise BadFile("campaigns.jsonl: expected exactly one campaign, the one in the manifest")
+            raise BadFile(f"{self._folder}campaigns.jsonl: expected exactly one campaign, {self._id}")
         row = rows[0]
         tags = []
-        if "campaign_tags.jsonl" in self._sums:
+        if self._has("campaign_tags.jsonl"):
             tags = [one["tag"] for one in self._rows("campaign_tags", CampaignTagRow.__table__)]
         try:
             body = stored_body(row["document"], tags, row["notes"])
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]
             where = fault["loc"][0] if fault["loc"] and fault["loc"][0] in ("tags", "notes") else "document"
-            raise BadFile(f"campaigns.jsonl: {where}: {fault['msg']}") from None
+            raise BadFile(f"{self._folder}campaigns.jsonl: {where}: {fault['msg']}") from None
         if body.tags != sorted(tags):
-            raise BadFile("campaign_tags.jsonl: expected each tag once, in lower case")
-        self._dimension = make_plan(body).problem.space.dimension
+            raise BadFile(f"{self._folder}campaign_tags.jsonl: expected each tag once, in lower case")
+        self.plan = make_plan(body)
         if row["status"] == CampaignStatus.RUNNING:
             row |= {"status": CampaignStatus.PAUSED, "status_reason": "imported; resume it to continue"}
         searched = search_text(row["name"], body.notes, body.tags)
@@ -343,17 +530,20 @@ class _Import:
 
     def _complete(self, name: str, table: Any) -> Iterable[dict[str, Any]]:
         """Yield a table's rows with their binary columns and the columns that are not exported."""
-        vectors, member = np.empty((0, self._dimension)), f"arrays/{_VECTORS.get(name)}.npy"
-        if name in _VECTORS and member in self._sums:
+        dimension, member = self.plan.problem.space.dimension, f"arrays/{_VECTORS.get(name)}.npy"
+        vectors = np.empty((0, dimension))
+        if name in _VECTORS and self._has(member):
             vectors = self._array(_VECTORS[name], "<f8")
-            if vectors.ndim != 2 or vectors.shape[1] != self._dimension:
-                raise BadFile(f"{member}: expected {self._dimension} numbers in each row")
+            if vectors.ndim != 2 or vectors.shape[1] != dimension:
+                raise BadFile(f"{self._folder}{member}: expected {dimension} numbers in each row")
         for place, row in enumerate(self._rows(name, table)):
             if row["campaign_id"] != self._id:
-                raise BadFile(f"{name}.jsonl, line {place + 1}: expected campaign_id {self._id}")
+                raise BadFile(
+                    f"{self._folder}{name}.jsonl, line {place + 1}: expected campaign_id {self._id}"
+                )
             if name in _VECTORS:
                 if place >= len(vectors):
-                    raise BadFile(f"{member}: expected one row for each solution")
+                    raise BadFile(f"{self._folder}{member}: expected one row for each solution")
                 row["vector"] = vectors[place].tobytes()
             elif name == "checkpoints":
                 for column in ("document", "neighbours", "unsafe_neighbours"):
@@ -362,22 +552,25 @@ class _Import:
                 array = f"distances-{row['generation']}"
                 block = self._array(array, "<f4")
                 if block.shape != (row["rows"], row["columns"]):
-                    raise BadFile(f"arrays/{array}.npy: expected {row['rows']} x {row['columns']} numbers")
+                    expected = f"expected {row['rows']} x {row['columns']} numbers"
+                    raise BadFile(f"{self._folder}arrays/{array}.npy: {expected}")
                 row["data"] = block.tobytes()
                 if hashlib.sha256(row["data"]).hexdigest() != row["sha256"]:
-                    raise BadFile(f"arrays/{array}.npy: damaged: it does not match its checksum")
+                    damaged = "damaged: it does not match its checksum"
+                    raise BadFile(f"{self._folder}arrays/{array}.npy: {damaged}")
             elif name == "jobs":
                 row |= self._job(row, place)
             yield row
 
     def _job(self, row: Mapping[str, Any], place: int) -> dict[str, Any]:
         """Return the columns of an imported job: it is not leased, and does not share its result."""
+        where = f"{self._folder}jobs.jsonl, line {place + 1}"
         try:
             digest = EpisodeSpec.from_json(json.loads(row["spec"])).digest()
         except (SimulatorError, ValueError, TypeError, KeyError) as error:
-            raise BadFile(f"jobs.jsonl, line {place + 1}: spec: {error}") from None
+            raise BadFile(f"{where}: spec: {error}") from None
         if digest != row["spec_hash"]:
-            raise BadFile(f"jobs.jsonl, line {place + 1}: expected spec_hash to be the hash of spec")
+            raise BadFile(f"{where}: expected spec_hash to be the hash of spec")
         leased = row["status"] == JobStatus.LEASED
         return dict.fromkeys(_LEASE) | {
             "cache": False,
@@ -386,8 +579,8 @@ class _Import:
         }
 
     def _traces(self) -> int:
-        prefix, suffix = "arrays/trace-", ".npy"
-        names = [name for name in self._sums if name.startswith(prefix)]
+        prefix, suffix = f"{self._folder}arrays/trace-", ".npy"
+        names = [name for name in self._file.members if name.startswith(prefix)]
         hashes = [name.removeprefix(prefix).removesuffix(suffix) for name in names]
         known = set(
             self._connection.execute(
@@ -404,15 +597,10 @@ class _Import:
             self._connection.execute(insert(TraceRow).values(spec_hash=one, data=data, created_at=now))
         return len(taken)
 
-    @property
-    def _sums(self) -> dict[str, str]:
-        sums: dict[str, str] = self._manifest["sha256"]
-        return sums
-
     def _array(self, name: str, dtype: str) -> NDArray[Any]:
-        member = f"arrays/{name}.npy"
+        member = f"{self._folder}arrays/{name}.npy"
         try:
-            with self._archive.open(member) as file:
+            with self._file.open(member) as file:
                 array = np.lib.format.read_array(io.BytesIO(file.read()), allow_pickle=False)
         except (KeyError, ValueError, OverflowError, MemoryError) as error:
             raise BadFile(f"{member}: expected an array: {error}") from None
@@ -428,19 +616,14 @@ class _Import:
             for column in table.columns
             if column.name not in left_out and _type_of(column) is not bytes
         }
-        member = f"{name}.jsonl"
-        with self._archive.open(member) as file:
-            for place, line in enumerate(_lines(file, member), start=1):
-                try:
-                    values = json.loads(line)
-                except ValueError as error:
-                    raise BadFile(f"{member}, line {place}: {error}") from None
-                if not isinstance(values, dict) or values.keys() | optional.keys() != columns.keys():
-                    raise BadFile(f"{member}, line {place}: expected an object with {', '.join(columns)}")
-                yield {
-                    key: _value(value, columns[key], f"{member}, line {place}")
-                    for key, value in {**optional, **values}.items()
-                }
+        member = f"{self._folder}{name}.jsonl"
+        for place, values in self._file.documents(member):
+            if not isinstance(values, dict) or values.keys() | optional.keys() != columns.keys():
+                raise BadFile(f"{member}, line {place}: expected an object with {', '.join(columns)}")
+            yield {
+                key: _value(value, columns[key], f"{member}, line {place}")
+                for key, value in {**optional, **values}.items()
+            }
 
 
 def _lines(file: IO[bytes], member: str) -> Iterator[bytes]:

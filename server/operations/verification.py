@@ -88,6 +88,7 @@ def count_missing_jobs(connection: Connection) -> Iterator[tuple[str, int, int]]
     query = (
         select(SolutionRow.campaign_id, func.count(), func.min(SolutionRow.number))
         .join(CampaignRow, CampaignRow.id == SolutionRow.campaign_id)
+        .where(CampaignRow.deleted_at.is_(None))
         .where(SolutionRow.spec_hash.is_not(None), ~select(JobRow.id).where(_ITS_JOB).exists())
         .group_by(SolutionRow.campaign_id)
         .order_by(SolutionRow.campaign_id)

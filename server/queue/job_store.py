@@ -35,6 +35,8 @@ from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerd
 
 MAX_NAMED = 10_000
 """Maximum number of values in one ``IN (…)``: databases limit the number of parameters of a statement."""
+TRACES_A_PIECE = 50
+"""Maximum number of traces deleted together with jobs; each takes some 100 kB."""
 LISTED_BY_STATUS = frozenset({JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED})
 """States with few jobs, which are found by an index on the status."""
 
@@ -550,13 +552,31 @@ def last_finished_at(connection: Connection, campaign_id: str) -> datetime | Non
     return connection.execute(query).scalar_one()
 
 
-def delete_own_traces(connection: Connection, campaign_id: str) -> None:
-    """Delete the traces of a campaign that no other campaign shares."""
-    own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
+def delete_some(connection: Connection, campaign_id: str, limit: int) -> int:
+    """Delete some jobs of a campaign, with their traces unless another campaign shares these; return how many.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        limit: Maximum number of jobs. It is returned as well if traces were deleted instead, because there are many.
+    """
+    query = select(JobRow.id, JobRow.spec_hash).where(JobRow.campaign_id == campaign_id).limit(limit)
+    rows = connection.execute(query).all()
+    hashes = {"hashes": [row.spec_hash for row in rows]}
     others = select(JobRow.id).where(
         JobRow.spec_hash == TraceRow.spec_hash, JobRow.campaign_id != campaign_id
     )
-    connection.execute(delete(TraceRow).where(TraceRow.spec_hash.in_(own), ~others.exists()))
+    traced = select(TraceRow.spec_hash).where(in_list(TraceRow.spec_hash, "hashes"), ~others.exists())
+    traces = list(connection.execute(traced.limit(TRACES_A_PIECE), hashes).scalars())
+    if traces:
+        connection.execute(
+            delete(TraceRow).where(in_list(TraceRow.spec_hash, "hashes")), {"hashes": traces}
+        )
+    if len(traces) == TRACES_A_PIECE:
+        return limit
+    if rows:
+        connection.execute(delete(JobRow).where(in_list(JobRow.id, "ids")), {"ids": [row.id for row in rows]})
+    return len(rows)
 
 
 def delete_traces(connection: Connection, before: datetime, *, dry_run: bool) -> int:

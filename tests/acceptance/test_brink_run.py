@@ -10,7 +10,7 @@ import pytest
 import yaml
 from support.api import ball, undisturbed_digest
 from support.databases import Databases
-from support.processes import BRINK, TOY, Program, brink
+from support.processes import BRINK, TOY, Program, brink, site
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -58,6 +58,26 @@ def test_a_campaign_file_becomes_results(
         assert "no earlier" not in shown.stdout
     (folder,) = (tmp_path / "brink-results").glob("known-boundary-*")
     assert list(folder.glob("*.png"))
+
+
+@pytest.mark.usefixtures("small_problems")
+def test_a_run_beside_a_coordinator_on_the_same_file_changes_neither(tmp_path: Path) -> None:
+    """Each has a campaign and a worker of its own, and the workers of both take jobs of both campaigns."""
+    file, database = written(tmp_path, BALL), f"sqlite:///{tmp_path}/brink.db"
+    other = {**BALL, "seed": 4}
+    with site(tmp_path, database, TOY) as served:
+        served.start_workers(1)
+        campaign = served.submit(other)
+        options = ("--database", database, "--workers", "1", "--no-pictures", "--json")
+        said = brink("run", file, *options, cwd=tmp_path, env=TOY)
+        assert said.returncode == 0, said.stderr
+        found = json.loads(said.stdout)
+        assert found["digest"] == undisturbed_digest(BALL)
+        assert served.progress(found["campaign"])["digest"] == found["digest"]
+        done = served.await_end(campaign)
+        assert (done["status"], done["digest"]) == ("finished", undisturbed_digest(other))
+        checked = brink("doctor", "--thorough", "--database", database, cwd=tmp_path, env=TOY)
+        assert checked.returncode == 0, checked.stdout
 
 
 @pytest.mark.long("runs a campaign twice")

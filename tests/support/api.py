@@ -17,6 +17,7 @@ from brink.search.algorithm import ask_all
 from brink.search.archive import archive_digest
 from brink.server.app import create_app
 from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.deletion import marked_campaigns
 from brink.server.campaigns.plan import make_plan, new_solutions
 from brink.server.db.engine import Engines
 from brink.server.db.models import Base
@@ -174,6 +175,16 @@ def row_counts(engines: Engines) -> dict[str, int]:
             for name, table in Base.metadata.tables.items()
             if name != "sweeps"
         }
+
+
+def await_erasure(engines: Engines) -> None:
+    """Wait until all rows of deleted campaigns are erased."""
+
+    def is_erased() -> bool:
+        with engines.reader.connect() as connection:
+            return not marked_campaigns(connection)
+
+    eventually(is_erased, "deleted campaigns are erased")
 
 
 def completes(job: LeasedJob) -> Completed | JobFailed:

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Row, select, update
 
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
+from brink.server.campaigns.deletion import erase_all, mark_deleted
 from brink.server.campaigns.step_store import Asked, NewSolution
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, SweepRow
@@ -200,8 +201,9 @@ class Queue:
         self.run(lambda connection: store.retry_job(connection, job))
 
     def delete(self, campaign: str) -> None:
-        """Delete a campaign."""
-        self.run(lambda connection: store.delete_campaign(connection, campaign))
+        """Delete a campaign, and erase it."""
+        self.run(lambda connection: mark_deleted(connection, [campaign]))
+        erase_all(self.engines)
 
     def end_backoffs(self) -> None:
         """Let all backoffs end."""

@@ -148,7 +148,7 @@ def test_a_result_of_a_cancelled_campaign_is_stale(queue: Queue) -> None:
 def test_a_result_of_a_deleted_campaign_is_stale(queue: Queue) -> None:
     campaign = queue.campaign(2)
     (job,) = queue.lease(max_jobs=1)
-    queue.run(lambda connection: store.delete_campaign(connection, campaign))
+    queue.delete(campaign)
     assert queue.complete(job) == ("stale",)
     assert queue.jobs() == []
 
@@ -396,7 +396,7 @@ def test_deleting_takes_its_traces_but_not_those_of_others(queue: Queue) -> None
     kept = queue.campaign([B], cache=False)
     for job in queue.lease_all():
         queue.report(Outcome(job=job.job, token=job.token, result=RESULT, trace=b"t"))
-    queue.run(lambda connection: store.delete_campaign(connection, gone))
+    queue.delete(gone)
     left = queue.run(lambda c: [r.spec_hash for r in c.execute(TraceRow.__table__.select())])
     assert left == [B]
     assert queue.states(kept) == ["done"]

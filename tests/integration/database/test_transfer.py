@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from sqlalchemy import func, select, text
@@ -15,6 +16,7 @@ from support.api import FakeWorker, ball, coordinator, eventually, expect, finis
 from support.databases import BACKENDS, Databases, databases_for, on_sqlite
 from support.marks import mostly_long
 from support.queue import Queue
+from support.urban_pairs import SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -22,6 +24,7 @@ from brink.server.db.engine import open_engines
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow
 from brink.server.errors import Conflict, NotFound, ServerError
 from brink.server.operations.transfer import BadFile, export_campaign
+from brink.server.problems.urban_injected import SIMULATOR
 
 pytestmark = pytest.mark.usefixtures("small_problems")
 
@@ -154,6 +157,138 @@ def test_a_warm_campaign_goes_on_elsewhere_without_its_source(
                     expect(client.post(f"/api/v1/campaigns/{warm}/resume"))
                 digests.add(FakeWorker(client).work(warm)["digest"])
     assert len(digests - {None}) == 1
+
+
+API = "/api/v1/campaigns"
+
+
+def urban(client: httpx.Client) -> FakeWorker:
+    """Return a worker that can simulate the urban problem."""
+    return FakeWorker(client, capabilities=(SIMULATOR,), judge=judged)
+
+
+def with_follow_ups(client: httpx.Client) -> tuple[str, dict[str, str]]:
+    """Run a campaign that holds a pair, and ask everything about it; the last follow-up is half simulated."""
+    params = {"solutions": [SAFE, UNSAFE], "seed_numbers": [0, 0]}
+    body = {
+        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 2},
+        "algorithm": {"id": "repeat@1", "params": params},
+    }  # fmt: skip
+    campaign = submit(client, body)
+    urban(client).work(campaign)
+    asked = {}
+    for kind in ("confirm", "component", "minimise"):
+        answer = client.post(f"{API}/{campaign}/pairs/follow-ups", json={"kind": kind, "d_th": 0.01})
+        asked[kind] = str(expect(answer, 201)["campaign"])
+        urban(client).work(asked[kind])
+    for name, of, numbers in (("of a follow-up", asked["confirm"], [3]), ("half", campaign, [0, 1])):
+        answer = client.post(f"{API}/{of}/repeats", json={"repeats": 12, "numbers": numbers})
+        asked[name] = str(expect(answer, 201)["campaign"])
+        if name != "half":
+            urban(client).work(asked[name])
+    worker = urban(client)
+    worker.report(worker.lease(max_jobs=5))
+    worker.lease(max_jobs=2)  # nobody will report them there
+    return campaign, asked
+
+
+def known_of_pairs(client: httpx.Client, campaign: str, asked: dict[str, str]) -> tuple[Any, ...]:
+    """Return what is known of a campaign's pairs and of its repeats."""
+    pairs = expect(client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01}))["pairs"]
+    repeats = [expect(client.get(f"{API}/{one}/repeats")) for one in (campaign, asked["confirm"])]
+    counts = [[(one["campaign"], one["evaluated"], one["unsafe"]) for one in found] for found in repeats]
+    return pairs, counts
+
+
+def test_follow_ups_go_along_and_go_on_elsewhere(
+    databases: Databases, database_url: str, tmp_path: Path
+) -> None:
+    file, again = tmp_path / "followed.brink", tmp_path / "again.brink"
+    with coordinator(database_url) as client:
+        campaign, asked = with_follow_ups(client)
+        before = known_of_pairs(client, campaign, asked)
+    told = run("export", campaign, "--out", str(file), "--database", database_url, "--json")
+    rows = json.loads(told.stdout)["rows"]
+    assert (rows["campaigns"], rows["repeats"]) == (6, 5)
+    with databases.database("other") as elsewhere:
+        told = run("import", str(file), "--database", elsewhere)
+        assert f"its follow-up {asked['half']} is paused; continue it with: " in told.output
+        assert told.output.count("is paused") == 1
+        assert run("export", campaign, "--out", str(again), "--database", elsewhere).exit_code == 0
+        assert members(again).keys() == members(file).keys()
+        assert run("doctor", "--thorough", "--database", elsewhere).exit_code == 0
+        with coordinator(elsewhere) as client:
+            assert known_of_pairs(client, campaign, asked) == before
+            expect(client.post(f"{API}/{asked['half']}/resume"))
+            urban(client).work(asked["half"])
+            half = expect(client.get(f"{API}/{campaign}/repeats"))[-1]
+            assert [one["evaluated"] for one in half["solutions"]] == [12, 12]
+        with pytest.raises(Conflict, match=f"campaign {campaign} already exists"):
+            run("import", str(file), "--database", elsewhere)
+
+
+def test_a_follow_up_that_is_exported_alone_is_a_campaign(
+    databases: Databases, database_url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "alone.brink"
+    with coordinator(database_url) as client:
+        _, asked = with_follow_ups(client)
+    assert run("export", asked["component"], "--out", str(file), "--database", database_url).exit_code == 0
+    with databases.database("other") as elsewhere:
+        assert run("import", str(file), "--database", elsewhere).exit_code == 0
+        with coordinator(elsewhere) as client:
+            assert progress(client, asked["component"])["status"] == "finished"
+
+
+@on_sqlite
+def test_forged_follow_ups_change_nothing(
+    databases: Databases, elsewhere: str, database_url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "followed.brink"
+    with coordinator(database_url) as client:
+        campaign, asked = with_follow_ups(client)
+    assert run("export", campaign, "--out", str(file), "--database", database_url).exit_code == 0
+    lines = [json.loads(line) for line in members(file)["repeats.jsonl"].splitlines()]
+    places = {one["campaign_id"]: place for place, one in enumerate(lines)}
+
+    def link(name: str, **changes: Any) -> dict[str, Callable[[bytes], bytes | None]]:
+        return {"repeats.jsonl": in_line(lambda row: row.update(changes), places[asked[name]])}
+
+    folder = f"follow-ups/{asked['component']}"
+    wrong: tuple[tuple[dict[str, Callable[[bytes], bytes | None]], str], ...] = (
+        (link("confirm", numbers=[0, 999]), f"campaign {campaign} has no solution 999"),
+        (link("confirm", repeats=0), "expected repeats and numbers as in campaign"),
+        (link("minimise", repeats=2), "expected repeats and numbers as in campaign"),
+        (link("component", numbers=[0, 1]), "expected repeats and numbers as in campaign"),
+        (link("component", numbers=["1"]), "numbers.0: "),
+        (link("component", t_b=2.0), "t_b: "),
+        (link("component", of_id="f" * 8), "expected a new follow-up of a campaign before it"),
+        (link("component", of_id=asked["component"]), "expected a new follow-up of a campaign before it"),
+        (link("component", campaign_id=asked["confirm"]), "expected a new follow-up of a campaign before it"),
+        ({"repeats.jsonl": lambda _: None}, "expected a line for each folder"),
+        ({"follow-ups/ffffffff/jobs.jsonl": lambda _: b""}, "expected a line for each folder"),
+        (
+            {f"{folder}/campaigns.jsonl": in_line(lambda row: row.update(id=campaign))},
+            f"{folder}/campaigns.jsonl: expected exactly one campaign, {asked['component']}",
+        ),
+        (
+            {
+                f"{folder}/campaigns.jsonl": in_line(
+                    lambda row: row["document"]["budget"].update(simulations=9)
+                )
+            },
+            f"{folder}/campaigns.jsonl: document: budget: expected 1 simulations",
+        ),
+        ({f"{folder}/jobs.jsonl": lambda _: None}, "undamaged"),
+    )
+    for changes, message in wrong:
+        with pytest.raises(BadFile) as refused:
+            run("import", str(rewritten(file, changes)), "--database", elsewhere)
+        assert message in str(refused.value)
+        engines = open_engines(elsewhere)
+        with engines.reader.connect() as connection:
+            assert connection.execute(select(func.count()).select_from(CampaignRow)).scalar_one() == 0
+        engines.dispose()
 
 
 def rewritten(file: Path, changes: dict[str, Callable[[bytes], bytes | None]], *, sums: bool = True) -> Path:

@@ -13,6 +13,7 @@ from sqlalchemy import select, update
 from support.api import (
     FakeWorker,
     Judge,
+    await_erasure,
     ball,
     completes,
     coordinator,
@@ -128,6 +129,7 @@ def test_only_an_ended_campaign_can_be_deleted(client: httpx.Client, engines: En
     expect(client.delete(f"/api/v1/campaigns/{campaign}"), 204)
     expect(client.get(f"/api/v1/campaigns/{campaign}"), 404)
     assert set(worker.report(late)) == {"stale"}
+    await_erasure(engines)
     left = {name for name, count in row_counts(engines).items() if count}
     assert left <= {"workers"}
 

@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 import yaml
-from support.api import FakeWorker, ball, coordinator, eventually, expect, row_counts
+from support.api import FakeWorker, await_erasure, ball, coordinator, eventually, expect, row_counts
 from support.databases import on_sqlite
 from typer.testing import CliRunner
 
@@ -177,6 +177,7 @@ def test_experiment_is_paused_resumed_cancelled_and_deleted(client: httpx.Client
     assert expect(client.post(f"{API}/{name}/cancel"))["status"] == "cancelled"
     assert client.delete(f"{API}/{name}").status_code == 204
     expect(client.get(f"{API}/{name}"), 404)
+    await_erasure(engines)
     counts = row_counts(engines)
     assert (counts["experiments"], counts["experiment_campaigns"], counts["campaigns"], counts["jobs"]) == (
         0,

@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 from rich.console import Console
-from support.api import FakeWorker, ball, expect, finish, row_counts, submit
+from support.api import FakeWorker, await_erasure, ball, expect, finish, row_counts, submit
 from support.databases import on_sqlite
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
@@ -393,6 +393,7 @@ def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines
     expect(client.delete(f"{API}/{campaign}"), 409)
     worked(client, again)
     expect(client.delete(f"{API}/{campaign}"), 204)
+    await_erasure(engines)
     counts = row_counts(engines)
     assert (counts["campaigns"], counts["repeats"], counts["solutions"]) == (0, 0, 0)
 

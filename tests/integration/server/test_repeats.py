@@ -12,7 +12,7 @@ import httpx
 import pytest
 from PIL import Image
 from sqlalchemy import update
-from support.api import FakeWorker, ball, coordinator, expect, progress, row_counts, submit
+from support.api import FakeWorker, await_erasure, ball, coordinator, expect, progress, row_counts, submit
 from support.databases import on_sqlite
 from support.problems import REQUIREMENT
 from typer.testing import CliRunner
@@ -242,6 +242,7 @@ def test_a_campaign_is_deleted_with_its_repeats_once_they_ended(
     )
     expect(client.post(f"{API}/{view['campaign']}/cancel"))
     expect(client.delete(f"{API}/{campaign}"), 204)
+    await_erasure(engines)
     counts = row_counts(engines)
     assert (counts["campaigns"], counts["repeats"], counts["solutions"], counts["jobs"]) == (0, 0, 0, 0)
 

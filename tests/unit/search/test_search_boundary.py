@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from brink.search.analysis import boundary
 from brink.search.analysis.boundary import (
     by_p_th,
     by_radius,
@@ -22,6 +23,7 @@ from brink.search.analysis.boundary import (
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import ScenarioRisk, blind_archive
 from brink.search.archive import Archive, Neighbourhood
+from brink.search.errors import BoundaryTooLarge
 from brink.search.metric import Metric
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.search.testing import example_spaces
@@ -77,6 +79,39 @@ def test_boundary_is_taken_greedily_by_fitness_then_number(t_b: float, d_th: flo
     assert distinct_boundary(archive, t_b, d_th).tolist() == naive_boundary(archive, t_b, d_th)
 
 
+@pytest.mark.parametrize("block", [1, 7, 1_000])
+def test_boundary_does_not_depend_on_how_many_solutions_are_looked_at_together(
+    block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(boundary, "_BLOCK", block)
+    archive = random_archive(90)
+    for t_b, d_th in ((0.15, 0.1), (1.0, 0.3), (1.0, 0.05)):
+        assert distinct_boundary(archive, t_b, d_th).tolist() == naive_boundary(archive, t_b, d_th)
+
+
+def test_a_boundary_that_takes_too_many_distances_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(boundary, "_BLOCK", 10)
+    archive = random_archive(90)
+    most = 90 * 90 // 2
+    assert distinct_boundary(archive, 1.0, 0.01, most_compared=most).size > 80
+    with pytest.raises(BoundaryTooLarge, match=r"90 solutions .* choose a larger d_th or a smaller t_b"):
+        distinct_boundary(archive, 1.0, 0.01, most_compared=most // 2)
+    assert distinct_boundary(archive, 1.0, 0.0, most_compared=0).size == 90, "nothing is compared"
+
+
+def test_a_grid_leaves_out_distances_that_take_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(boundary, "_BLOCK", 10)
+    archive = random_archive()
+    whole, part = (
+        dbs_grid(archive, d_ths=(0.01, 0.3)),
+        dbs_grid(archive, d_ths=(0.01, 0.3), most_compared=2_000),
+    )
+    assert (whole.d_ths, part.d_ths) == ((0.01, 0.3), (0.3,))
+    assert part.dbs.tolist() == whole.dbs[:, 1:].tolist()
+    assert part.strict.tolist() == whole.strict[:, 1:].tolist()
+    assert dbs_grid(archive, d_ths=(0.01,), most_compared=0).dbs.shape == (len(PAPER_T_BS), 0)
+
+
 def test_grid_equals_the_single_figures() -> None:
     archive = random_archive()
     grid = dbs_grid(archive)
@@ -125,9 +160,9 @@ def test_strict_dbs_never_exceeds_dbs(make: Callable[[], Archive]) -> None:
     grid = dbs_grid(archive, np.linspace(0.02, 1, 25).tolist(), np.linspace(0, 0.6, 13).tolist())
     assert (grid.strict <= grid.dbs).all()
     for t_b, d_th in ((0.2, 0.3), (0.5, 0.2), (1.0, 0.05)):
-        boundary = distinct_boundary(archive, t_b, d_th).tolist()
+        distinct = distinct_boundary(archive, t_b, d_th).tolist()
         strict = distinct_boundary(archive, t_b, d_th, strict=True).tolist()
-        assert strict == [place for place in boundary if has_evidence(archive)[place]]
+        assert strict == [place for place in distinct if has_evidence(archive)[place]]
 
 
 def test_figures_over_the_budget_use_only_earlier_solutions() -> None:

@@ -29,10 +29,10 @@ export async function show(main, context, { parts, query }) {
   const notes = h("div");
   const labelled = labels(context, id, () => polling.now());
   const map = mapCard(context, id, query);
-  const opening = finding(context, id, (read) => read.rings.length && map.ring(read.rings), () => polling.now());
+  const opening = finding(context, id, (read) => read.rings.length && map.ring(read.rings, read.pairs), () => polling.now());
   const convergence = convergenceCards(context, id, query, campaign.thresholds);
   const boundary = boundaryCard(context, id, campaign.thresholds, (read, searchedForPairs) => {
-    if (!searchedForPairs) map.ring(read.solutions.map((one) => [one.number]));
+    if (!searchedForPairs) map.ring(read.solutions.map((one) => [one.number]), read.dbs);
     convergence.explain(read.note);
   });
   const found = findings(context, id, problem?.finds ?? []);

@@ -71,7 +71,7 @@ export function boundaryCard(context, id, usual, found) {
     heads.forEach((head, place) => attribute(head, "aria-sort",
       COLUMNS[place][0] === sorting.name ? (sorting.falling ? "descending" : "ascending") : null));
     keyed(body, rows.slice(0, most), (one) => `${one.number} ${one.neighbours} ${one.fitness} ${strictOnes.has(one.number)}`, (one) => row(one, strictOnes.has(one.number)));
-    text(caption, `t_b ${read.t_b}, d_th ${read.d_th}: ${plural(read.dbs, "distinct boundary solution")}, ${count(read.strict_dbs)} strict. ${read.note}`);
+    text(caption, `t_b ${read.t_b}, d_th ${read.d_th}: ${plural(read.dbs, "distinct boundary solution")}, ${count(read.strict_dbs)} strict. ${read.solutions.length < read.dbs ? `Listed are ${read.words}. ` : ""}${read.note}`);
     text(said, rows.length < read.solutions.length ? `${count(rows.length)} of ${count(read.solutions.length)} match.` : read.solutions.length ? "" : "None yet at these thresholds.");
     more.hidden = rows.length <= most;
   }
@@ -250,7 +250,8 @@ export function findings(context, id, tells) {
   }
 
   function which(one) {
-    const what = one.boundary ? plural(one.solutions.length, "boundary solution") : one.solutions.length === 1 ? `solution ${one.solutions[0].number}` : plural(one.solutions.length, "selected solution");
+    const best = one.boundary && one.solutions.length < one.distinct;
+    const what = best ? `the best ${count(one.solutions.length)} of ${plural(one.distinct, "boundary solution")}` : one.boundary ? plural(one.solutions.length, "boundary solution") : one.solutions.length === 1 ? `solution ${one.solutions[0].number}` : plural(one.solutions.length, "selected solution");
     return `${what}, ${one.solutions.length === 1 ? "" : "each "}${count(one.repeats)} times`;
   }
 

@@ -14,7 +14,7 @@ const MOST_LISTED = 60;
 
 /**
  * Return the card, which appears with the first result; ``news`` loads new solutions of a search for the boundary or
- * for something else, ``parameters`` offers more colours, ``ring`` marks the results of the search: the numbers of each, two for a pair, best first.
+ * for something else, ``parameters`` offers more colours, ``ring`` marks the results of the search: the numbers of each, two for a pair, best first, and how many there are.
  *
  * @param {Context} context
  * @param {string} id Id of the campaign.
@@ -26,6 +26,7 @@ export function mapCard(context, id, query) {
   let opened = /^\d+$/.test(query.get("solution") ?? "") ? Number(query.get("solution")) : null;
   let chosen = [];
   let results = [];
+  let total = 0; // how many results there are: only the best ones have rings
   let aboutBoundary = true; // whether the search is for the boundary: then fitness and p_th mean something
 
   const tip = h("div.tip", { hidden: true, "aria-hidden": "true" });
@@ -98,7 +99,7 @@ export function mapCard(context, id, query) {
       dot.style.background = one.colour;
       return h("li", null, dot, one.label);
     }), data.told < data.count && h("li", null, h("i.hollow"), `${count(data.count - data.told)} just reported${aboutBoundary ? ", not scored yet" : ""}`),
-    rings.length > 0 && h("li", null, h("i.ringed"), rings[0].at.length > 1 ? plural(rings.length, "distinct pair") : plural(rings.length, "distinct boundary solution")));
+    rings.length > 0 && h("li", null, h("i.ringed"), ringWords(rings.length, rings[0].at.length > 1 ? "distinct pair" : "distinct boundary solution")));
     tints.hidden = !data.ground;
     if (data.ground) replace(tints, tintWords(data.ground.p_th), h("i.hatched", { "aria-hidden": "true" }), h("span", null, "too few simulations nearby to tell"));
     const { said, drawn, evaluated, explained, across, up, own_axes } = data.about;
@@ -219,6 +220,11 @@ export function mapCard(context, id, query) {
       h("p.small.muted", null, "Click a point for details. Select several with the lasso, or by dragging with Shift held. Drag to pan; click the map first to zoom with the wheel."));
   }
 
+  /** Return how many rings there are, and of how many results if these are not all. */
+  function ringWords(number, what) {
+    return results.length < total ? `${count(number)} of ${plural(total, what)}, best first` : plural(number, what);
+  }
+
   /** Return the indices of solutions among the points; a thinned map does not have all of them. */
   function placed(numbers) {
     return numbers.map((number) => data.place.get(number)).filter((i) => i !== undefined);
@@ -245,8 +251,9 @@ export function mapCard(context, id, query) {
     load(isParameter(by) ? `${news}/${by}` : String(news));
   };
   card.parameters = offer;
-  card.ring = (numbers) => {
+  card.ring = (numbers, all) => {
     results = numbers;
+    total = all;
     draw();
   };
   return card;
