@@ -13,7 +13,7 @@ from typing import Any, Final
 
 KINDS: Final = (
     "v1 PersistentVolumeClaim", "v1 Service", "apps/v1 Deployment", "batch/v1 CronJob",
-    "networking.k8s.io/v1 Ingress", "networking.k8s.io/v1 NetworkPolicy", "policy/v1 PodDisruptionBudget",
+    "batch/v1 Job", "networking.k8s.io/v1 Ingress", "networking.k8s.io/v1 NetworkPolicy", "policy/v1 PodDisruptionBudget",
     "keda.sh/v1alpha1 ScaledObject", "monitoring.coreos.com/v1 ServiceMonitor",
 )  # fmt: skip
 """What the manifests contain: API version and kind."""
