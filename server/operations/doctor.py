@@ -97,12 +97,13 @@ def examine(
         yield Finding("schema", State.WRONG, found, "brink db upgrade")
         return
     yield Finding("schema", State.FINE, str(revision))
-    running = [_clock, lambda connection: _workers(connection, settings), _leases, _campaigns]
     checks: list[Callable[[Connection], Iterator[Finding]]] = [
-        *(() if restored else running),
         _jobs,
         lambda connection: _results(connection, None if thorough else VERIFIED_RESULTS),
     ]
+    if not restored:
+        checks.insert(1, _campaigns)
+        checks[:0] = [_clock, lambda connection: _workers(connection, settings), _leases]
     if settings.sqlite_file is not None:
         checks.insert(0, lambda connection: _file(connection, settings))
     if thorough:
