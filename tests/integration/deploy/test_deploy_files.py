@@ -178,10 +178,11 @@ def test_all_files_are_applied_or_documented_as_optional() -> None:
     text = (KUBERNETES / "kustomization.yaml").read_text()
     applied = set(yaml.safe_load(text)["resources"])
     optional = set(re.findall(r"^  # - (\S+)", text, re.MULTILINE))
-    files = {path.name for path in KUBERNETES.glob("*.yaml")} - {"kustomization.yaml"}
-    assert optional == {"ingress.yaml", "data"}
-    assert applied | optional == (files | {"data"}) - {"restore.yaml"}
-    for name in (*optional, "restore.yaml"):
+    files = {path.name for path in KUBERNETES.glob("*.yaml")} - {"kustomization.yaml", "restore.yaml"}
+    assert optional == {"ingress.yaml"}
+    assert applied | optional == files
+    assert re.search(r"^components: \[\] +# \[(\w+)\]", text, re.MULTILINE)[1] == "data"  # type: ignore[index]
+    for name in ("ingress.yaml", "restore.yaml", "components: [data]"):
         assert name in PAGES["run-on-kubernetes"]
 
 
