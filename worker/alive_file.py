@@ -1,7 +1,7 @@
 """A file that a worker touches while its threads make progress, for liveness probes, which check its age.
 
-A worker that waits for an absent coordinator is alive, and so is one whose episode takes long: the coordinator's and the
-worker's own time limits deal with those.
+A worker that waits for an absent coordinator is alive, and so is one whose episode takes long: other time limits deal
+with those.
 """
 
 import logging

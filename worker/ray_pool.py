@@ -318,7 +318,7 @@ def _connected(settings: PoolSettings) -> Iterator[None]:
         ray.init(address=settings.address, **options)
     except (ConnectionError, RuntimeError, ValueError, RayError) as error:
         advice = "" if settings.address == LOCAL else f". {_advice()}"
-        raise NoCluster(f"--ray {settings.address}: {_one_line(error).rstrip('.')}{advice}") from error
+        raise NoCluster(f"--ray {settings.address}: {_one_line(error)}{advice}") from error
     try:
         yield
     finally:
@@ -327,18 +327,20 @@ def _connected(settings: PoolSettings) -> Iterator[None]:
 
 def _advice() -> str:
     """Return what to do if a cluster cannot be joined; Ray does not say whether the cluster requires a token."""
-    printed = "what `ray get-auth-token` prints on the head node"
+    set_token = f"{AUTH_TOKEN_VARIABLE} to what `ray get-auth-token` prints on the head node"
     if os.environ.get(AUTH_MODE_VARIABLE, "").lower() != "token":
         return (
-            f"Is a cluster running there? If it requires a token, set {AUTH_MODE_VARIABLE}=token and "
-            f"{AUTH_TOKEN_VARIABLE} to {printed}"
+            "Is a cluster running there? If it requires a token, set "
+            f"{AUTH_MODE_VARIABLE}=token and {set_token}"
         )
-    file = os.environ.get(AUTH_FILE_VARIABLE) or str(Path("~", ".ray", "auth_token"))
-    used = AUTH_TOKEN_VARIABLE if os.environ.get(AUTH_TOKEN_VARIABLE) else file
-    return (
-        f"Is a cluster running there, and is the token in {used} the one of the cluster? "
-        f"Set {AUTH_TOKEN_VARIABLE} to {printed}"
-    )
+    file = Path(os.environ.get(AUTH_FILE_VARIABLE) or "~/.ray/auth_token")
+    if os.environ.get(AUTH_TOKEN_VARIABLE):
+        used = AUTH_TOKEN_VARIABLE
+    elif file.expanduser().exists():
+        used = str(file)
+    else:
+        return f"Set {set_token}"
+    return f"Is a cluster running there, and is {used} its token? Set {set_token}"
 
 
 def _cpus() -> int:
@@ -356,4 +358,7 @@ def _draining_nodes() -> Collection[str]:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:400] or type(error).__name__
+    words = getattr(error, "message", None) or str(
+        error
+    )  # that of authentication errors comes with other advice
+    return " ".join(str(words).split())[:400].rstrip(".") or type(error).__name__

@@ -193,8 +193,8 @@ def test_a_missing_or_wrong_token_of_the_cluster_is_explained(running: Site) -> 
         wrong = secrets.token_hex(32)
         for given, words in (
             ({}, "set RAY_AUTH_MODE=token and RAY_AUTH_TOKEN to what `ray get-auth-token` prints"),
-            ({"RAY_AUTH_MODE": "token"}, "Set RAY_AUTH_TOKEN to what `ray get-auth-token` prints"),
-            ({"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": wrong}, "is the token in RAY_AUTH_TOKEN the one"),
+            ({"RAY_AUTH_MODE": "token"}, "no authentication token was found. Set RAY_AUTH_TOKEN to what"),
+            ({"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": wrong}, "and is RAY_AUTH_TOKEN its token? Set"),
         ):
             started = pool(running, "--ray", address, **given)
             assert started.wait() == 1

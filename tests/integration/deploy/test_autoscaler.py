@@ -61,7 +61,7 @@ def capabilities(deployment: str) -> tuple[str, ...]:
         ([vision()], {PLAIN: 0, VISION: 5}),
         ([plain()], {PLAIN: 5, VISION: 0}),
         ([vision(), plain(simulations=1)], {PLAIN: 1, VISION: 5}),
-        ([vision(simulations=60), vision(simulations=59)], {PLAIN: 0, VISION: 30}),
+        ([vision(simulations=24), vision(simulations=23)], {PLAIN: 0, VISION: 12}),
         ([ball()], {PLAIN: 0, VISION: 0}),
     ],
 )
@@ -94,7 +94,7 @@ def test_every_kind_of_worker_is_reported_even_without_jobs(client: httpx.Client
 
 def test_each_simulator_belongs_to_one_kind_of_worker() -> None:
     kinds = Counter(worker_kind(one) for one in simulator_ids() if not one.startswith(("ball", "faulty")))
-    assert kinds["plain"] >= 4
+    assert kinds["plain"] == 3
     assert kinds["vision"] == 4
     assert set(kinds) <= set(WORKER_KINDS)
     assert worker_kind("brink-drive-camera@2") == "vision"

@@ -5,7 +5,7 @@ from copy import deepcopy
 from typing import Any
 
 import pytest
-from jsonschema import Draft7Validator, Draft202012Validator
+from jsonschema import Draft202012Validator
 from support.manifests import SCHEMAS, all_manifests, compose, schema_of, with_data
 
 SECRETS = {"BRINK_TOKEN": "a-token", "POSTGRES_PASSWORD": "a-password"}
@@ -48,7 +48,7 @@ def test_the_schemas_find_misspelt_and_missing_fields() -> None:
     "variables", [{}, {"BRINK_DATA": "/srv/data", "BRINK_TAG": "mine", "BRINK_EXTRAS": "postgres"}]
 )
 def test_compose_file_is_valid(variables: dict[str, str]) -> None:
-    validator = Draft7Validator(json.loads((SCHEMAS / "compose.json").read_text()))
+    validator = Draft202012Validator(json.loads((SCHEMAS / "compose.json").read_text()))
     document = compose({**SECRETS, **variables})
     assert [error.message for error in validator.iter_errors(document)] == []
     document["services"]["worker"]["comand"] = []
