@@ -5,7 +5,9 @@ with those.
 """
 
 import logging
+import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -22,11 +24,13 @@ class AliveFile:
 
     Args:
         path: The file, which is created; None to touch nothing.
+        clock: Monotonic clock, in seconds.
     """
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path | None, clock: Callable[[], float] = time.monotonic) -> None:
         self._path = path
-        self._due_s = 0.0
+        self._clock = clock
+        self._due_s = -math.inf
 
     def update(self, progress_s: float | None = None) -> None:
         """Touch the file, unless that was done a moment ago or a thread is stuck.
@@ -34,7 +38,7 @@ class AliveFile:
         Args:
             progress_s: When the thread last made progress, by the monotonic clock; None if it has not begun.
         """
-        now_s = time.monotonic()
+        now_s = self._clock()
         if self._path is None or now_s < self._due_s:
             return
         self._due_s = now_s + TOUCH_S
