@@ -1,6 +1,6 @@
 """Train `brink-det@2` on images of the emergency-braking street.
 
-python -m brink.sim.aeb train --out FOLDER      writes the weights and training.json
+python -m brink.sim.aeb train --out FOLDER      writes brink-det-2.onnx, and brink-det-2.json about the training
 
 A run that was interrupted goes on from its last complete epoch when it is started again. `brink bench detector`
 measures the result.

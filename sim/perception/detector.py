@@ -302,29 +302,14 @@ def load_brink_det_1() -> NetworkDetector:
 
 
 def load_brink_det_2() -> NetworkDetector:
-    """Return `brink-det@2` with the weights that ship with the package.
-
-    Raises:
-        DetectorError: The weights are missing.
-    """
+    """Return `brink-det@2` with the weights that ship with the package."""
     return _load_own(2)
-
-
-_TRAINED: Final = 2
-"""Version that the training program of this release makes."""
 
 
 @cache
 def _load_own(version: int) -> NetworkDetector:
-    weights = Path(str(files("brink.sim.perception").joinpath(f"weights/brink-det-{version}.onnx")))
-    if not weights.is_file():
-        how = (
-            ""
-            if version < _TRAINED
-            else "; `python -m brink.sim.aeb train --out FOLDER` trains them in about an hour"
-        )
-        raise DetectorError(f"brink-det@{version}: weights are missing: expected {weights}{how}")
-    return NetworkDetector.from_file(weights)
+    weights = files("brink.sim.perception").joinpath(f"weights/brink-det-{version}.onnx")
+    return NetworkDetector.from_file(Path(str(weights)))
 
 
 class LoadedNetwork(Protocol):

@@ -331,5 +331,5 @@ def write_results(network: Network, test: TrainingSet, out: Path, *, record: dic
         },
     }
     export_onnx(network, out / "brink-det-2.onnx")
-    (out / "training.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    (out / "brink-det-2.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(record, indent=2))  # noqa: T201

@@ -33,7 +33,7 @@ from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, Ground
 
 MAX_BYTES: Final = 2 * 1024**3
 LOAD_TIMEOUT_S: Final = 120.0
-DEFAULT_DETECTOR: Final = "brink-det@1"
+DEFAULT_DETECTOR: Final = "brink-det@2"
 """Detector of a problem with a camera, unless another is chosen."""
 KINDS: Final = ("onnx", "torchscript", "ultralytics")
 CATEGORY_LABELS: Final[Mapping[str, int]] = {

@@ -160,7 +160,7 @@ def test_only_drives_that_were_not_screened_are_fresh(service: Service) -> None:
 
 def test_a_detector_is_held_against_the_tolerances(service: Service) -> None:
     view = service.get("/detector", episodes=service.camera)
-    assert view["detector"] == "brink-det@1"
+    assert view["detector"] == "brink-det@2"
     results = {(*cell["choices"].values(), cell["condition"]): cell for cell in view["cells"]}
     by_day, by_night = (results["miss", "lead", condition] for condition in ("by day", "by night"))
     assert (by_day["result"], by_night["result"]) == ("met", "not met")

@@ -22,7 +22,7 @@ from brink.sim.urban.camera import street_scene
 from brink.sim.world.road import build_road
 from brink.sim.world.scenario import RoadCurve
 
-DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@1", "threshold": 0.5}
+DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@2", "threshold": 0.5}
 
 
 def seen(*users: JsonObject, duration_s: float = 4.0) -> EpisodeSpec:
@@ -56,7 +56,7 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     world = make_encounter(scenario, 3)
     camera = Camera()
     eyes = EncounterCamera(
-        world, scenario.place, seed=3, detector=find_detector("brink-det@1"), threshold=0.5, camera=camera
+        world, scenario.place, seed=3, detector=find_detector("brink-det@2"), threshold=0.5, camera=camera
     )
     found = [(box.label.value, 0.5 * (box.x_min_px + box.x_max_px), box) for box in eyes.boxes(0.0)]
     # The car's rear is at 15 - 2.2 - 1.3 = 11.5 m: 1.7 m below and 1.8 m wide at a focal length of 400 px.
@@ -88,7 +88,7 @@ def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
     place: dict[str, Json] = {"road_curve": curve.value, "road_id": road_id, "road_length": 0}
     scenario = EncounterScenario.from_json({**spec().scenario, **place})
     eyes = EncounterCamera(
-        make_encounter(scenario, 1), scenario.place, seed=1, detector=find_detector("brink-det@1"),
+        make_encounter(scenario, 1), scenario.place, seed=1, detector=find_detector("brink-det@2"),
         threshold=0.5, camera=Camera(),
     )  # fmt: skip
     assert all(math.isfinite(number) for box in eyes.boxes(0.0) for number in box[1:])
@@ -99,7 +99,7 @@ def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
     [
         ({"mode": "oracle"}, "behaviour.mode: expected detector"),
         ({"threshold": 1.5}, r"threshold: expected a number in \(0, 1\)"),
-        ({"detector": 3}, "expected an id such as brink-det@1"),
+        ({"detector": 3}, "expected an id such as brink-det@2"),
         ({"weights": "0" * 64}, "differs from the file that the campaign was submitted with"),
         ({"sharpness": 1}, "unknown field 'sharpness'"),
     ],

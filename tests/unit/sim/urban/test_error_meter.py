@@ -139,7 +139,7 @@ def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
             "time_of_day": "noon", "weather": "clear", "pedestrians": 0, "road_curve": "straight", "road_id": 0,
             "road_length": 0, "driving_task": "follow_road",
         },
-        behaviour={"mode": "detector", "detector": "brink-det@1", "threshold": 0.5},
+        behaviour={"mode": "detector", "detector": "brink-det@2", "threshold": 0.5},
         requirements=("front-gap@1",), seed=1, duration_s=3.0, options={"fidelity": "bicycle"},
     )  # fmt: skip
     found = BrinkDriveCamera().run(spec).features[MEASURES]
