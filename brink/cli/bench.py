@@ -219,7 +219,7 @@ def detector(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the images and of the perturbations.")] = 2,
     threshold: Annotated[
         float, typer.Option(min=0.01, max=0.99, help="Minimum score of detections that reach the brake.")
-    ] = 0.5,
+    ] = 0.35,
     processes: Processes = 2,
     picture: Annotated[Path | None, typer.Option(help="Also draw the figures: .png, .svg or .pdf.")] = None,
     as_json: AsJson = False,

@@ -80,7 +80,7 @@ class AebCrossingParams:
     detector: str = setting(
         DEFAULT_DETECTOR, help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
-    threshold: float = setting(0.5, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
+    threshold: float = setting(0.35, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     person_frames: int = setting(
         PERSON_FRAMES,
         help="Number of the last three frames in which a person must be reported, to brake (1 in the paper).",
@@ -222,17 +222,14 @@ class AebCrossing(JudgedByRequirements):
     def _behaviour(self, vectors: Vectors) -> dict[str, Json]:
         if self._sees_truth:
             return {"mode": SightMode.ORACLE.value}
-        return {
-            "mode": SightMode.DETECTOR.value,
-            "threshold": self.params.threshold,
-            **self._perception(vectors),
-        }
+        return {"mode": SightMode.DETECTOR.value, **self._perception(vectors)}
 
     def _perception(self, vectors: Vectors) -> dict[str, Json]:
         weights = self._weights()
         return {
             "detector": self.params.detector,
             **({"weights": weights} if weights else {}),
+            "threshold": self.params.threshold,
             "fields": self.params.fields,
             "perturbations": [dict(perturbation) for perturbation in self.perturbations(vectors)],
         }
