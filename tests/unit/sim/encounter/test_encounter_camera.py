@@ -56,7 +56,7 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     world = make_encounter(scenario, 3)
     camera = Camera()
     eyes = EncounterCamera(
-        world, scenario.place, seed=3, detector=find_detector("brink-det@2"), threshold=0.5, camera=camera
+        world, scenario.place, seed=3, detector=find_detector("brink-det@2"), threshold=0.35, camera=camera
     )
     found = [(box.label.value, 0.5 * (box.x_min_px + box.x_max_px), box) for box in eyes.boxes(0.0)]
     # The car's rear is at 15 - 2.2 - 1.3 = 11.5 m: 1.7 m below and 1.8 m wide at a focal length of 400 px.
