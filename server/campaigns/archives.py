@@ -16,7 +16,7 @@ from brink.search.analysis.boundary import MOST_COMPARED, DbsGrid, IndexArray, d
 from brink.search.analysis.monitor import Model, Monitor, default_model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
-from brink.search.errors import MissingExtra
+from brink.search.errors import BoundaryTooLarge, MissingExtra
 from brink.search.space import FloatArray, IntArray
 from brink.server.campaigns import step_store, view_store
 from brink.server.campaigns.advance import Stepper
@@ -79,14 +79,21 @@ class ReadArchive:
             BoundaryTooLarge: It would take too long.
         """
         key = t_b, d_th
-        if key not in self._boundaries:
+        found = self._boundaries.get(key)
+        if found is None:
+            try:
+                found = find_boundary(self.archive, t_b, d_th)
+            except BoundaryTooLarge as error:
+                found = error
             if len(self._boundaries) >= MOST_BOUNDARIES:
                 self._boundaries.clear()
-            self._boundaries[key] = find_boundary(self.archive, t_b, d_th)
-        return self._boundaries[key]
+            self._boundaries[key] = found
+        if isinstance(found, BoundaryTooLarge):
+            raise BoundaryTooLarge(str(found))
+        return found
 
     @cached_property
-    def _boundaries(self) -> dict[tuple[float, float], IndexArray]:
+    def _boundaries(self) -> dict[tuple[float, float], IndexArray | BoundaryTooLarge]:
         return {}
 
 

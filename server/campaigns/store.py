@@ -285,4 +285,3 @@ def retry_job(connection: Connection, job_id: int) -> None:
     ):
         raise Conflict(f"job {job_id} was just changed by another request; check it again")
     note_change(connection, campaign.id)
-

@@ -62,22 +62,23 @@ def test_a_campaign_file_becomes_results(
 
 @pytest.mark.usefixtures("small_problems")
 def test_a_run_beside_a_coordinator_on_the_same_file_changes_neither(tmp_path: Path) -> None:
-    """Each has a campaign and a worker of its own, and the workers of both take jobs of both campaigns."""
+    """Each has a campaign and a worker of its own, and workers take jobs of both campaigns."""
     file, database = written(tmp_path, BALL), f"sqlite:///{tmp_path}/brink.db"
     other = {**BALL, "seed": 4}
+    command = [BRINK, "run", file, "--database", database, "--workers", "1", "--no-pictures"]
     with site(tmp_path, database, TOY) as served:
         served.start_workers(1)
-        campaign = served.submit(other)
-        options = ("--database", database, "--workers", "1", "--no-pictures", "--json")
-        said = brink("run", file, *options, cwd=tmp_path, env=TOY)
-        assert said.returncode == 0, said.stderr
-        found = json.loads(said.stdout)
-        assert found["digest"] == undisturbed_digest(BALL)
-        assert served.progress(found["campaign"])["digest"] == found["digest"]
+        with Program(command, cwd=tmp_path, env=TOY) as running:
+            running.await_line("watch it in a browser until it ends: ")
+            campaign = served.submit(other)
+            assert running.wait() == 0, running.output
+        assert f"archive sha256 {undisturbed_digest(BALL)}" in running.output
         done = served.await_end(campaign)
         assert (done["status"], done["digest"]) == ("finished", undisturbed_digest(other))
-        checked = brink("doctor", "--thorough", "--database", database, cwd=tmp_path, env=TOY)
-        assert checked.returncode == 0, checked.stdout
+        listed = served.get("/api/v1/campaigns").json()["campaigns"]
+        assert [one["status"] for one in listed] == ["finished", "finished"]
+    checked = brink("doctor", "--thorough", "--database", database, cwd=tmp_path, env=TOY)
+    assert checked.returncode == 0, checked.stdout
 
 
 @pytest.mark.long("runs a campaign twice")

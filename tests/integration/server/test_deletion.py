@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from sqlalchemy import Connection, func, select, update
+from sqlalchemy import Connection, func, insert, select, update
 from support.api import FakeWorker, await_erasure, ball, coordinator, expect, finish, row_counts
 from support.databases import Databases, on_sqlite
 from support.queue import Queue
@@ -220,7 +220,7 @@ def test_traces_and_large_distances_are_erased_a_few_at_a_time(
         now = connection.execute(select(CampaignRow.created_at)).scalar_one()
         hashes = connection.execute(select(JobRow.spec_hash)).scalars().all()
         traces = [{"spec_hash": one, "data": b"t", "created_at": now} for one in hashes]
-        connection.execute(TraceRow.__table__.insert(), traces)
+        connection.execute(insert(TraceRow), traces)
         blocks = [
             {
                 "campaign_id": campaign, "generation": generation, "first_row": 0, "rows": rows, "columns": 4,
@@ -228,7 +228,7 @@ def test_traces_and_large_distances_are_erased_a_few_at_a_time(
             }
             for generation, rows in enumerate((3, 3, 9, 1, 1))
         ]  # fmt: skip
-        connection.execute(DistanceBlockRow.__table__.insert(), blocks)
+        connection.execute(insert(DistanceBlockRow), blocks)
 
     queue.run(fill)
     queue.run(lambda connection: mark_deleted(connection, [campaign]))

@@ -25,7 +25,7 @@ from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
 SOLUTIONS = 1_200
-EVERY = {"t_b": 1.0, "d_th": 0.0}
+EVERY: dict[str, Any] = {"t_b": 1.0, "d_th": 0.0}
 BEST = "the best 1,000 of 1,200 distinct boundary solutions"
 
 
