@@ -124,7 +124,9 @@ def worker(
             "only works with --ray; without it, start one worker per core", param_hint="--workers"
         )
     if alive_file is not None and ray is not None:
-        raise typer.BadParameter("does not work with --ray, which has many workers", param_hint="--alive-file")
+        raise typer.BadParameter(
+            "does not work with --ray, which has many workers", param_hint="--alive-file"
+        )
     common = settings_with(log_format=log_format, log_level=log_level)
     settings = WorkerSettings(
         server=server,

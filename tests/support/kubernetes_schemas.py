@@ -1,4 +1,4 @@
-"""Writes ``tests/data/schemas/kubernetes.json`` from the TypeScript declarations of the ``kubernetes-models`` packages.
+"""Writes ``tests/data/schemas/kubernetes.json`` from the TypeScript declarations of ``kubernetes-models``.
 
 Run with the folder into which these npm packages were unpacked (see ``tests/data/schemas/README.md``):
 ``PYTHONPATH=tests python -m support.kubernetes_schemas FOLDER``.
@@ -13,7 +13,8 @@ from typing import Any, Final
 
 KINDS: Final = (
     "v1 PersistentVolumeClaim", "v1 Service", "apps/v1 Deployment", "batch/v1 CronJob",
-    "batch/v1 Job", "networking.k8s.io/v1 Ingress", "networking.k8s.io/v1 NetworkPolicy", "policy/v1 PodDisruptionBudget",
+    "batch/v1 Job", "networking.k8s.io/v1 Ingress", "networking.k8s.io/v1 NetworkPolicy",
+    "policy/v1 PodDisruptionBudget",
     "keda.sh/v1alpha1 ScaledObject", "monitoring.coreos.com/v1 ServiceMonitor",
 )  # fmt: skip
 """What the manifests contain: API version and kind."""

@@ -1,12 +1,13 @@
 """The files that deploy Brink against the schemas of Compose, Kubernetes, KEDA and the Prometheus operator."""
 
 import json
+from collections.abc import Callable
 from copy import deepcopy
 from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-from support.manifests import SCHEMAS, all_manifests, compose, schema_of, with_data
+from support.manifests import SCHEMAS, all_manifests, compose, resource, schema_of, with_data
 
 SECRETS = {"BRINK_TOKEN": "a-token", "POSTGRES_PASSWORD": "a-password"}
 DOCUMENTS = [
@@ -31,14 +32,15 @@ def test_patched_manifests_have_known_fields_of_the_right_types() -> None:
 
 
 def test_the_schemas_find_misspelt_and_missing_fields() -> None:
-    [deployment] = [d for _, d in all_manifests() if d["metadata"].get("name") == "brink-coordinator"][:1]
+    deployment = resource("Deployment", "brink-coordinator")
     assert complaints(deployment) == []
-    for change in (
+    changes: tuple[Callable[[dict[str, Any]], object], ...] = (
         lambda spec: spec["template"]["spec"].update(automountServiceAccountTokens=False),
         lambda spec: spec["template"]["spec"]["containers"][0].update(args="serve"),
         lambda spec: spec.pop("selector"),
         lambda spec: spec["template"]["spec"].update(restartPolicy="Sometimes"),
-    ):
+    )
+    for change in changes:
         changed = deepcopy(deployment)
         change(changed["spec"])
         assert len(complaints(changed)) == 1
