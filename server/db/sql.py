@@ -35,6 +35,7 @@ from sqlalchemy.sql.functions import FunctionElement
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow
+from brink.server.db.statements import Statement, read
 from brink.server.db.types import UtcDateTime
 from brink.server.errors import SHORTEST_ID, NotFound
 
@@ -43,12 +44,13 @@ MAX_ID = 16
 AMBIGUOUS_SHOWN = 5
 
 
+_CLOCK = Statement(text("SELECT clock_timestamp() AS now"))
+
+
 def database_now(connection: Connection) -> datetime:
     """Return the database server's time, which decides leases; for SQLite that is this machine's."""
     if connection.dialect.name == "postgresql":
-        moment = connection.execute(text("SELECT clock_timestamp()")).scalar_one()
-        assert isinstance(moment, datetime)
-        return moment.astimezone(UTC)
+        return driver_time(read(connection, (_CLOCK, {}))[0][0].now)
     return datetime.now(UTC)
 
 
@@ -89,6 +91,13 @@ def transaction_time(name: str) -> FunctionElement[datetime]:
     that the first statement of a transaction can tell the time and use it.
     """
     return _TransactionTime(bindparam(name, type_=UtcDateTime()))
+
+
+def driver_time(value: datetime | str) -> datetime:
+    """Return a time from a row of a frequent statement: SQLite's driver returns text without a time zone."""
+    if isinstance(value, str):
+        return datetime.fromisoformat(value).replace(tzinfo=UTC)
+    return value.astimezone(UTC)
 
 
 def lock_rows(

@@ -28,7 +28,7 @@ from sqlalchemy import (
 )
 
 from brink.server.db.models import LAST_TURN, CampaignRow, JobRow
-from brink.server.db.sql import constant, database_now, in_list, lock_rows, transaction_time
+from brink.server.db.sql import constant, database_now, driver_time, in_list, transaction_time
 from brink.server.db.statements import BulkUpdate, Statement, Values, is_pipelined, read, write
 from brink.server.queue import lease_policy
 from brink.server.queue.job_store import IS_EVALUATION, IS_LEASED
@@ -88,7 +88,9 @@ _DUE_RETRY = (
     )
     .order_by(JobRow.not_before)
 )  # fmt: skip
-_DUE_RETRIES = select(func.count()).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
+_DUE_RETRIES = Statement(
+    select(func.count().label("jobs")).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
+)
 _WORK = (
     select(JobRow.id)
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
@@ -198,6 +200,15 @@ _GRANT = BulkUpdate(
     interrupted=False,
     not_before=None,
 )
+_LEASED_JOBS = select(JobRow.id, JobRow.lease_token, _NOW.label("now")).where(
+    in_list(JobRow.id, "jobs"), IS_LEASED
+)
+_LEASED = Statement(_LEASED_JOBS, postgres=_LEASED_JOBS.order_by(JobRow.id).with_for_update(of=JobRow))
+_RENEW = Statement(
+    update(JobRow)
+    .where(in_list(JobRow.id, "jobs"))
+    .values(lease_expires_at=bindparam("until"), interrupted=False)
+)
 _NOT_LOCKED = CampaignRow.id.in_(
     # A campaign that another coordinator is writing keeps its turn: coordinators that waited for each other here,
     # each with several campaigns in one commit, would deadlock. SQLite has no row locks and ignores the clause.
@@ -269,7 +280,7 @@ def found_look(demands: Sequence[LeaseDemand], rows: Sequence[Sequence[Any]]) ->
     return Look(
         backlog=_backlog(summary),
         is_plain=not (summary.traces or summary.retries or summary.tried),
-        now=summary.now.astimezone(UTC),
+        now=driver_time(summary.now),
         capabilities=demands[0].capabilities,
         turns=[CampaignTurn(*row) for row in turns],
         next_jobs=jobs,
@@ -306,29 +317,20 @@ def lease_together(
 
 def count_due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
     """Count the due retries that these capabilities can run, up to `MOST_WOKEN`."""
-    known = {"now": database_now(connection), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
-    return connection.execute(_DUE_RETRIES, known).scalar_one()
+    known = {"now": datetime.now(UTC), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
+    jobs: int = read(connection, (_DUE_RETRIES, known))[0][0].jobs
+    return jobs
 
 
 def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -> list[int]:
     """Renew leases; return the ids of the jobs that are still held, ascending."""
     wanted = {held.job: held.token for held in leases}
-    rows = connection.execute(
-        lock_rows(
-            select(JobRow.id, JobRow.lease_token)
-            .where(JobRow.id.in_(wanted), JobRow.status == JobStatus.LEASED)
-            .order_by(JobRow.id),
-            connection,
-            JobRow,
-        )
-    ).all()
-    held = [row.id for row in rows if secrets.compare_digest(row.lease_token, wanted[row.id])]
+    (rows,) = read(connection, (_LEASED, {"jobs": sorted(wanted), "now": datetime.now(UTC)}))
+    held = [row for row in rows if secrets.compare_digest(row.lease_token, wanted[row.id])]
     if held:
-        expires = database_now(connection) + timedelta(seconds=lease_s)
-        connection.execute(
-            update(JobRow).where(JobRow.id.in_(held)).values(lease_expires_at=expires, interrupted=False)
-        )
-    return sorted(held)
+        until = driver_time(held[0].now) + timedelta(seconds=lease_s)
+        write(connection, _RENEW, {"jobs": [row.id for row in held], "until": until})
+    return sorted(row.id for row in held)
 
 
 def release(connection: Connection, leases: Iterable[HeldLease]) -> int:

@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeAlias
 from sqlalchemy import Connection, bindparam, case, exists, insert, select, update
 
 from brink.server.db.models import JobRow, TraceRow
-from brink.server.db.sql import constant, database_now, in_list, lock_rows, transaction_time
+from brink.server.db.sql import constant, driver_time, in_list, transaction_time
 from brink.server.db.statements import BulkUpdate, Statement, Values, read
 from brink.server.queue.job_store import IS_LEASED, idle_campaigns
 from brink.server.queue.lease_policy import LeaseTerms
@@ -57,15 +57,16 @@ _TWINS = (
     .where(in_list(JobRow.spec_hash, "spec_hashes"), JobRow.status == JobStatus.QUEUED, JobRow.cache)
     .order_by(JobRow.id)
 )
-_EXPIRED = (
+_EXPIRED_JOBS = (
     select(
         JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.losses, JobRow.max_losses, JobRow.lease_worker,
-        JobRow.interrupted,
+        JobRow.interrupted, transaction_time("now").label("now"),
     )
-    .where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))
+    .where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))
     .order_by(JobRow.lease_expires_at)
     .limit(bindparam("most"))
 )  # fmt: skip
+_EXPIRED = Statement(_EXPIRED_JOBS, postgres=_EXPIRED_JOBS.with_for_update(of=JobRow, skip_locked=True))
 _LOSE = (
     update(JobRow)
     .where(in_list(JobRow.id, "jobs"))
@@ -214,7 +215,7 @@ def store_outcomes(
     """
     if not found:
         return Report(statuses=tuple("stale" for _ in outcomes), campaigns=())
-    now = _moment(found[0].now)
+    now = driver_time(found[0].now)
     rows: dict[int, JobRecord] = {row.id: row for row in found}
     restored = _restore_lost(connection, rows, outcomes, now)
     rows |= restored
@@ -239,13 +240,6 @@ def store_outcomes(
         quarantined=tuple(attempt for attempt in failed if attempt.final),
         changes_queue=bool(restored or failed) or any(rows[job].has_twins for job in accepted),
     )
-
-
-def _moment(found: datetime | str) -> datetime:
-    """Return a time that a driver returned: SQLite's as text without a time zone."""
-    if isinstance(found, str):
-        return datetime.fromisoformat(found).replace(tzinfo=UTC)
-    return found.astimezone(UTC)
 
 
 def _judge(
@@ -275,11 +269,10 @@ def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
     Those that an outage interrupted count as given back. The others are lost: their jobs are retried later, or put
     into quarantine after too many losses.
     """
-    now = database_now(connection)
-    expired = lock_rows(_EXPIRED, connection, JobRow, skip_locked=True)
-    rows = connection.execute(expired, {"now": now, "most": MAX_EXPIRED}).all()
+    (rows,) = read(connection, (_EXPIRED, {"now": datetime.now(UTC), "most": MAX_EXPIRED}))
     if not rows:
         return Expiry()
+    now = driver_time(rows[0].now)
     interrupted = [row for row in rows if row.interrupted]
     lost = [row for row in rows if not row.interrupted]
     failed = _fail(connection, [_loss(row) for row in lost], now, terms.retry_backoff_s)

@@ -160,11 +160,12 @@ FAULTS = {
     ),
     "leases never run out": Fault(
         report_store,
-        'JobRow.lease_expires_at < bindparam("now"))',
+        'JobRow.lease_expires_at < transaction_time("now"))',
         'JobRow.lease_expires_at < datetime.fromisoformat("2000-01-01T00:00:00+00:00"))',
     ),
     "leases run out at once": Fault(
-        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)",
+        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))',
+        ".where(IS_LEASED)",
     ),
     "a late report is called stored": Fault(
         report_store, "losses=JobRow.losses + 1, lost_token=JobRow.lease_token, lease_token=None",
@@ -220,7 +221,8 @@ FAULTS = {
         report_store, "attempt=JobRow.attempt + case((JobRow.interrupted, 1), else_=0)", "attempt=JobRow.attempt",
     ),
     "a renewed lease is interrupted for ever": Fault(
-        lease_store, "lease_expires_at=expires, interrupted=False", "lease_expires_at=expires",
+        lease_store, 'lease_expires_at=bindparam("until"), interrupted=False',
+        'lease_expires_at=bindparam("until")',
     ),
     "a new lease is interrupted from the start": Fault(
         lease_store, "interrupted=False, not_before=None", "not_before=None",
