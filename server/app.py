@@ -34,6 +34,7 @@ from brink.server.api.middleware import AccessMiddleware, MetricsMiddleware
 from brink.server.api.problem_details import describe, install
 from brink.server.api.schemas import ProblemDetail
 from brink.server.api.service import add_docs
+from brink.server.api.wire_routes import WireMiddleware
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.deletion import Eraser
@@ -60,6 +61,7 @@ from brink.server.single_flight import SingleFlightCache
 
 log = logging.getLogger(__name__)
 
+PREFIX = "/api/v1"
 DESCRIPTION = """
 Brink finds where a driving system with a machine-learned component stops being safe.
 
@@ -130,6 +132,9 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
         else None
     )
     app.add_middleware(
+        WireMiddleware, routes=jobs.wire.routes, prefix=PREFIX, handlers=app.exception_handlers
+    )
+    app.add_middleware(
         AccessMiddleware,
         authenticator=authenticator,
         max_body_bytes=settings.max_body_bytes,
@@ -162,7 +167,7 @@ def _routes() -> list[BaseRoute]:
             },
         }
     )
-    everything.include_router(api, prefix="/api/v1")
+    everything.include_router(api, prefix=PREFIX)
     everything.include_router(service.root)
     return everything.routes
 

@@ -1,24 +1,19 @@
 """Routes of jobs and workers: the worker protocol, and the views for operators."""
 
-import asyncio
 from collections import Counter
-from collections.abc import Callable, Coroutine
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from fastapi.routing import APIRoute
-from pydantic import ValidationError
 from sqlalchemy import Connection
-from starlette.requests import ClientDisconnect
 
 from brink.server.api.context import Services, client_gone
 from brink.server.api.responses import NOT_MODIFIED, set_etag
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
+from brink.server.api.wire_routes import WireRoute
 from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
-from brink.server.documents import invalid_input
-from brink.server.errors import InvalidInput, NotFound
+from brink.server.errors import NotFound
 from brink.server.queue.job_store import count_jobs, list_jobs
 from brink.server.queue.workers import list_workers, live_capabilities
 from brink.server.states import CampaignStatus, JobKind, JobStatus
@@ -28,70 +23,9 @@ from brink.worker.wire import (
     HeartbeatRequest,
     LeaseReply,
     LeaseRequest,
-    Message,
     ResultsReply,
     ResultsRequest,
 )
-
-JSON = "application/json"
-
-
-LARGE_BYTES = 256 * 1024
-"""Larger messages are parsed outside the event loop."""
-
-
-class WireRoute(APIRoute):
-    """A fast route for functions that take ``message``, ``request`` and ``services`` and return a message.
-
-    Messages are programs' words, so their types are strict: the text ``"8"`` is not a number.
-    """
-
-    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return the request handler, which parses and writes JSON without the framework's overhead."""
-        serve = self.endpoint
-        model: type[Message] = self.endpoint.__annotations__["message"]
-
-        async def handle(request: Request) -> Response:
-            try:
-                body = await request.body()
-            except ClientDisconnect:  # or the body was too large or too slow: the middleware responds
-                return Response(status_code=400)
-            _check_content_type(request)
-            services = request.app.state.context
-            if len(body) <= LARGE_BYTES:
-                message = _parse(model, body)
-            else:
-                message = await asyncio.get_running_loop().run_in_executor(
-                    services.decoding, _parse, model, body
-                )
-            reply = await serve(message=message, request=request, services=services)
-            return Response(reply.model_dump_json(), media_type=JSON)
-
-        return handle
-
-
-def _check_content_type(request: Request) -> None:
-    """Check that a request's body is JSON.
-
-    Raises:
-        InvalidInput: It is of another type, or has none.
-    """
-    given = request.headers.get("content-type", "")
-    if given.partition(";")[0].strip().lower() != JSON:
-        raise InvalidInput.at("", f"expected the header 'Content-Type: {JSON}', got {given[:100]!r}")
-
-
-def _parse(model: type[Message], body: bytes) -> Message:
-    """Parse a message.
-
-    Raises:
-        InvalidInput: With a pointer to each invalid field, unless there are very many.
-    """
-    try:
-        return model.model_validate_json(body, strict=True)
-    except ValidationError as error:
-        raise invalid_input(error, model) from None
-
 
 router = APIRouter(tags=["jobs"])
 wire = APIRouter(tags=["jobs"], route_class=WireRoute)

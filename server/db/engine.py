@@ -18,6 +18,7 @@ from sqlalchemy.exc import ArgumentError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from brink.extras import install_command
+from brink.server.db.statements import share_round_trips
 from brink.server.errors import DatabaseError
 
 T = TypeVar("T")
@@ -101,6 +102,7 @@ def open_engines(database: str) -> Engines:
         writer = create_engine(
             url, pool_pre_ping=True, pool_size=4, connect_args=by_index, hide_parameters=True
         )
+        share_round_trips(writer)
         reader = create_engine(
             url, pool_pre_ping=True, pool_size=8, max_overflow=MAX_OVERFLOW, isolation_level="REPEATABLE READ",
             hide_parameters=True,

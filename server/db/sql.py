@@ -1,26 +1,27 @@
-"""SQL that several packages share: the database's clock, row locks, list parameters, bulk updates, lookup by id.
+"""SQL that several packages share: the database's clock, row locks, list parameters, lookup by id.
 
 SQLite and Postgres differ in most of these; this module hides the differences.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import (
-    BindParameter,
+    ColumnClause,
     ColumnElement,
     Connection,
     FromClause,
     Integer,
     Row,
     Select,
+    String,
     Text,
     bindparam,
-    func,
+    literal_column,
     select,
     text,
     true,
@@ -30,12 +31,13 @@ from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.engine.interfaces import Dialect
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import InstrumentedAttribute
-from sqlalchemy.sql import column
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import FunctionElement
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow
+from brink.server.db.statements import Statement, read
+from brink.server.db.types import UtcDateTime
 from brink.server.errors import SHORTEST_ID, NotFound
 
 V = TypeVar("V")
@@ -43,13 +45,60 @@ MAX_ID = 16
 AMBIGUOUS_SHOWN = 5
 
 
+_CLOCK = Statement(text("SELECT clock_timestamp() AS now"))
+
+
 def database_now(connection: Connection) -> datetime:
     """Return the database server's time, which decides leases; for SQLite that is this machine's."""
     if connection.dialect.name == "postgresql":
-        moment = connection.execute(text("SELECT clock_timestamp()")).scalar_one()
-        assert isinstance(moment, datetime)
-        return moment.astimezone(UTC)
+        return driver_time(read(connection, (_CLOCK, {}))[0][0].now)
     return datetime.now(UTC)
+
+
+def constant(value: str | int) -> ColumnClause[Any]:
+    """Return a value that is part of a statement's text.
+
+    Postgres plans a prepared statement without knowing its parameters. It cannot use a partial index whose condition
+    is on a parameter.
+    """
+    if isinstance(value, int):
+        return literal_column(str(value), Integer())
+    if not value.isidentifier():
+        raise ValueError(f"expected a plain word, got {value!r}")
+    return literal_column(f"'{value}'", String())
+
+
+class _TransactionTime(FunctionElement[datetime]):
+    """The time at which the transaction began on Postgres, and a parameter on SQLite."""
+
+    type: TypeEngine[Any] = UtcDateTime()
+    inherit_cache = True
+
+
+@compiles(_TransactionTime, "sqlite")
+def _transaction_time_sqlite(element: _TransactionTime, compiler: SQLCompiler, **options: Any) -> str:
+    return compiler.process(element.clauses, **options)
+
+
+@compiles(_TransactionTime)
+def _transaction_time_postgres(element: _TransactionTime, compiler: SQLCompiler, **options: Any) -> str:
+    return "now()"
+
+
+def transaction_time(name: str) -> FunctionElement[datetime]:
+    """Return the time of the transaction by the database's clock.
+
+    SQLite has the clock of this machine, which the statement gets as the parameter `name`. Postgres needs none, so
+    that the first statement of a transaction can tell the time and use it.
+    """
+    return _TransactionTime(bindparam(name, type_=UtcDateTime()))
+
+
+def driver_time(value: datetime | str) -> datetime:
+    """Return a time from a row of a frequent statement: SQLite's driver returns text without a time zone."""
+    if isinstance(value, str):
+        return datetime.fromisoformat(value).replace(tzinfo=UTC)
+    return value.astimezone(UTC)
 
 
 def lock_rows(
@@ -247,56 +296,3 @@ def in_list(attribute: InstrumentedAttribute[Any], name: str) -> FunctionElement
     SQLAlchemy reuse its plan.
     """
     return _InList(attribute, bindparam(name, type_=_ListParameter(attribute.type)))
-
-
-class BulkUpdate:
-    """An update of many rows with individual values: one statement on Postgres, ``executemany`` on SQLite.
-
-    The statement's text does not depend on the number of rows, so that its plan is reused.
-
-    Args:
-        key: The column that identifies rows.
-        each: The columns with an individual value for each row.
-        values: The other columns, with expressions that all rows share; these may contain parameters.
-    """
-
-    def __init__(
-        self, key: InstrumentedAttribute[Any], each: Sequence[InstrumentedAttribute[Any]], **values: Any
-    ) -> None:
-        columns = [key, *each]
-        self._names = [attribute.key for attribute in columns]
-        table = key.class_
-        singly: dict[str, Any] = {attribute.key: bindparam(f"each_{attribute.key}") for attribute in each}
-        self._singly = update(table).where(key == bindparam(f"each_{key.key}")).values({**singly, **values})
-        arrays: list[BindParameter[Any]] = [
-            bindparam(f"each_{attribute.key}", type_=ARRAY(attribute.type)) for attribute in columns
-        ]
-        given = (
-            func.unnest(*arrays)
-            .table_valued(*(column(attribute.key, attribute.type) for attribute in columns))
-            .render_derived(name="given")
-        )
-        together = {attribute.key: given.c[attribute.key] for attribute in each}
-        self._together = update(table).where(key == given.c[key.key]).values({**together, **values})
-
-    def run(
-        self, connection: Connection, rows: Sequence[Sequence[Any]], shared: Mapping[str, Any] | None = None
-    ) -> None:
-        """Update rows.
-
-        Args:
-            connection: In a write transaction.
-            rows: For each row its key, followed by the values of the `each` columns.
-            shared: Values of the parameters in the shared expressions.
-        """
-        if not rows:
-            return
-        shared = shared or {}
-        names = [f"each_{name}" for name in self._names]
-        if connection.dialect.name == "sqlite":
-            connection.execute(
-                self._singly, [{**dict(zip(names, row, strict=True)), **shared} for row in rows]
-            )
-        else:
-            columns = [list(values) for values in zip(*rows, strict=True)]
-            connection.execute(self._together, {**dict(zip(names, columns, strict=True)), **shared})

@@ -18,7 +18,6 @@ from sqlalchemy import (
     delete,
     func,
     insert,
-    literal,
     or_,
     select,
     text,
@@ -28,7 +27,8 @@ from sqlalchemy import (
 from sqlalchemy.orm import InstrumentedAttribute
 
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow, TraceRow
-from brink.server.db.sql import database_now, in_list
+from brink.server.db.sql import constant, database_now, in_list
+from brink.server.db.statements import Statement, read
 from brink.server.db.types import UtcDateTime
 from brink.server.queue.wakeups import notify_coordinators
 from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
@@ -42,9 +42,9 @@ LISTED_BY_STATUS = frozenset({JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUAR
 
 # Literals instead of parameters: Postgres plans a prepared statement without knowing its parameters, and could not
 # use the partial indexes on queued and leased jobs.
-IS_EVALUATION = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
+IS_EVALUATION = JobRow.kind != constant(JobKind.TRACE)
 """The job evaluates a solution, in an episode or on a data set."""
-IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
+IS_LEASED = JobRow.status == constant(JobStatus.LEASED)
 
 EVALUATIONS = (
     select(JobRow.campaign_id, JobRow.number, JobRow.spec, JobRow.result, JobRow.attempt, JobRow.losses)
@@ -322,9 +322,9 @@ def _has_open_jobs(
 # The sum keeps Postgres from reading all jobs of the campaign by their number.
 _IN_GENERATION = or_(CampaignRow.generation_end.is_(None), JobRow.number + 0 < CampaignRow.generation_end)
 _IDLE = select(CampaignRow.id).where(
-    CampaignRow.status == CampaignStatus.RUNNING, ~_has_open_jobs(CampaignRow.id, _IN_GENERATION)
+    CampaignRow.status == constant(CampaignStatus.RUNNING), ~_has_open_jobs(CampaignRow.id, _IN_GENERATION)
 )
-_IDLE_AMONG = _IDLE.where(in_list(CampaignRow.id, "campaigns"))
+_IDLE_AMONG = Statement(_IDLE.where(in_list(CampaignRow.id, "campaigns")))
 
 
 def has_open_jobs(connection: Connection, campaign_id: str, end: int | None) -> bool:
@@ -344,14 +344,14 @@ def idle_campaigns(connection: Connection, campaigns: Iterable[str] | None = Non
 
     Args:
         connection: Sees one snapshot.
-        campaigns: The campaigns to look at; None for all of them.
+        campaigns: The campaigns to look at, in a write transaction; None for all of them.
     """
     if campaigns is None:
         return tuple(connection.execute(_IDLE).scalars())
     names = list(campaigns)
     if not names:
         return ()
-    return tuple(sorted(connection.execute(_IDLE_AMONG, {"campaigns": names}).scalars()))
+    return tuple(sorted(row.id for row in read(connection, (_IDLE_AMONG, {"campaigns": names}))[0]))
 
 
 def generation_outcomes(connection: Connection, campaign_id: str, generation: int) -> list[JobOutcome]:

@@ -8,26 +8,28 @@ import json
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any, cast
 
 from sqlalchemy import (
     Connection,
+    Integer,
     Label,
-    Row,
     Select,
     bindparam,
+    case,
     exists,
     func,
-    literal,
     or_,
     select,
     text,
+    true,
     update,
 )
 
 from brink.server.db.models import LAST_TURN, CampaignRow, JobRow
-from brink.server.db.sql import BulkUpdate, database_now, in_list, lock_rows
+from brink.server.db.sql import constant, database_now, driver_time, in_list, transaction_time
+from brink.server.db.statements import BulkUpdate, Statement, Values, is_pipelined, read, write
 from brink.server.queue import lease_policy
 from brink.server.queue.job_store import IS_EVALUATION, IS_LEASED
 from brink.server.queue.lease_policy import NEW_TURN, Backlog, CampaignTurn, LeaseDemand, QueuedJob, Retry
@@ -39,19 +41,23 @@ MOST_WOKEN = 10_000
 
 # Statuses and kinds are literals, as in `job_store`, and statements are built once: building one takes longer than
 # running it.
-_IS_QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)
-_IS_TRACE = JobRow.kind == literal(JobKind.TRACE, literal_execute=True)
-_WAS_TRIED = JobRow.attempt > literal(0, literal_execute=True)
-_CAMPAIGN_ALLOWS_IT = or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)
+_IS_QUEUED = JobRow.status == constant(JobStatus.QUEUED)
+_IS_TRACE = JobRow.kind == constant(JobKind.TRACE)
+_WAS_TRIED = JobRow.attempt > constant(0)
+_IS_FRESH = JobRow.attempt == constant(0)
+_IS_RUNNING = CampaignRow.status == constant(CampaignStatus.RUNNING)
+_CAMPAIGN_ALLOWS_IT = or_(_IS_TRACE, _IS_RUNNING)
 _TWIN = JobRow.__table__.alias("twin")
 _TWIN_RUNS = exists(
     select(_TWIN.c.id)
     .where(
-        _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED
+        _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind,
+        _TWIN.c.status == constant(JobStatus.LEASED),
     )
     .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
-)
-_DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
+)  # fmt: skip
+_NOW = transaction_time("now")
+_DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)
 _ELIGIBLE = (_IS_QUEUED, in_list(JobRow.needs, "capabilities"), _DUE, ~(_TWIN_RUNS & JobRow.cache))
 """A worker with these capabilities could run the job now, and no worker is running the same simulation."""
 
@@ -59,12 +65,14 @@ _GRANTED = (
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.spec, JobRow.spec_hash,
     JobRow.attempt, JobRow.timeout_s, JobRow.cache,
 )  # fmt: skip
-_HELD_ATTEMPTS = select(JobRow.lease_worker, JobRow.attempt).where(
-    IS_LEASED, in_list(JobRow.lease_worker, "workers")
-)
-_HELD_ATTEMPTS_SQLITE = text(  # without statistics, SQLite would read all leases
-    "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
-    f"WHERE status = '{JobStatus.LEASED}' AND lease_worker IN (SELECT value FROM json_each(:workers))"
+_HELD_ATTEMPTS = Statement(
+    text(  # without statistics, SQLite would read all leases
+        "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
+        f"WHERE status = '{JobStatus.LEASED}' AND lease_worker IN (SELECT value FROM json_each(:workers))"
+    ),
+    postgres=select(JobRow.lease_worker, JobRow.attempt).where(
+        IS_LEASED, in_list(JobRow.lease_worker, "workers")
+    ),
 )
 # Requests must not inspect every retry that no worker can run. The order is that of the index of retries, which
 # Postgres then uses when only the first row is needed; otherwise, once most jobs have been tried, it may read all
@@ -75,20 +83,36 @@ _DUE_RETRY = (
         _IS_QUEUED, _WAS_TRIED, _DUE, in_list(JobRow.needs, "capabilities"),
         or_(
             _IS_TRACE,
-            JobRow.campaign_id.in_(
-                select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING)
-            ),
+            JobRow.campaign_id.in_(select(CampaignRow.id).where(_IS_RUNNING)),
         ),
     )
     .order_by(JobRow.not_before)
 )  # fmt: skip
-_DUE_RETRIES = select(func.count()).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
+_DUE_RETRIES = Statement(
+    select(func.count().label("jobs")).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
+)
 _WORK = (
     select(JobRow.id)
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-    .where(_IS_QUEUED, IS_EVALUATION, CampaignRow.status == CampaignStatus.RUNNING)
+    .where(_IS_QUEUED, IS_EVALUATION, _IS_RUNNING)
     .limit(bindparam("enough"))
 )
+_WORK_OF_ONE = (
+    select(JobRow.id)
+    .where(_IS_QUEUED, IS_EVALUATION, JobRow.campaign_id == CampaignRow.id)
+    # The order is that of the index of queued jobs, which Postgres then uses; otherwise it may read all jobs.
+    .order_by(JobRow.attempt, JobRow.id)
+    .limit(bindparam("enough"))
+    .lateral()
+)
+_WORK_BY_CAMPAIGN = (
+    select(_WORK_OF_ONE.c.id)
+    .select_from(CampaignRow)
+    .join(_WORK_OF_ONE, true())
+    .where(_IS_RUNNING)
+    .limit(bindparam("enough"))
+)
+"""For Postgres, which takes several times as long to look up the campaign of each job."""
 
 
 def _count(rows: Select[Any]) -> Label[int]:
@@ -99,22 +123,16 @@ _OTHERS = (
     exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE, in_list(JobRow.needs, "capabilities"))).label(
         "traces"
     ),
-    _DUE_RETRY.limit(literal(1, literal_execute=True)).scalar_subquery().is_not(None).label("retries"),
+    _DUE_RETRY.limit(constant(1)).scalar_subquery().is_not(None).label("retries"),
 )
-_BACKLOG = select(_count(_WORK), *_OTHERS)
-_BACKLOG_OR_TRIED = select(
-    # The order is that of the index of queued jobs, which Postgres then uses; otherwise it may read all jobs.
-    _count(_WORK.order_by(JobRow.campaign_id, JobRow.attempt, JobRow.id)),
-    *_OTHERS,
-    exists(
-        select(JobRow.id).where(
-            IS_LEASED,
-            JobRow.attempt > literal(1, literal_execute=True),
-            in_list(JobRow.lease_worker, "workers"),
-        )
-    ).label("tried"),
+_TRIED = exists(
+    select(JobRow.id).where(IS_LEASED, JobRow.attempt > constant(1), in_list(JobRow.lease_worker, "workers"))
 )
-_FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
+_BACKLOG = Statement(
+    select(_count(_WORK), *_OTHERS),
+    postgres=select(_count(_WORK_BY_CAMPAIGN), *_OTHERS, _TRIED.label("tried"), _NOW.label("now")),
+)
+_FRESH = select(*_GRANTED).where(*_ELIGIBLE, _IS_FRESH)
 _FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
 _FRESH_WORK = (
     _FRESH.where(IS_EVALUATION, JobRow.campaign_id == bindparam("campaign"), JobRow.id > bindparam("after"))
@@ -140,16 +158,38 @@ _RETRY = (
 _CAMPAIGNS_IN_TURN = (
     select(CampaignRow.id, CampaignRow.priority, CampaignRow.turn, CampaignRow.served)
     .where(
-        CampaignRow.status == CampaignStatus.RUNNING,
+        _IS_RUNNING,
         exists(
             select(JobRow.id)
-            .where(*_ELIGIBLE, JobRow.campaign_id == CampaignRow.id, IS_EVALUATION, JobRow.attempt == 0)
+            .where(*_ELIGIBLE, JobRow.campaign_id == CampaignRow.id, IS_EVALUATION, _IS_FRESH)
             .correlate(CampaignRow)
             .offset(0)  # keeps Postgres from joining, which would read every queued job
         ),
     )
     .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)
 )
+_QUEUE_IS_LONG = _count(_WORK_BY_CAMPAIGN).element >= bindparam("enough")
+_NEXT_WORK = (
+    _FRESH.where(
+        IS_EVALUATION,
+        JobRow.campaign_id
+        == _CAMPAIGNS_IN_TURN.with_only_columns(CampaignRow.id).limit(constant(1)).scalar_subquery(),
+    )
+    .order_by(JobRow.id)
+    .limit(case((_QUEUE_IS_LONG, bindparam("most", type_=Integer)), else_=bindparam("least", type_=Integer)))
+)
+"""The first fresh jobs of the first campaign in turn: on Postgres, they are read together with everything else."""
+
+
+def _locking(query: Select[*tuple[Any, ...]]) -> Statement:
+    """Return a query that locks its jobs on Postgres, except those that another coordinator is granting."""
+    return Statement(query, postgres=query.with_for_update(of=JobRow, skip_locked=True))
+
+
+_READ_RETRY, _LOCK_RETRY = Statement(_RETRY), _locking(_RETRY)
+_READ_TRACES, _LOCK_TRACES = Statement(_FRESH_TRACES), _locking(_FRESH_TRACES)
+_LOCK_FRESH, _LOCK_NEXT = _locking(_FRESH_WORK), _locking(_NEXT_WORK)
+_READ_TURNS = Statement(_CAMPAIGNS_IN_TURN)
 _GRANT = BulkUpdate(
     JobRow.id,
     [JobRow.lease_token, JobRow.lease_worker],
@@ -160,6 +200,15 @@ _GRANT = BulkUpdate(
     interrupted=False,
     not_before=None,
 )
+_LEASED_JOBS = select(JobRow.id, JobRow.lease_token, _NOW.label("now")).where(
+    in_list(JobRow.id, "jobs"), IS_LEASED
+)
+_LEASED = Statement(_LEASED_JOBS, postgres=_LEASED_JOBS.order_by(JobRow.id).with_for_update(of=JobRow))
+_RENEW = Statement(
+    update(JobRow)
+    .where(in_list(JobRow.id, "jobs"))
+    .values(lease_expires_at=bindparam("until"), interrupted=False)
+)
 _NOT_LOCKED = CampaignRow.id.in_(
     # A campaign that another coordinator is writing keeps its turn: coordinators that waited for each other here,
     # each with several campaigns in one commit, would deadlock. SQLite has no row locks and ignores the clause.
@@ -168,8 +217,10 @@ _NOT_LOCKED = CampaignRow.id.in_(
     .with_for_update(key_share=True, skip_locked=True)
     .scalar_subquery()
 )
-_SERVE = update(CampaignRow).where(_NOT_LOCKED).values(served=bindparam("count"))
-_END_TURN = update(CampaignRow).where(_NOT_LOCKED).values(served=bindparam("count"), turn=LAST_TURN)
+_SERVE = Statement(update(CampaignRow).where(_NOT_LOCKED).values(served=bindparam("count")))
+_END_TURN = Statement(
+    update(CampaignRow).where(_NOT_LOCKED).values(served=bindparam("count"), turn=LAST_TURN)
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,54 +236,101 @@ class Grants:
     campaigns: frozenset[str]
 
 
-def lease_together(connection: Connection, demands: Sequence[LeaseDemand], now: datetime) -> Grants:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """The queue as the demands of one commit find it.
+
+    On Postgres, it is read in one round trip, with the jobs that will most likely be granted. SQLite reads these when
+    they are needed.
+
+    Attributes:
+        backlog: A summary.
+        is_plain: Whether only fresh evaluations are queued for these workers, and none of them holds a retry.
+        now: The database's time.
+        capabilities: Those of the first demand.
+        turns: The campaigns in turn for them; None if they were not read.
+        next_jobs: The first fresh jobs of the first of these campaigns.
+        limit: The maximum number of `next_jobs`: if there are fewer, the campaign has no more.
+    """
+
+    backlog: Backlog
+    is_plain: bool
+    now: datetime
+    capabilities: tuple[str, ...]
+    turns: Sequence[CampaignTurn] | None = None
+    next_jobs: Sequence[QueuedJob] = ()
+    limit: int = 0
+
+
+def look_queries(demands: Sequence[LeaseDemand]) -> list[tuple[Statement, Values]]:
+    """Return the queries whose rows `found_look` takes, for Postgres."""
+    first = {"capabilities": demands[0].capabilities, "enough": _enough(demands)}
+    most = sum(demand.max_jobs for demand in demands)
+    return [
+        (_BACKLOG, _about(demands)),
+        (_READ_TURNS, first),
+        (_LOCK_NEXT, {**first, "most": most, "least": len(demands)}),
+    ]
+
+
+def found_look(demands: Sequence[LeaseDemand], rows: Sequence[Sequence[Any]]) -> Look:
+    """Return the look that the rows of `look_queries` show."""
+    (summary,), turns, jobs = rows
+    is_long = summary.jobs >= _enough(demands)
+    return Look(
+        backlog=_backlog(summary),
+        is_plain=not (summary.traces or summary.retries or summary.tried),
+        now=driver_time(summary.now),
+        capabilities=demands[0].capabilities,
+        turns=[CampaignTurn(*row) for row in turns],
+        next_jobs=jobs,
+        limit=sum(demand.max_jobs for demand in demands) if is_long else len(demands),
+    )
+
+
+def lease_together(
+    connection: Connection, demands: Sequence[LeaseDemand], look: Look | None = None
+) -> Grants:
     """Grant jobs to several workers as if they asked one after another, but read fresh jobs only once.
 
     Args:
         connection: In a write transaction.
         demands: The workers' demands, in order.
-        now: The database's time.
+        look: The queue as it is now, if known.
     """
     if not demands:
         return Grants(jobs=(), campaigns=frozenset())
-    backlog, held = _read_backlog(connection, demands, now)
-    if len(demands) > 1 and (backlog.retries or backlog.traces):
-        alone = [lease_together(connection, [demand], now) for demand in demands]
+    if look is None:
+        look = _look(connection, demands)
+    if len(demands) > 1 and (look.backlog.retries or look.backlog.traces):
+        alone = [lease_together(connection, [demand]) for demand in demands]
         return Grants(
             jobs=[grants.jobs[0] for grants in alone],
             campaigns=frozenset().union(*(grants.campaigns for grants in alone)),
         )
-    assignment = lease_policy.assign_jobs(demands, backlog, held, _View(connection, now))
-    grants = _grant(connection, demands, assignment.jobs, now)
+    held = {} if look.is_plain else _held_attempts(connection, demands)
+    assignment = lease_policy.assign_jobs(demands, look.backlog, held, _View(connection, look))
+    grants = _grant(connection, demands, assignment.jobs, look.now)
     _write_turns(connection, assignment.turns)
     return grants
 
 
 def count_due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
     """Count the due retries that these capabilities can run, up to `MOST_WOKEN`."""
-    known = {"now": database_now(connection), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
-    return connection.execute(_DUE_RETRIES, known).scalar_one()
+    known = {"now": datetime.now(UTC), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
+    jobs: int = read(connection, (_DUE_RETRIES, known))[0][0].jobs
+    return jobs
 
 
 def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -> list[int]:
     """Renew leases; return the ids of the jobs that are still held, ascending."""
     wanted = {held.job: held.token for held in leases}
-    rows = connection.execute(
-        lock_rows(
-            select(JobRow.id, JobRow.lease_token)
-            .where(JobRow.id.in_(wanted), JobRow.status == JobStatus.LEASED)
-            .order_by(JobRow.id),
-            connection,
-            JobRow,
-        )
-    ).all()
-    held = [row.id for row in rows if secrets.compare_digest(row.lease_token, wanted[row.id])]
+    (rows,) = read(connection, (_LEASED, {"jobs": sorted(wanted), "now": datetime.now(UTC)}))
+    held = [row for row in rows if secrets.compare_digest(row.lease_token, wanted[row.id])]
     if held:
-        expires = database_now(connection) + timedelta(seconds=lease_s)
-        connection.execute(
-            update(JobRow).where(JobRow.id.in_(held)).values(lease_expires_at=expires, interrupted=False)
-        )
-    return sorted(held)
+        until = driver_time(held[0].now) + timedelta(seconds=lease_s)
+        write(connection, _RENEW, {"jobs": [row.id for row in held], "until": until})
+    return sorted(row.id for row in held)
 
 
 def release(connection: Connection, leases: Iterable[HeldLease]) -> int:
@@ -270,70 +368,92 @@ class _View:
     """A `lease_policy.QueueView` of a write transaction; its jobs are database rows."""
 
     connection: Connection
-    now: datetime
+    look: Look
 
     def first_retry(self, demand: LeaseDemand) -> Retry | None:
-        return cast(Retry | None, self.connection.execute(_RETRY, self._retry(demand)).first())
+        rows = self._read(_READ_RETRY, self._retry(demand))
+        return cast(Retry, rows[0]) if rows else None
 
     def has_trace(self, capabilities: tuple[str, ...]) -> bool:
-        known = {"capabilities": capabilities, "now": self.now, "most": 1}
-        return self.connection.execute(_FRESH_TRACES, known).first() is not None
+        return bool(self._read(_READ_TRACES, {"capabilities": capabilities, "most": 1}))
 
     def top_priority(self, capabilities: tuple[str, ...]) -> int | None:
-        known = {"capabilities": capabilities, "now": self.now}
-        best = self.connection.execute(_CAMPAIGNS_IN_TURN, known).first()
-        return None if best is None else best.priority
+        turns = self.turns(capabilities)
+        return turns[0].priority if turns else None
 
     def lock_retry(self, demand: LeaseDemand) -> Sequence[QueuedJob]:
-        return self._locked(_RETRY, self._retry(demand))
+        return self._read(_LOCK_RETRY, self._retry(demand))
 
     def lock_traces(self, capabilities: tuple[str, ...], limit: int) -> Sequence[QueuedJob]:
-        return self._locked(_FRESH_TRACES, {"capabilities": capabilities, "now": self.now, "most": limit})
+        return self._read(_LOCK_TRACES, {"capabilities": capabilities, "most": limit})
 
     def turns(self, capabilities: tuple[str, ...]) -> Sequence[CampaignTurn]:
-        known = {"capabilities": capabilities, "now": self.now}
-        rows = self.connection.execute(_CAMPAIGNS_IN_TURN, known)
-        return [CampaignTurn(row.id, row.priority, row.turn, row.served) for row in rows]
+        if self.look.turns is not None and capabilities == self.look.capabilities:
+            return self.look.turns
+        return [CampaignTurn(*row) for row in self._read(_READ_TURNS, {"capabilities": capabilities})]
 
     def lock_fresh(
         self, campaign: str, capabilities: tuple[str, ...], *, after: int, limit: int
     ) -> Sequence[QueuedJob]:
-        known = {
-            "capabilities": capabilities, "now": self.now, "campaign": campaign, "after": after, "most": limit,
-        }  # fmt: skip
-        return self._locked(_FRESH_WORK, known)
+        known = [
+            job
+            for job in self.look.next_jobs
+            if capabilities == self.look.capabilities and job.campaign_id == campaign and job.id > after
+        ]
+        is_all = bool(known) and len(self.look.next_jobs) < self.look.limit
+        if is_all or len(known) >= limit:
+            return known[:limit]
+        after = known[-1].id if known else after
+        asked = {
+            "capabilities": capabilities,
+            "campaign": campaign,
+            "after": after,
+            "most": limit - len(known),
+        }
+        return [*known, *self._read(_LOCK_FRESH, asked)]
 
     def _retry(self, demand: LeaseDemand) -> dict[str, Any]:
         return {
-            "capabilities": demand.capabilities, "now": self.now, "worker": demand.worker,
+            "capabilities": demand.capabilities, "worker": demand.worker,
             "elsewhere": list(demand.terms.elsewhere),
         }  # fmt: skip
 
-    def _locked(self, query: Select[*tuple[Any, ...]], values: dict[str, Any]) -> Sequence[QueuedJob]:
-        rows = self.connection.execute(lock_rows(query, self.connection, JobRow, skip_locked=True), values)
-        return cast(Sequence[QueuedJob], rows.all())
+    def _read(self, query: Statement, values: Values) -> list[Any]:
+        return read(self.connection, (query, {**values, "now": self.look.now}))[0]
 
 
-def _read_backlog(
-    connection: Connection, demands: Sequence[LeaseDemand], now: datetime
-) -> tuple[Backlog, dict[str, list[int]]]:
-    """Return a summary of the queue, and the attempt numbers of held jobs where they matter."""
+def _look(connection: Connection, demands: Sequence[LeaseDemand]) -> Look:
+    if is_pipelined(connection):
+        return found_look(demands, read(connection, *look_queries(demands)))
+    now = datetime.now(UTC)
+    (summary,) = read(connection, (_BACKLOG, {**_about(demands), "now": now}))[0]
+    return Look(backlog=_backlog(summary), is_plain=False, now=now, capabilities=demands[0].capabilities)
+
+
+def _about(demands: Sequence[LeaseDemand]) -> dict[str, Any]:
+    return {
+        "enough": _enough(demands), "workers": [demand.worker for demand in demands],
+        "capabilities": sorted({name for demand in demands for name in demand.capabilities}),
+    }  # fmt: skip
+
+
+def _enough(demands: Sequence[LeaseDemand]) -> int:
+    """Return how many queued jobs are enough for the largest possible grants to all of these workers."""
+    return max(map(lease_policy.enough_jobs, demands)) + sum(demand.max_jobs for demand in demands[1:])
+
+
+def _backlog(summary: Any) -> Backlog:
+    return Backlog(jobs=summary.jobs, traces=bool(summary.traces), retries=bool(summary.retries))
+
+
+def _held_attempts(connection: Connection, demands: Sequence[LeaseDemand]) -> dict[str, list[int]]:
+    """Return the attempt numbers of the jobs that workers hold."""
     workers = [demand.worker for demand in demands]
-    enough = max(map(lease_policy.enough_jobs, demands)) + sum(demand.max_jobs for demand in demands[1:])
-    capabilities = sorted({name for demand in demands for name in demand.capabilities})
-    known: dict[str, Any] = {"enough": enough, "now": now, "capabilities": capabilities}
-    row: Any
-    if connection.dialect.name == "sqlite":
-        row = connection.execute(_BACKLOG, known).one()
-        held = connection.execute(_HELD_ATTEMPTS_SQLITE, {"workers": json.dumps(workers)}).all()
-    else:  # where each statement is a round trip
-        row = connection.execute(_BACKLOG_OR_TRIED, {**known, "workers": workers}).one()
-        matters = row.retries or row.tried
-        held = connection.execute(_HELD_ATTEMPTS, {"workers": workers}).all() if matters else []
+    given = workers if is_pipelined(connection) else json.dumps(workers)
     attempts: dict[str, list[int]] = {}
-    for one in held:
+    for one in read(connection, (_HELD_ATTEMPTS, {"workers": given}))[0]:
         attempts.setdefault(one.lease_worker, []).append(one.attempt)
-    return Backlog(jobs=row.jobs, traces=row.traces, retries=row.retries), attempts
+    return attempts
 
 
 def _grant(
@@ -358,11 +478,11 @@ def _grant(
 def _write_turns(connection: Connection, turns: Mapping[str, tuple[int, int]]) -> None:
     for campaign, (turn, served) in sorted(turns.items(), key=lambda item: item[1]):
         statement = _END_TURN if turn > NEW_TURN else _SERVE
-        connection.execute(statement, {"dealt": campaign, "count": served})
+        write(connection, statement, {"dealt": campaign, "count": served})
 
 
 def _leased(job: QueuedJob) -> LeasedJob:
-    row = cast(Row[*tuple[Any, ...]], job)
+    row = cast(Any, job)
     return LeasedJob(
         job=row.id,
         token=secrets.token_hex(16),

@@ -6,12 +6,13 @@ so that coordinators which share a database share it too.
 """
 
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 
 from sqlalchemy import Connection, bindparam, false, insert, select, update
 
 from brink.server.db.models import JobRow, SweepRow
-from brink.server.db.sql import database_now, in_list, lock_rows
+from brink.server.db.sql import database_now, driver_time, in_list, lock_rows, transaction_time
+from brink.server.db.statements import Statement, read, write
 from brink.server.queue.job_store import IS_LEASED
 
 GAP_LEASES = 0.5
@@ -21,8 +22,14 @@ GAP_SWEEPS = 2
 NOTED_LEASES = 0.1
 """Interval at which sweeps are noted, in terms of a lease: an idle coordinator hardly ever writes to the disk."""
 
-_LAST_SWEEP = select(SweepRow.swept_at)
-_NOTE_SWEEP = update(SweepRow).values(swept_at=bindparam("now"))
+_LAST_SWEEP = select(SweepRow.swept_at, transaction_time("now").label("now"))
+_READ_LAST = Statement(_LAST_SWEEP)
+_LOCK_LAST = Statement(
+    _LAST_SWEEP,
+    # Skipped, not waited for, if locked: two coordinators with other writes in their transactions could deadlock.
+    postgres=_LAST_SWEEP.with_for_update(of=SweepRow, skip_locked=True),
+)
+_NOTE_SWEEP = Statement(update(SweepRow).values(swept_at=bindparam("now")))
 _SHORT = select(JobRow.id).where(IS_LEASED, JobRow.lease_expires_at < bindparam("until"))
 _NOT_YET_EXTENDED = _SHORT.where(JobRow.interrupted == false())
 _EXTEND = (
@@ -61,21 +68,22 @@ def begin_sweep(connection: Connection, *, lease_s: float, sweep_s: float, resum
     Returns:
         None if another coordinator is sweeping: no lease may be taken back before it has committed.
     """
-    now = database_now(connection)
-    # Skipped, not waited for, if locked: two coordinators with other writes in their transactions could deadlock.
-    last = connection.execute(lock_rows(_LAST_SWEEP, connection, SweepRow, skip_locked=True)).scalar()
-    if last is None:
-        if connection.execute(_LAST_SWEEP).scalar() is not None:
-            return None
+    asked = {"now": datetime.now(UTC)}
+    if rows := read(connection, (_LOCK_LAST, asked))[0]:
+        now = driver_time(rows[0].now)
+        away_s = (now - driver_time(rows[0].swept_at)).total_seconds()
+    elif read(connection, (_READ_LAST, asked))[0]:
+        return None
+    else:
+        now, away_s = database_now(connection), None
         connection.execute(insert(SweepRow).values(id=1, swept_at=now))
-    away_s = None if last is None else (now - last).total_seconds()
     is_gap = away_s is None or away_s > max(GAP_LEASES * lease_s, GAP_SWEEPS * sweep_s)
     extended = 0
     if is_gap or resuming:
         extended = _extend(connection, now + timedelta(seconds=lease_s), again=is_gap)
     # A negative time means that the clock was put back.
     if resuming or (away_s is not None and not 0 <= away_s <= NOTED_LEASES * lease_s):
-        connection.execute(_NOTE_SWEEP, {"now": now})
+        write(connection, _NOTE_SWEEP, {"now": now})
     return Sweep(away_s=away_s, extended=extended)
 
 

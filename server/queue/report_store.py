@@ -8,21 +8,21 @@ out until the job is granted again.
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any, Protocol, TypeAlias
 
-from sqlalchemy import Connection, Row, bindparam, case, func, insert, select, update
+from sqlalchemy import Connection, bindparam, case, exists, insert, select, update
 
 from brink.server.db.models import JobRow, TraceRow
-from brink.server.db.sql import BulkUpdate, database_now, in_list, lock_rows
-from brink.server.db.types import UtcDateTime
+from brink.server.db.sql import constant, driver_time, in_list, transaction_time
+from brink.server.db.statements import BulkUpdate, Statement, Values, read
 from brink.server.queue.job_store import IS_LEASED, idle_campaigns
 from brink.server.queue.lease_policy import LeaseTerms
 from brink.server.states import JobStatus
 from brink.worker.wire import Completed
 
-JobRecord: TypeAlias = Row[*tuple[Any, ...]]
-"""Some columns of a job."""
+JobRecord: TypeAlias = Any
+"""A row with some columns of a job."""
 
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
@@ -31,14 +31,24 @@ MAX_EXPIRED = 1000
 """Maximum number of leases that one sweep takes back, so that other writes do not wait long if all expire at once."""
 
 # Built once: building a statement takes longer than running it.
-_REPORTED = select(
+_TWIN = JobRow.__table__.alias("twin")
+_HAS_TWINS = exists(
+    select(_TWIN.c.id).where(
+        _TWIN.c.spec_hash == JobRow.spec_hash,
+        _TWIN.c.kind == JobRow.kind,
+        _TWIN.c.status == constant(JobStatus.QUEUED),
+    )
+)
+_REPORTED_JOBS = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token, JobRow.lost_token,
     JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.losses, JobRow.spec_hash, JobRow.cache,
+    _HAS_TWINS.label("has_twins"), transaction_time("now").label("now"),
 ).where(in_list(JobRow.id, "jobs"))  # fmt: skip
-_REPORTED_IN_ORDER = _REPORTED.add_columns(func.clock_timestamp(type_=UtcDateTime).label("now")).order_by(
-    JobRow.id
+_REPORTED = Statement(
+    _REPORTED_JOBS,
+    # Locking rows in the order of their ids prevents deadlocks.
+    postgres=_REPORTED_JOBS.order_by(JobRow.id).with_for_update(of=JobRow),
 )
-"""For Postgres: locking rows in the order of their ids prevents deadlocks. Selecting the time saves a round trip."""
 _FINISH = BulkUpdate(
     JobRow.id, [JobRow.result], status=JobStatus.DONE, finished_at=bindparam("now"), lease_expires_at=None
 )
@@ -47,15 +57,16 @@ _TWINS = (
     .where(in_list(JobRow.spec_hash, "spec_hashes"), JobRow.status == JobStatus.QUEUED, JobRow.cache)
     .order_by(JobRow.id)
 )
-_EXPIRED = (
+_EXPIRED_JOBS = (
     select(
         JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.losses, JobRow.max_losses, JobRow.lease_worker,
-        JobRow.interrupted,
+        JobRow.interrupted, transaction_time("now").label("now"),
     )
-    .where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))
+    .where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))
     .order_by(JobRow.lease_expires_at)
     .limit(bindparam("most"))
 )  # fmt: skip
+_EXPIRED = Statement(_EXPIRED_JOBS, postgres=_EXPIRED_JOBS.with_for_update(of=JobRow, skip_locked=True))
 _LOSE = (
     update(JobRow)
     .where(in_list(JobRow.id, "jobs"))
@@ -153,12 +164,14 @@ class Report:
         campaigns: The campaigns that have no open evaluation left.
         owners: The campaign of each known job.
         quarantined: The final attempts at jobs that went into quarantine.
+        changes_queue: Whether anything but the accepted jobs may have changed, or these went back to the queue.
     """
 
     statuses: tuple[str, ...]
     campaigns: tuple[str, ...]
     owners: Mapping[int, str] = field(default_factory=dict)
     quarantined: tuple[FailedAttempt, ...] = ()
+    changes_queue: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,31 +189,66 @@ class Expiry:
     interrupted: Sequence[FailedAttempt] = ()
 
 
+def reported_query(outcomes: Sequence[Outcome]) -> tuple[Statement, Values]:
+    """Return the query for the reported jobs, which locks them until the transaction ends."""
+    return _REPORTED, {"jobs": sorted({outcome.job for outcome in outcomes}), "now": datetime.now(UTC)}
+
+
 def store_outcomes(
-    connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms, check: ResultCheck | None = None
-) -> tuple[Report, datetime]:
+    connection: Connection,
+    outcomes: Sequence[Outcome],
+    found: Sequence[JobRecord],
+    terms: LeaseTerms,
+    check: ResultCheck | None = None,
+) -> Report:
     """Store the outcomes of jobs that nobody else holds; all others change nothing.
 
     Args:
         connection: In a write transaction.
         outcomes: What workers report.
+        found: The rows of `reported_query`.
         terms: Terms with the backoff of retries.
         check: Refuses results that are of no use; their attempts have failed. None to store all results.
 
     Returns:
-        The report, with the campaigns of all accepted outcomes, idle or not; and the database's time.
+        The report, with the campaigns of all accepted outcomes, idle or not.
     """
-    if not outcomes:
-        return Report(statuses=(), campaigns=()), database_now(connection)
-    known = {"jobs": sorted({outcome.job for outcome in outcomes})}
-    if connection.dialect.name == "sqlite":
-        found = connection.execute(_REPORTED, known).all()
-        now = database_now(connection)
-    else:
-        found = connection.execute(lock_rows(_REPORTED_IN_ORDER, connection, JobRow), known).all()
-        now = found[0].now if found else database_now(connection)
+    if not found:
+        return Report(statuses=tuple("stale" for _ in outcomes), campaigns=())
+    now = driver_time(found[0].now)
     rows: dict[int, JobRecord] = {row.id: row for row in found}
-    rows |= _restore_lost(connection, rows, outcomes, now)
+    restored = _restore_lost(connection, rows, outcomes, now)
+    rows |= restored
+    statuses, accepted = _judge(connection, rows, outcomes, check)
+    done = {job: outcome.result for job, outcome in accepted.items() if outcome.result is not None}
+    _finish(connection, done, now)
+    _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
+    sharing = _share(
+        connection, [rows[job] for job in done if rows[job].cache and rows[job].has_twins], done, now
+    )
+    failed = _fail(
+        connection,
+        [_failure(rows[job], o) for job, o in accepted.items() if o.result is None],
+        now,
+        terms.retry_backoff_s,
+    )
+    touched = {rows[job].campaign_id for job in accepted} | sharing
+    return Report(
+        statuses=tuple(statuses),
+        campaigns=tuple(sorted(touched)),
+        owners={job: row.campaign_id for job, row in rows.items()},
+        quarantined=tuple(attempt for attempt in failed if attempt.final),
+        changes_queue=bool(restored or failed) or any(rows[job].has_twins for job in accepted),
+    )
+
+
+def _judge(
+    connection: Connection,
+    rows: Mapping[int, JobRecord],
+    outcomes: Sequence[Outcome],
+    check: ResultCheck | None,
+) -> tuple[list[str], dict[int, Outcome]]:
+    """Return the status of each outcome, and the outcomes to store by job; invalid results are failures."""
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
     for outcome in outcomes:
@@ -212,24 +260,7 @@ def store_outcomes(
                 outcome = replace(outcome, result=None, trace=None, error=f"invalid result: {reason}")
             accepted[outcome.job] = outcome
         statuses.append(status)
-    done = {job: outcome.result for job, outcome in accepted.items() if outcome.result is not None}
-    _finish(connection, done, now)
-    _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
-    sharing = _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
-    failed = _fail(
-        connection,
-        [_failure(rows[job], o) for job, o in accepted.items() if o.result is None],
-        now,
-        terms.retry_backoff_s,
-    )
-    touched = {rows[job].campaign_id for job in accepted} | sharing
-    stored = Report(
-        statuses=tuple(statuses),
-        campaigns=tuple(sorted(touched)),
-        owners={job: row.campaign_id for job, row in rows.items()},
-        quarantined=tuple(attempt for attempt in failed if attempt.final),
-    )
-    return stored, now
+    return statuses, accepted
 
 
 def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
@@ -238,11 +269,10 @@ def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
     Those that an outage interrupted count as given back. The others are lost: their jobs are retried later, or put
     into quarantine after too many losses.
     """
-    now = database_now(connection)
-    expired = lock_rows(_EXPIRED, connection, JobRow, skip_locked=True)
-    rows = connection.execute(expired, {"now": now, "most": MAX_EXPIRED}).all()
+    (rows,) = read(connection, (_EXPIRED, {"now": datetime.now(UTC), "most": MAX_EXPIRED}))
     if not rows:
         return Expiry()
+    now = driver_time(rows[0].now)
     interrupted = [row for row in rows if row.interrupted]
     lost = [row for row in rows if not row.interrupted]
     failed = _fail(connection, [_loss(row) for row in lost], now, terms.retry_backoff_s)
@@ -275,9 +305,9 @@ def _restore_lost(
     }
     if not late:
         return {}
-    known = {"jobs": sorted(late)}
-    connection.execute(_RESTORE, {**known, "now": now})
-    return {row.id: row for row in connection.execute(_REPORTED, known)}
+    known = {"jobs": sorted(late), "now": now}
+    connection.execute(_RESTORE, known)
+    return {row.id: row for row in read(connection, (_REPORTED, known))[0]}
 
 
 def _status_of(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> str:

@@ -19,7 +19,7 @@ from brink.server.db.writer import BatchedUnit, Writer
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.metrics import Metrics
 from brink.server.queue import lease_store, outages, report_store, workers
-from brink.server.queue.job_store import idle_campaigns
+from brink.server.queue.exchange import Exchange, run_exchanges
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
 from brink.server.queue.outages import Sweep
 from brink.server.queue.report_store import Expiry, FailedAttempt, Outcome, Report, ResultCheck
@@ -51,71 +51,6 @@ FORGET_S = 24 * 3600.0
 """A worker that has not made contact for this long is deleted."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exchange:
-    """One request of a worker, as the writer executes it.
-
-    Attributes:
-        terms: The terms of retries.
-        contacts: Units that record the contact of workers.
-        outcomes: The reported outcomes.
-        release: Leases given back.
-        demand: The jobs wanted next, if any.
-        check: Refuses results that are of no use; None to store all.
-    """
-
-    terms: LeaseTerms
-    contacts: tuple[Callable[[Connection], None], ...] = ()
-    outcomes: tuple[Outcome, ...] = ()
-    release: tuple[HeldLease, ...] = ()
-    demand: LeaseDemand | None = None
-    check: ResultCheck | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExchangeReply:
-    """The result of one exchange.
-
-    Attributes:
-        report: What became of the outcomes, and the campaigns that have no open job left after the commit.
-        released: How many leases were given back.
-        granted: The jobs granted.
-    """
-
-    report: Report
-    released: int
-    granted: list[LeasedJob] = field(default_factory=list)
-
-
-def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list[ExchangeReply]:
-    """Run all exchanges that share a commit: first store their outcomes, then grant jobs in order."""
-    for exchange in exchanges:
-        for record in exchange.contacts:
-            record(connection)
-    outcomes = [outcome for exchange in exchanges for outcome in exchange.outcomes]
-    stored, now = report_store.store_outcomes(connection, outcomes, exchanges[0].terms, exchanges[0].check)
-    released = [lease_store.release(connection, exchange.release) for exchange in exchanges]
-    demands = [exchange.demand for exchange in exchanges if exchange.demand is not None]
-    granted = lease_store.lease_together(connection, demands, now)
-    # A campaign that has just granted a job is not idle.
-    idle = idle_campaigns(connection, set(stored.campaigns) - granted.campaigns)
-    reported = [{outcome.job for outcome in exchange.outcomes} for exchange in exchanges]
-    statuses, grants = iter(stored.statuses), iter(granted.jobs)
-    return [
-        ExchangeReply(
-            report=Report(
-                statuses=tuple(next(statuses) for _ in exchange.outcomes),
-                campaigns=idle,
-                owners=stored.owners,
-                quarantined=tuple(attempt for attempt in stored.quarantined if attempt.job in jobs),
-            ),
-            released=count,
-            granted=next(grants) if exchange.demand is not None else [],
-        )
-        for exchange, count, jobs in zip(exchanges, released, reported, strict=True)
-    ]
 
 
 @dataclass(slots=True)

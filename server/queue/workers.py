@@ -10,6 +10,7 @@ from sqlalchemy import Connection, bindparam, case, delete, exists, func, insert
 
 from brink.server.db.models import JobRow, WorkerRow
 from brink.server.db.sql import database_now, in_list, lock_rows
+from brink.server.db.statements import Statement, read
 from brink.server.queue.job_store import IS_LEASED
 from brink.worker.wire import HeldLease, WorkerIdentity, machine_name
 
@@ -17,6 +18,9 @@ _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabil
     WorkerRow.last_seen_at >= bindparam("horizon"), WorkerRow.drained_at.is_(None)
 )
 """Built once, because every open page runs it every few seconds."""
+_DRAINING = Statement(
+    select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(WorkerRow.drained_at.is_not(None))
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,8 +115,7 @@ def drain(connection: Connection, worker_id: str) -> Process | None:
 
 def read_draining(connection: Connection) -> dict[str, Process]:
     """Return the workers that were asked to finish their jobs and exit, by id."""
-    query = select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(WorkerRow.drained_at.is_not(None))
-    return {row.id: Process(row.pid, row.machine) for row in connection.execute(query)}
+    return {row.id: Process(row.pid, row.machine) for row in read(connection, (_DRAINING, {}))[0]}
 
 
 def list_workers(connection: Connection, *, within_s: float | None = None) -> list[WorkerStatus]:

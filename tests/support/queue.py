@@ -17,7 +17,8 @@ from brink.server.campaigns.step_store import Asked, NewSolution
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, SweepRow
 from brink.server.db.sql import database_now
-from brink.server.queue import job_store, lease_store, outages, report_store
+from brink.server.queue import exchange, lease_store, outages, report_store
+from brink.server.queue.exchange import Exchange
 from brink.server.queue.job_store import NewJob
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
 from brink.server.queue.outages import Sweep
@@ -36,13 +37,12 @@ def lease(
 ) -> list[LeasedJob]:
     """Lease jobs to one worker."""
     demand = LeaseDemand(worker=worker, capabilities=tuple(capabilities), max_jobs=max_jobs, terms=terms)
-    return lease_store.lease_together(connection, [demand], database_now(connection)).jobs[0]
+    return exchange.run_exchanges(connection, [Exchange(terms=terms, demand=demand)])[0].granted
 
 
 def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
     """Store outcomes, and say which campaigns have no open job left."""
-    stored, _ = report_store.store_outcomes(connection, outcomes, terms)
-    return replace(stored, campaigns=job_store.idle_campaigns(connection, stored.campaigns))
+    return exchange.run_exchanges(connection, [Exchange(terms=terms, outcomes=tuple(outcomes))])[0].report
 
 
 def held(job: LeasedJob) -> HeldLease:
@@ -132,7 +132,13 @@ class Queue:
             LeaseDemand(worker=worker, max_jobs=most, capabilities=tuple(capabilities), terms=terms)
             for worker, most, capabilities in asks
         ]
-        return self.run(lambda c: lease_store.lease_together(c, wanted, database_now(c)).jobs)
+        replies = self.exchange(*(Exchange(terms=terms, demand=demand) for demand in wanted))
+        return [granted for _, granted in replies]
+
+    def exchange(self, *exchanges: Exchange) -> list[tuple[Report, list[LeasedJob]]]:
+        """Report and lease jobs, all in one commit; return the report and the grant of each exchange."""
+        replies = self.run(lambda connection: exchange.run_exchanges(connection, exchanges))
+        return [(reply.report, reply.granted) for reply in replies]
 
     def lease_all(self, worker: str = "w1") -> list[LeasedJob]:
         """Lease jobs until no more are granted."""

@@ -49,14 +49,14 @@ class Fault:
 FAULTS = {
     "a leased job is granted again": Fault(
         lease_store,
-        "_IS_QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)",
-        "_IS_QUEUED = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])",
+        "_IS_QUEUED = JobRow.status == constant(JobStatus.QUEUED)",
+        "_IS_QUEUED = JobRow.status != constant(JobStatus.DONE)",
     ),
     "jobs go to workers that cannot run them": Fault(
         lease_store, 'in_list(JobRow.needs, "capabilities"), _DUE,', "_DUE,",
     ),
     "backoffs are not waited for": Fault(
-        lease_store, 'or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))',
+        lease_store, "or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)",
         "JobRow.id.is_not(None)",
     ),
     "equal simulations run at once": Fault(lease_store, "~(_TWIN_RUNS & JobRow.cache),", ""),
@@ -68,12 +68,12 @@ FAULTS = {
     ),
     "paused campaigns hand out work": Fault(
         lease_store,
-        "CampaignRow.status == CampaignStatus.RUNNING, exists( select(JobRow.id)",
+        "_IS_RUNNING, exists( select(JobRow.id)",
         "exists( select(JobRow.id)",
     ),
     "paused campaigns hand out retries": Fault(
         lease_store,
-        "or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)",
+        "or_(_IS_TRACE, _IS_RUNNING)",
         "or_(_IS_TRACE, CampaignRow.id.is_not(None))",
     ),
     "priorities are ignored": Fault(
@@ -125,7 +125,8 @@ FAULTS = {
         "limit = grant_limit(demand, backlog.jobs)",
     ),
     "a retry is dealt out with the rest": Fault(
-        lease_store, "if len(demands) > 1 and (backlog.retries or backlog.traces):", "if backlog.traces:",
+        lease_store, "if len(demands) > 1 and (look.backlog.retries or look.backlog.traces):",
+        "if look.backlog.traces:",
     ),
     "anybody renews a lease": Fault(lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"),
     "anybody gives a lease back": Fault(
@@ -159,11 +160,12 @@ FAULTS = {
     ),
     "leases never run out": Fault(
         report_store,
-        'JobRow.lease_expires_at < bindparam("now"))',
+        'JobRow.lease_expires_at < transaction_time("now"))',
         'JobRow.lease_expires_at < datetime.fromisoformat("2000-01-01T00:00:00+00:00"))',
     ),
     "leases run out at once": Fault(
-        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)",
+        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))',
+        ".where(IS_LEASED)",
     ),
     "a late report is called stored": Fault(
         report_store, "losses=JobRow.losses + 1, lost_token=JobRow.lease_token, lease_token=None",
@@ -194,7 +196,7 @@ FAULTS = {
     ),
     "a retry by hand has no losses": Fault(job_store, "max_losses=JobRow.losses + more_losses,", ""),
     "a late result is not taken": Fault(
-        report_store, "rows |= _restore_lost(connection, rows, outcomes, now)", "",
+        report_store, "restored = _restore_lost(connection, rows, outcomes, now)", "restored = {}",
     ),
     "a late result is taken after quarantine": Fault(
         report_store, "and row.status == JobStatus.QUEUED and row.lost_token",
@@ -219,7 +221,8 @@ FAULTS = {
         report_store, "attempt=JobRow.attempt + case((JobRow.interrupted, 1), else_=0)", "attempt=JobRow.attempt",
     ),
     "a renewed lease is interrupted for ever": Fault(
-        lease_store, "lease_expires_at=expires, interrupted=False", "lease_expires_at=expires",
+        lease_store, 'lease_expires_at=bindparam("until"), interrupted=False',
+        'lease_expires_at=bindparam("until")',
     ),
     "a new lease is interrupted from the start": Fault(
         lease_store, "interrupted=False, not_before=None", "not_before=None",

@@ -6,8 +6,9 @@ A *history* is a list of steps, each the name of a rule with its arguments. Hypo
 tell the queue and its model apart; a history that it found can be replayed without a search.
 """
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import Any, ClassVar, TypeVar
 
@@ -24,9 +25,12 @@ from sqlalchemy import text
 
 from brink.server.db.engine import Engines
 from brink.server.errors import Conflict, NotFound
+from brink.server.queue.exchange import Exchange
+from brink.server.queue.lease_policy import LeaseDemand
+from brink.server.queue.report_store import Outcome
 from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
-from support.queue import Queue
+from support.queue import RESULT, TERMS, Queue
 
 T = TypeVar("T")
 
@@ -367,6 +371,46 @@ class QueueMachine(RuleBasedStateMachine):
     def report(self, pick: int, failed: bool, final: bool) -> None:
         self.report_of(picked(pick, self.leases[-6:]), failed=failed, final=final)
 
+    @precondition(lambda self: self.leases)
+    @step(
+        exchanges=st.lists(
+            st.tuples(
+                st.lists(st.tuples(PICK, st.sampled_from([False, False, False, True])), max_size=2),
+                st.sampled_from(WORKERS), st.integers(0, 4),
+            ),
+            min_size=1, max_size=3,
+        ),
+        live_workers=st.integers(1, 3),
+    )  # fmt: skip
+    def exchange(
+        self, exchanges: Sequence[tuple[Sequence[tuple[int, bool]], str, int]], live_workers: int
+    ) -> None:
+        """Workers report and lease in one commit; one that asks for no jobs only reports."""
+        choices = [*self.leases[-6:], *self.lost]
+        terms = replace(TERMS, live_workers=live_workers)
+        reports = [
+            [(picked(pick, choices), failed) for pick, failed in outcomes] for outcomes, _, _ in exchanges
+        ]
+        asked = [
+            Exchange(
+                terms=terms,
+                outcomes=tuple(
+                    Outcome(job=one.job, token=one.token, result=None if failed else RESULT, error="boom")
+                    for one, failed in outcomes
+                ),
+                demand=LeaseDemand(worker=worker, capabilities=NEEDS, max_jobs=max_jobs, terms=terms)
+                if max_jobs
+                else None,
+            )
+            for outcomes, (_, worker, max_jobs) in zip(reports, exchanges, strict=True)
+        ]  # fmt: skip
+        answers = self.queue.exchange(*asked)
+        expected = self.take_in_reports(list(itertools.chain.from_iterable(reports)))
+        assert [status for report, _ in answers for status in report.statuses] == expected
+        for (_, worker, max_jobs), (_, granted) in zip(exchanges, answers, strict=True):
+            if max_jobs:
+                self.expected_grant(worker, max_jobs, NEEDS, live_workers=live_workers, elsewhere=())(granted)
+
     @precondition(lambda self: self.lost)
     @step(pick=PICK, failed=st.booleans())
     def report_late(self, pick: int, failed: bool) -> None:
@@ -403,21 +447,33 @@ class QueueMachine(RuleBasedStateMachine):
 
     def report_of(self, lease: LeasedJob, *, failed: bool, final: bool) -> None:
         """Report a job to the queue and to the model, and compare the answers."""
-        job = self.model.jobs.get(lease.job)
-        if job is not None and job.status == "queued" and job.lost_token == lease.token:
-            self.model.restore(job)
-        holds = job is not None and job.token == lease.token
-        expected = (
-            "stale" if job is None or not holds else "accepted" if job.status == "leased" else "duplicate"
-        )
         got = self.queue.fail(lease, final=final) if failed else self.queue.complete(lease)
-        assert got == (expected,)
-        if job is None or expected != "accepted":
-            return
-        if failed:
-            self.model.fail(job, final=final)
-        else:
-            self.model.finish(job)
+        assert list(got) == self.take_in_reports([(lease, failed)], final=final)
+
+    def take_in_reports(self, reports: Sequence[tuple[LeasedJob, bool]], *, final: bool = False) -> list[str]:
+        """Take in reports that are stored together, each with whether the attempt failed; return their statuses."""
+        jobs = self.model.jobs
+        for lease, _ in reports:
+            job = jobs.get(lease.job)
+            if job is not None and job.status == "queued" and job.lost_token == lease.token:
+                self.model.restore(job)
+        statuses = []
+        accepted: dict[int, bool] = {}
+        for lease, failed in reports:
+            job = jobs.get(lease.job)
+            if job is None or job.token != lease.token:
+                statuses.append("stale")
+            elif job.status != "leased" or lease.job in accepted:
+                statuses.append("duplicate")
+            else:
+                statuses.append("accepted")
+                accepted[lease.job] = failed
+        for number in sorted(accepted, key=lambda number: accepted[number]):  # results are stored first
+            if accepted[number]:
+                self.model.fail(jobs[number], final=final)
+            else:
+                self.model.finish(jobs[number])
+        return statuses
 
     @precondition(lambda self: self.leases)
     @step(pick=PICK)

@@ -8,7 +8,7 @@ values the parameters have. A plain EXPLAIN knows the values, and tells of a pla
 import asyncio
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -21,12 +21,14 @@ from support.problems import SIMULATOR
 from support.queue import RESULT, TERMS, Queue, held
 
 from brink.server.campaigns import store
+from brink.server.db import statements
 from brink.server.db.engine import open_engines
 from brink.server.db.writer import Writer
 from brink.server.queue import job_store, lease_store, workers
+from brink.server.queue.exchange import Exchange, run_exchanges
 from brink.server.queue.lease_policy import LeaseDemand
 from brink.server.queue.report_store import Outcome
-from brink.server.queue.service import Exchange, QueueService, run_exchanges
+from brink.server.queue.service import QueueService
 from brink.server.states import JobStatus
 from brink.worker.wire import WorkerIdentity, machine_name
 
@@ -44,16 +46,25 @@ class NoSeeds:
 
 
 def statements_of(engine: Engine, run: Callable[[], Any]) -> list[Statement]:
+    """Return the statements that a function runs, with their parameters."""
     said: list[Statement] = []
+    execute = statements.execute
 
     def keep(connection: Any, cursor: Any, statement: str, parameters: Any, context: Any, many: bool) -> None:
         said.append((statement, parameters[0] if many else parameters))
 
+    def keep_together(driver: Any, texts: Sequence[Any], parameters: Sequence[Any]) -> list[Any]:
+        for words, given in zip(texts, parameters, strict=True):
+            said.append((words.decode() if isinstance(words, bytes) else words, given))
+        return execute(driver, texts, parameters)
+
     event.listen(engine, "before_cursor_execute", keep)
-    try:
-        run()
-    finally:
-        event.remove(engine, "before_cursor_execute", keep)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(statements, "execute", keep_together)
+        try:
+            run()
+        finally:
+            event.remove(engine, "before_cursor_execute", keep)
     return said
 
 
