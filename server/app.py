@@ -38,6 +38,7 @@ from brink.server.api.wire_routes import WireMiddleware
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.deletion import Eraser
+from brink.server.campaigns.others import OtherCoordinators
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
@@ -86,14 +87,13 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        context = _context(settings, engines, metrics, asyncio.get_running_loop())
+        shared = sweeping and not engines.is_sqlite
+        context = _context(settings, engines, metrics, asyncio.get_running_loop(), shared=shared)
         app.state.context = context
         stopping = asyncio.Event()
         sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
-        shared = sweeping and not engines.is_sqlite
-        listener = (
-            asyncio.create_task(listen(engines.writer.url, context.queue.wakeups.wake)) if shared else None
-        )
+        heard = context.queue.wakeups.wake, context.scheduler.advance_own
+        listener = asyncio.create_task(listen(engines.writer.url, *heard)) if shared else None
         try:
             yield
         finally:
@@ -173,7 +173,7 @@ def _routes() -> list[BaseRoute]:
 
 
 def _context(
-    settings: Settings, engines: Engines, metrics: Metrics, loop: asyncio.AbstractEventLoop
+    settings: Settings, engines: Engines, metrics: Metrics, loop: asyncio.AbstractEventLoop, *, shared: bool
 ) -> Context:
     def on_seeds(campaign_id: str) -> None:
         with suppress(RuntimeError):  # the coordinator has stopped in the meantime
@@ -182,7 +182,12 @@ def _context(
     writer = Writer(engines.writer, on_commit=metrics.commits.observe)
     seeds = LlmSeeds(engines, writer, on_seeds)
     stepper = Stepper(
-        engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds, metrics=metrics
+        engines,
+        writer,
+        max_stored_distances=settings.max_stored_distances,
+        seeds=seeds,
+        metrics=metrics,
+        others=OtherCoordinators(engines, writer) if shared else None,
     )
     wakeups = Wakeups()
     scheduler = Scheduler(engines, stepper, wakeups)

@@ -140,7 +140,7 @@ class Ledger:
     @property
     def points(self) -> tuple[FloatArray, ...]:
         """The known points that were not asked for yet."""
-        return self.unseen(self.known.points)
+        return self.unseen(self.known.points) if len(self.known.points) else ()
 
     @property
     def pending(self) -> tuple[Candidate, ...]:

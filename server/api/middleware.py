@@ -1,5 +1,6 @@
 """Middleware for every request: authentication, rate and size limits, security headers, metrics, access log."""
 
+import itertools
 import logging
 import math
 import re
@@ -14,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from brink.server.access.authentication import Authenticator
 from brink.server.access.tokens import allows
-from brink.server.api.body_limits import LimitedBody, body_limit
+from brink.server.api.body_limits import BodyLimit, LimitedBody, body_limit
 from brink.server.api.context import CALLER
 from brink.server.api.problem_details import problem
 from brink.server.api.service import FOLDER as DOCS_FOLDER
@@ -123,9 +124,8 @@ class AccessMiddleware:
         headers = {name.lower(): value for name, value in scope["headers"]}
         length = headers.get(b"content-length", b"0")
         limit = body_limit(scope["path"], self._max_body_bytes)
-        too_large = problem(413, "Body too large", limit.words())
         if not length.isdigit() or int(length) > limit.max_bytes:
-            await too_large(scope, receive, send)
+            await _too_large(limit)(scope, receive, send)
             return
         body = LimitedBody(receive, limit, self._stall_s)
 
@@ -141,7 +141,7 @@ class AccessMiddleware:
         if started:
             return
         if body.exceeded:
-            await too_large(scope, receive, send)
+            await _too_large(limit)(scope, receive, send)
         elif body.late:
             await problem(
                 408, "Request timeout", "the body took too long to arrive", headers={"Connection": "close"}
@@ -153,6 +153,10 @@ def _unprintable_path(scope: Scope) -> Response | None:
     if scope["path"].isprintable():
         return None
     return problem(404, "Not found", "expected only printable characters in the path")
+
+
+def _too_large(limit: BodyLimit) -> Response:
+    return problem(413, "Body too large", limit.words())
 
 
 def _rate_limited(wait_s: float) -> Response:
@@ -216,6 +220,8 @@ class MetricsMiddleware:
         self._app = app
         self._metrics = metrics
         self._level = logging.INFO if access_log else logging.DEBUG
+        # Counted, because reading random bytes for every request would each time let another thread go first.
+        self._series, self._numbers = secrets.token_hex(4), itertools.count()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -223,7 +229,7 @@ class MetricsMiddleware:
             await self._app(scope, receive, send)
             return
         began, status = time.perf_counter(), 0
-        request_id = _request_id(scope)
+        request_id = _given_id(scope) or f"{self._series}{next(self._numbers) % 2**32:08x}"
 
         async def send_with_id(message: Message) -> None:
             nonlocal status
@@ -247,9 +253,10 @@ class MetricsMiddleware:
                     log.log(self._level, "request", extra={**fields, "duration_ms": round(1000 * taken_s, 1)})
 
 
-def _request_id(scope: Scope) -> str:
+def _given_id(scope: Scope) -> str:
+    """Return the well-formed id that a request carries, or an empty string."""
     given: bytes = next((value for name, value in scope["headers"] if name == REQUEST_ID), b"")
-    return given.decode() if _PLAIN_ID.fullmatch(given) else secrets.token_hex(8)
+    return given.decode() if _PLAIN_ID.fullmatch(given) else ""
 
 
 def _ids(scope: Scope) -> dict[str, object]:

@@ -7,6 +7,7 @@ solutions, bit for bit.
 """
 
 import asyncio
+import hashlib
 import logging
 import threading
 import time
@@ -31,7 +32,7 @@ from brink.search.algorithm import (
     Seeded,
     SeedRequest,
 )
-from brink.search.analysis.boundary import distinct_boundary
+from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.archive import Archive
 from brink.search.document import Document
 from brink.search.errors import OtherVersion
@@ -39,6 +40,7 @@ from brink.search.metric import METRIC_VERSION
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.known import read_known
+from brink.server.campaigns.others import OtherCoordinators
 from brink.server.campaigns.plan import (
     LiveSearch,
     Plan,
@@ -113,6 +115,7 @@ class Stepper:
         max_stored_distances: Number of solutions above which distances are not stored.
         seeds: Where seeds come from.
         metrics: Where step times are recorded.
+        others: Other coordinators that may share the database; None if there can be none.
     """
 
     def __init__(
@@ -123,7 +126,9 @@ class Stepper:
         max_stored_distances: int,
         seeds: SeedSource,
         metrics: Metrics | None = None,
+        others: OtherCoordinators | None = None,
     ) -> None:
+        self._others = others
         self._engines = engines
         self._metrics = metrics or Metrics()
         self._writer = writer
@@ -136,6 +141,11 @@ class Stepper:
     def adopt(self, campaign_id: str, live: LiveSearch) -> None:
         """Keep the search of a new campaign in memory."""
         self._live[campaign_id] = live
+
+    def take_over(self, campaign_id: str) -> None:
+        """Take the next step of a campaign whose search no coordinator has in memory."""
+        if self._others is not None:
+            self._others.take_over(campaign_id)
 
     def forget(self, campaign_id: str) -> None:
         """Drop the search of a campaign that has ended or is paused."""
@@ -177,6 +187,9 @@ class Stepper:
             return False
         if _is_open(outcomes):
             self._pause_if_nothing_works(campaign, outcomes)
+            return False
+        if self._others is not None and not self._is_current(campaign) and self._others.get_step(campaign):
+            self._live.pop(campaign.id, None)
             return False
         try:
             live = self._state(campaign)
@@ -309,7 +322,7 @@ class Stepper:
     ) -> Step:
         archive: Archive = told.archive
         boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH)
-        strict = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH, strict=True)
+        strict = np.count_nonzero(has_evidence(archive)[boundary])
         fitness = told.fitness
         return Step(
             campaign=campaign.id,
@@ -326,7 +339,7 @@ class Stepper:
                 best_fitness=_finite(fitness.min()) if fitness.size else None,
                 median_fitness=_finite(np.median(fitness)) if fitness.size else None,
                 dbs=len(boundary),
-                strict_dbs=len(strict),
+                strict_dbs=int(strict),
                 step_s=time.perf_counter() - began,
             ),
             block=self._distance_block(archive),
@@ -340,12 +353,14 @@ class Stepper:
         rows = archive.latest_rows
         if rows is None or len(archive) > self._max_stored_distances:
             return None
+        data = rows.astype("<f4").tobytes()
         return DistanceBlock(
             first_row=len(archive) - rows.shape[0],
             rows=rows.shape[0],
             columns=rows.shape[1],
             metric_version=METRIC_VERSION,
-            data=rows.astype("<f4").tobytes(),
+            data=data,
+            sha256=hashlib.sha256(data).hexdigest(),
         )
 
     def _evidence(self, campaign: Campaign, plan: Plan, archive: Archive, boundary: Any) -> list[int]:
@@ -367,11 +382,13 @@ class Stepper:
             log.warning("its boundary cannot be repeated: %s", error, extra=_about(campaign))
             return None
 
-    def _state(self, campaign: Campaign) -> LiveSearch:
+    def _is_current(self, campaign: Campaign) -> bool:
+        """Return whether a campaign's search is in memory, and nobody else has taken a step since."""
         live = self._live.get(campaign.id)
-        if live is not None and live.generation == campaign.generation:
-            return live
-        return self._restore(campaign)
+        return live is not None and live.generation == campaign.generation
+
+    def _state(self, campaign: Campaign) -> LiveSearch:
+        return self._live[campaign.id] if self._is_current(campaign) else self._restore(campaign)
 
     def _restore(self, campaign: Campaign) -> LiveSearch:
         """Restore a search from the database, and ask again for the generations that its checkpoint lacks."""
@@ -577,6 +594,11 @@ class Scheduler:
             task = asyncio.get_running_loop().create_task(self._advance(campaign))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
+
+    def advance_own(self, campaign: str) -> None:
+        """Queue a campaign that another coordinator found due, if its search is in memory here."""
+        if campaign in self.stepper.live_campaigns:
+            self.advance_soon([campaign])
 
     async def _advance(self, campaign: str) -> None:
         loop = asyncio.get_running_loop()

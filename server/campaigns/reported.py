@@ -71,11 +71,11 @@ class Reported:
 
 
 @dataclass(slots=True)
-class _Generation:
-    """What is known of one generation.
+class _Parsed:
+    """Results of one campaign that its search had not been told when they were last read.
 
     Attributes:
-        problem: The problem of its campaign; None if its results cannot be read here.
+        problem: The problem of the campaign; None if its results cannot be read here.
         results: Results by number; None where there is no verdict.
     """
 
@@ -87,7 +87,7 @@ class _Generation:
 class ReportedResults:
     """Reads reported results; each is parsed once."""
 
-    _known: OrderedDict[tuple[str, int], _Generation] = field(default_factory=OrderedDict)
+    _parsed: OrderedDict[str, _Parsed] = field(default_factory=OrderedDict)
     _lock: Lock = field(default_factory=Lock)
 
     def read(self, connection: Connection, campaign: Campaign) -> Reported:
@@ -100,23 +100,23 @@ class ReportedResults:
         numbers = [] if campaign.status in ENDED else _read_numbers(connection, campaign)
         if not numbers:
             return Reported()
-        generation = self._generation(campaign)
-        known, problem = generation.results, generation.problem
+        parsed = self._of(campaign)
+        known, problem = parsed.results, parsed.problem
         new = [number for number in numbers if number not in known]
         if new and problem is not None:
-            known.update(_read_new(connection, campaign, problem, new))
-        found = (known.get(number) for number in numbers)
-        return Reported(results=[one for one in found if one is not None])
+            known = {**known, **_read_new(connection, campaign, problem, new)}
+        # Another thread may read the same campaign: replaced, not changed in place.
+        parsed.results = found = {number: known[number] for number in numbers if number in known}
+        return Reported(results=[one for one in found.values() if one is not None])
 
-    def _generation(self, campaign: Campaign) -> _Generation:
-        key = campaign.id, campaign.generation
+    def _of(self, campaign: Campaign) -> _Parsed:
         with self._lock:
-            if key not in self._known:
-                self._known[key] = _Generation(problem=_problem_of(campaign))
-            self._known.move_to_end(key)
-            while len(self._known) > CACHED:
-                self._known.popitem(last=False)
-            return self._known[key]
+            if campaign.id not in self._parsed:
+                self._parsed[campaign.id] = _Parsed(problem=_problem_of(campaign))
+            self._parsed.move_to_end(campaign.id)
+            while len(self._parsed) > CACHED:
+                self._parsed.popitem(last=False)
+            return self._parsed[campaign.id]
 
 
 def _problem_of(campaign: Campaign) -> SimulatedProblem | None:

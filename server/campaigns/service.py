@@ -297,6 +297,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         """
         campaign = await self._change(name, "resume", (CampaignStatus.PAUSED,), CampaignStatus.RUNNING)
         self.wakeups.wake()
+        self.scheduler.stepper.take_over(campaign.id)
         self.scheduler.advance_soon([campaign.id])
         return campaign
 

@@ -78,13 +78,18 @@ class SolutionResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistanceBlock:
-    """A generation's rows of the distance matrix: float32, row-major, of shape ``(rows, columns)``."""
+    """A generation's rows of the distance matrix: float32, row-major, of shape ``(rows, columns)``.
+
+    Attributes:
+        sha256: The checksum of the data, as hexadecimal digits.
+    """
 
     first_row: int
     rows: int
     columns: int
     metric_version: int
     data: bytes
+    sha256: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,7 +292,7 @@ def _write_archive(connection: Connection, step: Step) -> None:
             insert(DistanceBlockRow).values(
                 campaign_id=step.campaign, generation=step.generation, first_row=block.first_row,
                 rows=block.rows, columns=block.columns, metric_version=block.metric_version,
-                sha256=hashlib.sha256(block.data).hexdigest(), data=block.data,
+                sha256=block.sha256, data=block.data,
             )
         )  # fmt: skip
     _save_checkpoint(connection, step.campaign, step.checkpoint)

@@ -8,6 +8,7 @@ import asyncio
 import base64
 import itertools
 import logging
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -45,8 +46,12 @@ SHARED_RECHECK_S = 2.0
 """The same with several coordinators: no wake-up announces jobs that another one read ahead and did not grant."""
 LIVE_WORKERS_S = 0.5
 """How long a list of the live workers is reused."""
+SPACING_S_A_WORKER = 1e-4
+"""Time between two commits for each live worker: with many of them, requests share commits."""
+MAX_SPACING_S = 0.025
+"""Longest time between two commits."""
 CONTACT_S = 5.0
-"""Interval at which a worker's contact is recorded in the database."""
+"""Shortest interval at which a known worker's contacts are recorded in the database, all at once by a sweep."""
 FORGET_S = 24 * 3600.0
 """A worker that has not made contact for this long is deleted."""
 
@@ -66,10 +71,24 @@ class _WorkerRecord:
 
     identity: WorkerIdentity
     contact_s: float
-    recorded_s: float = 0.0
+    recorded_s: float = -math.inf
     capabilities: tuple[str, ...] = ()
     done: int = 0
     failed: int = 0
+
+    @property
+    def is_unrecorded(self) -> bool:
+        """Whether the database lacks a contact, or jobs that ended."""
+        return self.contact_s > self.recorded_s or self.done > 0 or self.failed > 0
+
+    def take_contact(self, now_s: float) -> workers.Contact:
+        """Return the last contact, which the caller records."""
+        contact = workers.Contact(
+            worker=self.identity, capabilities=self.capabilities, ago_s=now_s - self.contact_s,
+            done=self.done, failed=self.failed,
+        )  # fmt: skip
+        self.recorded_s, self.done, self.failed = now_s, 0, 0
+        return contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +177,7 @@ class QueueService:
             live = self._elsewhere | here
             count = Counter(itertools.chain.from_iterable(map(set, live.values())))
             self._live = _LiveWorkers(at_s=now, capabilities=live, count=count)
+            self.writer.spacing_s = min(MAX_SPACING_S, SPACING_S_A_WORKER * len(live))
         return self._live
 
     async def lease(self, request: LeaseRequest, gone: asyncio.Event) -> LeaseReply:
@@ -276,11 +296,10 @@ class QueueService:
         # Until this sweep has succeeded, nobody knows whether workers could renew their leases.
         resuming, self._resuming = self._resuming, True
         terms = self.terms()
-        unrecorded = self._drop_absent()
+        contacts = [*self._drop_absent(), *self._due_contacts()]
 
         def unit(connection: Connection) -> _Swept:
-            for name, worker in unrecorded.items():
-                workers.add_counts(connection, name, done=worker.done, failed=worker.failed)
+            workers.record_contacts(connection, contacts)
             return self._sweep(connection, terms, resuming=resuming)
 
         swept = await self.writer.write(unit)
@@ -310,8 +329,8 @@ class QueueService:
             draining=workers.read_draining(connection),
         )
 
-    def _drop_absent(self) -> dict[str, _WorkerRecord]:
-        """Drop workers that are dead or have not made contact; return those with unrecorded counts."""
+    def _drop_absent(self) -> list[workers.Contact]:
+        """Drop workers that are dead or have not made contact; return their last contacts."""
         horizon = self.clock() - self.settings.worker_seen_s
         absent = {
             name: one
@@ -322,7 +341,16 @@ class QueueService:
             del self._workers[name]
             about = {"worker": name, "host": one.identity.host, "pid": one.identity.pid}
             log.info("worker gone", extra=about)
-        return {name: one for name, one in absent.items() if one.done or one.failed}
+        return [one.take_contact(self.clock()) for one in absent.values() if one.is_unrecorded]
+
+    def _due_contacts(self) -> list[workers.Contact]:
+        """Return the contacts of workers whose last record is `CONTACT_S` old."""
+        now = self.clock()
+        return [
+            one.take_contact(now)
+            for one in self._workers.values()
+            if one.is_unrecorded and now - one.recorded_s >= CONTACT_S
+        ]
 
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
         record = self._note_contact(request.worker, request.capabilities)
@@ -342,7 +370,7 @@ class QueueService:
     def _note_contact(
         self, worker: WorkerIdentity, capabilities: Sequence[str] | None
     ) -> Callable[[Connection], None] | None:
-        """Remember a worker's contact; return a unit that records it in the database, or None if that is not due."""
+        """Remember a worker's contact; return a unit that records it in the database, or None if a sweep will."""
         now = self.clock()
         if worker.id not in self._workers:
             about = {"worker": worker.id, "host": worker.host, "pid": worker.pid, "version": worker.version}
@@ -355,12 +383,12 @@ class QueueService:
         if changed and capabilities is not None:
             one.capabilities = tuple(capabilities)
             self._live = None
-        if not (changed or restarted) and now - one.recorded_s < CONTACT_S:
+        if not (changed or restarted) and one.recorded_s > -math.inf:
             return None
-        done, failed = one.done, one.failed
-        one.recorded_s, one.done, one.failed = now, 0, 0
-        able = list(one.capabilities)
-        return lambda connection: workers.record_contact(connection, worker, able, done=done, failed=failed)
+        contact = one.take_contact(now)
+        return lambda connection: workers.record_contact(
+            connection, worker, contact.capabilities, done=contact.done, failed=contact.failed
+        )
 
 
 def _demand(request: LeaseRequest, terms: LeaseTerms) -> LeaseDemand:

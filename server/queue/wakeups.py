@@ -1,4 +1,4 @@
-"""Wakes requests that wait for jobs: in this process, and in other coordinators on the same Postgres."""
+"""Tells of new jobs and due steps: waiting requests of this process, and other coordinators on the same Postgres."""
 
 import asyncio
 import logging
@@ -8,6 +8,7 @@ from sqlalchemy import Connection, text
 from sqlalchemy.engine import URL
 
 CHANNEL = "brink_jobs"
+DUE_CHANNEL = "brink_due"
 RECONNECT_S = 1.0
 
 log = logging.getLogger(__name__)
@@ -72,12 +73,19 @@ def notify_coordinators(connection: Connection) -> None:
         connection.execute(text(f"SELECT pg_notify('{CHANNEL}', '')"))
 
 
-async def listen(url: URL, on_jobs: Callable[[], None]) -> None:
-    """Listen on a separate connection for notifications of new jobs, until cancelled.
+def notify_due(connection: Connection, campaign_id: str) -> None:
+    """Notify all coordinators on the same Postgres, when the transaction commits, that a campaign's step is due."""
+    if connection.dialect.name == "postgresql":
+        connection.execute(text(f"SELECT pg_notify('{DUE_CHANNEL}', :campaign)"), {"campaign": campaign_id})
+
+
+async def listen(url: URL, on_jobs: Callable[[], None], on_due: Callable[[str], None]) -> None:
+    """Listen on a separate connection for notifications of new jobs and due steps, until cancelled.
 
     Args:
         url: URL of a Postgres database.
-        on_jobs: Called for each notification, and after a reconnect, since notifications may have been missed.
+        on_jobs: Called when jobs were enqueued, and after a reconnect, since notifications may have been missed.
+        on_due: Called with a campaign whose step another coordinator found due.
     """
     import psycopg  # an optional dependency
 
@@ -86,9 +94,13 @@ async def listen(url: URL, on_jobs: Callable[[], None]) -> None:
         try:
             async with await psycopg.AsyncConnection.connect(conninfo, autocommit=True) as connection:
                 await connection.execute(f"LISTEN {CHANNEL}".encode())
+                await connection.execute(f"LISTEN {DUE_CHANNEL}".encode())
                 on_jobs()
-                async for _ in connection.notifies():
-                    on_jobs()
+                async for notification in connection.notifies():
+                    if notification.channel == DUE_CHANNEL:
+                        on_due(notification.payload)
+                    else:
+                        on_jobs()
         except psycopg.Error as error:
-            log.info("notifications of new jobs: %s; reconnecting", " ".join(str(error).split()))
+            log.info("notifications: %s; reconnecting", " ".join(str(error).split()))
         await asyncio.sleep(RECONNECT_S)

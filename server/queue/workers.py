@@ -21,6 +21,16 @@ _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabil
 _DRAINING = Statement(
     select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(WorkerRow.drained_at.is_not(None))
 )
+_PROCESSES = select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(in_list(WorkerRow.id, "names"))
+_REFRESH = (
+    update(WorkerRow)
+    .where(WorkerRow.id == bindparam("named"))
+    .values(
+        last_seen_at=bindparam("seen"),
+        jobs_done=WorkerRow.jobs_done + bindparam("done"),
+        jobs_failed=WorkerRow.jobs_failed + bindparam("failed"),
+    )
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,13 +94,46 @@ def record_contact(
         )
 
 
-def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int) -> None:
-    """Add jobs that a worker finished to its counts."""
-    connection.execute(
-        update(WorkerRow)
-        .where(WorkerRow.id == worker_id)
-        .values(jobs_done=WorkerRow.jobs_done + done, jobs_failed=WorkerRow.jobs_failed + failed)
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contact:
+    """A worker's last contact.
+
+    Attributes:
+        worker: The worker.
+        capabilities: What it can run.
+        ago_s: Time since the contact, in seconds.
+        done: Jobs completed since the previous record.
+        failed: Failed attempts since then.
+    """
+
+    worker: WorkerIdentity
+    capabilities: Sequence[str]
+    ago_s: float
+    done: int
+    failed: int
+
+
+def record_contacts(connection: Connection, contacts: Sequence[Contact]) -> None:
+    """Record the last contacts of any number of workers, with one statement for all that are known already."""
+    if not contacts:
+        return
+    known = connection.execute(_PROCESSES, {"names": [one.worker.id for one in contacts]})
+    stored = {row.id: Process(row.pid, row.machine) for row in known}
+    now = database_now(connection)
+    rows = [
+        {
+            "named": one.worker.id, "seen": now - timedelta(seconds=one.ago_s), "done": one.done,
+            "failed": one.failed,
+        }
+        for one in sorted(contacts, key=lambda one: one.worker.id)  # in one order: no deadlocks
+        # Another process with the same id has made its own contact.
+        if stored.get(one.worker.id) == (one.worker.pid, one.worker.machine)
+    ]  # fmt: skip
+    if rows:
+        connection.execute(_REFRESH, rows)
+    for one in contacts:
+        if one.worker.id not in stored:
+            record_contact(connection, one.worker, one.capabilities, done=one.done, failed=one.failed)
 
 
 class Process(NamedTuple):

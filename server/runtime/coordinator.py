@@ -27,6 +27,9 @@ from brink.server.runtime.request_timeout import protocol_with_timeout
 from brink.server.settings import LOOPBACK, Settings
 
 START_S = 15.0
+SWITCH_S: Final = 0.0005
+"""Longest time for which a thread that computes makes the others wait. With Python's default, ten times as long, a
+request waits that long several times over while a generation step runs."""
 
 
 class CannotListen(ServerError):
@@ -95,6 +98,15 @@ class CoordinatorServer(uvicorn.Server):
                 timeout_graceful_shutdown=3,
             )
         )
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve until told to exit."""
+        before_s = sys.getswitchinterval()
+        sys.setswitchinterval(min(SWITCH_S, before_s))
+        try:
+            await super().serve(sockets)
+        finally:
+            sys.setswitchinterval(before_s)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop serving."""

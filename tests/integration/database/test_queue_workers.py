@@ -12,7 +12,7 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection, event, update
+from sqlalchemy import Connection, delete, event, update
 from support.api import ball, settings_for
 from support.databases import PostgresDatabases, on_sqlite
 from support.queue import RESULT, TERMS, Queue, lease, report
@@ -26,7 +26,7 @@ from brink.server.db.sql import database_now
 from brink.server.db.writer import Unit, Writer
 from brink.server.queue import lease_store, workers
 from brink.server.queue.report_store import Outcome, Report
-from brink.server.queue.service import QueueService
+from brink.server.queue.service import CONTACT_S, QueueService
 from brink.server.states import CampaignStatus
 from brink.worker.wire import (
     JobFailed,
@@ -198,6 +198,40 @@ def test_a_coordinator_forgets_silent_workers_but_not_what_they_did(database_url
     asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
     told = queue.run(workers.list_workers)
     assert {seen.id: seen.jobs_failed for seen in told} == {"w1": 1, "w2": 0}, "what was accepted, and once"
+
+
+def test_further_contacts_are_recorded_by_sweeps(database_url: str, queue: Queue) -> None:
+    async def body() -> None:
+        async with AsyncExitStack() as stack:
+            service = await Coordinators(stack).start(database_url)
+            now_s = 1000.0
+            service.clock = lambda: now_s
+            for worker in ("w1", "deleted", "silent"):
+                await ask(service, identity(worker), "x")
+            assert names(queue, within_s=30) == {"w1", "deleted", "silent"}, (
+                "new workers are recorded at once"
+            )
+            silent_for(queue, timedelta(seconds=60))
+            queue.run(lambda c: c.execute(delete(WorkerRow).where(WorkerRow.id == "deleted")))
+            now_s += CONTACT_S
+            for worker in ("w1", "deleted"):
+                await ask(service, identity(worker), "x")
+            assert names(queue, within_s=30) == set()
+            await service.sweep()
+
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
+    assert names(queue, within_s=30) == {"w1", "deleted"}
+    assert {seen.capabilities for seen in queue.run(workers.list_workers)} == {("x",)}
+
+
+def test_a_contact_of_a_process_is_not_recorded_for_its_successor(queue: Queue) -> None:
+    noted(queue, "", 2)
+    silent_for(queue, timedelta(seconds=60))
+    contact = workers.Contact(worker=identity("w1", pid=1), capabilities=(), ago_s=0.0, done=1, failed=0)
+    queue.run(lambda connection: workers.record_contacts(connection, [contact]))
+    (seen,) = queue.run(workers.list_workers)
+    assert seen.seen_s_ago > 30
+    assert seen.jobs_done == 0
 
 
 def test_a_dead_worker_of_this_machine_is_not_waited_for(database_url: str, dead_pid: int) -> None:

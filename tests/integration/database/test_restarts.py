@@ -33,6 +33,7 @@ from brink.search.archive import archive_digest
 from brink.server.campaigns import advance, step_store, store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.others import PATIENCE_S, OtherCoordinators
 from brink.server.campaigns.plan import first_generations, make_plan, restored_archive
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
@@ -247,6 +248,65 @@ def test_coordinators_that_take_turns_with_generations_in_flight_find_the_same(
             overlapping.steppers[turn % 2].advance("c0ffee")
     overlapping.close()
     assert overlapping.digest() == undisturbed_digest(CAMPAIGNS[name])
+
+
+class Clock:
+    """A clock that stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_a_due_step_is_left_for_a_while_to_the_coordinator_that_has_the_search(two: Coordinators) -> None:
+    clock, first = Clock(), two.steppers[0]
+    others = OtherCoordinators(two.engines, two.writers[1], clock)
+    second = Stepper(
+        two.engines, two.writers[1], max_stored_distances=1000, seeds=two.seeds[1], others=others
+    )
+    two.simulate()
+    assert not second.advance("c0ffee"), "the first has the search in memory"
+    assert first.advance("c0ffee")
+    two.simulate()
+    clock.now_s += PATIENCE_S
+    assert not second.advance("c0ffee"), "this step has only just become due"
+    clock.now_s += PATIENCE_S
+    assert second.advance("c0ffee"), "the first does not take it"
+    two.simulate()
+    assert second.advance("c0ffee"), "now the second has the search"
+    while two.campaign.status is CampaignStatus.RUNNING:
+        two.simulate()
+        second.advance("c0ffee")
+    assert two.digest() == undisturbed_digest(ball())
+
+
+def test_a_coordinator_that_takes_over_takes_the_next_step(two: Coordinators) -> None:
+    others = OtherCoordinators(two.engines, two.writers[1], Clock())
+    second = Stepper(
+        two.engines, two.writers[1], max_stored_distances=1000, seeds=two.seeds[1], others=others
+    )
+    two.simulate()
+    second.take_over("c0ffee")
+    assert second.advance("c0ffee")
+
+
+@on_postgres
+def test_a_step_that_is_left_is_taken_at_once_by_the_coordinator_that_has_the_search(
+    database_url: str, engines: Engines
+) -> None:
+    """Were it not told, it would find the step when it sweeps next, after a minute."""
+
+    def listening() -> bool:
+        query = text("SELECT count(*) FROM pg_stat_activity WHERE query = 'LISTEN brink_due'")
+        with engines.reader.connect() as connection:
+            return bool(connection.execute(query).scalar_one() == 2)
+
+    with coordinator(database_url, sweep_s=60.0) as first, coordinator(database_url, sweep_s=60.0) as second:
+        eventually(listening, "both listen")
+        campaign = submit(first, ball())
+        assert FakeWorker(second).work(campaign)["status"] == "finished"
 
 
 def test_a_stale_step_is_not_written(two: Coordinators) -> None:

@@ -12,7 +12,7 @@ from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import TraceRow
 from brink.server.db.sql import database_now
-from brink.server.db.writer import TRIES, Writer
+from brink.server.db.writer import MAX_UNITS_A_COMMIT, TRIES, Writer
 from brink.server.errors import Unavailable
 
 WAIT_S = 30.0
@@ -78,6 +78,30 @@ def test_units_that_wait_share_one_commit(engines: Engines, writer: Writer) -> N
     first.result(WAIT_S)
     assert commits[0] == 2
     assert len(written(engines)) == 50
+
+
+def test_units_gather_until_the_next_transaction_may_begin(engines: Engines, writer: Writer) -> None:
+    commits = count_commits(engines)
+    writer.spacing_s = 0.5
+    writer.submit(writes("first")).result(WAIT_S)
+    answers = [writer.submit(writes(f"unit-{n}")) for n in range(3)]
+    assert [answer.result(WAIT_S) for answer in answers] == ["unit-0", "unit-1", "unit-2"]
+    assert commits[0] == 2
+
+
+def test_a_full_batch_waits_for_no_more_units(engines: Engines, writer: Writer) -> None:
+    gate = Gate()
+    writer.submit(gate)
+    assert gate.entered.wait(WAIT_S)
+    writer.spacing_s = 10 * WAIT_S
+    answers = [writer.submit(writes(f"unit-{n}")) for n in range(MAX_UNITS_A_COMMIT + 1)]
+    gate.open.set()
+    assert [answer.result(WAIT_S) for answer in answers[:MAX_UNITS_A_COMMIT]]
+    assert not answers[-1].done()
+    writer.close()
+    assert answers[-1].result(WAIT_S) == f"unit-{MAX_UNITS_A_COMMIT}", (
+        "a writer that ends waits for no more units"
+    )
 
 
 def test_a_failing_unit_fails_alone(engines: Engines, writer: Writer) -> None:
