@@ -198,7 +198,6 @@ def _campaigns(connection: Connection) -> Iterator[Finding]:
         ).scalar_one()
         yield Finding("campaigns", State.FINE, f"{running} running, none of them stuck")
 
-
     overdue = select(func.count()).where(CampaignRow.deleted_at < horizon)
     if left := connection.execute(overdue).scalar_one():
         advice = "any coordinator on this database goes on with it: brink serve"

@@ -569,9 +569,7 @@ def delete_some(connection: Connection, campaign_id: str, limit: int) -> int:
     traced = select(TraceRow.spec_hash).where(in_list(TraceRow.spec_hash, "hashes"), ~others.exists())
     traces = list(connection.execute(traced.limit(TRACES_A_PIECE), hashes).scalars())
     if traces:
-        connection.execute(
-            delete(TraceRow).where(in_list(TraceRow.spec_hash, "hashes")), {"hashes": traces}
-        )
+        connection.execute(delete(TraceRow).where(in_list(TraceRow.spec_hash, "hashes")), {"hashes": traces})
     if len(traces) == TRACES_A_PIECE:
         return limit
     if rows:

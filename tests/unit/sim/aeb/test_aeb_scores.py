@@ -18,7 +18,7 @@ def truth(*boxes: tuple[float, ...], label: int = PERSON, ignored: bool = False)
     count = len(boxes)
     return GroundTruth(
         labels=np.full(count, label),
-        boxes=np.array(boxes, np.float64).reshape(count, 4),
+        boxes=np.array(boxes, np.float32).reshape(count, 4),
         ignored=np.full(count, ignored),
     )
 
