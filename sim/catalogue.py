@@ -38,6 +38,12 @@ EXTRAS: Final[Mapping[str, str]] = {
 }
 """The optional extra that each of Brink's own simulators needs, if any."""
 
+PLAIN = "plain"
+FUNCTION = "function"
+OTHER = "other"
+WORKER_KINDS: Final = (PLAIN, *sorted(set(EXTRAS.values())), FUNCTION, OTHER)
+"""Kinds of workers; see `worker_kind`."""
+
 _registered: dict[str, dict[str, Callable[..., object]]] = {}
 
 
@@ -168,6 +174,24 @@ def simulator_ids() -> tuple[str, ...]:
     return plugin_ids(SIMULATORS)
 
 
+def worker_kind(simulator_id: str) -> str:
+    """Return which kind of worker runs a simulator, for scaling: one of `WORKER_KINDS`.
+
+    Args:
+        simulator_id: Id of the simulator, which need not be known here.
+
+    Returns:
+        ``plain`` if a worker without extras runs it; the extra that it needs; ``function`` for the Python program
+        that called ``brink.search()``; ``other`` for simulators of plug-ins and of other versions of Brink.
+    """
+    if simulator_id in EXTRAS:
+        return EXTRAS[simulator_id]
+    if simulator_id.startswith(FUNCTION_PREFIX):
+        return FUNCTION
+    point = _entry_points(SIMULATORS).get(simulator_id)
+    return PLAIN if point is not None and point.module.startswith("brink.") else OTHER
+
+
 def worker_for(simulator_id: str) -> str:
     """Return in words what kind of worker can run a simulator, such as "a worker with the extra sumo (sumo@1)".
 
@@ -176,7 +200,7 @@ def worker_for(simulator_id: str) -> str:
     """
     if simulator_id in EXTRAS:
         return f"a worker with the extra {EXTRAS[simulator_id]} ({simulator_id})"
-    if simulator_id.startswith(FUNCTION_PREFIX):
+    if worker_kind(simulator_id) == FUNCTION:
         return f"the Python program that called brink.search() ({simulator_id})"
     if simulator_id in _entry_points(SIMULATORS):
         return f"a worker ({simulator_id})"

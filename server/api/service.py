@@ -9,25 +9,22 @@ from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.responses import PlainTextResponse
 from fastapi.staticfiles import StaticFiles
-from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import Field
-from sqlalchemy import Connection, func, select, text
+from sqlalchemy import text
 from starlette.responses import HTMLResponse
 
 from brink.search.algorithms.minimise import Minimise
 from brink.search.algorithms.repeats import Repeats
 from brink.server.api.context import Services, caller_of
 from brink.server.api.problem_details import problem
+from brink.server.api.queue_metrics import queue_metrics
 from brink.server.api.schemas import AlgorithmView, ProblemView, View
 from brink.server.db.engine import read
-from brink.server.db.models import CampaignRow
-from brink.server.db.sql import database_now
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError
 from brink.server.problems.catalogue import describe_algorithms, describe_problems
-from brink.server.queue.job_store import count_jobs, next_expiry
-from brink.server.queue.workers import live_capabilities
-from brink.server.states import CampaignStatus, JobStatus, Scope
+from brink.server.states import Scope
 
 log = logging.getLogger(__name__)
 root = APIRouter(tags=["operations"])
@@ -67,45 +64,7 @@ async def readyz(services: Services) -> Response:
 @root.get("/metrics", response_class=PlainTextResponse)
 async def metrics(services: Services) -> Response:
     """Return metrics of campaigns, jobs, workers and this process in the Prometheus text format."""
-    registry = CollectorRegistry()
-    jobs = Gauge(
-        "brink_jobs",
-        "Jobs that are queued, leased or in quarantine",
-        ["status", "kind", "needs"],
-        registry=registry,
-    )
-    campaigns = Gauge("brink_campaigns", "Campaigns by state", ["status"], registry=registry)
-    workers = Gauge("brink_workers_live", "Live workers", registry=registry)
-    depth = Gauge(
-        "brink_queue_depth",
-        "Open jobs of running campaigns",
-        ["campaign", "needs", "status"],
-        registry=registry,
-    )
-    unrenewed = Gauge(
-        "brink_lease_unrenewed_seconds", "Longest time since an active lease was granted or renewed",
-        registry=registry,
-    )  # fmt: skip
-    oldest = Gauge("brink_oldest_queued_seconds", "Age of the oldest queued job", registry=registry)
-
-    def collect(connection: Connection) -> None:
-        now, waits = database_now(connection), [0.0]
-        for count in count_jobs(connection):
-            jobs.labels(count.status, count.kind, count.needs).inc(count.jobs)
-            if count.campaign_status is CampaignStatus.RUNNING and count.status is not JobStatus.QUARANTINED:
-                depth.labels(count.campaign, count.needs, count.status).inc(count.jobs)
-            if count.status is JobStatus.QUEUED:
-                waits.append((now - count.oldest).total_seconds())
-        oldest.set(max(waits))
-        states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
-        for status, number in connection.execute(states):
-            campaigns.labels(status).set(number)
-        if (first := next_expiry(connection)) is not None:
-            left_s = (first - now).total_seconds()
-            unrenewed.set(max(0.0, services.settings.lease_s - left_s))
-        workers.set(len(live_capabilities(connection, services.settings.worker_seen_s)))
-
-    await read(services.engines, collect)
+    registry = await read(services.engines, lambda connection: queue_metrics(connection, services.settings))
     content = generate_latest(registry) + generate_latest(services.metrics.registry)
     return Response(content, media_type=CONTENT_TYPE_LATEST)
 
