@@ -15,6 +15,7 @@ from typing import Final
 
 from brink import __version__
 from brink.extras import install_command
+from brink.worker.alive_file import AliveFile
 from brink.worker.backoff import Backoff, Outage
 from brink.worker.client import CoordinatorClient
 from brink.worker.errors import (
@@ -62,6 +63,9 @@ BODY_ERRORS: Final = frozenset({400, 413, 422})
 
 LONGEST_PAUSE_WHEN_STOPPING_S: Final = 0.5
 
+LONGEST_HEARTBEAT_WAIT_S: Final = 5.0
+"""Longest wait of the heartbeat thread, so that it can be told from one that is stuck."""
+
 RENEWALS_PER_LEASE: Final = 3
 RETRIES_PER_RENEWAL: Final = 3
 """How often a failed renewal is retried before the next one is due."""
@@ -86,6 +90,7 @@ class Worker:
         self._process = EpisodeProcess(
             memory_mib=settings.memory_mib, plugins=settings.plugins, start_timeout_s=settings.start_timeout_s
         )
+        self._alive = AliveFile(settings.alive_file)
         self._grace_end_s: float | None = None
         self._error: BaseException | None = None
         self._started = False
@@ -116,6 +121,7 @@ class Worker:
         Returns:
             0 after a stop or an idle exit; 1 if the worker could not work, with the reason in the log.
         """
+        self._alive.update()
         try:
             hello = self._process.start()
         except EpisodeAbandoned:
@@ -169,7 +175,7 @@ class Worker:
         runner_thread = self._thread("runner", runner.run)
         heartbeat_thread = self._thread("heartbeat", heartbeat.run)
         reporter_thread = self._thread("reporter", reporter.run, self._mark_reporter_done)
-        self._supervise()
+        self._supervise(heartbeat)
         # Abandon any running episode: killing the process ends the runner, and the reporter ends with this program.
         self._leaving = True
         self._held.stop()
@@ -179,12 +185,14 @@ class Worker:
             thread.join(JOIN_S)
         return self._exit_status(coordinator_away=reporter.coordinator_away)
 
-    def _supervise(self) -> None:
+    def _supervise(self, heartbeat: "Heartbeat") -> None:
         """Wait until the worker is done; after a stop, kill the running episode once its grace period is over."""
         changed = self._held.changed
+        while not self._reporter_done and self._grace_end_s is None:
+            with changed:
+                changed.wait_for(lambda: self._reporter_done or self._grace_end_s is not None, SIGNAL_CHECK_S)
+            self._alive.update(heartbeat.progress_s)
         with changed:
-            while not self._reporter_done and self._grace_end_s is None:
-                changed.wait(SIGNAL_CHECK_S)
             if self._grace_end_s is None:
                 return
             log.info("stopping", extra={"held": len(self._held.leases())})
@@ -439,6 +447,9 @@ class Heartbeat:
         identity: This worker.
         abandon_after_s: A running job whose lease is lost is abandoned once it has run this long.
         abandon: Kills the episode of a job.
+
+    Attributes:
+        progress_s: When the thread last made progress, by the monotonic clock.
     """
 
     def __init__(
@@ -458,6 +469,7 @@ class Heartbeat:
         self._lease_s: float | None = None
         self._due_s = 0.0
         self._stopped = False
+        self.progress_s = time.monotonic()
         self._abandoned: LeasedJob | None = None
 
     def set_lease_duration(self, lease_s: float) -> None:
@@ -508,13 +520,14 @@ class Heartbeat:
         """Wait until a renewal or an abandonment is due; return False after `stop`."""
         with self._held.changed:
             while not self._stopped:
+                self.progress_s = time.monotonic()
                 times_s = [] if self._lease_s is None else [self._due_s]
                 if (lost := self._lost_job()) is not None:
                     times_s.append(time.monotonic() + self._abandon_after_s - lost[1])
-                left_s = min(times_s) - time.monotonic() if times_s else None
-                if left_s is not None and left_s <= 0:
+                left_s = min(times_s) - time.monotonic() if times_s else LONGEST_HEARTBEAT_WAIT_S
+                if left_s <= 0:
                     return True
-                self._held.changed.wait(left_s)
+                self._held.changed.wait(min(left_s, LONGEST_HEARTBEAT_WAIT_S))
             return False
 
     def _lost_job(self) -> tuple[LeasedJob, float] | None:

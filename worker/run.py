@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 from brink.worker.client import CoordinatorClient
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             exit_when_idle_s=options.exit_when_idle,
             plugins=tuple(options.plugin),
             exit_with_parent=options.exit_with_parent,
+            alive_file=options.alive_file,
         )
         level = LogLevel(options.log_level) if options.log_level else environment_level()
         log_format = LogFormat(options.log_format) if options.log_format else environment_format()
@@ -124,6 +126,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--exit-when-idle", type=float, metavar="S", help="exit after this many seconds without a job")
     add("--plugin", action="append", default=[], metavar="MODULE", help="module with simulators; repeatable")
+    add("--alive-file", type=Path, metavar="FILE", help="touch this file every few seconds while all is well")
     add("--exit-with-parent", action="store_true", help="exit when standard input ends")
     level_help = f"minimum severity of log lines (default: {LEVEL_VARIABLE}, else info)"
     add("--log-level", choices=[*LogLevel], help=level_help)

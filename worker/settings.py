@@ -5,6 +5,7 @@ import os
 import secrets
 import socket
 from dataclasses import dataclass, field
+from pathlib import Path
 from urllib.parse import urlsplit
 
 from brink.worker.errors import SettingsError
@@ -40,6 +41,7 @@ class WorkerSettings:
         abandon_after_s: A running job whose lease is lost is killed once it has run this long. A shorter one may
             finish, since starting a new process costs about a second.
         exit_with_parent: Exit when standard input ends.
+        alive_file: File that the worker touches every few seconds while its threads make progress, or None.
     """
 
     server: str
@@ -56,6 +58,7 @@ class WorkerSettings:
     start_timeout_s: float = 120.0
     abandon_after_s: float = 2.0
     exit_with_parent: bool = False
+    alive_file: Path | None = None
 
     def __post_init__(self) -> None:
         url = urlsplit(self.server)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -102,6 +103,13 @@ def worker(
     grace_s: Annotated[
         float, typer.Option(min=0.0, help="Grace period of the running episode after SIGTERM, in seconds.")
     ] = 8.0,
+    alive_file: Annotated[
+        Path | None,
+        typer.Option(
+            show_default=False,
+            help="File to touch every few seconds while the worker makes progress, for liveness probes.",
+        ),
+    ] = None,
     log_format: LogFormatOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
@@ -115,6 +123,10 @@ def worker(
         raise typer.BadParameter(
             "only works with --ray; without it, start one worker per core", param_hint="--workers"
         )
+    if alive_file is not None and ray is not None:
+        raise typer.BadParameter(
+            "does not work with --ray, which has many workers", param_hint="--alive-file"
+        )
     common = settings_with(log_format=log_format, log_level=log_level)
     settings = WorkerSettings(
         server=server,
@@ -123,6 +135,7 @@ def worker(
         memory_mib=memory_mib,
         exit_when_idle_s=exit_when_idle_s,
         grace_s=grace_s,
+        alive_file=alive_file,
         # Passed explicitly: the nodes of a cluster do not share the environment of this process.
         plugins=tuple(filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(","))),
     )

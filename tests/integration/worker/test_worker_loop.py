@@ -52,6 +52,21 @@ def test_a_worker_identifies_its_process_and_machine(coordinator: FakeCoordinato
     assert [(who.pid, who.machine) for who in identities] == [(os.getpid(), machine_name())]
 
 
+def test_a_worker_touches_its_alive_file_while_it_simulates_and_while_it_is_idle(
+    coordinator: FakeCoordinator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("brink.worker.alive_file.TOUCH_S", 0.0)
+    alive, go_on = tmp_path / "alive", tmp_path / "go-on"
+    with running_worker(coordinator.url, alive_file=alive):
+        job = coordinator.add({"fault": "wait", "until": str(go_on)})
+        coordinator.wait_until(lambda c: c.jobs[job].token is not None)
+        for _ in ("simulating", "idle"):
+            alive.unlink()
+            eventually(alive.exists, "the file is touched again")
+            go_on.touch()
+            coordinator.wait_for_all()
+
+
 def test_results_are_reported_in_batches_with_the_next_lease_request(coordinator: FakeCoordinator) -> None:
     for _ in range(60):
         coordinator.add()
