@@ -66,6 +66,12 @@ def doctor(
             "--thorough", help="Read all results, checkpoints and distances, and recompute some distances."
         ),
     ] = False,
+    restored: Annotated[
+        bool,
+        typer.Option(
+            "--restored", help="Check only what is stored, in a database that was restored from a backup."
+        ),
+    ] = False,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
@@ -78,7 +84,7 @@ def doctor(
     settings = settings_with(database=database)
     check_exists(settings)
     with _opened(settings) as engines:
-        found = list(examine(settings, engines, thorough=thorough))
+        found = list(examine(settings, engines, thorough=thorough, restored=restored))
     if as_json:
         print_json([fields(one, "check", "state", "found", "advice") for one in found])
     else:

@@ -71,13 +71,16 @@ class Finding:
     advice: str = ""
 
 
-def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator[Finding]:
+def examine(
+    settings: Settings, engines: Engines, *, thorough: bool, restored: bool = False
+) -> Iterator[Finding]:
     """Yield the findings of all checks; only of the first ones if the database cannot be used.
 
     Args:
         settings: The coordinator's settings.
         engines: Its database.
         thorough: Also read all results, checkpoints and distances, and verify some distances by computing them again.
+        restored: Check only what is stored: nothing runs on this database, which was restored from a backup.
     """
     try:
         with engines.reader.connect() as connection:
@@ -95,13 +98,12 @@ def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator
         return
     yield Finding("schema", State.FINE, str(revision))
     checks: list[Callable[[Connection], Iterator[Finding]]] = [
-        _clock,
-        lambda connection: _workers(connection, settings),
-        _leases,
         _jobs,
-        _campaigns,
         lambda connection: _results(connection, None if thorough else VERIFIED_RESULTS),
     ]
+    if not restored:
+        checks.insert(1, _campaigns)
+        checks[:0] = [_clock, lambda connection: _workers(connection, settings), _leases]
     if settings.sqlite_file is not None:
         checks.insert(0, lambda connection: _file(connection, settings))
     if thorough:

@@ -565,8 +565,10 @@ def test_setting_that_cannot_be_varied_is_named(tmp_path: Path, arguments: list[
     assert expected in str(said.exception)
 
 
-def diagnose(database_url: str, engines: Engines) -> Mapping[str, tuple[State, str]]:
-    checks = examine(Settings(database=database_url), engines, thorough=True)
+def diagnose(
+    database_url: str, engines: Engines, *, restored: bool = False
+) -> Mapping[str, tuple[State, str]]:
+    checks = examine(Settings(database=database_url), engines, thorough=True, restored=restored)
     return {one.check: (one.state, one.found) for one in checks}
 
 
@@ -596,6 +598,9 @@ def test_doctor_names_stuck_work_and_missing_workers(
         past = database_now(connection) - timedelta(seconds=100)
         connection.execute(update(JobRow).where(JobRow.id == job.job).values(lease_expires_at=past))
         connection.execute(update(CampaignRow).where(CampaignRow.id == idle).values(created_at=past))
+    copy = diagnose(database_url, engines, restored=True)
+    assert {state for state, _ in copy.values()} == {State.FINE}, "nothing runs on a restored backup"
+    assert set(copy).isdisjoint({"clock", "workers", "leases", "campaigns"})
     checks = diagnose(database_url, engines)
     assert checks["workers"][0] is State.WRONG
     assert "2 queued jobs need rare@1" in checks["workers"][1]
