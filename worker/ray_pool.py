@@ -11,11 +11,13 @@ because Ray writes the environment of actors, but not their arguments, to its lo
 import logging
 import math
 import os
+import secrets
 import socket
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from random import Random
 from typing import Any, Final
 
@@ -32,6 +34,11 @@ from brink.worker.settings import WorkerSettings, new_worker_id
 
 LOCAL: Final = "local"
 """Address that starts a new Ray instance on this machine instead of joining a cluster."""
+
+AUTH_MODE_VARIABLE: Final = "RAY_AUTH_MODE"
+AUTH_TOKEN_VARIABLE: Final = "RAY_AUTH_TOKEN"
+AUTH_FILE_VARIABLE: Final = "RAY_AUTH_TOKEN_PATH"
+"""Ray's environment variables: whether a cluster requires a token, the token, and a file with it."""
 
 POLL_S: Final = 0.5
 PLACEMENT_TIMEOUT_S: Final = 30.0
@@ -302,16 +309,38 @@ def _connected(settings: PoolSettings) -> Iterator[None]:
     }
     if settings.address == LOCAL:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        # Without one, Ray would write a token to the home folder, and from then on every `ray start --head` of this
+        # user would start a cluster that requires it.
+        os.environ.setdefault(AUTH_TOKEN_VARIABLE, secrets.token_hex(32))
         own = {"object_store_memory": OBJECT_STORE_BYTES, "include_dashboard": False}
         options |= {"num_cpus": settings.workers, **own}
     try:
         ray.init(address=settings.address, **options)
     except (ConnectionError, RuntimeError, ValueError, RayError) as error:
-        raise NoCluster(f"--ray {settings.address}: {_one_line(error)}") from error
+        advice = "" if settings.address == LOCAL else f". {_advice()}"
+        raise NoCluster(f"--ray {settings.address}: {_one_line(error)}{advice}") from error
     try:
         yield
     finally:
         ray.shutdown()
+
+
+def _advice() -> str:
+    """Return what to do if a cluster cannot be joined; Ray does not say whether the cluster requires a token."""
+    set_token = f"{AUTH_TOKEN_VARIABLE} to what `ray get-auth-token` prints on the head node"
+    if os.environ.get(AUTH_MODE_VARIABLE, "").lower() != "token":
+        return (
+            "Is a cluster running there? If it requires a token, set "
+            f"{AUTH_MODE_VARIABLE}=token and {set_token}"
+        )
+    file = Path(os.environ.get(AUTH_FILE_VARIABLE) or "~/.ray/auth_token")
+    if os.environ.get(AUTH_TOKEN_VARIABLE):
+        used = AUTH_TOKEN_VARIABLE
+    elif file.expanduser().exists():
+        used = str(file)
+    else:
+        return f"Set {set_token}"
+    return f"Is a cluster running there, and is {used} its token? Set {set_token}"
 
 
 def _cpus() -> int:
@@ -329,4 +358,7 @@ def _draining_nodes() -> Collection[str]:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:400] or type(error).__name__
+    words = getattr(error, "message", None) or str(
+        error
+    )  # that of authentication errors comes with other advice
+    return " ".join(str(words).split())[:400].rstrip(".") or type(error).__name__

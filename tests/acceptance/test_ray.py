@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from support.api import ball, eventually, undisturbed_digest
 from support.databases import Databases, on_sqlite
@@ -29,11 +30,18 @@ def ray_home() -> Iterator[Path]:
 
 
 @pytest.fixture
-def running(databases: Databases, tmp_path: Path, ray_home: Path) -> Iterator[Site]:
+def authentication() -> dict[str, str]:
+    """What a user sets so that a cluster requires a token."""
+    return {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+
+
+@pytest.fixture
+def running(
+    databases: Databases, tmp_path: Path, ray_home: Path, authentication: dict[str, str]
+) -> Iterator[Site]:
     """A coordinator that wants a token."""
     of_ray = {
-        "RAY_TMPDIR": str(ray_home), "HOME": str(ray_home), "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32),
+        "RAY_TMPDIR": str(ray_home), "HOME": str(ray_home), "RAY_USAGE_STATS_ENABLED": "0", **authentication,
     }  # fmt: skip
     token = {"BRINK_TOKEN": f"token-{secrets.token_hex(12)}"}
     with databases.database() as url, site(tmp_path, url, {**QUICK, **of_ray, **token}) as made:
@@ -48,20 +56,28 @@ def pool(running: Site, *arguments: str, **more: str) -> Program:
     return program
 
 
+HEAD = ("--head", "--port=0", "--include-dashboard=false")
+
+
 @contextmanager
-def node(running: Site, *arguments: str) -> Iterator[Program]:
+def node(running: Site, *arguments: str, **more: str) -> Iterator[Program]:
     """Have one more node of one CPU in the cluster."""
     command = [
         RAY, "start", "--num-cpus=1", "--min-worker-port=0", "--max-worker-port=0", "--block",
         *arguments,
     ]  # fmt: skip
-    with Program(command, cwd=running.folder, env=running.env) as program:
+    with Program(command, cwd=running.folder, env={**running.env, **more}) as program:
         try:
             program.await_line("Ray runtime started")
             yield program
         finally:
             program.signal(signal.SIGTERM)
             program.wait()
+
+
+def address_of(head: Program) -> str:
+    """Return the address that the head node of a cluster tells its user."""
+    return head.await_line(r"ray start --address='([^']+)'")[1]
 
 
 def workers(running: Site) -> dict[str, dict[str, Any]]:
@@ -132,8 +148,8 @@ def test_a_cluster_that_is_not_there_is_told_in_a_line(running: Site) -> None:
 
 
 def test_a_pool_follows_its_cluster(running: Site) -> None:
-    with node(running, "--head", "--port=0", "--include-dashboard=false") as head:
-        address = head.await_line(r"ray start --address='([^']+)'")[1]
+    with node(running, *HEAD) as head:
+        address = address_of(head)
         started = pool(running, "--ray", "auto", BRINK_LOG_FORMAT="json")
         started.await_line('"message": "worker started"')
         with node(running, f"--address={address}"):
@@ -144,4 +160,57 @@ def test_a_pool_follows_its_cluster(running: Site) -> None:
         started.await_line(f'"worker left", "worker": "{other}"')
         assert running.await_end(running.submit(ball(simulations=20)))["status"] == "finished"
         started.signal(signal.SIGTERM)
+        assert started.wait() == 0, started.output
+
+
+def test_pictures_are_simulated_on_a_cluster_that_requires_a_token(running: Site) -> None:
+    body = {
+        "name": "pictures", "problem": {"id": "urban-camera@1", "params": {"duration_s": 5.0}},
+        "algorithm": {"id": "random@1"}, "budget": {"simulations": 4}, "seed": 1, "execution": {"cache": False},
+    }  # fmt: skip
+    with node(running, *HEAD) as head:
+        started = pool(running, "--ray", address_of(head))
+        campaign = running.submit(body)
+        done = running.await_end(campaign)
+        assert (done["status"], done["failed"]) == ("finished", 0)
+        replay = f"{running.url}/api/v1/campaigns/{campaign}/solutions/0/replay.png?wait_s=60"
+        picture = httpx.get(replay, headers=running.headers, timeout=PATIENCE_S)
+        assert picture.content.startswith(b"\x89PNG"), "a worker of the cluster recorded the episode"
+        started.signal(signal.SIGTERM)
+        assert started.wait() == 0, started.output
+    running.start_workers(1)
+    again = running.await_end(running.submit(body))
+    assert again["digest"] == done["digest"], "as without Ray"
+
+
+@pytest.mark.parametrize("authentication", [{}], ids=["unset"])
+def test_a_missing_or_wrong_token_of_the_cluster_is_explained(running: Site) -> None:
+    token = secrets.token_hex(32)
+    with node(running, *HEAD, RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=token) as head:
+        address = address_of(head)
+        wrong = secrets.token_hex(32)
+        for given, words in (
+            ({}, "set RAY_AUTH_MODE=token and RAY_AUTH_TOKEN to what `ray get-auth-token` prints"),
+            ({"RAY_AUTH_MODE": "token"}, "no authentication token was found. Set RAY_AUTH_TOKEN to what"),
+            ({"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": wrong}, "and is RAY_AUTH_TOKEN its token? Set"),
+        ):
+            started = pool(running, "--ray", address, **given)
+            assert started.wait() == 1
+            [line] = [line for line in started.lines if line.startswith("brink: --ray ")]
+            assert words in line
+            assert "Traceback" not in started.output
+            assert wrong not in started.output
+
+
+@pytest.mark.parametrize("authentication", [{}], ids=["unset"])
+def test_a_local_instance_leaves_no_token_behind(running: Site, ray_home: Path) -> None:
+    """With a token in the home folder, every later `ray start --head` of its user would require it."""
+    started = pool(running, "--ray", "local", "--workers", "1")
+    assert running.await_end(running.submit(ball(simulations=20)))["status"] == "finished"
+    started.signal(signal.SIGTERM)
+    assert started.wait() == 0, started.output
+    assert not (ray_home / ".ray" / "auth_token").exists()
+    with node(running, *HEAD) as head:
+        started = pool(running, "--ray", address_of(head), "--exit-when-idle-s", "1")
+        assert running.await_end(running.submit(ball(seed=2, simulations=20)))["status"] == "finished"
         assert started.wait() == 0, started.output
