@@ -1,4 +1,8 @@
 # One image for coordinator and workers: `docker compose up` starts both, `docker run … worker` adds workers.
+# The build argument EXTRAS chooses what is installed, see docs/how-to/build-the-image.md:
+#   docker build --tag brink:0.1.0 .
+#   docker build --tag brink:0.1.0-vision --build-arg EXTRAS=analysis,postgres,vision .
+# For x86-64 only: PyBullet has no wheels for ARM, and this image has no compiler.
 FROM python:3.11-slim AS build
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
@@ -8,12 +12,15 @@ COPY search search
 COPY server server
 COPY sim sim
 COPY worker worker
-RUN python -m venv /opt/brink && /opt/brink/bin/pip install --no-cache-dir -c constraints.txt '.[analysis,postgres]'
+ARG EXTRAS=analysis,postgres
+RUN python -m venv /opt/brink && /opt/brink/bin/pip install --no-cache-dir -c constraints.txt ".[$EXTRAS]"
 
 FROM python:3.11-slim
+ARG EXTRAS=analysis,postgres
+LABEL brink.extras=$EXTRAS
 COPY --from=build /opt/brink /opt/brink
 COPY examples /examples
-RUN useradd --create-home --uid 1000 brink
+RUN useradd --create-home --uid 1000 brink && mkdir /data && chown brink:brink /data
 USER brink
 WORKDIR /home/brink
 ENV PATH=/opt/brink/bin:$PATH PYTHONUNBUFFERED=1
