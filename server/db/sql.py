@@ -36,7 +36,6 @@ from sqlalchemy.sql.functions import FunctionElement
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow
-from brink.server.db.statements import Statement, read
 from brink.server.db.types import UtcDateTime
 from brink.server.errors import SHORTEST_ID, NotFound
 
@@ -45,13 +44,12 @@ MAX_ID = 16
 AMBIGUOUS_SHOWN = 5
 
 
-_CLOCK = Statement(text("SELECT clock_timestamp() AS now"))
-
-
 def database_now(connection: Connection) -> datetime:
     """Return the database server's time, which decides leases; for SQLite that is this machine's."""
     if connection.dialect.name == "postgresql":
-        return driver_time(read(connection, (_CLOCK, {}))[0][0].now)
+        moment = connection.execute(text("SELECT clock_timestamp()")).scalar_one()
+        assert isinstance(moment, datetime)
+        return moment.astimezone(UTC)
     return datetime.now(UTC)
 
 

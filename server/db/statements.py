@@ -4,14 +4,13 @@ SQLAlchemy takes longer to run a small statement than the database does, so thes
 language, its parameter types and its errors. Rows hold the driver's values: on SQLite, for example, Booleans are
 numbers.
 
-On Postgres, a statement that runs alone is a round trip. Here, several queries can share one, in psycopg's pipeline
-mode, and BEGIN and writes wait for the next query or the COMMIT. SQLite has no round trips and runs each statement at
-once.
+On Postgres, a statement that runs alone is a round trip. Here, several queries can share one
+(`brink.server.db.pipeline`), and BEGIN and writes wait for the next query or the COMMIT. SQLite has no round trips
+and runs each statement at once.
 """
 
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, TypeAlias
@@ -33,31 +32,24 @@ class _Compiled:
     """A statement as one driver takes it.
 
     Attributes:
-        text: The statement: text for SQLite, bytes for psycopg.
+        text: The statement, with its parameters by position.
+        order: The names of the parameters in order.
         constants: Parameters with fixed values.
         converters: Functions that convert the other parameters for the driver, where the driver cannot.
-        order: The names of the parameters in order, for a driver that takes them by position.
-        row: Makes a row of its values; None before the first result.
+        row: Makes a row of its values, on SQLite; None before the first result.
     """
 
-    text: Any
+    text: str
+    order: tuple[str, ...]
     constants: dict[str, Any]
     converters: dict[str, Callable[[Any], Any]]
-    order: tuple[str, ...] | None
     row: Callable[[Sequence[Any]], Any] | None = None
 
-    def parameters(self, given: Values) -> Any:
+    def parameters(self, given: Values) -> tuple[Any, ...]:
         values = {**self.constants, **given}
         for name, convert in self.converters.items():
             values[name] = convert(values[name])
-        return values if self.order is None else tuple([values[name] for name in self.order])
-
-    def rows(self, cursor: Any) -> list[Any]:
-        if self.row is None:
-            # psycopg describes columns by objects, SQLite by tuples; both begin with the name.
-            row: Any = namedtuple("Row", [described[0] for described in cursor.description])  # type: ignore[misc]
-            self.row = row._make
-        return list(map(self.row, cursor.fetchall()))
+        return tuple([values[name] for name in self.order])
 
 
 class Statement:
@@ -81,11 +73,12 @@ class Statement:
 
 
 def _compile(query: ClauseElement, dialect: Dialect) -> _Compiled:
-    compiled: Any = query.compile(dialect=dialect)
+    styled: Dialect = dialect if dialect.name == "sqlite" else type(dialect)(paramstyle="numeric_dollar")  # type: ignore[call-arg]
+    compiled: Any = query.compile(dialect=styled)
     constants: dict[str, Any] = {}
     converters: dict[str, Callable[[Any], Any]] = {}
     for name, bound in compiled.binds.items():
-        convert = bound.type.dialect_impl(dialect).bind_processor(dialect)
+        convert = bound.type.dialect_impl(styled).bind_processor(styled)
         if bound.required:
             if convert is not None:
                 converters[name] = convert
@@ -93,15 +86,13 @@ def _compile(query: ClauseElement, dialect: Dialect) -> _Compiled:
             value = bound.effective_value
             value = value.value if isinstance(value, Enum) else value
             constants[name] = value if convert is None else convert(value)
-    if compiled.positiontup is None:
-        return _Compiled(compiled.string.encode(), constants, converters, None)
-    order = tuple(compiled.positiontup)
-    named = {name: convert for name, convert in converters.items() if name in order}
-    return _Compiled(compiled.string, constants, named, order)
+    return _Compiled(compiled.string, tuple(compiled.positiontup or ()), constants, converters)
 
 
 _WAITING = "brink.waiting"
 """Key of the statements that wait, in the information that SQLAlchemy keeps with a driver's connection."""
+_PIPELINE = "brink.pipeline"
+"""Key of the connection's pipeline in the same place."""
 _BEGIN, _COMMIT = Statement(text("BEGIN")), Statement(text("COMMIT"))
 
 
@@ -165,28 +156,18 @@ def share_round_trips(engine: Engine) -> None:
     @event.listens_for(engine, "rollback")
     def forget(connection: Connection) -> None:
         connection.info.pop(_WAITING, None)
+        connection.info.pop(_PIPELINE, None)  # the driver may now drop all prepared statements
 
 
 def _run(connection: Connection, statements: Sequence[tuple[Statement, Values]]) -> list[list[Any]]:
     """Run statements, on Postgres in one round trip; return the rows of each."""
-    if not is_pipelined(connection):
-        return [_round_trip(connection, [one])[0] for one in statements]
-    return _round_trip(connection, statements)
-
-
-def _round_trip(connection: Connection, statements: Sequence[tuple[Statement, Values]]) -> list[list[Any]]:
     dialect = connection.dialect
     compiled = [statement.compiled(dialect) for statement, _ in statements]
     parameters = [one.parameters(values) for one, (_, values) in zip(compiled, statements, strict=True)]
     driver: Any = connection.connection.driver_connection
     error_type = dialect.loaded_dbapi.Error
     try:
-        with driver.pipeline() if len(statements) > 1 else nullcontext():
-            cursors = execute(driver, [one.text for one in compiled], parameters)
-        return [
-            [] if cursor.description is None else one.rows(cursor)
-            for one, cursor in zip(compiled, cursors, strict=True)
-        ]
+        return execute(connection, driver, compiled, parameters)
     except error_type as error:
         is_lost = dialect.is_disconnect(error, driver, None)
         if is_lost:
@@ -202,15 +183,42 @@ def _round_trip(connection: Connection, statements: Sequence[tuple[Statement, Va
         ) from error
 
 
-def execute(driver: Any, texts: Sequence[Any], parameters: Sequence[Any]) -> list[Any]:
-    """Execute statements in order; return their cursors, which have no rows before the end of a pipeline.
+def execute(
+    connection: Connection,
+    driver: Any,
+    statements: Sequence[_Compiled],
+    parameters: Sequence[tuple[Any, ...]],
+) -> list[list[Any]]:
+    """Execute statements in order; return the rows of each.
 
     Args:
+        connection: The connection.
         driver: The driver's connection.
-        texts: The statements; several only in a pipeline.
+        statements: The statements.
         parameters: The parameters of each.
     """
-    return [driver.execute(text, given) for text, given in zip(texts, parameters, strict=True)]
+    if not is_pipelined(connection):
+        return [
+            _rows(one, driver.execute(one.text, given))
+            for one, given in zip(statements, parameters, strict=True)
+        ]
+    pipeline = connection.info.get(_PIPELINE)
+    if pipeline is None:
+        from brink.server.db.pipeline import Pipeline  # needs psycopg, which is optional
+
+        pipeline = connection.info[_PIPELINE] = Pipeline(driver)
+    rows: list[list[Any]] = pipeline.run([one.text for one in statements], parameters)
+    return rows
+
+
+def _rows(statement: _Compiled, cursor: Any) -> list[Any]:
+    """Return the rows of a statement on SQLite."""
+    if cursor.description is None:
+        return []
+    if statement.row is None:
+        row: Any = namedtuple("Row", [described[0] for described in cursor.description])  # type: ignore[misc]
+        statement.row = row._make
+    return list(map(statement.row, cursor.fetchall()))
 
 
 class BulkUpdate:

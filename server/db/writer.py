@@ -28,9 +28,10 @@ A = TypeVar("A")
 Unit = Callable[[Connection], T]
 MAX_UNITS_A_COMMIT = 256
 TRIES = 3
-CONFLICTS = frozenset({"40001", "40P01", "23505"})
-"""SQLSTATE of serialization_failure, deadlock_detected and unique_violation: another process wrote first. The unit is
-run again and sees what that process wrote."""
+CONFLICTS = frozenset({"40001", "40P01", "23505", "26000"})
+"""SQLSTATE of errors after which the unit is run again. After serialization_failure, deadlock_detected and
+unique_violation, it sees what another process wrote first; after invalid_sql_statement_name, because a connection
+pooler dropped a prepared statement, it prepares that again."""
 FRESH_S = 1.0
 """A connection idle for longer is returned to the pool, which tests it before handing it out again."""
 TROUBLE_S = 30.0

@@ -53,10 +53,9 @@ def statements_of(engine: Engine, run: Callable[[], Any]) -> list[Statement]:
     def keep(connection: Any, cursor: Any, statement: str, parameters: Any, context: Any, many: bool) -> None:
         said.append((statement, parameters[0] if many else parameters))
 
-    def keep_together(driver: Any, texts: Sequence[Any], parameters: Sequence[Any]) -> list[Any]:
-        for words, given in zip(texts, parameters, strict=True):
-            said.append((words.decode() if isinstance(words, bytes) else words, given))
-        return execute(driver, texts, parameters)
+    def keep_together(connection: Any, driver: Any, asked: Sequence[Any], values: Sequence[Any]) -> Any:
+        said.extend((one.text, given) for one, given in zip(asked, values, strict=True))
+        return execute(connection, driver, asked, values)
 
     event.listen(engine, "before_cursor_execute", keep)
     with pytest.MonkeyPatch.context() as patch:
@@ -164,12 +163,13 @@ def watching(queue: Queue) -> None:
         queue.run(partial(job_store.list_jobs, statuses=[status], campaign="00000000", after=7))
 
 
-def prepare(connection: Connection, words: str) -> list[str]:
-    """Prepare a statement on Postgres as ``looked_at``, and return the names of its parameters."""
+def prepare(connection: Connection, statement: Statement) -> list[Any]:
+    """Prepare a statement on Postgres as ``looked_at``, and return its parameters; unknown ones are None."""
+    words, given = statement
     names = list(dict.fromkeys(re.findall(r"%\((\w+)\)s", words)))
     numbered = re.sub(r"%\((\w+)\)s", lambda found: f"${names.index(found[1]) + 1}", words)
     connection.exec_driver_sql(f"PREPARE looked_at AS {numbered}")
-    return names
+    return list(given) if isinstance(given, tuple) else [given.get(name) for name in names]
 
 
 def looked_at(connection: Connection, statement: Statement) -> str:
@@ -178,8 +178,8 @@ def looked_at(connection: Connection, statement: Statement) -> str:
     if connection.dialect.name == "sqlite":
         rows = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {words}", parameters).all()
         return "\n".join(str(row[-1]) for row in rows)
-    names = prepare(connection, words)
-    given = f"({', '.join(['NULL'] * len(names))})" if names else ""
+    known = prepare(connection, statement)
+    given = f"({', '.join(['NULL'] * len(known))})" if known else ""
     plan = connection.exec_driver_sql(f"EXPLAIN (FORMAT JSON) EXECUTE looked_at{given}").scalar_one()
     connection.exec_driver_sql("DEALLOCATE looked_at")
     return json.dumps(plan, indent=1)
@@ -303,12 +303,12 @@ def test_no_hot_question_looks_through_all_that_waits(stale: Queue) -> None:
     with engines.writer.connect() as connection:
         connection.exec_driver_sql("SET LOCAL plan_cache_mode = force_generic_plan")
         for words, given in questions.items():
-            names = prepare(connection, words)
-            call = f"EXECUTE looked_at({', '.join(f'%({name})s' for name in names)})" if names else words
+            known = prepare(connection, (words, given))
+            call = f"EXECUTE looked_at({', '.join(['%s'] * len(known))})" if known else words
             driver = connection.connection.driver_connection
             assert isinstance(driver, psycopg.Connection)
             with psycopg.ClientCursor(driver) as cursor:
-                ((plan,),) = cursor.execute(f"EXPLAIN (ANALYZE, FORMAT JSON) {call}", given).fetchall()
+                ((plan,),) = cursor.execute(f"EXPLAIN (ANALYZE, FORMAT JSON) {call}", known).fetchall()
             connection.exec_driver_sql("DEALLOCATE looked_at")
             read = sum(
                 node["Actual Rows"] + node.get("Rows Removed by Filter", 0)

@@ -1,12 +1,13 @@
 """Frequent statements: what waits to share a round trip, and what becomes of it when something fails."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection, bindparam, insert, select, text, update
-from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
+from sqlalchemy import Connection, Text, bindparam, insert, select, text, update
+from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, OperationalError
 from support.databases import on_postgres
 from support.problems import SIMULATOR
 from support.queue import RESULT, TERMS, Queue
@@ -14,7 +15,9 @@ from support.queue import RESULT, TERMS, Queue
 from brink.server.db import statements
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, TraceRow
+from brink.server.db.sql import driver_time, in_list
 from brink.server.db.statements import BulkUpdate, Statement, read, write
+from brink.server.db.writer import Writer
 from brink.server.queue.exchange import Exchange
 from brink.server.queue.lease_policy import LeaseDemand
 from brink.server.queue.report_store import Outcome
@@ -31,9 +34,9 @@ def round_trips(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     found: list[int] = []
     execute = statements.execute
 
-    def counted(driver: Any, texts: list[Any], parameters: list[Any]) -> list[Any]:
-        found.append(len(texts))
-        return execute(driver, texts, parameters)
+    def counted(connection: Connection, driver: Any, asked: Sequence[Any], values: Any) -> list[Any]:
+        found.append(len(asked))
+        return execute(connection, driver, asked, values)
 
     monkeypatch.setattr(statements, "execute", counted)
     return found
@@ -122,6 +125,56 @@ def test_error_names_no_parameters(engines: Engines) -> None:
         run(engines, unit)
     assert raised.value.orig is not None
     assert raised.value.params is None
+
+
+TEXTS = ["", " ", "NULL", '"', "\\", '\\"', "{a,b}", "a,b", "'", "%s $1", "é\U0001f600", "\n\t"]
+
+
+def test_values_arrive_as_they_were_sent(engines: Engines) -> None:
+    put = BulkUpdate(CampaignRow.id, [CampaignRow.notes], finished_at=bindparam("now"))
+    look = Statement(
+        select(CampaignRow.notes, CampaignRow.finished_at, CampaignRow.failed, CampaignRow.generation_end)
+        .where(in_list(CampaignRow.notes, "notes"))
+        .order_by(CampaignRow.id)
+    )
+    queue = Queue(engines=engines)
+    campaigns = [queue.campaign(0) for _ in TEXTS]
+    with engines.writer.begin() as connection:
+        put.run(connection, list(zip(campaigns, TEXTS, strict=True)), {"now": NOW})
+        rows, none = read(connection, (look, {"notes": TEXTS}), (look, {"notes": []}))
+    assert [row.notes for row in rows] == TEXTS
+    assert {driver_time(row.finished_at) for row in rows} == {NOW}
+    assert {(row.failed, row.generation_end) for row in rows} == {(0, None)}
+    assert none == []
+
+
+@on_postgres
+def test_text_that_postgres_cannot_store_is_refused(engines: Engines) -> None:
+    with pytest.raises(DataError):
+        run(engines, lambda connection: write(connection, ADD, {"name": "a\0b"}))
+    run(engines, lambda connection: write(connection, ADD, {"name": "a"}))
+    assert names(engines) == ["a"]
+
+
+@on_postgres
+def test_more_than_the_sockets_hold_is_sent_and_received_at_once(engines: Engines) -> None:
+    echo = Statement(select(bindparam("words", type_=Text).label("words")))
+    words = "x" * 4_000_000
+    with engines.writer.begin() as connection:
+        found = read(connection, *[(echo, {"words": words})] * 4)
+    assert [row.words == words for (row,) in found] == [True] * 4
+
+
+@on_postgres
+def test_dropped_prepared_statements_are_prepared_again(engines: Engines) -> None:
+    writer = Writer(engines.writer)
+    try:
+        for name in "ab":
+            writer.submit(partial(write, statement=ADD, values={"name": name})).result(30.0)
+            writer.submit(lambda connection: connection.execute(text("DEALLOCATE ALL"))).result(30.0)
+    finally:
+        writer.close()
+    assert names(engines) == ["a", "b"]
 
 
 @on_postgres
