@@ -36,8 +36,10 @@ RADII: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
 P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Default settings of a sensitivity analysis."""
 
-MOST_COMPARED: Final = 100_000_000
-"""Distances that are computed for one request: a few seconds. 14,000 solutions never need more."""
+MOST_COMPARED: Final = 2_000_000_000
+"""Cost of one request, a few seconds. Each distance costs its number of dimensions and `_OVERHEAD`: 9,000 solutions in 40
+dimensions never cost more."""
+_OVERHEAD: Final = 8
 _BLOCK: Final = 1_000
 """Solutions looked at in one go; bounds the memory."""
 
@@ -94,10 +96,10 @@ def distinct_boundary(
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
         strict: Whether to return only those of them that have evidence of a boundary.
-        most_compared: Maximum number of distances to compute; None for no limit.
+        most_compared: Maximum cost; see `MOST_COMPARED`. None for no limit.
 
     Raises:
-        BoundaryTooLarge: That takes more distances.
+        BoundaryTooLarge: It costs more.
     """
     positions = np.flatnonzero(archive.fitness <= t_b)
     order = positions[np.lexsort((archive.numbers[positions], archive.fitness[positions]))]
@@ -115,7 +117,7 @@ def _spread(archive: Archive, order: IndexArray, d_th: float, most_compared: int
     """Return the positions that greedy selection in the given order keeps, each at least d_th from all before it.
 
     Raises:
-        BoundaryTooLarge: More than `most_compared` distances between blocks of solutions would have to be computed.
+        BoundaryTooLarge: Comparing blocks of solutions costs more than `most_compared`.
     """
     if d_th <= 0:
         return order
@@ -123,7 +125,7 @@ def _spread(archive: Archive, order: IndexArray, d_th: float, most_compared: int
     taken, compared = np.empty(0, np.intp), 0
     for begin in range(0, order.size, _BLOCK):
         left = np.arange(begin, min(begin + _BLOCK, order.size))
-        compared += left.size * taken.size
+        compared += left.size * taken.size * (archive.metric.dimension + _OVERHEAD)
         if most_compared is not None and compared > most_compared:
             raise BoundaryTooLarge
         left = left[_are_apart(archive, points.take(left), points.take(taken), d_th)]
@@ -179,8 +181,8 @@ def dbs_grid(
         archive: The evaluated solutions.
         t_bs: Maximum fitness of a boundary solution.
         d_ths: Minimum distance between two boundary solutions.
-        most_compared: Maximum number of distances to compute for each of the `d_ths`. The first one, from the
-            largest on, that takes more is left out of the grid, with all smaller ones. None for no limit.
+        most_compared: Maximum cost of each of the `d_ths`; see `MOST_COMPARED`. The first one, from the largest on,
+            that costs more is left out of the grid, with all smaller ones. None for no limit.
     """
     evidence = has_evidence(archive)
     counts: dict[float, list[tuple[int, int]]] = {}
