@@ -37,8 +37,8 @@ P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Default settings of a sensitivity analysis."""
 
 MOST_COST: Final = 2_000_000_000
-"""Cost of one request: a few seconds. Each distance costs its number of dimensions and `_OVERHEAD`, so 9,000 solutions
-in 40 dimensions never cost more."""
+"""Cost of one request: a few seconds. Each distance costs its number of dimensions and `_OVERHEAD`, so 9,000
+solutions in 40 dimensions never cost more."""
 _OVERHEAD: Final = 8
 _BLOCK: Final = 1_000
 """Solutions looked at in one go; bounds the memory."""
