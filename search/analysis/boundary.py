@@ -36,8 +36,10 @@ RADII: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
 P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Default settings of a sensitivity analysis."""
 
-MOST_COMPARED: Final = 100_000_000
-"""Distances that are computed for one request: a few seconds. 14,000 solutions never need more."""
+MOST_COST: Final = 2_000_000_000
+"""Cost of one request: a few seconds. Each distance costs its number of dimensions and `_OVERHEAD`, so 9,000
+solutions in 40 dimensions never cost more."""
+_OVERHEAD: Final = 8
 _BLOCK: Final = 1_000
 """Solutions looked at in one go; bounds the memory."""
 
@@ -85,7 +87,7 @@ def has_evidence(archive: Archive) -> BoolArray:
 
 
 def distinct_boundary(
-    archive: Archive, t_b: float, d_th: float, strict: bool = False, *, most_compared: int | None = None
+    archive: Archive, t_b: float, d_th: float, strict: bool = False, *, most_cost: int | None = None
 ) -> IndexArray:
     """Return the distinct boundary solutions as positions in the archive, best first.
 
@@ -94,15 +96,15 @@ def distinct_boundary(
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
         strict: Whether to return only those of them that have evidence of a boundary.
-        most_compared: Maximum number of distances to compute; None for no limit.
+        most_cost: Maximum cost; see `MOST_COST`. None for no limit.
 
     Raises:
-        BoundaryTooLarge: That takes more distances.
+        BoundaryTooLarge: It costs more.
     """
     positions = np.flatnonzero(archive.fitness <= t_b)
     order = positions[np.lexsort((archive.numbers[positions], archive.fitness[positions]))]
     try:
-        taken = _spread(archive, order, d_th, most_compared)
+        taken = _spread(archive, order, d_th, most_cost)
     except BoundaryTooLarge:
         raise BoundaryTooLarge(
             f"{order.size:,} solutions have a fitness of at most t_b {t_b:g}, and too many of them are at least d_th "
@@ -111,20 +113,20 @@ def distinct_boundary(
     return taken[has_evidence(archive)[taken]] if strict else taken
 
 
-def _spread(archive: Archive, order: IndexArray, d_th: float, most_compared: int | None) -> IndexArray:
+def _spread(archive: Archive, order: IndexArray, d_th: float, most_cost: int | None) -> IndexArray:
     """Return the positions that greedy selection in the given order keeps, each at least d_th from all before it.
 
     Raises:
-        BoundaryTooLarge: More than `most_compared` distances between blocks of solutions would have to be computed.
+        BoundaryTooLarge: Comparing blocks of solutions costs more than `most_cost`.
     """
     if d_th <= 0:
         return order
     points = archive.metric.points(archive.vectors[order])
-    taken, compared = np.empty(0, np.intp), 0
+    taken, cost = np.empty(0, np.intp), 0
     for begin in range(0, order.size, _BLOCK):
         left = np.arange(begin, min(begin + _BLOCK, order.size))
-        compared += left.size * taken.size
-        if most_compared is not None and compared > most_compared:
+        cost += left.size * taken.size * (archive.metric.dimension + _OVERHEAD)
+        if most_cost is not None and cost > most_cost:
             raise BoundaryTooLarge
         left = left[_are_apart(archive, points.take(left), points.take(taken), d_th)]
         new: list[IndexArray] = []
@@ -171,7 +173,7 @@ def dbs_grid(
     t_bs: Sequence[float] = PAPER_T_BS,
     d_ths: Sequence[float] = PAPER_D_THS,
     *,
-    most_compared: int | None = None,
+    most_cost: int | None = None,
 ) -> DbsGrid:
     """Return DBS and strict DBS for all pairs of thresholds.
 
@@ -179,15 +181,15 @@ def dbs_grid(
         archive: The evaluated solutions.
         t_bs: Maximum fitness of a boundary solution.
         d_ths: Minimum distance between two boundary solutions.
-        most_compared: Maximum number of distances to compute for each of the `d_ths`. The first one, from the
-            largest on, that takes more is left out of the grid, with all smaller ones. None for no limit.
+        most_cost: Maximum cost of each of the `d_ths`; see `MOST_COST`. The first one, from the largest on,
+            that costs more is left out of the grid, with all smaller ones. None for no limit.
     """
     evidence = has_evidence(archive)
     counts: dict[float, list[tuple[int, int]]] = {}
     for d_th in sorted(set(d_ths), reverse=True):  # the smaller, the more solutions are distinct
         # Solutions are taken in the order of fitness: those of a smaller t_b are the first of those of a larger one.
         try:
-            taken = distinct_boundary(archive, max(t_bs, default=0.0), d_th, most_compared=most_compared)
+            taken = distinct_boundary(archive, max(t_bs, default=0.0), d_th, most_cost=most_cost)
         except BoundaryTooLarge:
             break
         near = [taken[archive.fitness[taken] <= t_b] for t_b in t_bs]

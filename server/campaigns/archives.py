@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection
 
 from brink.search.algorithm import Known
-from brink.search.analysis.boundary import MOST_COMPARED, DbsGrid, IndexArray, dbs_grid
+from brink.search.analysis.boundary import MOST_COST, DbsGrid, IndexArray, dbs_grid
 from brink.search.analysis.monitor import Model, Monitor, default_model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
@@ -66,7 +66,7 @@ class ReadArchive:
     @cached_property
     def grid(self) -> DbsGrid:
         """DBS and strict DBS at the paper's thresholds, without distances at which they would take too long."""
-        return dbs_grid(self.archive, PAPER_T_BS, PAPER_D_THS, most_compared=MOST_COMPARED)
+        return dbs_grid(self.archive, PAPER_T_BS, PAPER_D_THS, most_cost=MOST_COST)
 
     def boundary(self, t_b: float, d_th: float) -> IndexArray:
         """Return the distinct boundary solutions as positions in the archive, best first.

@@ -35,8 +35,8 @@ from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
 from brink.server.queue import job_store
 
-PIECE_ROWS: Final = 500
-PIECE_BYTES: Final = 16 * 1024 * 1024
+PIECE_ROWS: Final = 200
+PIECE_BYTES: Final = 8 * 1024 * 1024
 """Most rows, and most bytes of distances, that one transaction deletes; a single block may be larger."""
 _DISTANCE_BYTES: Final = 4
 _KEYS: Final[Sequence[InstrumentedAttribute[int]]] = (

@@ -23,7 +23,7 @@ from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.qd import QdConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.algorithms.tolerance import ToleranceConfig
-from brink.search.analysis.boundary import MOST_COMPARED, IndexArray, distinct_boundary
+from brink.search.analysis.boundary import MOST_COST, IndexArray, distinct_boundary
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.streams import episode_seed
@@ -353,7 +353,7 @@ def find_boundary(archive: Archive, t_b: float, d_th: float) -> IndexArray:
         BoundaryTooLarge: There are too many to compare with each other.
     """
     usual = (t_b, d_th) == (DEFAULT_T_B, DEFAULT_D_TH)
-    return distinct_boundary(archive, t_b, d_th, most_compared=None if usual else MOST_COMPARED)
+    return distinct_boundary(archive, t_b, d_th, most_cost=None if usual else MOST_COST)
 
 
 def first_generations(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> tuple[LiveSearch, Asked]:

@@ -107,7 +107,7 @@ def test_thresholds_that_take_too_long_are_refused_with_a_hint(
     client: httpx.Client, large: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(boundary, "_BLOCK", 50)
-    monkeypatch.setattr(plan, "MOST_COMPARED", 1_000)
+    monkeypatch.setattr(plan, "MOST_COST", 1_000)
     [error] = read(client, large, 422, t_b=1.0, d_th=0.001)["errors"]
     assert error["pointer"] == "/query/d_th"
     assert (

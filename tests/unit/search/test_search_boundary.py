@@ -92,11 +92,11 @@ def test_boundary_does_not_depend_on_how_many_solutions_are_looked_at_together(
 def test_a_boundary_that_takes_too_many_distances_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(boundary, "_BLOCK", 10)
     archive = random_archive(90)
-    most = 90 * 90 // 2
-    assert distinct_boundary(archive, 1.0, 0.01, most_compared=most).size > 80
+    most = 90 * 90 // 2 * (SPACE.dimension + 8)
+    assert distinct_boundary(archive, 1.0, 0.01, most_cost=most).size > 80
     with pytest.raises(BoundaryTooLarge, match=r"90 solutions .* choose a larger d_th or a smaller t_b"):
-        distinct_boundary(archive, 1.0, 0.01, most_compared=most // 2)
-    assert distinct_boundary(archive, 1.0, 0.0, most_compared=0).size == 90, "nothing is compared"
+        distinct_boundary(archive, 1.0, 0.01, most_cost=most // 2)
+    assert distinct_boundary(archive, 1.0, 0.0, most_cost=0).size == 90, "nothing is compared"
 
 
 def test_a_grid_leaves_out_distances_that_take_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,12 +104,12 @@ def test_a_grid_leaves_out_distances_that_take_too_long(monkeypatch: pytest.Monk
     archive = random_archive()
     whole, part = (
         dbs_grid(archive, d_ths=(0.01, 0.3)),
-        dbs_grid(archive, d_ths=(0.01, 0.3), most_compared=2_000),
+        dbs_grid(archive, d_ths=(0.01, 0.3), most_cost=2_000 * (SPACE.dimension + 8)),
     )
     assert (whole.d_ths, part.d_ths) == ((0.01, 0.3), (0.3,))
     assert part.dbs.tolist() == whole.dbs[:, 1:].tolist()
     assert part.strict.tolist() == whole.strict[:, 1:].tolist()
-    assert dbs_grid(archive, d_ths=(0.01,), most_compared=0).dbs.shape == (len(PAPER_T_BS), 0)
+    assert dbs_grid(archive, d_ths=(0.01,), most_cost=0).dbs.shape == (len(PAPER_T_BS), 0)
 
 
 def test_grid_equals_the_single_figures() -> None:
