@@ -48,7 +48,7 @@ class Settings(BaseSettings):
     ] = 30.0
     max_stored_distances: Annotated[
         int, Field(ge=0, description="Number of solutions above which distances are not stored.")
-    ] = 20_000
+    ] = 2_000
     rate_limit: Annotated[
         float, Field(ge=0, description="Requests per second allowed for each token; 0 for no limit.")
     ] = 1000.0

@@ -121,7 +121,12 @@ class EpisodeSpec:
 
     def digest(self) -> str:
         """Return the SHA-256 of the canonical JSON, as 64 hexadecimal digits."""
-        return hashlib.sha256(self.canonical_json().encode()).hexdigest()
+        return digest_of(self.canonical_json())
+
+
+def digest_of(canonical_json: str) -> str:
+    """Return the digest of a specification whose canonical JSON is known."""
+    return hashlib.sha256(canonical_json.encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

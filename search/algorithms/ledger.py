@@ -59,6 +59,17 @@ def row_keys(rows: FloatArray) -> list[bytes]:
     return [blob[start : start + width] for start in range(0, len(blob), width)]
 
 
+def candidate_key(candidate: Candidate) -> bytes:
+    """Return the key of a candidate's row; see `row_keys`."""
+    return b"".join(vector.tobytes() for vector in candidate.vectors)
+
+
+def candidate_rows(candidates: Iterable[Candidate], dimension: int) -> FloatArray:
+    """Return candidates as rows, shape ``(n, dimension)``, read-only."""
+    rows: FloatArray = np.frombuffer(b"".join(map(candidate_key, candidates)), np.float64)
+    return rows.reshape(-1, dimension)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ledger:
     """All candidates of a search.
@@ -155,7 +166,7 @@ class Ledger:
     def unseen(self, rows: Iterable[FloatArray]) -> tuple[FloatArray, ...]:
         """Return the rows that were never asked for and whose results are not known, in order, without duplicates."""
         seen = {*row_keys(self.archive.vectors), *row_keys(self.failed), *row_keys(self.known.rows)}
-        seen.update(self.space.join(c.vectors).tobytes() for generation in self.flight for c in generation)
+        seen.update(candidate_key(candidate) for generation in self.flight for candidate in generation)
         fresh = []
         for row in rows:
             key = row.tobytes()
@@ -215,10 +226,9 @@ class Ledger:
                     measured.append(self.space.join(candidate.vectors)[None])
                 case Failed():
                     failed.append(self.space.join(candidate.vectors)[None])
-        rows = [self.space.join(candidate.vectors) for candidate, _ in scored]
         archive = self.archive.grown(
             np.array([candidate.number for candidate, _ in scored], np.int64),
-            np.reshape(rows, (len(rows), self.space.dimension)),
+            candidate_rows((candidate for candidate, _ in scored), self.space.dimension),
             np.array([evaluation.unsafe for _, evaluation in scored], np.bool_),
             np.array([evaluation.robustness for _, evaluation in scored], np.float64),
         )
@@ -269,7 +279,6 @@ class Ledger:
         """
         generations = [*self.flight, self.queue]
         candidates = [candidate for generation in generations for candidate in generation]
-        rows = [self.space.join(candidate.vectors) for candidate in candidates]
         seeds = [candidate.seed_number for candidate in candidates]
         return Document(
             kind=kind,
@@ -287,7 +296,7 @@ class Ledger:
             arrays={
                 "failed": self.failed,
                 "measured": self.measured,
-                "queue": np.reshape(rows, (len(rows), self.space.dimension)).astype(np.float64),
+                "queue": candidate_rows(candidates, self.space.dimension),
                 **_known_arrays(self.known),
                 **arrays,
             },

@@ -56,6 +56,7 @@ from brink.server.problems.catalogue import (
 from brink.server.queue.job_store import NewJob
 from brink.server.states import JobKind
 from brink.sim.catalogue import plugin_ids
+from brink.sim.episode import digest_of
 
 LLM_SEEDER = "llm"
 """Value of the algorithm parameter `seeder` that requests seeds from a language model."""
@@ -424,11 +425,14 @@ def new_solutions(
     solutions = []
     # In the order of numbers, beginning with the oldest candidate in flight.
     origins = dict(enumerate(getattr(state, "queue_origins", ()), state.pending[0].number))
+    simulated = (
+        None if isinstance(problem, InProcessProblem) else problem
+    )  # slow: it looks up every attribute
     for candidate in candidates:
         origin = origins.get(candidate.number)
         number = candidate.number if candidate.seed_number is None else candidate.seed_number
         seed = episode_seed(campaign_seed, number)
-        job = None if isinstance(problem, InProcessProblem) else _job(problem, candidate, seed)
+        job = None if simulated is None else _job(simulated, candidate, seed)
         if candidate.question is Question.DATASET and job is None:
             raise _no_data(problem)
         kind = JobKind.DATASET if candidate.question is Question.DATASET else JobKind.EPISODE
@@ -454,7 +458,8 @@ def _job(problem: SimulatedProblem, candidate: Candidate, seed: int) -> NewJob:
     else:
         spec = problem.episode(candidate.vectors, seed)
         needs, timeout_s = problem.needs, problem.timeout_s
-    return NewJob(spec=spec.canonical_json(), spec_hash=spec.digest(), needs=needs, timeout_s=timeout_s)
+    text = spec.canonical_json()
+    return NewJob(spec=text, spec_hash=digest_of(text), needs=needs, timeout_s=timeout_s)
 
 
 def _no_data(problem: Problem) -> InvalidInput:

@@ -16,7 +16,7 @@ from brink.search.algorithm import Evaluation, NeedsObjectives, Scored
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import InProcessProblem, MeasuresOnData, NamesRequirements, Problem
+from brink.server.problems.base import InProcessProblem, MeasuresOnData, NamesRequirements, SimulatedProblem
 from brink.server.states import JobKind
 from brink.worker.wire import Completed
 
@@ -27,29 +27,43 @@ CACHED: Final = 64
 log = logging.getLogger(__name__)
 
 
-def evaluate(problem: Problem, kind: JobKind, result: Completed) -> Evaluation:
+def evaluate(problem: SimulatedProblem, kind: JobKind, result: Completed) -> Evaluation:
     """Return the evaluation of a result.
 
     Args:
-        problem: The problem of its campaign, one that is simulated.
+        problem: The problem of its campaign.
         kind: What its job was for.
         result: The result.
 
     Raises:
         LookupError, ValueError, TypeError, ArithmeticError: The problem cannot evaluate it.
     """
-    assert not isinstance(problem, InProcessProblem)
     if kind is JobKind.DATASET:
         assert isinstance(problem, MeasuresOnData)  # checked when the candidate was asked for
         return problem.measurement(result)
     return problem.evaluation(result)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Expected:
+    """What a campaign expects of its results.
+
+    Attributes:
+        problem: Its problem.
+        algorithm: Id of its algorithm.
+        objectives: The objectives that the algorithm needs.
+    """
+
+    problem: SimulatedProblem
+    algorithm: str
+    objectives: tuple[str, ...]
+
+
 @dataclass(slots=True)
 class ResultCheck:
-    """Checks the results of all campaigns; keeps the plans of the last ones."""
+    """Checks the results of all campaigns; keeps what the last ones expect."""
 
-    _plans: OrderedDict[str, Plan | None] = field(default_factory=OrderedDict)
+    _expected: OrderedDict[str, _Expected | None] = field(default_factory=OrderedDict)
     _lock: Lock = field(default_factory=Lock)
 
     def __call__(self, connection: Connection, campaign_id: str, kind: str, result: Completed) -> str | None:
@@ -63,44 +77,50 @@ class ResultCheck:
         """
         if kind == JobKind.TRACE:  # the trace is what counts, and it is checked when it is drawn
             return None
-        plan = self._plan(connection, campaign_id)
-        if plan is None or isinstance(plan.problem, InProcessProblem):
+        expected = self._of(connection, campaign_id)
+        if expected is None:
             return None
         try:
-            evaluation = evaluate(plan.problem, JobKind(kind), result)
+            evaluation = evaluate(expected.problem, JobKind(kind), result)
         except UNREADABLE as error:
-            return _reason(plan, result, error)
+            return _reason(expected.problem, result, error)
         except Exception:  # a plug-in's fault must not fail the results of others; the step reports it
             log.exception("result cannot be checked", extra={"campaign": campaign_id})
             return None
-        if isinstance(evaluation, Scored) and isinstance(plan.algorithm, NeedsObjectives):
-            needed = plan.algorithm.needed_objectives
-            missing = [name for name in needed if name not in evaluation.objectives]
+        if isinstance(evaluation, Scored):
+            missing = [name for name in expected.objectives if name not in evaluation.objectives]
             if missing:
-                return f"{plan.body.algorithm.id} expects the objective {missing[0]}, which is missing"
+                return f"{expected.algorithm} expects the objective {missing[0]}, which is missing"
         return None
 
-    def _plan(self, connection: Connection, campaign_id: str) -> Plan | None:
-        """Return the plan of a campaign; None if it is gone, or cannot be made here."""
+    def _of(self, connection: Connection, campaign_id: str) -> _Expected | None:
+        """Return what a campaign expects; None if it is gone, or expects nothing that can be checked here."""
         with self._lock:
-            if campaign_id in self._plans:
-                self._plans.move_to_end(campaign_id)
-                return self._plans[campaign_id]
+            if campaign_id in self._expected:
+                self._expected.move_to_end(campaign_id)
+                return self._expected[campaign_id]
         campaign = CAMPAIGNS.find(connection, campaign_id)
         try:
-            plan = None if campaign is None else make_plan(campaign.body)
+            expected = None if campaign is None else _expected(make_plan(campaign.body))
         except InvalidInput:  # its plug-in is not installed here
-            plan = None
+            expected = None
         with self._lock:
-            self._plans[campaign_id] = plan
-            while len(self._plans) > CACHED:
-                self._plans.popitem(last=False)
-        return plan
+            self._expected[campaign_id] = expected
+            while len(self._expected) > CACHED:
+                self._expected.popitem(last=False)
+        return expected
 
 
-def _reason(plan: Plan, result: Completed, error: Exception) -> str:
-    if isinstance(plan.problem, NamesRequirements):
-        missing = [name for name in plan.problem.requirements if name not in result.verdicts]
+def _expected(plan: Plan) -> _Expected | None:
+    if isinstance(plan.problem, InProcessProblem):
+        return None
+    needed = plan.algorithm.needed_objectives if isinstance(plan.algorithm, NeedsObjectives) else ()
+    return _Expected(problem=plan.problem, algorithm=plan.body.algorithm.id, objectives=tuple(needed))
+
+
+def _reason(problem: SimulatedProblem, result: Completed, error: Exception) -> str:
+    if isinstance(problem, NamesRequirements):
+        missing = [name for name in problem.requirements if name not in result.verdicts]
         if missing:
-            return f"expected a verdict of {', '.join(plan.problem.requirements)}; {missing[0]} is missing"
-    return f"{plan.problem.id} cannot evaluate it: {type(error).__name__}: {error}"
+            return f"expected a verdict of {', '.join(problem.requirements)}; {missing[0]} is missing"
+    return f"{problem.id} cannot evaluate it: {type(error).__name__}: {error}"

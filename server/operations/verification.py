@@ -17,7 +17,7 @@ from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.result_check import UNREADABLE, evaluate
 from brink.server.campaigns.store import Campaign
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow
-from brink.server.problems.base import InProcessProblem, Problem
+from brink.server.problems.base import InProcessProblem, SimulatedProblem
 from brink.server.queue.job_store import IS_EVALUATION
 from brink.server.states import JobKind, SolutionVerdict
 from brink.worker.wire import Completed
@@ -131,7 +131,7 @@ def verify_results(connection: Connection, campaign: Campaign, limit: int | None
     return done
 
 
-def _wrong(problem: Problem, row: _Stored) -> str | None:
+def _wrong(problem: SimulatedProblem, row: _Stored) -> str | None:
     """Return what is wrong with a solution, or None."""
     if row.job_hash != row.spec_hash or hashlib.sha256(row.spec.encode()).hexdigest() != row.job_hash:
         return "the specification of its job does not match its hash"
