@@ -1,7 +1,7 @@
 """Runs statements on Postgres together, in one round trip: libpq's pipeline mode, by way of `psycopg.pq`.
 
 psycopg has a pipeline mode of its own, but sends each statement in a packet of its own and looks for results after
-each one. Eight small statements then take six times as much of Python's time, and four times as long.
+each one. Eight small statements then take several times as long (docs/adr/0054-statements-share-round-trips.md).
 
 Statements are prepared when a connection runs them for the first time. Parameters and results are text; psycopg's
 loaders convert the results.
