@@ -36,6 +36,8 @@ TARGET_GENERATION = 256
 """Jobs per generation. With 100, no scheduling order lets two campaigns fill 64 workers."""
 GENERATIONS = (100, TARGET_GENERATION)
 IN_FLIGHT = 8
+JOBS_A_WORKER = 16
+"""Jobs for each worker after which the model of candidates in flight stops, besides those in flight at the end."""
 PROGRESS_TURNS = 10
 """Tenths of a second between two looks at the progress of campaigns."""
 PAIRS = {"eps": 0.001, "d_th": 0.01}
@@ -393,3 +395,72 @@ def _utilisation(generation: int, campaigns: int, turn: int, generations: int, r
             queued[one] = unfinished[one] = generation
             turns[one], served[one] = max(turns) + 1, 0
     return (busy + sum(now - began for _, began, _ in running)) / (TARGET_WORKERS * now)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CandidatesInFlight:
+    """Modelled utilisation by one campaign, depending on how many of its candidates are in flight.
+
+    Attributes:
+        workers: Number of workers.
+        a_worker: Candidates in flight for each worker.
+        generations: Generations that these candidates make up.
+        share: Utilisation.
+    """
+
+    workers: int
+    a_worker: int
+    generations: int
+    share: float
+
+
+def model_in_flight(seeds: int = 5) -> list[CandidatesInFlight]:
+    """Model how the utilisation depends on the candidates in flight, without a coordinator.
+
+    Args:
+        seeds: Number of runs whose mean is taken.
+    """
+    return [
+        CandidatesInFlight(
+            workers=workers,
+            a_worker=a_worker,
+            generations=generations,
+            share=statistics.mean(
+                _overlapping_utilisation(
+                    workers, a_worker * workers // generations, generations, random.Random(seed)
+                )
+                for seed in range(seeds)
+            ),
+        )
+        for workers in (TARGET_WORKERS, 1000)
+        for a_worker in (1, 2, 4, 8)
+        for generations in (1, 2, IN_FLIGHT)
+    ]
+
+
+def _overlapping_utilisation(workers: int, size: int, in_flight: int, rng: random.Random) -> float:
+    """Return the fraction of time that workers spend in episodes until the last job is granted.
+
+    Args:
+        workers: Number of workers.
+        size: Jobs per generation.
+        in_flight: Generations in flight; the oldest one must be complete before another one is asked for.
+        rng: Source of the episode times: log-normal with mean 1, sigma 0.5.
+    """
+    sigma = 0.5
+    generations = in_flight + JOBS_A_WORKER * workers // size
+    unfinished = [size] * generations
+    running: list[tuple[float, float, int]] = []
+    now, free, busy, granted, told = 0.0, workers, 0.0, 0, 0
+    while granted < size * generations:
+        queued = size * min(generations, told + in_flight) - granted
+        for _ in range(min(free, queued)):
+            end = now + rng.lognormvariate(-(sigma**2) / 2, sigma)
+            heapq.heappush(running, (end, now, granted // size))
+            granted, free = granted + 1, free - 1
+        now, began, generation = heapq.heappop(running)
+        busy, free = busy + now - began, free + 1
+        unfinished[generation] -= 1
+        while told < generations and not unfinished[told]:
+            told += 1
+    return (busy + sum(now - began for _, began, _ in running)) / (workers * now)

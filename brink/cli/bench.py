@@ -842,13 +842,17 @@ def turns(
     seeds: Annotated[int, typer.Option(min=1, help="Number of runs; means are shown.")] = 20,
     as_json: AsJson = False,
 ) -> None:
-    """Model how the utilisation of 64 workers depends on the length of a campaign's turn, without a coordinator.
+    """Model how the utilisation of workers depends on turns and on candidates in flight, without a coordinator.
+
+    The first table has 64 workers and campaigns with one generation in flight, which take turns; the second has one
+    campaign, with candidates in flight that make up one or several generations.
 
     Example: brink bench turns
     """
-    from brink.bench.scale import model_turns
+    from brink.bench.scale import model_in_flight, model_turns
 
     found = model_turns(seeds)
+    in_flight = model_in_flight(max(1, seeds // 4))
     table = _table(
         ("generation", "campaigns", "generations", "job by job", "four jobs per worker"),
         (
@@ -856,7 +860,14 @@ def turns(
             for one in found
         ),
     )  # fmt: skip
-    _conclude([fields(one) for one in found], table, as_json=as_json)
+    flights = _table(
+        ("workers", "candidates in flight", "in generations", "used"),
+        ((one.workers, one.a_worker * one.workers, one.generations, f"{one.share:.1%}") for one in in_flight),
+    )
+    document = {
+        "turns": [fields(one) for one in found], "in_flight": [fields(one) for one in in_flight],
+    }  # fmt: skip
+    _conclude(document, table, "", flights, as_json=as_json)
 
 
 @bench.command()
