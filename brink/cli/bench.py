@@ -830,10 +830,8 @@ def scale(
             for one in found
         ),
     )  # fmt: skip
-    document = [
-        {**fields(one), **fields(one.setup), "share": one.share, "cpu_ms": one.cpu_ms, "met": one.met}
-        for one in found
-    ]
+    names = ("jobs", "seconds", "busy_s", "coordinator_s", "writing_s", "step_s", "share", "cpu_ms", "met")
+    document = [{**fields(one, *names), **fields(one.setup)} for one in found]
     _conclude(document, table, as_json=as_json, missed=any(one.met is False for one in found))
 
 
