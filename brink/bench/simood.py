@@ -12,6 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from brink.bench.measurement import Progress, Row, at_least, at_most
 from brink.bench.simood_costs import Costs
 from brink.bench.simood_places import CONFIRMATION_PLACES, Criteria, NamedChain, Places, words_of
@@ -20,18 +22,20 @@ from brink.bench.trials import Record, Records, code_fingerprint
 from brink.search.analysis.combinations import HAZARDOUS, SAFE
 from brink.search.analysis.statistics import a12
 from brink.server.problems.aeb_crossing import AebCrossingParams
-from brink.sim.perturbations import CATALOGUE
+from brink.sim.aeb.dataset import Split, labelled_frames
+from brink.sim.perception.detector import Picture
+from brink.sim.perturbations import CATALOGUE, Perturbation, Pipeline
 
 CRITERIA: Final = ("A0", "A1", "A2", "A3", "A4", "A5", "A6", "A7", "A8", "A9")
-CODE: Final = (
-    "sim/aeb", "sim/bullet", "sim/perception", "sim/perturbations", "sim/rendering", "sim/requirements.py",
-    "sim/world",
-)  # fmt: skip
+CODE: Final = ("sim",)
 """Code that determines the outcome of an episode; outcomes stored by other versions of the code are not used."""
 ACCIDENT: Final = "no-collision@1"
 DANGEROUS_STOP: Final = "no-dangerous-stop@1"
 
 CLEAN_PLACES: Final = range(20)
+OTHER_PLACES: Final = range(100, 120)
+"""Places in which thresholds of the detector are tried, so that the default is not chosen in `CLEAN_PLACES`."""
+THRESHOLDS: Final = (0.3, 0.4, 0.5)
 SWEEP_PLACES: Final = range(3)
 OBSTACLE_PLACES: Final = range(10)
 MAX_HARMFUL_GENES: Final = 3
@@ -48,6 +52,7 @@ def measure_simood(
     processes: int,
     progress: Progress,
     detector: str | None = None,
+    threshold: float | None = None,
     repeats: int = DEFAULT_REPEATS,
 ) -> list[Row]:
     """Measure the given criteria. Outcomes of episodes are stored in the folder and reused.
@@ -58,9 +63,14 @@ def measure_simood(
         processes: Number of processes that run episodes.
         progress: Progress callback.
         detector: Id or file of the detector; None for the problem's default.
+        threshold: Minimum score of a detection; None for the problem's default.
         repeats: Searches with each configuration in A6, and campaigns in A9.
     """
-    params = AebCrossingParams() if detector is None else AebCrossingParams(detector=detector)
+    params = AebCrossingParams()
+    if detector is not None:
+        params = replace(params, detector=detector)
+    if threshold is not None:
+        params = replace(params, threshold=threshold)
     tables = folder if detector is None else folder / re.sub(r"[^\w.@-]+", "-", detector)
     tables.mkdir(parents=True, exist_ok=True)
     file = folder / f"records-{code_fingerprint(CODE)}.jsonl"
@@ -100,15 +110,33 @@ class Hazards(Criteria):
         specs = [self._places.episode(place, mode="oracle", braking=False) for place in CLEAN_PLACES]
         off = self._run("A0 braking off", specs)
         count = _violations(off, ACCIDENT)
-        return [*rows, _equal("A0 accidents, braking off", count, len(off), f"{len(off)} places")]
+        rows.append(_equal("A0 accidents, braking off", count, len(off), f"{len(off)} places"))
+        return [*rows, *map(self._at_threshold, THRESHOLDS)]
+
+    def _at_threshold(self, threshold: float) -> Row:
+        """Count clean drives that are not safe at a threshold of the detector, in places used for nothing else."""
+        places = Places(replace(self._params, threshold=threshold))
+        records = self._run(f"A0 threshold {threshold:g}", [places.episode(place) for place in OTHER_PLACES])
+        accidents, stops = (_violations(records, name) for name in (ACCIDENT, DANGEROUS_STOP))
+        return Row(
+            what=f"A0 unsafe clean drives at a threshold of {threshold:g}",
+            value=sum(record.unsafe for record in records), target="", met=None,
+            note=f"{accidents} accidents, {stops} dangerous stops in {len(records)} other places",
+        )  # fmt: skip
 
     def catalogue(self) -> list[Row]:
-        """Measure A1: 15 genes with 175 levels. Unit tests check what each does to a picture."""
+        """Measure A1: 15 genes with 175 levels, each of which changes an image, the same way every time."""
         levels = sum(gene.levels for gene in CATALOGUE.values())
+        (frame,) = labelled_frames(Split.TEST, 1, width_px=320)
+        working = [chain for chain in _singles() if _works(chain, frame.picture)]
         return [
             _equal("A1 genes", len(CATALOGUE), 15, ""),
-            _equal("A1 levels", levels, 175, f"{len(_singles())} of them do something"),
-        ]
+            _equal("A1 levels", levels, 175, ""),
+            _equal(
+                "A1 levels that change an image, the same way twice", len(working), len(_singles()),
+                f"of the levels that should; the other {levels - len(_singles())} have no effect (ADR 22)",
+            ),
+        ]  # fmt: skip
 
     def sweep(self) -> list[Row]:
         """Measure A2: every gene at every level, alone, in three places; fallen trees and overturned vehicles."""
@@ -138,7 +166,9 @@ class Hazards(Criteria):
         ordered = list(itertools.permutations(steps, 2))
         screened = _unsafe_shares(self._run_chains("A3 pairs, one place", ordered, range(1)))
         promising = [chain for chain in screened if screened[chain] or screened[chain[::-1]]]
-        together = _unsafe_shares(self._run_chains("A3 pairs, five places", promising, CONFIRMATION_PLACES))
+        together = _unsafe_shares(
+            self._run_chains("A3 pairs, five other places", promising, CONFIRMATION_PLACES)
+        )
         parts = _unsafe_shares(
             self._run_chains("A3 their parts", [(step,) for step in steps], CONFIRMATION_PLACES)
         )
@@ -146,7 +176,9 @@ class Hazards(Criteria):
         only_together = [chain for chain in hazardous if all(parts[(step,)] <= SAFE for step in chain)]
         in_one_order = [chain for chain in hazardous if together.get(chain[::-1], 1.0) <= SAFE]
         self._write_pairs(together, parts)
-        note = f"{len(ordered)} ordered pairs of harmless levels, {len(promising)} of them in five places"
+        note = (
+            f"{len(ordered)} ordered pairs of harmless levels, {len(promising)} of them in five other places"
+        )
         return [
             at_least(what, len(chains), 1, f"{words_of(chains[0])}; of {note}" if chains else f"of {note}")
             for what, chains in (
@@ -186,6 +218,13 @@ class Hazards(Criteria):
 
 def _equal(what: str, value: int, target: int, note: str) -> Row:
     return Row(what=what, value=value, target=str(target), met=value == target, note=note)
+
+
+def _works(chain: NamedChain, picture: Picture) -> bool:
+    """Return whether a chain changes an image, and changes it in the same way when it is applied again."""
+    perturbations = tuple(Perturbation(gene, level) for gene, level in chain)
+    first, second = (Pipeline(perturbations, seed=0)(picture, 0) for _ in range(2))
+    return not np.array_equal(first, picture) and np.array_equal(first, second)
 
 
 def _violations(records: Sequence[Record], requirement: str) -> int:

@@ -21,6 +21,7 @@ TARGET_SPEEDUP: Final = 10.0
 MAX_EXTRA_TIME: Final = 0.20
 MAX_EXTRA_MEMORY: Final = 0.05
 TIMED_CHAINS: Final = 12
+COST_CHAINS: Final = 18
 PICTURES: Final = (20, 60)
 """Sizes of the data set. They rank individuals much as 240 pictures do: their alphas correlate by .97 and .99."""
 COST_PLACES: Final = range(2)
@@ -94,11 +95,14 @@ def time_rows(pictures: int, times: Times, measured: int, episodes: int) -> list
             for what, simulated in included
         ),
     ]  # fmt: skip
-    targeted = rows.pop()  # the best few, with the default fitness
+    # The best few, with either fitness, have the target of a search from beginning to end.
     return [
-        *rows, at_least(targeted.what, targeted.value, TARGET_SPEEDUP, targeted.note),
+        *(
+            at_least(row.what, row.value, TARGET_SPEEDUP, row.note) if f"best {TOP}" in row.what else row
+            for row in rows
+        ),
         _campaign_row(on, times, measured, episodes),
-    ]  # fmt: skip
+    ]
 
 
 def _ratio(what: str, times: Times, evaluated: int, simulated: int) -> Row:
@@ -171,24 +175,29 @@ class Costs(Criteria):
         return rows
 
     def perturbing(self) -> list[Row]:
-        """Measure A8: CPU time per frame and memory of a process, with and without perturbations."""
-        chains = _spread(30)
-        specs = [self._places.episode(place, chain) for chain in chains for place in COST_PLACES]
-        perturbed_s = [_frame_s(record) for record in self._run("A8 perturbed", specs)]
-        clean_specs = [self._places.episode(place) for place in COST_PLACES]
-        clean_s = [_frame_s(record) for record in self._records.run(clean_specs)]
-        ratios = [
-            seconds / clean_s[index % len(COST_PLACES)] - 1 for index, seconds in enumerate(perturbed_s)
+        """Measure A8: CPU time per frame and memory of a process, with and without perturbations.
+
+        One process runs each perturbed episode right after the same one without perturbations.
+        """
+        chains = _spread(COST_CHAINS)
+        perturbed = [
+            self._places.episode(COST_PLACES[index % len(COST_PLACES)], chain)
+            for index, chain in enumerate(chains)
         ]
+        clean_specs = [self._places.episode(place) for place in COST_PLACES]
+        turns = itertools.chain(*zip(itertools.cycle(clean_specs), perturbed, strict=False))
+        records = self._run_fresh("A8 perturbed", [*clean_specs, *turns])[len(clean_specs) :]
+        clean_s, perturbed_s = (list(map(_frame_s, records[first::2])) for first in (0, 1))
+        ratios = [one / other - 1 for one, other in zip(perturbed_s, clean_s, strict=True)]
         small = Places(replace(self._params, width_px=320))
         camera = self._run_fresh(None, [small.episode(place) for place in (*COST_PLACES, *COST_PLACES)])
         # The first episodes pay for imports and are not counted.
         camera_s = FRAMES_IN_8_S * statistics.fmean(map(_frame_s, camera[len(COST_PLACES) :]))
-        memory_mb = [_peak_memory_mb(specs[:6]), _peak_memory_mb(clean_specs * 3)]
+        memory_mb = [_peak_memory_mb(perturbed[:: len(perturbed) // 6]), _peak_memory_mb(clean_specs * 3)]
         return [
             at_most(
                 "A8 time of perturbing, share of an unperturbed frame", statistics.fmean(ratios), MAX_EXTRA_TIME,
-                f"{len(chains)} random pairs, {len(COST_PLACES)} places; min {min(ratios):.2f}, "
+                f"{len(chains)} pairs of genes, {len(COST_PLACES)} places; min {min(ratios):.2f}, "
                 f"max {max(ratios):.2f}; a frame without {1e3 * statistics.fmean(clean_s):.1f} ms",
             ),
             at_most(

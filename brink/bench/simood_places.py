@@ -16,8 +16,11 @@ from brink.sim.perturbations import CATALOGUE
 NamedChain: TypeAlias = tuple[tuple[str, int], ...]
 """Genes and their levels, in the order in which they are applied; level 0 has no effect."""
 
-CONFIRMATION_PLACES: Final = range(5)
-"""Places in which chains are simulated to call them hazardous or safe; with fewer, four of five would be all."""
+CONFIRMATION_PLACES: Final = range(5, 10)
+"""Places in which chains are simulated to call them hazardous or safe; with fewer, four of five would be all.
+
+No level and no chain is selected by what happens in them.
+"""
 
 
 class Places:

@@ -169,6 +169,12 @@ def simood(
     detector: Annotated[
         str | None, typer.Option(help="Id or file of the detector; by default, that of the problem.")
     ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01, max=0.99, help="Minimum score of its detections; by default, that of the problem."
+        ),
+    ] = None,
     repeats: Annotated[
         int,
         typer.Option(
@@ -187,7 +193,7 @@ def simood(
     The full measurement takes hours. Completed runs are kept in the folder, so the same command continues after an
     interruption, and criteria share episodes. To compare detectors, run it once for each.
 
-    Example: brink bench simood A0 A2 --detector brink-det@1
+    Example: brink bench simood A0 A2 --detector brink-det@1 --threshold 0.5
     """
     from brink.bench.simood import CRITERIA, measure_simood
     from brink.server.problems.base import wrong_detector
@@ -200,8 +206,9 @@ def simood(
         raise InvalidInput.at("--detector", wrong[0][1])
     with _progress() as progress:
         rows = measure_simood(
-            wanted, out, processes=processes, progress=progress, detector=detector, repeats=repeats
-        )
+            wanted, out, processes=processes, progress=progress, detector=detector, threshold=threshold,
+            repeats=repeats,
+        )  # fmt: skip
     _conclude_rows(rows, as_json=as_json)
 
 
@@ -218,8 +225,13 @@ def detector(
     images: Annotated[int, typer.Option(min=10, help="Number of images.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the images and of the perturbations.")] = 2,
     threshold: Annotated[
-        float, typer.Option(min=0.01, max=0.99, help="Minimum score of detections that reach the brake.")
-    ] = 0.35,
+        float | None,
+        typer.Option(
+            min=0.01,
+            max=0.99,
+            help="Minimum score of detections that reach the brake; by default, that of aeb-crossing@1.",
+        ),
+    ] = None,
     processes: Processes = 2,
     picture: Annotated[Path | None, typer.Option(help="Also draw the figures: .png, .svg or .pdf.")] = None,
     as_json: AsJson = False,
@@ -232,6 +244,7 @@ def detector(
     Example: brink bench detector --images 200 --picture detector.png
     """
     from brink.bench.detector import measure_detector
+    from brink.server.problems.aeb_crossing import AebCrossingParams
     from brink.server.problems.base import wrong_detector
 
     check_picture(picture)
@@ -239,8 +252,9 @@ def detector(
         raise InvalidInput.at("--detector", wrong[0][1])
     with _progress() as progress:
         found = measure_detector(
-            detector_id, images=images, seed=seed, threshold=threshold, processes=processes, progress=progress
-        )
+            detector_id, images=images, seed=seed, threshold=threshold or AebCrossingParams().threshold,
+            processes=processes, progress=progress,
+        )  # fmt: skip
     if picture is not None:
         from brink.bench.detector_figure import figure_detector
 

@@ -23,6 +23,7 @@ from brink.sim.aeb.specification import (
     ARRIVAL_S,
     CROSSING_M,
     ONCOMING_M,
+    SIZE_PX,
     TIMES,
     WEATHERS,
     Obstacle,
@@ -271,13 +272,15 @@ class AebCrossing(JudgedByRequirements):
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
         """Return the specification that measures the perturbations; the scenario is ignored."""
-        digest = self._digest()
+        digest, width_px = self._digest(), self.params.width_px
+        rendered = self.params.dataset == "simulator"
         return EpisodeSpec(
             simulator=EVALUATOR,
             scenario={
                 "dataset": self.params.dataset,
                 "frames": self.params.dataset_frames,
                 **({"digest": digest} if digest else {}),
+                **({"width_px": width_px} if rendered and width_px != SIZE_PX[0] else {}),
             },
             behaviour=self._perception(vectors),
             requirements=(),

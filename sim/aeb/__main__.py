@@ -17,18 +17,17 @@ from brink.sim.aeb.dataset import Split, render_frames
 
 TRAINING_FRAMES: Final = 10_000
 HELD_OUT_FRAMES: Final = 600
-EPOCHS: Final = 12
-MORE_EPOCHS: Final = 8
+EPOCHS: Final = (12, 8, 8)
+"""Epochs in each cycle of the learning rate."""
 
 
-def train(out: Path, *, frames: int, epochs: int, more_epochs: int, seed: int) -> None:
+def train(out: Path, *, frames: int, epochs: Sequence[int], seed: int) -> None:
     """Train the detector and write its weights; validation and test images are not used for training.
 
     Args:
         out: Output folder.
         frames: Number of training images.
-        epochs: Number of epochs in the first cycle of the learning rate.
-        more_epochs: Number of epochs in the second cycle.
+        epochs: Number of epochs in each cycle of the learning rate.
         seed: Seed of the initial weights, the order of the images and the augmentation.
     """
     from brink.sim.perception import training  # loads torch
@@ -42,7 +41,7 @@ def train(out: Path, *, frames: int, epochs: int, more_epochs: int, seed: int) -
                 (Split.VALIDATION, HELD_OUT_FRAMES), (Split.TEST, HELD_OUT_FRAMES), (Split.TRAIN, frames)
             )
         )  # fmt: skip
-    settings = training.Settings(frames=frames, epochs=epochs, more_epochs=more_epochs, seed=seed)
+    settings = training.Settings(frames=frames, epochs=tuple(epochs), seed=seed)
     network, record = training.train(pictures, validation, settings, out)
     training.write_results(network, test, out, record=record)
 
@@ -65,11 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     training.add_argument(
         "--epochs",
         type=int,
+        nargs=len(EPOCHS),
         default=EPOCHS,
-        help="epochs in the first cycle of the learning rate (%(default)s)",
-    )
-    training.add_argument(
-        "--more-epochs", type=int, default=MORE_EPOCHS, help="epochs in the second cycle (%(default)s)"
+        help=f"epochs in each cycle of the learning rate ({' '.join(map(str, EPOCHS))})",
     )
     training.add_argument(
         "--seed",

@@ -123,6 +123,10 @@ class Region:
         return 0.5 * (self.top_px + depth * (self.base_px - self.top_px))
 
 
+_ROUNDING_S: Final = 1e-6
+"""Times of frames are rounded: without a margin, some holds would last a frame longer than others."""
+
+
 @dataclass(slots=True)
 class EmergencyBrake:
     """Brakes in response to the detector's reports. Stateful: every episode needs its own instance.
@@ -179,4 +183,4 @@ class EmergencyBrake:
         self._vehicle_frames = self._vehicle_frames + 1 if vehicle else 0
         if self.enabled and (person or self._vehicle_frames >= VEHICLE_FRAMES):
             self._until_s = time_s + self.hold_s
-        return time_s < self._until_s
+        return time_s < self._until_s - _ROUNDING_S

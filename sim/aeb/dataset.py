@@ -1,9 +1,10 @@
 """Labelled images of the emergency-braking street, and the evaluator `brink-dataset@2`.
 
 The images show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
-disjoint appearances (colours, textures, shapes). People stand and walk where the emergency-braking episode places
-them, and elsewhere at all distances. Unusual bodies and perturbations never occur, so that both remain unknown to the
-detector; see `brink.sim.perception.augmentation` for what training does to the images.
+disjoint `look` values: the same shapes and textures occur in all three, in other combinations. People stand and
+walk where the emergency-braking episode places them, and elsewhere at all distances. Unusual bodies and
+perturbations never occur, so that both remain unknown to the detector; see `brink.sim.perception.augmentation` for
+what training does to the images.
 
 The evaluator measures a detector on a data set seen through perturbations. It has the interface of a simulator, so
 data-set evaluations are jobs like any other. Perturbations are applied to each frame in order, and the same
@@ -55,7 +56,7 @@ from brink.sim.world.scenario import TimeOfDay, Weather
 SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10
 SMALL_SHARE: Final = 4
-"""`render_frames` renders one image in this many at half the size, which is that of the episodes."""
+"""`render_frames` renders one image in this many at half the size, for cameras with fewer pixels."""
 CLEAR_M: Final = 0.5
 """No body stands nearer to the body of the ego car: at such a gap an image shows a crash, not a street."""
 _MAX_YAW_RAD: Final = 0.05
@@ -253,8 +254,8 @@ class DatasetEvaluator:
             raise InvalidEpisode(f"simulator: expected {EVALUATOR_ID}, got {spec.simulator!r}")
         behaviour = Behaviour.from_json({"mode": SightMode.DETECTOR.value, **spec.behaviour})
         check_weights(behaviour)
-        frames = _frames(_parse_request(spec))
         cv2.setNumThreads(1)
+        frames = _frames(_parse_request(spec))
         detector = find_detector(behaviour.detector)
         pipeline = Pipeline(behaviour.perturbations, seed=spec.seed, mode=behaviour.fields)
         detections = [detector.detect(pipeline(picture, index)) for index, (picture, _) in enumerate(frames)]
@@ -284,17 +285,26 @@ class DatasetEvaluator:
 
 
 class _Request(NamedTuple):
-    """Data set (a name or an annotations file), number of images, seed, and expected digest of the annotations."""
+    """What to evaluate on.
+
+    Attributes:
+        dataset: A name or an annotations file.
+        frames: Number of images.
+        seed: Selects the simulator's images.
+        digest: Expected digest of the annotations.
+        width_px: Width of the simulator's images.
+    """
 
     dataset: str
     frames: int
     seed: int
     digest: str
+    width_px: int
 
 
 def _parse_request(spec: EpisodeSpec) -> _Request:
     """Parse the data set and sampling options from a specification."""
-    known = ("dataset", "frames", "seed", "digest")
+    known = ("dataset", "frames", "seed", "digest", "width_px")
     for name in spec.scenario:
         if name not in known:
             raise InvalidEpisode(f"scenario: unknown field {name!r}; expected {', '.join(known)}")
@@ -305,14 +315,17 @@ def _parse_request(spec: EpisodeSpec) -> _Request:
         )
     frames = parse_integer("scenario.frames", spec.scenario.get("frames"), 1, MAX_FRAMES)
     seed = parse_integer("scenario.seed", spec.scenario.get("seed", 0), 0, 2**31)
-    return _Request(dataset, frames, seed, digest)
+    width_px = parse_integer("scenario.width_px", spec.scenario.get("width_px", SIZE_PX[0]), 64, 4096)
+    return _Request(dataset, frames, seed, digest, width_px)
 
 
 @lru_cache(maxsize=1)
 def _frames(request: _Request) -> tuple[tuple[Picture, GroundTruth], ...]:
     """Return the images of a data set; the last data set is cached, as rendering an image takes about 50 ms."""
     if request.dataset == SIMULATOR_DATA:
-        frames = labelled_frames(Split.VALIDATION, request.frames, seed=request.seed + 1)
+        frames = labelled_frames(
+            Split.VALIDATION, request.frames, seed=request.seed + 1, width_px=request.width_px
+        )
         return tuple((frame.picture, frame.truth) for frame in frames)
     try:
         data = read_coco(Path(request.dataset))

@@ -23,6 +23,8 @@ class Scores:
 
     Attributes:
         alpha: mAP at an IoU of 0.5.
+        alpha_inside: mAP inside the warning region.
+        alpha_outside: mAP outside the warning region.
         precision: Share of correct detections among those above the threshold.
         recall: Share of the true boxes found by detections above the threshold.
         precision_inside: Precision inside the warning region.
@@ -32,6 +34,8 @@ class Scores:
     """
 
     alpha: float
+    alpha_inside: float
+    alpha_outside: float
     precision: float
     recall: float
     precision_inside: float
@@ -57,6 +61,8 @@ def score_episode(
     )
     return Scores(
         alpha=mean_average_precision(truths, detections),
+        alpha_inside=mean_average_precision(*sides[0]),
+        alpha_outside=mean_average_precision(*sides[1]),
         precision=precision,
         recall=recall,
         precision_inside=inside[0],

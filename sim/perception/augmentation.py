@@ -19,7 +19,7 @@ shot noise             noise that grows with brightness, in grains of 1 to 3 px 
 compression            JPEG at low quality                                             none
 low resolution         the image becomes smaller and large again                       Gaussian blur
 camera shake           averages along a short straight path                            Gaussian blur, rain
-rolling shutter        rows move sideways, each by a smooth function of its height     shifted pixels (weakly)
+rolling shutter        rows move sideways in waves, the shortest 2 rows long           shifted pixels
 collage                rectangles show pieces of another image                         dropouts
 scratches              a few thin curved lines of random colours                       broken lens, rain (weakly)
 =====================  ==============================================================  =======================

@@ -27,7 +27,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, Protocol, Self, TypeAlias, cast
@@ -47,6 +47,7 @@ from brink.sim.perception.user_files import (
     KINDS,
     DetectorError,
     InvalidDetections,
+    weights_digest,
     weights_file,
 )
 
@@ -54,9 +55,9 @@ Picture: TypeAlias = NDArray[np.uint8]
 
 DETECTORS: Final = "brink.detectors"
 LABELS: Final = ("vehicle", "person")
-INPUT_PX: Final = (320, 192)
-"""Width and height of the input of `brink-det`."""
 STRIDE: Final = 4
+SIDE_PX: Final = 32
+"""Width and height of the input of `brink-det` are multiples of this."""
 MIN_SCORE: Final = 0.001
 MAX_DETECTIONS: Final = 100
 NMS_OVERLAP: Final = 0.6
@@ -199,17 +200,21 @@ def _load_onnx(file: Path) -> onnxruntime.InferenceSession:
         raise DetectorError(f"{file}: cannot be loaded as an ONNX network: {error}") from error
 
 
-def fit_picture(picture: Picture) -> tuple[Picture, float]:
-    """Return an image in the input format of `brink-det`, shape ``(192, 320, 3)``, and its scale factor.
+def fit_picture(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, float]:
+    """Return an image in the input format of `brink-det`, and its scale factor.
 
     The image is scaled with its aspect ratio kept and padded with grey on the right or below.
+
+    Args:
+        picture: RGB, uint8, shape ``(h, w, 3)``.
+        size_px: Width and height of the input.
 
     Raises:
         DetectorError: It is not an RGB image.
     """
     _check_picture(picture)
-    small, scale = _scale_to_fit(picture, INPUT_PX)
-    canvas = np.full((INPUT_PX[1], INPUT_PX[0], 3), _OWN_PADDING, np.uint8)
+    small, scale = _scale_to_fit(picture, size_px)
+    canvas = np.full((size_px[1], size_px[0], 3), _OWN_PADDING, np.uint8)
     canvas[: small.shape[0], : small.shape[1]] = small
     return canvas, scale
 
@@ -234,8 +239,17 @@ def decode(heat: FloatArray, edges: FloatArray) -> Detections:
     return Detections(labels=labels[kept], boxes=boxes[kept], scores=peak_scores[kept])
 
 
-_GRID: Final = (INPUT_PX[1] // STRIDE, INPUT_PX[0] // STRIDE)
-_OWN_SHAPES: Final = [(1, 3, *INPUT_PX[::-1]), (1, len(LABELS), *_GRID), (1, len(LABELS), 4, *_GRID)]
+def _own_input_px(session: onnxruntime.InferenceSession) -> tuple[int, int] | None:
+    """Return width and height of the input of a network of `brink-det`; None for any other network."""
+    shape = tuple(session.get_inputs()[0].shape)
+    if len(shape) != 4 or not all(isinstance(size, int) and size > 0 for size in shape):
+        return None
+    height_px, width_px = shape[2:]
+    if height_px % SIDE_PX or width_px % SIDE_PX:
+        return None
+    grid = height_px // STRIDE, width_px // STRIDE
+    expected = [(1, 3, height_px, width_px), (1, len(LABELS), *grid), (1, len(LABELS), 4, *grid)]
+    return (width_px, height_px) if _shapes(session) == expected else None
 
 
 def _shapes(session: onnxruntime.InferenceSession) -> list[tuple[Any, ...]]:
@@ -246,8 +260,8 @@ class NetworkDetector:
     """Runs a network of `brink-det` with onnxruntime on one thread.
 
     Args:
-        session: A network with one input of shape ``(1, 3, 192, 320)`` and the outputs described in
-            `brink.sim.perception.network`.
+        session: A network with one input of shape ``(1, 3, h, w)``, h and w divisible by `SIDE_PX`, and the outputs
+            described in `brink.sim.perception.network`.
         source: Its file, named in messages.
 
     Raises:
@@ -260,10 +274,14 @@ class NetworkDetector:
     labels = frozenset(range(len(LABELS)))
 
     def __init__(self, session: onnxruntime.InferenceSession, source: str) -> None:
-        if _shapes(session) != _OWN_SHAPES:
+        size_px = _own_input_px(session)
+        if size_px is None:
             raise DetectorError(
-                f"{source}: expected input and outputs of shapes {_OWN_SHAPES}, got {_shapes(session)}"
+                f"{source}: expected an input of shape (1, 3, h, w), h and w divisible by {SIDE_PX}, and outputs "
+                f"(1, {len(LABELS)}, h / {STRIDE}, w / {STRIDE}) and (1, {len(LABELS)}, 4, h / {STRIDE}, "
+                f"w / {STRIDE}); got shapes {_shapes(session)}"
             )
+        self._size_px = size_px
         self._session = session
         self._source = source
         self._input = session.get_inputs()[0].name
@@ -284,7 +302,7 @@ class NetworkDetector:
 
     def detect(self, picture: Picture) -> Detections:
         """Return the detections in an image."""
-        canvas, scale = fit_picture(picture)
+        canvas, scale = fit_picture(picture, self._size_px)
         heat, edges = self.infer(canvas)
         _check_finite(self._source, edges, heat)
         found = decode(heat, edges)
@@ -579,25 +597,38 @@ class UltralyticsDetector:
             )
 
 
-@cache
 def load_file_detector(detector_id: str) -> FileDetector | NetworkDetector | UltralyticsDetector:
-    """Load the detector with an id such as ``onnx:FILE``, once per process.
+    """Load the detector with an id such as ``onnx:FILE``, once per process and content of the file.
 
     Raises:
-        DetectorError: The kind is unknown, or the file is missing or not a detector.
+        DetectorError: The kind is unknown, or the file is missing, not a detector, or changing.
     """
     file = weights_file(detector_id)
     if file is None:
         raise DetectorError(
             f"detector: expected {', '.join(f'{one}:FILE' for one in KINDS)}; got {detector_id!r}"
         )
+    return _load_file(detector_id, file, weights_digest(detector_id))
+
+
+@lru_cache(maxsize=4)
+def _load_file(
+    detector_id: str, file: Path, content: str
+) -> FileDetector | NetworkDetector | UltralyticsDetector:
+    found = _open_file(detector_id, file)
+    if weights_digest(detector_id) != content:
+        raise DetectorError(f"detector: {file} changed while it was loaded")
+    return found
+
+
+def _open_file(detector_id: str, file: Path) -> FileDetector | NetworkDetector | UltralyticsDetector:
     kind = detector_id.partition(":")[0]
     if kind == "ultralytics":
         return UltralyticsDetector(file)
     if kind == "torchscript":
         return FileDetector(_TorchNetwork(file), str(file))
     session = _load_onnx(file)
-    if _shapes(session) == _OWN_SHAPES:
+    if _own_input_px(session) is not None:
         return NetworkDetector(session, str(file))
     return FileDetector(_OnnxNetwork(file, session), str(file))
 

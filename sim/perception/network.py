@@ -1,6 +1,6 @@
 """The network of `brink-det@2`, its training targets and its loss.
 
-The network is anchor-free and has about half a million parameters, for images of 320 x 192. Beside the image it sees
+The network is anchor-free and has about half a million parameters, for images of 448 x 256. Beside the image it sees
 two planes computed from the brightness: its logarithm, and the logarithm normalised by mean and spread in the
 surroundings, which changes little with exposure, haze and uneven light. For each cell of a grid at a quarter of the
 image's resolution and each class, it predicts how likely the cell is to hold a box centre, and the distances to the
@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from brink.sim.perception.boxes import FloatArray, GroundTruth
-from brink.sim.perception.detector import INPUT_PX, LABELS, STRIDE
+from brink.sim.perception.detector import LABELS, STRIDE
 
 WIDTHS: Final = (16, 24, 48, 96)
 HEAD_WIDTH: Final = 32
@@ -144,7 +144,7 @@ class Target:
     weight: Tensor
 
 
-def make_target(truths: list[GroundTruth], size_px: tuple[int, int] = INPUT_PX) -> Target:
+def make_target(truths: list[GroundTruth], size_px: tuple[int, int]) -> Target:
     """Return the training target for a batch with this ground truth.
 
     Args:

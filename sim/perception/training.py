@@ -10,10 +10,11 @@ import hashlib
 import json
 import time
 import warnings
-from collections.abc import Iterable
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,20 +23,44 @@ from numpy.typing import NDArray
 
 from brink.sim.perception.augmentation import augment
 from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame, curves, mean_average_precision
-from brink.sim.perception.detector import INPUT_PX, LABELS, Picture, decode, fit_picture
+from brink.sim.perception.detector import LABELS, Picture, decode, fit_picture
 from brink.sim.perception.network import Network, detection_loss, make_target
 
 BATCH: Final = 16
 THREADS: Final = 2
 """A fixed number, because rounding differs between numbers of threads."""
-SECTION_PX: Final = (192, 128)
-"""Size of the sections that most epochs are trained on, which takes less than half the time of whole images."""
-WHOLE_EPOCHS: Final = (3, 2)
-"""Number of epochs at the end of each cycle that are trained on whole images."""
-LEARNING_RATES: Final = (3e-3, 2e-3)
-"""Highest learning rate of each cycle."""
-UNCHANGED_SHARES: Final = (0.2, 0.4)
-"""Share of the images in each cycle that are only mirrored, zoomed and cropped."""
+SizePx: TypeAlias = tuple[int, int]
+"""Width and height."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cycle:
+    """One cycle of the learning rate.
+
+    Attributes:
+        learning_rate: The highest learning rate.
+        input_px: Size of the images.
+        section_px: Size of the random sections that most epochs are trained on, which takes less than half the time
+            of whole images.
+        whole_epochs: Number of epochs at the end that are trained on whole images.
+        unchanged: Share of the images that are only mirrored, zoomed and cropped.
+    """
+
+    learning_rate: float
+    input_px: SizePx
+    section_px: SizePx
+    whole_epochs: int
+    unchanged: float
+
+
+CYCLES: Final = (
+    Cycle(learning_rate=3e-3, input_px=(320, 192), section_px=(192, 128), whole_epochs=3, unchanged=0.2),
+    Cycle(learning_rate=2e-3, input_px=(320, 192), section_px=(192, 128), whole_epochs=2, unchanged=0.4),
+    Cycle(learning_rate=2e-3, input_px=(448, 256), section_px=(256, 160), whole_epochs=1, unchanged=0.4),
+)
+"""The last cycle has the resolution of the finished network; a lower one in the others halves their time."""
+INPUT_PX: Final = CYCLES[-1].input_px
+"""Size of the finished network's input."""
 AVERAGE_DECAY: Final = 0.999
 """Decay of the moving average of all weights, which is the trained network."""
 PROGRESS_EVERY: Final = 500
@@ -49,25 +74,38 @@ class Settings:
 
     Attributes:
         frames: Number of training images.
-        epochs: Number of passes over the training images in the first cycle of the learning rate.
-        more_epochs: The same for the second cycle, which has less augmentation.
+        epochs: Number of passes over the training images in each of `CYCLES`.
         seed: Seed of the initial weights, the order of the images and the augmentation.
+
+    Raises:
+        ValueError: `epochs` does not have one positive number for each of `CYCLES`.
     """
 
     frames: int
-    epochs: int
-    more_epochs: int
+    epochs: tuple[int, ...]
     seed: int
 
-    def cycle_of(self, epoch: int) -> int:
-        """Return the cycle of an epoch, 0 or 1."""
-        return int(epoch >= self.epochs)
+    def __post_init__(self) -> None:
+        if len(self.epochs) != len(CYCLES) or min(self.epochs) < 1:
+            raise ValueError(
+                f"epochs: expected {len(CYCLES)} positive numbers, one for each cycle, got {self.epochs}"
+            )
 
-    def is_whole(self, epoch: int) -> bool:
-        """Return whether an epoch is trained on whole images."""
-        cycle = self.cycle_of(epoch)
-        end = self.epochs + cycle * self.more_epochs
-        return epoch >= end - WHOLE_EPOCHS[cycle]
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """The first epoch of each cycle, counted from 0."""
+        return tuple(sum(self.epochs[:cycle]) for cycle in range(len(self.epochs)))
+
+    def cycle_of(self, epoch: int) -> int:
+        """Return the index of the cycle that an epoch belongs to."""
+        return bisect_right(self.starts, epoch) - 1
+
+    def size_px(self, epoch: int) -> SizePx:
+        """Return the size of the images or sections that an epoch is trained on."""
+        index = self.cycle_of(epoch)
+        left = self.starts[index] + self.epochs[index] - epoch
+        cycle = CYCLES[index]
+        return cycle.input_px if left <= cycle.whole_epochs else cycle.section_px
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,7 +113,7 @@ class TrainingSet:
     """Images in the network's input format, with their ground truth.
 
     Attributes:
-        planes: Shape ``(n, 192, 320, 3)``, uint8.
+        planes: Shape ``(n, h, w, 3)``, uint8.
         truths: Ground truth in px of the network's input.
     """
 
@@ -98,30 +136,34 @@ def make_deterministic() -> None:
     torch.use_deterministic_algorithms(True)
 
 
-def collect(frames: Iterable[LabelledFrame], count: int, name: str) -> TrainingSet:
-    """Convert images to the network's input format, and print the progress.
+def collect(frames: Iterable[LabelledFrame], count: int, name: str) -> dict[SizePx, TrainingSet]:
+    """Convert images to the input format of each of `CYCLES`, and print the progress.
 
     Args:
         frames: The images.
         count: Number of images.
         name: Name of the set in the printed progress.
+
+    Returns:
+        The images by size.
     """
-    planes = np.empty((count, INPUT_PX[1], INPUT_PX[0], 3), np.uint8)
-    truths = []
+    planes = {cycle.input_px: np.empty((count, *cycle.input_px[::-1], 3), np.uint8) for cycle in CYCLES}
+    truths: dict[SizePx, list[GroundTruth]] = {size_px: [] for size_px in planes}
     started = time.monotonic()
     for index, frame in enumerate(frames):
-        planes[index], scale = fit_picture(frame.picture)
         truth = frame.truth
-        scaled = (truth.boxes * np.float32(scale)).astype(np.float32)
-        truths.append(GroundTruth(labels=truth.labels, boxes=scaled, ignored=truth.ignored))
+        for size_px in planes:
+            planes[size_px][index], scale = fit_picture(frame.picture, size_px)
+            scaled = (truth.boxes * np.float32(scale)).astype(np.float32)
+            truths[size_px].append(GroundTruth(labels=truth.labels, boxes=scaled, ignored=truth.ignored))
         if (index + 1) % PROGRESS_EVERY == 0:
             elapsed_s = time.monotonic() - started
             print(f"{name}: {index + 1} of {count} images, {elapsed_s:.0f} s", flush=True)  # noqa: T201
-    return TrainingSet(planes=planes, truths=tuple(truths))
+    return {size_px: TrainingSet(planes=planes[size_px], truths=tuple(truths[size_px])) for size_px in planes}
 
 
 def to_tensor(planes: Picture) -> torch.Tensor:
-    """Return images as the network's input, shape ``(n, 3, 192, 320)``, in [0, 1]."""
+    """Return images as the network's input, shape ``(n, 3, h, w)``, in [0, 1]."""
     tensor = torch.from_numpy(np.ascontiguousarray(planes.transpose(0, 3, 1, 2))).float() / 255.0
     return tensor.contiguous(memory_format=torch.channels_last)
 
@@ -151,7 +193,7 @@ class _State:
         torch.manual_seed(settings.seed)
         network = Network()
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] # the stubs lack it
-        optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATES[0], weight_decay=1e-4)
+        optimiser = torch.optim.AdamW(network.parameters(), lr=CYCLES[0].learning_rate, weight_decay=1e-4)
         schedule = _schedule(optimiser, settings, cycle=0)
         average = copy.deepcopy(network)
         return cls(network=network, average=average, optimiser=optimiser, schedule=schedule)
@@ -183,21 +225,23 @@ class _State:
 def _schedule(
     optimiser: torch.optim.Optimizer, settings: Settings, cycle: int
 ) -> torch.optim.lr_scheduler.LRScheduler:
-    epochs = (settings.epochs, settings.more_epochs)[cycle]
-    steps = max(_FEWEST_STEPS, epochs * (settings.frames // BATCH))
+    steps = max(_FEWEST_STEPS, settings.epochs[cycle] * (settings.frames // BATCH))
     return torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, LEARNING_RATES[cycle], total_steps=steps, pct_start=0.1
+        optimiser, CYCLES[cycle].learning_rate, total_steps=steps, pct_start=0.1
     )
 
 
 def train(
-    pictures: TrainingSet, validation: TrainingSet, settings: Settings, out: Path
+    pictures: Mapping[SizePx, TrainingSet],
+    validation: Mapping[SizePx, TrainingSet],
+    settings: Settings,
+    out: Path,
 ) -> tuple[Network, dict[str, Any]]:
     """Train a network, going on from the last complete epoch in the output folder, if there is one.
 
     Args:
-        pictures: Training images.
-        validation: Validation images.
+        pictures: Training images by size, as from `collect`.
+        validation: Validation images by size.
         settings: Settings.
         out: Output folder.
 
@@ -205,20 +249,28 @@ def train(
         The network, and a record of the training as plain JSON values.
 
     Raises:
-        ValueError: The output folder has the state of a run with other settings, images or version of torch.
+        ValueError: The output folder has the state of a run with other settings, images or versions of libraries.
     """
-    run = {**asdict(settings), "images": pictures.digest(), "torch": str(torch.__version__)}
+    digests = [pictures[size_px].digest() for size_px in sorted(pictures)]
+    run = {
+        **asdict(settings), "cycles": [asdict(cycle) for cycle in CYCLES], "images": digests,
+        "torch": str(torch.__version__), "numpy": np.__version__, "opencv": cv2.__version__,
+    }  # fmt: skip
     state, checkpoint = _State.initial(settings), out / "training.pt"
     if checkpoint.is_file():
         state.load(checkpoint, run)
-    epochs = settings.epochs + settings.more_epochs
+    epochs = sum(settings.epochs)
     for epoch in range(len(state.validation_map), epochs):
         cpu_s = time.process_time()
-        if epoch == settings.epochs:
-            state.schedule = _schedule(state.optimiser, settings, cycle=1)
-        loss = _train_epoch(state, pictures, settings, epoch)
-        detections = detect_all(state.average, validation.planes)
-        state.validation_map.append(mean_average_precision(validation.truths, detections))
+        cycle = settings.cycle_of(epoch)
+        if epoch == settings.starts[cycle]:
+            state.schedule = _schedule(state.optimiser, settings, cycle)
+        size_px = CYCLES[cycle].input_px
+        loss = _train_epoch(state, pictures[size_px], settings, epoch)
+        seen = validation[size_px]
+        state.validation_map.append(
+            mean_average_precision(seen.truths, detect_all(state.average, seen.planes))
+        )
         state.cpu_s += time.process_time() - cpu_s
         state.save(checkpoint, run)
         print(  # noqa: T201
@@ -233,8 +285,8 @@ def train(
 def _train_epoch(state: _State, pictures: TrainingSet, settings: Settings, epoch: int) -> float:
     """Train one epoch; return the mean loss. Its random numbers depend on the seed and the epoch alone."""
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(epoch,)))
-    size_px = INPUT_PX if settings.is_whole(epoch) else SECTION_PX
-    unchanged = UNCHANGED_SHARES[settings.cycle_of(epoch)]
+    size_px = settings.size_px(epoch)
+    unchanged = CYCLES[settings.cycle_of(epoch)].unchanged
     state.network.train()
     batches = len(pictures.truths) // BATCH
     order = rng.permutation(len(pictures.truths))
@@ -284,7 +336,11 @@ def _update_average(average: Network, network: Network, step: int) -> None:
 
 
 def detect_all(network: Network, planes: Picture) -> list[Detections]:
-    """Return the network's detections in each image."""
+    """Return the network's detections in each image.
+
+    Boxes are not clipped to the image, as a detector's are, so that mAP is slightly lower than that of
+    `brink bench detector`.
+    """
     network.eval()
     detections = []
     with torch.no_grad():
@@ -312,22 +368,25 @@ def export_onnx(network: Network, file: Path) -> None:
         )
 
 
-def write_results(network: Network, test: TrainingSet, out: Path, *, record: dict[str, Any]) -> None:
+def write_results(
+    network: Network, test: Mapping[SizePx, TrainingSet], out: Path, *, record: dict[str, Any]
+) -> None:
     """Write the weights and a record of the training, and print the record.
 
     Args:
         network: The trained network.
-        test: Test images, for the metrics in the record.
+        test: Test images by size, for the metrics in the record.
         out: Output folder.
         record: Settings and progress of the training.
     """
-    detections = detect_all(network, test.planes)
+    seen = test[INPUT_PX]
+    detections = detect_all(network, seen.planes)
     record = {
         **record,
         "parameters": sum(weights.numel() for weights in network.parameters()),
-        "test_map": mean_average_precision(test.truths, detections),
+        "test_map": mean_average_precision(seen.truths, detections),
         "test_average_precision": {
-            LABELS[curve.label]: curve.average_precision for curve in curves(test.truths, detections)
+            LABELS[curve.label]: curve.average_precision for curve in curves(seen.truths, detections)
         },
     }
     export_onnx(network, out / "brink-det-2.onnx")

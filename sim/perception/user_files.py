@@ -101,7 +101,9 @@ def weights_file(detector_id: str) -> Path | None:
 
 
 def weights_digest(detector_id: str) -> str:
-    """Return a digest of the weights file, 16 hexadecimal digits; empty for a registered detector.
+    """Return a digest of the weights file and its description, 16 hexadecimal digits.
+
+    It is empty for a registered detector.
 
     Raises:
         DetectorError: The kind is unknown, or the file cannot be read.
@@ -109,13 +111,28 @@ def weights_digest(detector_id: str) -> str:
     file = weights_file(detector_id)
     if file is None:
         return ""
+    return _digest(file, _stamp(file), _stamp(description_file(file)))
+
+
+def description_file(weights: Path) -> Path:
+    """Return the file beside a weights file that may describe the network."""
+    return weights.with_name(weights.name + ".json")
+
+
+def _stamp(file: Path) -> tuple[int, int] | None:
+    """Return the time of the last change and the size of a file; None if there is none."""
+    if not file.is_file():
+        return None
     status = file.stat()
-    return _digest(file, status.st_mtime_ns, status.st_size)
+    return status.st_mtime_ns, status.st_size
 
 
 @lru_cache(maxsize=8)
-def _digest(file: Path, _modified_ns: int, _size: int) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+def _digest(file: Path, _weights: tuple[int, int] | None, description: tuple[int, int] | None) -> str:
+    digest = hashlib.sha256(file.read_bytes())
+    if description is not None:
+        digest.update(description_file(file).read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def check_loads(detector_id: str) -> frozenset[int] | None:
@@ -130,13 +147,11 @@ def check_loads(detector_id: str) -> frozenset[int] | None:
     file = weights_file(detector_id)
     if file is None or any(find_spec(module) is None for module in ("cv2", "onnxruntime")):
         return None
-    described = file.with_name(file.name + ".json")
-    words = described.read_bytes() if described.is_file() else b""
-    return _check_loads(detector_id, weights_digest(detector_id), words)
+    return _check_loads(detector_id, weights_digest(detector_id))
 
 
 @lru_cache(maxsize=8)
-def _check_loads(detector_id: str, _content: str, _description: bytes) -> frozenset[int]:
+def _check_loads(detector_id: str, _content: str) -> frozenset[int]:
     command = [sys.executable, "-m", "brink.sim.perception.detector", detector_id]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LOAD_TIMEOUT_S)

@@ -130,9 +130,8 @@ def _draw_flakes(
         left = rng.integers(0, columns + margin, size=count)
         places = (top * layer.shape[1] + left)[:, None] + (down * layer.shape[1] + across)
         flat = layer.reshape(-1)
-        flat[places] = np.maximum(
-            flat[places], stamp[down, across]
-        )  # a faint rim leaves the core of another flake
+        # A faint rim leaves the cores of other stamps' flakes. Where flakes of one stamp overlap, the last counts.
+        flat[places] = np.maximum(flat[places], stamp[down, across])
     return layer[margin : margin + rows, margin : margin + columns]
 
 

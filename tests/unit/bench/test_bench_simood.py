@@ -133,6 +133,7 @@ def test_ratios_with_the_papers_times_say_what_they_include() -> None:
     targeted = [row.what for row in rows.values() if row.target == "at least 10"]
     assert targeted == [
         "A7 search alone, 60 pictures, times faster",
+        "A7 best 2 in one street, paper's fitness, 60 pictures, times faster",
         "A7 best 2 in one street, default fitness, 60 pictures, times faster",
     ]
 
@@ -306,5 +307,6 @@ def test_an_unknown_detector_is_refused(tmp_path: Path) -> None:
 
 
 def test_tables_of_a_detector_are_in_a_folder_of_its_name(tmp_path: Path) -> None:
-    measure_simood(["A1"], tmp_path, processes=1, progress=lambda *_: None, detector="brink-det@1")
+    rows = measure_simood(["A1"], tmp_path, processes=1, progress=lambda *_: None, detector="brink-det@1")
     assert (tmp_path / "brink-det@1").is_dir()
+    assert all(row.met for row in rows)

@@ -58,6 +58,13 @@ def test_genes_keep_their_order_and_intensities_become_levels() -> None:
     assert spec.behaviour["perturbations"] == AEB.perturbations(vectors)
 
 
+@pytest.mark.parametrize(("width_px", "asked"), [(640, None), (320, 320)])
+def test_a_measurement_is_on_images_of_the_size_of_the_episodes(width_px: int, asked: int | None) -> None:
+    problem = AebCrossing(AebCrossingParams(width_px=width_px))
+    vectors = problem.space.sample(np.random.default_rng(0))
+    assert problem.dataset_evaluation(vectors).scenario.get("width_px") == asked
+
+
 def test_a_measurement_does_not_depend_on_the_scenario() -> None:
     rng = np.random.default_rng(1)
     first, second = AEB.space.sample(rng), AEB.space.sample(rng)

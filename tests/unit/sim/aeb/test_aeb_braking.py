@@ -90,6 +90,13 @@ def test_the_latch_holds_and_releases() -> None:
     assert brake.decide(0.60, person)
 
 
+@pytest.mark.parametrize("first", range(0, 300, 7))
+def test_a_hold_has_the_same_number_of_frames_whenever_it_begins(first: int) -> None:
+    brake = EmergencyBrake.for_picture(1280, 720, hold_s=0.5, person_frames=1)
+    assert brake.decide(first * 0.05, [box(600, 300, 680, 600)])
+    assert sum(brake.decide((first + later) * 0.05, []) for later in range(1, 30)) == 9
+
+
 def test_a_disabled_brake_never_brakes() -> None:
     brake = EmergencyBrake.for_picture(1280, 720, enabled=False)
     assert not brake.decide(0.0, [box(600, 300, 680, 600)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from brink.sim.aeb.braking import EmergencyBrake
-from brink.sim.aeb.scores import decision_accuracy
+from brink.sim.aeb.scores import decision_accuracy, score_episode
 from brink.sim.perception.boxes import Detections, GroundTruth
 
 WARNING = EmergencyBrake.for_picture(640, 360).warning
@@ -66,3 +66,17 @@ def test_images_with_only_ignored_people_ahead_do_not_count() -> None:
     images = [(truth(AHEAD, ignored=True), found(AHEAD)), (truth(AHEAD, ignored=True), found())]
     assert math.isnan(accuracy(*images))
     assert accuracy(*images, (truth(), found())) == 1.0
+
+
+def test_scores_on_each_side_of_the_region() -> None:
+    scores = score_episode([truth(AHEAD, ASIDE)], [found(AHEAD)], 0.5, WARNING)
+    assert (scores.alpha_inside, scores.alpha_outside) == pytest.approx((1.0, 0.0))
+    assert (scores.recall_inside, scores.recall_outside) == (1.0, 0.0)
+    assert scores.precision_inside == 1.0
+    assert math.isnan(scores.precision_outside), "nothing is reported there"
+
+
+@pytest.mark.parametrize("there", [truth(), truth(ASIDE), truth(AHEAD, label=VEHICLE)])
+def test_people_reported_where_nobody_is_are_wrong_even_if_nobody_ever_is(there: GroundTruth) -> None:
+    scores = score_episode([there], [found(AHEAD)], 0.5, WARNING)
+    assert scores.precision_inside == 0.0

@@ -28,6 +28,7 @@ from brink.sim.perception.user_files import (
     check_loads,
     check_sample,
     read_coco,
+    weights_digest,
     weights_file,
 )
 
@@ -207,6 +208,18 @@ def test_a_network_is_loaded_and_says_what_it_finds(tmp_path: Path) -> None:
     assert check_loads(name) == frozenset({0}), "what is said of it has changed"
 
 
+def test_a_file_that_has_changed_is_loaded_again(tmp_path: Path) -> None:
+    name = write_network(tmp_path / "net.onnx", yolo(2, boxes=3), input_px=(320, 192))
+    first = load_file_detector(name)
+    assert load_file_detector(name) is first
+    write_network(tmp_path / "net.onnx", yolo(80), input_px=(320, 192))
+    assert load_file_detector(name) is not first
+    before = weights_digest(name)
+    (tmp_path / "net.onnx.json").write_text(json.dumps({"names": ["truck", *["cat"] * 79]}))
+    assert weights_digest(name) != before, "class names decide what is detected"
+    assert load_file_detector(name).labels == {0}
+
+
 @pytest.mark.parametrize("said", ["json", "imgsz"])
 def test_the_size_of_a_network_is_stated_if_it_is_not_fixed(tmp_path: Path, said: str) -> None:
     file = tmp_path / "net.onnx"
@@ -246,7 +259,7 @@ def test_networks_of_another_size_or_kind_are_refused(
 
 
 def test_pictures_keep_their_aspect_ratio() -> None:
-    canvas, scale = fit_picture(np.full((360, 640, 3), 200, np.uint8))
+    canvas, scale = fit_picture(np.full((360, 640, 3), 200, np.uint8), (320, 192))
     assert (canvas.shape, scale) == ((192, 320, 3), 0.5)
     assert (canvas[:180] == 200).all()
     assert (canvas[180:] != 200).all()
@@ -261,7 +274,7 @@ def test_pictures_keep_their_aspect_ratio() -> None:
 )  # fmt: skip
 def test_arrays_other_than_rgb_pictures_are_refused(picture: NDArray[np.uint8]) -> None:
     with pytest.raises(DetectorError, match=r"expected uint8 of shape \(h, w, 3\), got"):
-        fit_picture(picture)
+        fit_picture(picture, (320, 192))
 
 
 def test_weights_that_cannot_be_loaded_are_refused(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -14,11 +15,13 @@ from torch import Tensor, nn
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception import training
 from brink.sim.perception.boxes import GroundTruth, mean_average_precision
-from brink.sim.perception.detector import INPUT_PX, NetworkDetector, decode, find_detector, load_file_detector
+from brink.sim.perception.detector import NetworkDetector, decode, find_detector, load_file_detector
 from brink.sim.perception.network import Network, detection_loss, make_target
 from brink.sim.perception.training import (
-    WHOLE_EPOCHS,
+    CYCLES,
+    INPUT_PX,
     Settings,
+    SizePx,
     TrainingSet,
     detect_all,
     export_onnx,
@@ -51,9 +54,9 @@ def weights(network: Network, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def pictures(count: int, seed: int = 0) -> NDArray[np.uint8]:
+def pictures(count: int, seed: int = 0, size_px: SizePx = INPUT_PX) -> NDArray[np.uint8]:
     rng = np.random.default_rng(seed)
-    return rng.integers(0, 256, (count, INPUT_PX[1], INPUT_PX[0], 3), dtype=np.uint8)
+    return rng.integers(0, 256, (count, size_px[1], size_px[0], 3), dtype=np.uint8)
 
 
 def truth(*rows: tuple[int, float, float, float, float], ignored: tuple[int, ...] = ()) -> GroundTruth:
@@ -96,7 +99,7 @@ def test_boxes_are_in_pixels_of_a_picture_of_any_size(weights: Path) -> None:
 
 
 def test_the_target_of_a_picture_decodes_to_its_boxes() -> None:
-    target = make_target([STREET])
+    target = make_target([STREET], (320, 192))
     logits = torch.logit(target.heat.clamp(1e-5, 1 - 1e-5))
     found = decode(logits[0].numpy(), target.edges[0].numpy())
     sure = found.scores > 0.9
@@ -108,7 +111,7 @@ def test_the_target_of_a_picture_decodes_to_its_boxes() -> None:
 
 
 def test_the_perfect_output_has_the_lowest_loss() -> None:
-    target = make_target([STREET])
+    target = make_target([STREET], (320, 192))
     perfect = torch.logit(target.heat.clamp(1e-4, 1 - 1e-4))
     best = float(detection_loss(perfect, target.edges, target))
     assert best < float(detection_loss(perfect, 1.3 * target.edges, target))
@@ -117,7 +120,7 @@ def test_the_perfect_output_has_the_lowest_loss() -> None:
 
 
 def test_ignored_boxes_are_not_trained() -> None:
-    target = make_target([truth((1, 100, 60, 140, 140), (0, 10, 60, 60, 100), ignored=(0,))])
+    target = make_target([truth((1, 100, 60, 140, 140), (0, 10, 60, 60, 100), ignored=(0,))], (320, 192))
     assert float(target.heat[0, 1].max()) == 0.0
     assert float(target.heat_mask[0, 0, 20:30, 26:34].max()) == 0.0
     assert float(target.heat[0, 0].max()) == 1.0
@@ -130,7 +133,7 @@ def test_ignored_boxes_are_not_trained() -> None:
 
 
 def test_a_box_counts_though_its_centre_lies_in_a_smaller_ignored_one() -> None:
-    target = make_target([truth((0, 40, 40, 200, 160), (1, 100, 80, 140, 120), ignored=(1,))])
+    target = make_target([truth((0, 40, 40, 200, 160), (1, 100, 80, 140, 120), ignored=(1,))], (320, 192))
     row, column = (100 // 4, 120 // 4)
     assert float(target.heat[0, 0, row, column]) == 1.0
     assert float(target.heat_mask[0, 0, row, column]) == 1.0
@@ -139,13 +142,13 @@ def test_a_box_counts_though_its_centre_lies_in_a_smaller_ignored_one() -> None:
 
 def test_the_network_can_overfit_one_picture() -> None:
     torch.manual_seed(1)
-    learner, planes = Network(), np.zeros((1, INPUT_PX[1], INPUT_PX[0], 3), np.uint8)
+    learner, planes = Network(), np.zeros((1, 192, 320, 3), np.uint8)
     for label, (left, upper, right, lower) in zip(
         STREET.labels, STREET.boxes.astype(int).tolist(), strict=True
     ):
         planes[0, upper:lower, left:right] = (220, 60, 40) if label else (40, 90, 230)
     optimiser = torch.optim.AdamW(learner.parameters(), lr=3e-3)
-    target = make_target([STREET])
+    target = make_target([STREET], (320, 192))
     for _ in range(60):
         learner.train()
         heat, edges = learner(to_tensor(planes))
@@ -173,7 +176,7 @@ def test_weights_with_other_outputs_are_refused(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(other, (torch.zeros(1, 3, 8, 8),), str(file), dynamo=False)
-    with pytest.raises(DetectorError, match="expected input and outputs of shapes"):
+    with pytest.raises(DetectorError, match="expected an input of shape"):
         NetworkDetector.from_file(file)
 
 
@@ -284,29 +287,50 @@ class TestNetworks:
         assert weights_digest("brink-det@1") == ""
 
 
+Images: TypeAlias = dict[SizePx, TrainingSet]
+
+
 @pytest.fixture(scope="module")
-def street_images() -> TrainingSet:
-    return TrainingSet(planes=pictures(32), truths=(STREET,) * 32)
+def street_images() -> Images:
+    sizes = {cycle.input_px for cycle in CYCLES}
+    return {
+        size_px: TrainingSet(planes=pictures(32, size_px=size_px), truths=(STREET,) * 32) for size_px in sizes
+    }
 
 
-SETTINGS = Settings(frames=32, epochs=WHOLE_EPOCHS[0] + 1, more_epochs=WHOLE_EPOCHS[1] + 1, seed=1)
+SETTINGS = Settings(frames=32, epochs=tuple(cycle.whole_epochs + 1 for cycle in CYCLES), seed=1)
 
 
-def weights_after(out: Path, images: TrainingSet, settings: Settings = SETTINGS) -> dict[str, Tensor]:
+def weights_after(out: Path, images: Images, settings: Settings = SETTINGS) -> dict[str, Tensor]:
     return train(images, images, settings, out)[0].state_dict()
 
 
+def test_the_last_epochs_of_each_cycle_are_trained_on_whole_images() -> None:
+    settings = Settings(frames=32, epochs=(4, 3, 2), seed=0)
+    assert settings.starts == (0, 4, 7)
+    section, whole, last = (192, 128), (320, 192), (448, 256)
+    assert [settings.size_px(epoch) for epoch in range(9)] == [
+        section, whole, whole, whole, section, whole, whole, (256, 160), last,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("epochs", [(4, 3), (4, 3, 0), (4, 3, 2, 1)])
+def test_every_cycle_has_epochs(epochs: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=rf"expected 3 positive numbers, .* got \({epochs[0]}"):
+        Settings(frames=32, epochs=epochs, seed=0)
+
+
 @pytest.fixture(scope="module")
-def uninterrupted(street_images: TrainingSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Tensor]:
+def uninterrupted(street_images: Images, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Tensor]:
     return weights_after(tmp_path_factory.mktemp("whole"), street_images)
 
 
 @pytest.mark.parametrize(
-    "complete", [1, SETTINGS.epochs, SETTINGS.epochs + 1], ids=["first cycle", "between", "second cycle"]
+    "complete", [1, SETTINGS.starts[1], SETTINGS.starts[2] + 1], ids=["first cycle", "between", "last cycle"]
 )
 def test_an_interrupted_training_goes_on_with_the_same_result(
     complete: int,
-    street_images: TrainingSet,
+    street_images: Images,
     uninterrupted: dict[str, Tensor],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -323,7 +347,7 @@ def test_an_interrupted_training_goes_on_with_the_same_result(
     assert all(torch.equal(found[name], value) for name, value in uninterrupted.items())
 
 
-def test_a_checkpoint_of_other_settings_is_refused(street_images: TrainingSet, tmp_path: Path) -> None:
+def test_a_checkpoint_of_other_settings_is_refused(street_images: Images, tmp_path: Path) -> None:
     weights_after(tmp_path, street_images)
     with pytest.raises(ValueError, match="expected the state of a run with"):
         weights_after(tmp_path, street_images, replace(SETTINGS, seed=2))
