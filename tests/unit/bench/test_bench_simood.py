@@ -12,7 +12,7 @@ from brink.bench import simood_searches
 from brink.bench.measurement import Row
 from brink.bench.simood import harmful_genes_row, measure_simood, prediction_rows
 from brink.bench.simood_costs import Times, time_rows
-from brink.bench.simood_places import NamedChain
+from brink.bench.simood_places import CONFIRMATION_PLACES, NamedChain
 from brink.bench.simood_searches import (
     PAPER,
     Campaign,
@@ -196,7 +196,7 @@ def test_random_pairs_and_finalists_of_random_search_are_compared(
             assert f"A5 Fisher p of hazardous finalists against {name}, {which}" in rows
             assert f"A5 hazardous share of finalists minus that of {name}, {which}" in rows
     asked = found._records.asked  # type: ignore[attr-defined]
-    assert {spec.seed for spec in asked if spec.requirements} == {0, 1, 2, 3, 4}
+    assert {spec.seed for spec in asked if spec.requirements} == set(CONFIRMATION_PLACES)
     assert rows["A5 share of hazardous random pairs"].target == "at most 0.5"
 
 
