@@ -16,6 +16,8 @@ perturbations = typer.Typer(
 )
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
+MANY_GENES = 6
+"""So many genes are shown two in a row, so that the sheet fits on a page."""
 
 
 @perturbations.command("list")
@@ -58,7 +60,8 @@ def _values(gene: Gene) -> str:
 def show(
     out: Annotated[Path, typer.Option(help="File to write: .png or .jpg.")],
     image: Annotated[
-        Path | None, typer.Option(help="Image to perturb (default: a synthetic street).", show_default=False)
+        Path | None,
+        typer.Option(help="Image to perturb (default: a street of the simulator).", show_default=False),
     ] = None,
     gene: Annotated[
         list[str] | None,
@@ -81,10 +84,13 @@ def show(
     if find_spec("cv2") is None:
         raise VisionMissing(f"drawing images needs OpenCV; install it with: {install_command('vision')}")
     # Imported here: it loads OpenCV, which is optional.
-    from brink.sim.perturbations.pictures import contact_sheet, draw_street, read_picture, write_picture
+    from brink.sim.aeb.dataset import example_picture
+    from brink.sim.perturbations.pictures import contact_sheet, read_picture, write_picture
 
-    picture = draw_street() if image is None else read_picture(image)
-    write_picture(contact_sheet(picture, genes, seed=seed, tile_width=tile_width), out)
+    picture = example_picture() if image is None else read_picture(image)
+    genes_per_row = 2 if len(genes) >= MANY_GENES else 1
+    sheet = contact_sheet(picture, genes, seed=seed, tile_width=tile_width, genes_per_row=genes_per_row)
+    write_picture(sheet, out)
     typer.echo(out)
 
 

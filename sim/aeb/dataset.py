@@ -93,6 +93,12 @@ def labelled_frames(
         yield from islice(_street_frames(split, rng, width_px), count - street * FRAMES_A_STREET)
 
 
+def example_picture() -> Picture:
+    """Return an image of a street at noon with vehicles and people, shape ``(720, 1280, 3)``."""
+    *_, frame = labelled_frames(Split.TEST, 6, seed=8, width_px=1280)
+    return frame.picture
+
+
 def render_frames(pool: Executor, split: Split, count: int) -> Iterator[LabelledFrame]:
     """Yield labelled images rendered by several processes, first those of full size, then some of half the size.
 
