@@ -3,8 +3,8 @@
 The zeros of a dormant block become NaN before variation, so that crossover cannot mix them into an active block and
 mutation cannot shift them. Repair then draws the missing numbers of active blocks and sets dormant ones back to 0.
 
-Sources: uniform crossover and mutation, Sharifi et al. 2023, breeding of populations; Gaussian steps, uniform redraws
-and tournaments of three, the authors' code; dormant blocks are ours.
+Source: Sharifi et al. 2023, breeding of populations. Tournaments of three and the sigmas are not in the paper but in
+the authors' code; dormant blocks are ours.
 """
 
 import numpy as np

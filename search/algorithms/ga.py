@@ -3,9 +3,9 @@
 It supports any space. Children that were evaluated before stay in the population with their fitness and are not asked
 for again. A population that has converged, and so breeds nothing new, is replaced by a random one.
 
-The paper gives a crossover rate for each search, .5 for MLCSHE and .85 for the GA, without saying of what. The
-authors' code reads both per gene. Here, MLCSHE's is per gene; the GA's is per pair of parents, whose genes are then
-swapped with probability .5. The tournament of three is not in the paper but in the authors' code.
+The paper's crossover rates are .5 for MLCSHE and .85 for the GA. The authors' code reads both per gene. Here,
+MLCSHE's is per gene; the GA's is per pair of parents, whose genes are then swapped with probability .5. The
+tournament of three is not in the paper but in the authors' code.
 
 Source: Sharifi et al. 2023, baseline GA.
 """

@@ -10,8 +10,8 @@ genes or by kind of gene, give a search that inherits; ``selection: none`` is th
 contributes (`brink bench heredity`).
 
 Source: Sharifi et al. 2023, Algorithms 1 (co-evolution), 2 (collaboration), 3 (population archive). Where the
-authors' code departs from the paper, this follows the paper; tournaments of three and the form of mutations are in
-their code only. Population archives of the best or of random individuals, and other aggregates of fitness, are
+authors' code departs from the paper, this follows the paper; tournaments of three and the radius are in their code
+only. Population archives of the best or of random individuals, and other aggregates of fitness, are
 strategies that the paper compares in passing. Rates by kind of gene and ``selection: none`` are ours.
 """
 
