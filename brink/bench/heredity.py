@@ -276,7 +276,7 @@ def figure_heredity(study: Heredity, measure: Measure, title: str) -> Figure:
                 _plot_line(axes, study, name, measure, t_b, place + shift, colour)
         axes.set_xticks(range(len(study.twins)), [one.method for one in study.twins])
         axes.set_xlim(-0.5, len(study.twins) - 0.5)
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.12 * max(1.0, axes.get_ylim()[1]))  # room for the means above the bars
         axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
         style_axes(axes)
         axes.tick_params(axis="x", labelcolor=INK, length=0)

@@ -44,6 +44,8 @@ METHOD_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", 
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 PANEL_PX: Final = 330
 COLUMNS: Final = 3
+MOST_KEYS: Final = 6
+"""Entries that fit into one line of a legend."""
 NAMES: Final = {Measure.DBS: "distinct boundary solutions (DBS)", Measure.STRICT: "strict DBS"}
 
 
@@ -204,9 +206,21 @@ def _panels(repeats: Sequence[Repeat], problem: str, title: str, subtitle: str) 
         rows, COLUMNS, left=84 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - 160 / height, bottom=60 / height,
         wspace=0.2, hspace=0.38,
     )  # fmt: skip
-    keys = [Line2D([], [], label=line.label, **_style_of(line, repeats)) for line in _lines(repeats, problem)]
-    add_legend(figure, keys, 88)
+    add_legend(figure, _keys(repeats, problem), 88)
     return figure, [figure.add_subplot(grid[divmod(i, COLUMNS)]) for i in range(len(PAPER_T_BS))]
+
+
+def _keys(repeats: Sequence[Repeat], problem: str) -> list[Line2D]:
+    """Return the entries of the legend; with too many for one line, the methods and one entry for all controls."""
+    lines = list(_lines(repeats, problem))
+    if len(lines) <= MOST_KEYS:
+        return [Line2D([], [], label=line.label, **_style_of(line, repeats)) for line in lines]
+    keys = [
+        Line2D([], [], label=line.label, **_style_of(line, repeats)) for line in lines if not line.control
+    ]
+    if len(keys) < len(lines):
+        keys.append(Line2D([], [], label="controls", color=MUTED, linewidth=1.4, linestyle=(0, (4, 2))))
+    return keys
 
 
 def _lines(repeats: Sequence[Repeat], problem: str) -> dict[Line, list[Figures]]:

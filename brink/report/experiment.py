@@ -27,6 +27,7 @@ from brink.search.analysis.comparison import (
     is_significant,
     lead_words,
     leads,
+    signed,
     standings,
     with_low_controls,
 )
@@ -290,7 +291,7 @@ def _leads_table(found: Sequence[Lead]) -> str:
     rows = [table_row(names), table_row(["---"] * len(names))]
     for lead in found:
         cells = [
-            "N/A" if lead.found_nothing else f"**{value:+.1f}**" if significant else f"{value:+.1f}"
+            "N/A" if lead.found_nothing else f"**{signed(value)}**" if significant else signed(value)
             for value, significant in zip(lead.differences, lead.significant(), strict=True)
         ]
         rows.append(table_row([f"{lead.first} − {lead.second}", f"{lead.t_b:g}", *cells]))

@@ -407,14 +407,14 @@ def lead_words(lead: Lead, level: float = PAPER_LEVEL) -> str:
         return "neither finds anything at any share of the budget"
     largest = int(np.argmax(np.abs(lead.differences)))
     words = (
-        f"{_signed(lead.differences[0])} at 10% of the budget, {_signed(lead.differences[-1])} at 100%, "
-        f"furthest apart at {PAPER_FRACTIONS[largest]:.0%} ({_signed(lead.differences[largest])})"
+        f"{signed(lead.differences[0])} at 10% of the budget, {signed(lead.differences[-1])} at 100%, "
+        f"furthest apart at {PAPER_FRACTIONS[largest]:.0%} ({signed(lead.differences[largest])})"
     )
     return f"{words}; {_significance_words(lead.significant(level), level)}"
 
 
-def _signed(difference: float) -> str:
-    """Return a difference of means with its sign, and none for zero."""
+def signed(difference: float) -> str:
+    """Return a difference of means as text: with one decimal and its sign, and none for zero."""
     return "0.0" if round(difference, 1) == 0 else f"{difference:+.1f}"
 
 

@@ -361,3 +361,15 @@ def test_every_box_is_written_with_its_time(tmp_path: Path) -> None:
     assert [row[:3] for row in rows[1:]] == [
         ["0.0", "seen", "vehicle"], ["0.1", "seen", "person"], ["0.1", "said", "vehicle"],
     ]  # fmt: skip
+
+
+def test_legend_of_many_methods_has_one_entry_for_all_controls() -> None:
+    few = EXPERIMENT_FIGURES["by-distance"](REPEATS, "gap", Measure.DBS).legends[0].get_texts()
+    assert [text.get_text() for text in few] == [*METHODS, *(f"{method}, control" for method in METHODS)]
+    more = [*REPEATS, *(replace(repeat, method=f"{repeat.method} 2") for repeat in REPEATS)]
+    many = EXPERIMENT_FIGURES["by-distance"](more, "gap", Measure.DBS).legends[0].get_texts()
+    assert [text.get_text() for text in many] == [
+        *METHODS,
+        *(f"{method} 2" for method in METHODS),
+        "controls",
+    ]
