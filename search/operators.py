@@ -3,7 +3,8 @@
 The zeros of a dormant block become NaN before variation, so that crossover cannot mix them into an active block and
 mutation cannot shift them. Repair then draws the missing numbers of active blocks and sets dormant ones back to 0.
 
-Source: Sharifi et al. 2023, breeding of populations.
+Source: Sharifi et al. 2023, breeding of populations. Tournaments of three and the sigmas are not in the paper but in
+the authors' code; dormant blocks are ours.
 """
 
 import numpy as np
@@ -39,17 +40,17 @@ def crossed(
 
 
 def mutated(
-    component: Component, vector: FloatArray, probability: float, rng: np.random.Generator
+    component: Component, vector: FloatArray, probability: float | FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Return a copy with each gene mutated with the given probability; it may need repair.
 
     Numbers get a Gaussian step with their parameter's sigma. Categories are redrawn uniformly, so one may stay the
-    same.
+    same. With probability 1, the category of a child is therefore an independent draw: nothing is inherited.
 
     Args:
         component: The component of the vector.
         vector: Shape ``(d,)``.
-        probability: Probability that a gene mutates.
+        probability: Probability that a gene mutates: one for all genes, or one for each, shape ``(d,)``.
         rng: Source of all randomness.
     """
     hit = rng.random(vector.size) < probability
@@ -71,7 +72,7 @@ def offspring(
     father: FloatArray,
     *,
     crossover: float,
-    mutation: float,
+    mutation: float | FloatArray,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
     """Return two children of two parents, repaired and read-only.
@@ -81,7 +82,7 @@ def offspring(
         mother: A valid vector, shape ``(d,)``.
         father: A valid vector, shape ``(d,)``.
         crossover: Probability that a gene is swapped.
-        mutation: Probability that a gene mutates.
+        mutation: Probability that a gene mutates: one for all genes, or one for each, shape ``(d,)``.
         rng: Source of all randomness.
     """
     parents = component.unset_dormant(mother), component.unset_dormant(father)

@@ -7,7 +7,8 @@ A constraint ties several parameters together, checks them, and repairs vectors 
 to at most one constraint, so repairing one constraint never violates another. `Dormant` is the exception: it switches
 a block of numbers off while its label has the null choice, and the constraints of those numbers with it.
 
-Source of `Extent`: the case study of Sharifi et al. 2023; the order of the repair is that of the authors' code.
+Sources: boxes and time spans, Sharifi et al. 2023, section 5.1. The smallest box, the shortest span, the order of the
+repair and the null choice are not in the paper but in the authors' code.
 """
 
 import difflib

@@ -221,7 +221,7 @@ class FrontGap(Margin):
     """`front-gap`: the ego keeps at least 1.5 m to the nearest vehicle ahead in its corridor, bumper to bumper.
 
     Robustness: the gap minus the required gap, in metres; the horizon if no vehicle is ahead. Source: the requirement
-    of the case study of Sharifi et al. 2023, section V, here measured by exact clearance.
+    of the case study of Sharifi et al. 2023, section 6.1, here measured by exact clearance.
     """
 
     unit = "m"

@@ -27,6 +27,7 @@ import numpy as np
 from brink.bench.measurement import Progress, Row, at_least
 from brink.bench.stand_in import StandInSeeds, serving
 from brink.bench.trials import code_fingerprint, process_pool, single_threaded
+from brink.report.text import p_text
 from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Origin, Seeded, ask_all
 from brink.search.algorithms.multi_objective import Child
 from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
@@ -731,7 +732,7 @@ def _tests(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
             rows.append(
                 Row(
                     what=f"A12 {LABELS[name]}: {subject} better than {method}", value=tested.a12, target="", met=None,
-                    note=f"Mann-Whitney U {tested.u:g}, p {tested.p_value:.2g}, uncorrected",
+                    note=f"Mann-Whitney U {tested.u:g}, p {p_text(tested.p_value)}, uncorrected",
                 )
             )  # fmt: skip
     return rows

@@ -16,6 +16,7 @@ from scipy import stats
 from brink.bench.measurement import Progress, Row, at_least, at_most
 from brink.bench.simood_places import CONFIRMATION_PLACES, Criteria, NamedChain, words_of
 from brink.bench.trials import Record, Records
+from brink.report.text import p_text
 from brink.search.algorithm import Candidate, Evaluation, Measured, Question, Scored
 from brink.search.algorithms.simood import (
     Simood,
@@ -27,6 +28,7 @@ from brink.search.algorithms.simood import (
     finalists_of,
 )
 from brink.search.analysis.combinations import HAZARDOUS, Combination, combinations, verdicts_by_chain
+from brink.search.analysis.comparison import is_significant
 from brink.search.analysis.statistics import compared
 from brink.search.fitness import wilson_interval
 from brink.search.slots import ChainGenome
@@ -124,8 +126,8 @@ def hazard_rows(which: str, finalists: Shares, others: Shares, name: str) -> lis
         Row(
             what=f"A5 hazardous share of finalists minus that of {name}, {which}", value=means[0] - means[1],
             target=f"above 0, p < {SIGNIFICANCE_LEVEL:g}",
-            met=means[0] > means[1] and tested.p_value < SIGNIFICANCE_LEVEL,
-            note=f"{means[0]:.2f} and {means[1]:.2f}; Mann-Whitney p {tested.p_value:.2g} of the shares of "
+            met=means[0] > means[1] and is_significant(tested.p_value, SIGNIFICANCE_LEVEL),
+            note=f"{means[0]:.2f} and {means[1]:.2f}; Mann-Whitney p {p_text(tested.p_value)} of the shares of "
             f"{len(each[0])} and {len(each[1])} searches",
         ),
     ]  # fmt: skip
@@ -500,8 +502,8 @@ def _fitness_row(which: str, bred: Sequence[SimoodState], drawn: Sequence[Simood
     )
     return Row(
         what=f"A5 mean f of the GA minus that of random search, {which}", value=means[0] - means[1],
-        target="below 0, p < .05", met=means[0] < means[1] and tested.p_value < SIGNIFICANCE_LEVEL,
-        note=f"{means[0]:.3f} and {means[1]:.3f}; Mann-Whitney p {tested.p_value:.2g}, {len(SEEDS)} seeds, "
+        target="below 0, p < .05", met=means[0] < means[1] and is_significant(tested.p_value, SIGNIFICANCE_LEVEL),
+        note=f"{means[0]:.3f} and {means[1]:.3f}; Mann-Whitney p {p_text(tested.p_value)}, {len(SEEDS)} seeds, "
         f"{spent} evaluations a search, those of parts included",
     )  # fmt: skip
 

@@ -3,7 +3,7 @@
 A simulator in which nothing matters, or only the scenario, or only chance, would make every search look good. The
 measurement shows that behaviour, scenario and chance all affect the verdict.
 
-A candidate holds plain values of the 29 parameters of Sharifi et al. 2023, with their ranges and their repair.
+A candidate holds plain values of the 29 parameters of Sharifi et al. 2023, repaired as in the authors' code.
 Campaigns draw candidates from the problem's search space instead; the tests check that both agree.
 """
 
@@ -195,7 +195,7 @@ def neighbour(base: Candidate, rng: np.random.Generator, sigma: float = 0.04) ->
 
 
 def distance(one: Candidate, other: Candidate) -> float:
-    """Return the distance between two candidates, in [0, 1] (section III of the paper)."""
+    """Return the distance between two candidates, in [0, 1] (Sharifi et al. 2023)."""
     numeric = 0.0
     for name in NUMERIC:
         low, high, _ = _RANGES[name.split(".")[1]]
@@ -220,7 +220,7 @@ def _fill(values: dict[str, Value], ghost: int, rng: np.random.Generator) -> Non
 
 
 def _repair(values: dict[str, Value], ghost: int) -> None:
-    """Repair a trajectory in place by the rules of the paper's encoding."""
+    """Repair a trajectory in place by the rules of the problem's constraints."""
     names = (f"{ghost}.t0_step", f"{ghost}.t1_step")
     first, last = sorted(float(round(float(values[name]))) for name in names)
     least = float(math.ceil(MIN_DURATION_SHARE * LAST_STEP))

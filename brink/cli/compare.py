@@ -22,10 +22,11 @@ from brink.cli.options import (
 )
 from brink.report.comparison import compared_archives
 from brink.search.analysis.comparison import Row, control_summaries
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.errors import InvalidInput
 
 
 def compare(
@@ -35,6 +36,15 @@ def compare(
     control: Annotated[
         bool, typer.Option(help="Add controls: verdicts redrawn independently of the component's behaviour.")
     ] = True,
+    d_th: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--d-th",
+            show_default=False,
+            help="Minimum distance between distinct solutions: 0.1, 0.2, 0.3, 0.4 or 0.5; may be repeated "
+            "(default: the three of the paper's tables).",
+        ),
+    ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -42,7 +52,12 @@ def compare(
     """Compare campaigns: DBS and strict DBS at the paper's thresholds, each campaign with its control.
 
     Example: brink compare 3f2a 91bc 77d0
+
+    Example: brink compare 3f2a 91bc --d-th 0.2 --d-th 0.5
     """
+    for value in d_th or ():
+        if value not in D_THS:
+            raise InvalidInput.at("--d-th", f"expected one of {', '.join(map(str, D_THS))}, got {value:g}")
     unique = list(dict.fromkeys(campaigns))
 
     async def work(api: Api) -> tuple[list[Row], list[Progress]]:
@@ -55,7 +70,7 @@ def compare(
         print_json(rows_json(rows))
         return
     screen = console()
-    print_rows(screen, rows)
+    print_rows(screen, rows, d_th or PAPER_D_THS)
     for one in progress:
         if one.looks_for_pairs:
             words = where_pairs_are(one, place_option(server, database))
@@ -79,16 +94,17 @@ def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
             "grid": [
                 {"t_b": t, "d_th": d, "dbs": float(row.dbs[i, j]), "strict_dbs": float(row.strict[i, j])}
                 for i, t in enumerate(PAPER_T_BS)
-                for j, d in enumerate(PAPER_D_THS)
+                for j, d in enumerate(D_THS)
             ],
         }
         for row in rows
     ]
 
 
-def print_rows(screen: Console, rows: Sequence[Row]) -> None:
-    """Print a comparison, with one table for each d_th."""
-    for column, d_th in enumerate(PAPER_D_THS):
+def print_rows(screen: Console, rows: Sequence[Row], d_ths: Sequence[float] = PAPER_D_THS) -> None:
+    """Print a comparison, with one table for each d_th, all of them in `D_THS`."""
+    for d_th in d_ths:
+        column = D_THS.index(d_th)
         columns = ("unsafe", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS))
         table = plain_table("", *columns, right=columns, title=f"d_th {d_th:g}: DBS (strict DBS)")
         for row in rows:

@@ -9,6 +9,7 @@ from brink.api.client import Api
 from brink.api.live import rate_parts
 from brink.cli.options import (
     RESULTS,
+    Alpha,
     AsJson,
     Confirmed,
     Database,
@@ -27,6 +28,7 @@ from brink.cli.options import (
     print_line,
     with_api,
 )
+from brink.search.analysis.comparison import LEVEL
 from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.server.api.schemas import ExperimentList, ExperimentProgress, ExperimentSummary, ExperimentView
 from brink.server.errors import Conflict
@@ -61,6 +63,7 @@ def run(
     new: New = False,
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
     port: Port = None,
+    alpha: Alpha = LEVEL,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Run every algorithm on every problem with every seed, and write a report that compares them.
@@ -77,7 +80,7 @@ def run(
         file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
     )  # fmt: skip
     with about_file(file):
-        found = run_experiment(read_experiment_file(file), options)
+        found = run_experiment(read_experiment_file(file), options, alpha=alpha)
     raise typer.Exit(int(found is None))
 
 
@@ -139,6 +142,7 @@ def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
 def report(
     name: ExperimentId,
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
+    alpha: Alpha = LEVEL,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -153,7 +157,7 @@ def report(
 
     async def work(api: Api) -> "tuple[Results, ExperimentProgress, ExperimentView]":
         found = await api.read(ExperimentView, f"/experiments/{name}")
-        results = await fetch_results(api, found.id, screen)
+        results = await fetch_results(api, found.id, screen, alpha=alpha)
         return results, await api.read(ExperimentProgress, f"/experiments/{name}/progress"), found
 
     results, progress, found = with_api(server, database, work)
@@ -207,6 +211,7 @@ def pairs(
             help="Smallest distance between two distinct pairs (default: the experiment's, else 0.2).",
         ),
     ] = None,
+    alpha: Alpha = LEVEL,
     workers: Workers = 2,
     database: Database = None,
     server: Server = None,
@@ -231,7 +236,9 @@ def pairs(
             name, settings, screen, confirm=confirm or 0, component=component, workers=workers,
             server=server, database=database,
         )  # fmt: skip
-    found = with_api(server, database, lambda api: fetch_experiment_pairs(api, name, screen, **settings))
+    found = with_api(
+        server, database, lambda api: fetch_experiment_pairs(api, name, screen, alpha=alpha, **settings)
+    )
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:

@@ -46,7 +46,7 @@ async def fetch_experiment_pairs(
         api: Its coordinator.
         experiment: Its id.
         screen: Shows what is still being computed.
-        settings: ``eps`` and ``d_th``, where they are not the experiment's own.
+        settings: ``eps`` and ``d_th``, where they are not the experiment's own, and ``alpha``.
 
     Raises:
         CoordinatorError: The experiment does not exist.
@@ -178,7 +178,7 @@ def follow_up_here(
 
     Args:
         experiment: Its id.
-        settings: ``eps`` and ``d_th``, where they are not the experiment's own.
+        settings: ``eps`` and ``d_th``, where they are not the experiment's own, and ``alpha``.
         screen: Console for progress and hints.
         confirm: Simulations of each side with other seeds; 0 for none.
         component: Whether to ask if the component is to blame.
@@ -251,7 +251,7 @@ def print_experiment_pairs(screen: Console, pairs: ExperimentPairs) -> None:
     for problem in problems_of(repeats):
         screen.print(_table(repeats, problem, pairs.counted), "")
         screen.print(settings_words(pairs.eps, pairs.d_th), soft_wrap=True, style="dim")
-        for sentence in pair_sentences(repeats, problem):
+        for sentence in pair_sentences(repeats, problem, level=pairs.alpha):
             text = sentence.replace("**", "").rstrip()
             screen.print(text, soft_wrap=True)
         screen.print()

@@ -1,9 +1,10 @@
 """Running an experiment to its end on this machine, and its results as tables, figures and a report."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -21,7 +22,7 @@ from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
 from brink.cli.local import RunOptions, Session, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
 from brink.report.experiment import ReportedPairs, html_report, markdown_report, sentences
-from brink.search.analysis.comparison import Repeat, duels, standings
+from brink.search.analysis.comparison import LEVEL, Repeat, duels, standings
 from brink.search.analysis.pair_comparison import problems_of
 from brink.search.analysis.paper import Measure
 from brink.search.analysis.scores import Control, Figures, Scores
@@ -58,8 +59,19 @@ class FinishedExperiment:
     folder: Path
 
 
-def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperiment | None:
+Show: TypeAlias = Callable[[Results, Sequence[Path]], None]
+
+
+def run_experiment(
+    body: ExperimentBody, options: RunOptions, *, alpha: float = LEVEL, show: Show | None = None
+) -> FinishedExperiment | None:
     """Run an experiment to its end on this machine and write its report.
+
+    Args:
+        body: The experiment.
+        options: How to run it.
+        alpha: Corrected p-value up to which a difference is significant, in (0, 1).
+        show: Shows the results and names the files of the report; None for tables and sentences, or JSON.
 
     Returns:
         The results; None if the experiment was stopped or ended unfinished, or follow-ups of its pairs did.
@@ -88,11 +100,13 @@ def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperim
                 screen.print("stopped; nothing is lost")
                 session.hint("continue with", f"experiment run {options.file} --resume")
                 return None
-        results = await fetch_results(session.api, progress.id, screen)
+        results = await fetch_results(session.api, progress.id, screen, alpha=alpha)
         folder = options.out / f"{file_name(body.name)}-{progress.id}"
         with Steps(screen, "drawing the report"):
             files = await asyncio.to_thread(write_report, results, progress.elapsed_s, body, folder)
-        if options.json:
+        if show is not None:
+            show(results, files)
+        elif options.json:
             print_json({**results.model_dump(mode="json"), "files": [str(path) for path in files]})
         else:
             print_results(screen, results)
@@ -159,7 +173,7 @@ class ExperimentRun:
         return [f"campaign {reason}" for reason in progress.paused]
 
 
-async def fetch_results(api: Api, experiment: str, screen: Console) -> Results:
+async def fetch_results(api: Api, experiment: str, screen: Console, *, alpha: float = LEVEL) -> Results:
     """Return the results of an experiment, once all its finished campaigns are scored.
 
     Raises:
@@ -167,7 +181,8 @@ async def fetch_results(api: Api, experiment: str, screen: Console) -> Results:
     """
     with Steps(screen, "scoring") as steps:
         while True:
-            response = await api.request("GET", f"/experiments/{experiment}/results", params={"wait_s": 5})
+            params = {"wait_s": 5, "alpha": alpha}
+            response = await api.request("GET", f"/experiments/{experiment}/results", params=params)
             if response.status_code == 200:
                 return Results.model_validate_json(response.content)
             steps.show(str(response.json()["detail"]))
@@ -206,7 +221,7 @@ def print_results(screen: Console, results: Results) -> None:
         return
     if results.pairs is not None:
         print_experiment_pairs(screen, results.pairs)
-    scored, compared = standings(repeats), duels(repeats)
+    scored, compared = standings(repeats), duels(repeats, level=results.alpha)
     default = [one for one in scored if (one.t_b, one.d_th) == (DEFAULT_T_B, DEFAULT_D_TH)]
     for problem in dict.fromkeys(one.problem for one in repeats):
         columns = ("DBS", "95%", "strict DBS", "95%", "unsafe")
@@ -261,7 +276,7 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
     pairs = None if results.pairs is None else _write_pairs(results.pairs, folder)
     text = markdown_report(
         body, repeats, pictures, experiment=results.id, created_at=results.created_at, elapsed_s=elapsed_s,
-        pairs=pairs,
+        pairs=pairs, level=results.alpha,
     )  # fmt: skip
     files = [folder / "report.html", folder / "report.md", folder / "results.json"]
     files[0].write_text(html_report(text, results.name, folder), encoding="utf-8")

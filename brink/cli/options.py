@@ -93,6 +93,15 @@ LogLevelOption = Annotated[
     ),
 ]  # fmt: skip
 Confirmed = Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")]
+Alpha = Annotated[
+    float,
+    typer.Option(
+        "--alpha",
+        min=0.0001,
+        max=0.5,
+        help="Corrected p value up to which a difference is significant. Tables as in the paper keep 0.01.",
+    ),
+]
 Workers = Annotated[int, typer.Option(min=1, max=256, help="Number of worker processes.")]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Resume the latest run of this file, or show it if it has finished.")

@@ -34,7 +34,7 @@ from brink.cli.options import (
 )
 from brink.search.analysis.boundary import P_THS, RADII, Rescored, by_p_th, by_radius
 from brink.search.analysis.comparison import lines_of
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
+from brink.search.analysis.paper import D_THS, PAPER_T_BS, Measure
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments.body import ExperimentBody, parse_experiment
@@ -120,7 +120,7 @@ def rerun(
     d_th: Annotated[
         float,
         typer.Option(
-            "--d-th", help="Minimum distance between distinct solutions; one of the paper's values."
+            "--d-th", help="Minimum distance between distinct solutions: 0.1, 0.2, 0.3, 0.4 or 0.5."
         ),
     ] = DEFAULT_D_TH,
     workers: Workers = 2,
@@ -136,7 +136,7 @@ def rerun(
 
     Example: brink sensitivity rerun examples/quickstart.yaml --parameter population_size --values 5,10,20 --seeds 5
     """
-    for name, value, known in (("--t-b", t_b, PAPER_T_BS), ("--d-th", d_th, PAPER_D_THS)):
+    for name, value, known in (("--t-b", t_b, PAPER_T_BS), ("--d-th", d_th, D_THS)):
         if value not in known:
             raise InvalidInput.at(name, f"expected one of {', '.join(map(str, known))}, got {value:g}")
     body = varied(read_campaign_file(file), parameter, _values(values), seeds)
@@ -150,7 +150,7 @@ def rerun(
     finished = run_experiment(body, options)
     if finished is None:
         raise typer.Exit(1)
-    i, j = PAPER_T_BS.index(t_b), PAPER_D_THS.index(d_th)
+    i, j = PAPER_T_BS.index(t_b), D_THS.index(d_th)
     found: dict[str, dict[str, list[float]]] = {}
     for line, figures in lines_of(repeats_of(finished.results)).items():
         if not line.control:

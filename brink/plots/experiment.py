@@ -5,6 +5,7 @@ Sharifi et al. 2023; those of pairs are ours.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -33,7 +34,7 @@ from brink.search.analysis.pair_comparison import (
     measure_of,
     measure_words,
 )
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
+from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Figures
 from brink.search.analysis.statistics import MeanInterval, mean_interval
 from brink.search.space import FloatArray
@@ -43,6 +44,8 @@ METHOD_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", 
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 PANEL_PX: Final = 330
 COLUMNS: Final = 3
+MOST_KEYS: Final = 6
+"""Entries that fit into one line of a legend."""
 NAMES: Final = {Measure.DBS: "distinct boundary solutions (DBS)", Measure.STRICT: "strict DBS"}
 
 
@@ -62,21 +65,20 @@ def figure_by_distance(repeats: Sequence[Repeat], problem: str, measure: Measure
     )  # fmt: skip
     lines = _lines(repeats, problem)
     for i, axes in enumerate(panels):
-        axes.xaxis.set_major_locator(FixedLocator(list(PAPER_D_THS)))
+        axes.xaxis.set_major_locator(FixedLocator(list(D_THS)))
         for place, (line, values) in enumerate(lines.items()):
             # Shifted slightly, so that intervals do not overlap.
             shift = 0.004 * (place - (len(lines) - 1) / 2)
             spans = [
-                mean_interval([float(measure.of(one)[-1, i, j]) for one in values])
-                for j in range(len(PAPER_D_THS))
+                mean_interval([float(measure.of(one)[-1, i, j]) for one in values]) for j in range(len(D_THS))
             ]
             means = np.array([span.mean for span in spans])
             low, high = np.abs(np.array([interval_limits(span) for span in spans]).T - means)
             axes.errorbar(
-                np.array(PAPER_D_THS) + shift, means, yerr=np.stack([low, high]),
+                np.array(D_THS) + shift, means, yerr=np.stack([low, high]),
                 capsize=3, elinewidth=1.1, **_style_of(line, repeats),
             )  # fmt: skip
-        axes.set_xlim(min(PAPER_D_THS) - 0.04, max(PAPER_D_THS) + 0.04)
+        axes.set_xlim(min(D_THS) - 0.04, max(D_THS) + 0.04)
         _finish(axes, i, "d_th")
     return figure
 
@@ -88,7 +90,7 @@ def figure_by_budget(repeats: Sequence[Repeat], problem: str, measure: Measure, 
         repeats: Finished campaigns.
         problem: Name of the problem.
         measure: DBS or strict DBS.
-        d_th: Minimum distance; one of the paper's thresholds.
+        d_th: Minimum distance; one of `D_THS`.
     """
     figure, panels = _panels(
         repeats, problem,
@@ -96,7 +98,7 @@ def figure_by_budget(repeats: Sequence[Repeat], problem: str, measure: Measure, 
         "Means over the seeds with 95% intervals, scored with the results known at that time. Dashed: "
         "controls, whose verdicts ignore the component's behaviour.",
     )  # fmt: skip
-    j = PAPER_D_THS.index(d_th)
+    j = D_THS.index(d_th)
     for i, axes in enumerate(panels):
         show_percent(axes.xaxis)
         for line, values in _lines(repeats, problem).items():
@@ -190,9 +192,10 @@ def interval_limits(span: MeanInterval) -> tuple[float, float]:
 
 
 EXPERIMENT_FIGURES: Final[dict[str, Callable[[Sequence[Repeat], str, Measure], Figure]]] = {
+    **{f"by-budget-{d_th:g}": partial(figure_by_budget, d_th=d_th) for d_th in PAPER_D_THS},
     "by-distance": figure_by_distance,
-    "by-budget": figure_by_budget,
 }
+"""The figures of a measure, by what distinguishes their file names."""
 
 
 def _panels(repeats: Sequence[Repeat], problem: str, title: str, subtitle: str) -> tuple[Figure, list[Axes]]:
@@ -203,9 +206,21 @@ def _panels(repeats: Sequence[Repeat], problem: str, title: str, subtitle: str) 
         rows, COLUMNS, left=84 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - 160 / height, bottom=60 / height,
         wspace=0.2, hspace=0.38,
     )  # fmt: skip
-    keys = [Line2D([], [], label=line.label, **_style_of(line, repeats)) for line in _lines(repeats, problem)]
-    add_legend(figure, keys, 88)
+    add_legend(figure, _keys(repeats, problem), 88)
     return figure, [figure.add_subplot(grid[divmod(i, COLUMNS)]) for i in range(len(PAPER_T_BS))]
+
+
+def _keys(repeats: Sequence[Repeat], problem: str) -> list[Line2D]:
+    """Return the entries of the legend; with too many for one line, the methods and one entry for all controls."""
+    lines = list(_lines(repeats, problem))
+    if len(lines) <= MOST_KEYS:
+        return [Line2D([], [], label=line.label, **_style_of(line, repeats)) for line in lines]
+    keys = [
+        Line2D([], [], label=line.label, **_style_of(line, repeats)) for line in lines if not line.control
+    ]
+    if len(keys) < len(lines):
+        keys.append(Line2D([], [], label="controls", color=MUTED, linewidth=1.4, linestyle=(0, (4, 2))))
+    return keys
 
 
 def _lines(repeats: Sequence[Repeat], problem: str) -> dict[Line, list[Figures]]:

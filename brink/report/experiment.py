@@ -4,7 +4,7 @@ It is written as Markdown with separate image files; the HTML page is rendered f
 """
 
 import base64
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from html import escape
@@ -18,16 +18,21 @@ from brink.report.text import interval_text, p_text, table_row
 from brink.search.analysis.comparison import (
     LEVEL,
     Duel,
+    Lead,
     Line,
     Repeat,
     Standing,
     conclusion,
     duels,
+    is_significant,
+    lead_words,
+    leads,
+    signed,
     standings,
     with_low_controls,
 )
 from brink.search.analysis.pair_comparison import PairRepeat
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
+from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_LEVEL, PAPER_T_BS, Measure
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
 from brink.server.api.experiment_pairs import LeftOutView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
@@ -77,6 +82,7 @@ def markdown_report(
     created_at: datetime,
     elapsed_s: float,
     pairs: ReportedPairs | None = None,
+    level: float = LEVEL,
 ) -> str:
     """Return the report as Markdown: pairs first where the experiment asks for them, then DBS.
 
@@ -88,15 +94,16 @@ def markdown_report(
         created_at: Time of submission.
         elapsed_s: Duration of the experiment.
         pairs: The pairs across the boundary, if the experiment asks for them.
+        level: Corrected p-value up to which a difference is significant.
     """
     parts = [f"# {body.name}", _facts(body, repeats, experiment, created_at, elapsed_s)]
-    found_standings, found_duels = standings(repeats), duels(repeats)
+    found_standings, found_duels = standings(repeats), duels(repeats, level=level)
     for problem in dict.fromkeys(repeat.problem for repeat in repeats):
         heading = f": {problem}" if len(body.problems) > 1 else ""
         if pairs is not None:
             parts += pair_section(
                 pairs.repeats, problem, eps=pairs.eps, d_th=pairs.d_th, heading=heading,
-                picture=pairs.pictures.get(problem), left_out=pairs.left_out,
+                picture=pairs.pictures.get(problem), left_out=pairs.left_out, level=level,
             )  # fmt: skip
         parts += [
             f"## {'Conclusions' if pairs is None else 'Boundary solutions, as the paper counts them'}{heading}",
@@ -105,12 +112,16 @@ def markdown_report(
         for measure in Measure:
             name = NAMES[measure]
             parts += [f"## {name[0].upper()}{name[1:]}{heading}"]
-            for kind, words in (("by-budget", "by share of the budget"), ("by-distance", "by d_th")):
-                file = pictures.get((problem, measure, kind))
-                if file:
-                    parts.append(f"![{name} {words}]({file})")
+            for (of, drawn, kind), file in pictures.items():
+                if (of, drawn) == (problem, measure):
+                    parts.append(f"![{name} {_figure_words(kind)}]({file})")
             parts += ["### Means and 95% intervals", _standings_table(found_standings, problem, measure)]
-            parts += ["### Comparisons", _duels_table(found_duels, problem, measure)]
+            ours = [one for one in found_duels if (one.first.problem, one.measure) == (problem, measure)]
+            parts += ["### Comparisons", _duels_table(ours)]
+            if measure is Measure.DBS and (paper_table := _paper_table(ours)):
+                parts += ["### Comparisons as in the paper", paper_table]
+            if found_leads := leads(repeats, problem, measure, DEFAULT_D_TH):
+                parts += ["### Differences by share of the budget", _leads_table(found_leads)]
     parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats, pairs)]
     return "\n\n".join(parts) + "\n"
 
@@ -155,18 +166,37 @@ def sentences(
             continue
         first, second = (means[line, duel.measure].mean for line in (duel.first, duel.second))
         yield f"- {_comparison_text(duel, first, second, with_low_controls(repeats, problem))}"
+    for measure in Measure:
+        for lead in leads(repeats, problem, measure, DEFAULT_D_TH):
+            if lead.t_b == DEFAULT_T_B:
+                yield f"- {_lead_text(lead)}"
 
 
 _DEFAULTS = (DEFAULT_T_B, DEFAULT_D_TH)
 
 
 def _comparison_text(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
-    figures = (
-        f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
-        f"p {p_text(duel.result.p_value)}, corrected {p_text(duel.adjusted)}"
-    )
+    figures = f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}"
+    if duel.result.p_value is not None:
+        figures += (
+            f", A12 {duel.result.a12:.2f} ({duel.size}), p {p_text(duel.result.p_value)}, "
+            f"corrected {p_text(duel.adjusted)}"
+        )
     other = "compared with its control" if duel.second.control else f"and **{duel.second.method}**"
     return f"**{duel.first.method}** {other}: {figures}; {conclusion(duel, first, second, low)}."
+
+
+def _figure_words(kind: str) -> str:
+    """Return what a figure shows a measure by, such as ``by share of the budget at d_th 0.2``."""
+    d_th = kind.removeprefix("by-budget-")
+    return "by d_th" if d_th == kind else f"by share of the budget at d_th {d_th}"
+
+
+def _lead_text(lead: Lead) -> str:
+    """Return how far one method is ahead of another over the budget, in words."""
+    return (
+        f"**{lead.first}** minus **{lead.second}** over the budget: {NAMES[lead.measure]} {lead_words(lead)}."
+    )
 
 
 def _facts(
@@ -197,35 +227,80 @@ def _standings_table(found: Sequence[Standing], problem: str, measure: Measure) 
     rows = [table_row(["d_th", "method", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), table_row(["---"] * 8)]
     by_place = {(one.line, one.t_b, one.d_th): one.value for one in ours}
     lines = list(dict.fromkeys(one.line for one in ours))
-    for d_th in PAPER_D_THS:
+    for d_th in D_THS:
         for line in lines:
             values = [interval_text(by_place[line, t_b, d_th]) for t_b in PAPER_T_BS]
             rows.append(table_row([f"{d_th:g}", _name(line), *values]))
     return "\n".join(rows)
 
 
-def _duels_table(found: Sequence[Duel], problem: str, measure: Measure) -> str:
-    ours = [one for one in found if one.first.problem == problem and one.measure is measure]
-    rows = [table_row(["d_th", "methods", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), table_row(["---"] * 8)]
-    by_place = {(one.first, one.second, one.t_b, one.d_th): one for one in ours}
-    pairs = list(dict.fromkeys((one.first, one.second) for one in ours))
-    if not pairs:
+def _duels_table(found: Sequence[Duel]) -> str:
+    if not found:
         return "Nothing to compare."
-    for d_th in PAPER_D_THS:
-        for first, second in pairs:
-            cells = [_duel_cell(by_place[first, second, t_b, d_th]) for t_b in PAPER_T_BS]
-            against = "its control" if second.control else second.method
-            rows.append(table_row([f"{d_th:g}", f"{first.method} : {against}", *cells]))
     legend = (
         "*Each cell: A12 (probability that the first exceeds the second), effect size, p of Mann-Whitney U with "
-        f"Holm's correction over all comparisons of this table whose values differ. Bold: p at most {LEVEL:g}.*"
+        "Holm's correction over all comparisons of this table whose values differ. Equal: all values are, so there "
+        f"is nothing to test. Bold: p at most {found[0].level:g}.*"
     )
-    return "\n".join(rows) + f"\n\n{legend}"
+    return f"{_table_of(found, _duel_cell)}\n\n{legend}"
+
+
+def _paper_table(found: Sequence[Duel]) -> str | None:
+    """Return the comparisons of methods as the paper tests them, or None if there is only one method."""
+    methods = [duel for duel in found if not duel.second.control]
+    if not methods:
+        return None
+    legend = (
+        "*Each cell: A12, effect size, p of Mann-Whitney U without correction. N/A: at least one of the two found "
+        f"nothing in all its campaigns. Bold: p at most {PAPER_LEVEL:g}.*"
+    )
+    return f"{_table_of(methods, _paper_cell)}\n\n{legend}"
+
+
+def _table_of(found: Sequence[Duel], cell: Callable[[Duel], str]) -> str:
+    """Return comparisons as a table: a row for each d_th and pair, a column for each t_b."""
+    rows = [table_row(["d_th", "methods", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), table_row(["---"] * 8)]
+    by_place = {(one.first, one.second, one.t_b, one.d_th): one for one in found}
+    for d_th in PAPER_D_THS:
+        for first, second in dict.fromkeys((one.first, one.second) for one in found):
+            cells = [cell(by_place[first, second, t_b, d_th]) for t_b in PAPER_T_BS]
+            against = "its control" if second.control else second.method
+            rows.append(table_row([f"{d_th:g}", f"{first.method} : {against}", *cells]))
+    return "\n".join(rows)
 
 
 def _duel_cell(duel: Duel) -> str:
+    if duel.adjusted is None:
+        return "equal"
     words = f"{duel.result.a12:.2f} {duel.size}, p {p_text(duel.adjusted)}"
-    return f"**{words}**" if duel.adjusted <= LEVEL else words
+    return f"**{words}**" if duel.differs else words
+
+
+def _paper_cell(duel: Duel) -> str:
+    if duel.found_nothing:
+        return "N/A"
+    if duel.paper_p is None:
+        return "equal"
+    words = f"{duel.result.a12:.2f} {duel.size}, p {p_text(duel.paper_p)}"
+    return f"**{words}**" if is_significant(duel.paper_p, PAPER_LEVEL) else words
+
+
+def _leads_table(found: Sequence[Lead]) -> str:
+    """Return the differences between methods after each tenth of the budget, as a table."""
+    names = ["methods", "t_b", *(f"{share:.0%}" for share in PAPER_FRACTIONS)]
+    rows = [table_row(names), table_row(["---"] * len(names))]
+    for lead in found:
+        cells = [
+            "N/A" if lead.found_nothing else f"**{signed(value)}**" if significant else signed(value)
+            for value, significant in zip(lead.differences, lead.significant(), strict=True)
+        ]
+        rows.append(table_row([f"{lead.first} − {lead.second}", f"{lead.t_b:g}", *cells]))
+    legend = (
+        f"*Mean of the first minus mean of the second at d_th {found[0].d_th:g}, scored with what was known at that "
+        f"share of the budget. Bold: p at most {PAPER_LEVEL:g}, without correction, as the paper tests. N/A: neither "
+        "found anything.*"
+    )
+    return "\n".join(rows) + f"\n\n{legend}"
 
 
 def _campaigns(repeats: Sequence[Repeat]) -> str:
@@ -260,7 +335,9 @@ def _method(repeats: Sequence[Repeat], pairs: ReportedPairs | None) -> str:
         f"scenario alone: means of {DRAWS} draws per campaign. The rest of a "
         "method's result is due to behaviour.",
         "**Tests**: Mann-Whitney U, two-sided, with Holm's correction over all comparisons of a table; Vargha and "
-        "Delaney's A12, called small from .56, medium from .64, large from .71, and likewise below one half.",
+        "Delaney's A12, called small from .56, medium from .64, large from .71, and likewise below one half. The "
+        f"paper tests at {PAPER_LEVEL:g} without correction: among so many comparisons, some are significant by "
+        "chance.",
         "Intervals are Student's t intervals over the seeds.",
     ]
     if low:

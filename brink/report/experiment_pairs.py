@@ -71,22 +71,25 @@ def _share(value: Proportion | None, total: int, none: str, *, tried: int = 0) -
 
 def duel_words(duel: PairDuel) -> str:
     """Return a comparison of two methods in words."""
+    figures = f"{duel.first_mean:.1f} {_MEASURED[duel.measure]} against {duel.second_mean:.1f}"
+    if duel.result.p_value is None:
+        return f"**{duel.first}** and **{duel.second}**: {figures}; {duel.says}."
     return (
-        f"**{duel.first}** and **{duel.second}**: {duel.first_mean:.1f} {_MEASURED[duel.measure]} against "
-        f"{duel.second_mean:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), p {p_text(duel.result.p_value)}, "
-        f"corrected {p_text(duel.adjusted)}; {duel.says}."
+        f"**{duel.first}** and **{duel.second}**: {figures}, A12 {duel.result.a12:.2f} ({duel.size}), "
+        f"p {p_text(duel.result.p_value)}, corrected {p_text(duel.adjusted)}; {duel.says}."
     )
 
 
-def pair_sentences(repeats: Sequence[PairRepeat], problem: str) -> Iterator[str]:
+def pair_sentences(repeats: Sequence[PairRepeat], problem: str, *, level: float = LEVEL) -> Iterator[str]:
     """Yield the conclusions for a problem, as list items.
 
     Args:
         repeats: Finished campaigns.
         problem: Name of the problem.
+        level: Corrected p-value up to which a difference is significant.
     """
     yield f"{measure_words(repeats, problem)}\n"
-    for duel in pair_duels(repeats):
+    for duel in pair_duels(repeats, level=level):
         if duel.problem == problem:
             yield f"- {duel_words(duel)}"
 
@@ -114,6 +117,7 @@ def pair_section(
     heading: str,
     picture: str | None,
     left_out: Sequence[LeftOutView] = (),
+    level: float = LEVEL,
 ) -> list[str]:
     """Return the paragraphs of the report about the pairs on a problem.
 
@@ -125,6 +129,7 @@ def pair_section(
         heading: What follows the words of a heading, such as the name of the problem.
         picture: File name of the figure, if it was drawn.
         left_out: Campaigns that are left out, as they have too many pairs.
+        level: Corrected p-value up to which a difference is significant.
     """
     ours = [one for one in repeats if one.problem == problem]
     parts = [f"## Pairs across the boundary{heading}", settings_words(eps, d_th)]
@@ -132,7 +137,7 @@ def pair_section(
         parts.append(omitted)
     if not ours:
         return parts
-    parts.append("\n".join(pair_sentences(repeats, problem)))
+    parts.append("\n".join(pair_sentences(repeats, problem, level=level)))
     if picture is not None:
         parts.append(f"![Distinct and confirmed pairs by method]({picture})")
     computed = ours[0].computed
@@ -146,7 +151,7 @@ def pair_section(
         "Wilson intervals, which take pairs as independent.*"
     )
     parts += ["### Means and shares", "\n".join(rows), legend]
-    if duels := pair_duels(ours):
+    if duels := pair_duels(ours, level=level):
         parts += ["### Comparisons of pairs", _duels_table(duels)]
     return [*parts, "### Pairs of each campaign", _campaigns(ours)]
 
@@ -160,13 +165,13 @@ def _duels_table(duels: Sequence[PairDuel]) -> str:
             table_row([
                 f"{one.first} : {one.second}", f"{one.first_mean:.1f} : {one.second_mean:.1f}",
                 f"{one.result.u:g}", p_text(one.result.p_value),
-                f"**{adjusted}**" if one.adjusted <= LEVEL else adjusted,
+                f"**{adjusted}**" if one.differs else adjusted,
                 f"{one.result.a12:.2f} {one.size}", one.says,
             ])
         )  # fmt: skip
     legend = (
         "*A12: probability that the first exceeds the second. Corrected: Holm's correction over the comparisons of "
-        f"this table whose values differ. Bold: p at most {LEVEL:g}.*"
+        f"this table whose values differ. Bold: p at most {duels[0].level:g}.*"
     )
     return "\n".join(rows) + f"\n\n{legend}"
 

@@ -12,8 +12,10 @@ def interval_text(value: MeanInterval) -> str:
     return f"{value.mean:.1f} [{max(0.0, value.low):.1f}, {value.high:.1f}]"
 
 
-def p_text(value: float) -> str:
-    """Return a p-value as text."""
+def p_text(value: float | None) -> str:
+    """Return a p-value as text; None, where all values are equal and nothing is tested, as ``equal``."""
+    if value is None:
+        return "equal"
     return "< .001" if value < 0.001 else f"{value:.3f}"
 
 

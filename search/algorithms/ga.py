@@ -3,6 +3,10 @@
 It supports any space. Children that were evaluated before stay in the population with their fitness and are not asked
 for again. A population that has converged, and so breeds nothing new, is replaced by a random one.
 
+The paper's crossover rates are .5 for MLCSHE and .85 for the GA. The authors' code reads both per gene. Here,
+MLCSHE's is per gene; the GA's is per pair of parents, whose genes are then swapped with probability .5. The
+tournament of three is not in the paper but in the authors' code.
+
 Source: Sharifi et al. 2023, baseline GA.
 """
 
@@ -36,7 +40,7 @@ class GeneticAlgorithmConfig(BoundaryConfig):
 
     population_size: int = setting(60, help="Complete solutions per generation.", ge=2, le=10_000)
     crossover_probability: float = setting(
-        0.85, help="Probability that crossover is applied to two parents.", ge=0, le=1
+        0.85, help="Probability that crossover is applied to a pair of parents.", ge=0, le=1
     )
     gene_swap_probability: float = setting(0.5, help="Probability that crossover swaps a gene.", ge=0, le=1)
     mutation_probability: float = setting(0.01, help="Probability that a gene mutates.", gt=0, le=1)

@@ -9,8 +9,9 @@ What was known before the search started stands beside the archive, never in it:
 has simulated. `Ledger.evidence` is both together.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import fmean
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 import numpy as np
@@ -27,6 +28,14 @@ MAX_BREEDINGS: Final = 10
 
 MAX_RESTARTS: Final = 90
 """Number of random populations without a new solution before a finite space counts as exhausted."""
+
+
+AGGREGATES: Final[Mapping[str, Callable[[Sequence[float]], float]]] = {
+    "best": min,
+    "mean": fmean,
+    "worst": max,
+}
+"""How the fitness of an individual follows from that of its solutions; none depends on their order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,22 +260,25 @@ class Ledger:
                 f"missing {sorted(expected - got)[:5]}, not pending {sorted(got - expected)[:5]}"
             )
 
-    def fitness_of(self, index: slice, individuals: FloatArray) -> FloatArray:
-        """Return, for each individual, the smallest fitness of the archived or known solutions that contain it.
+    def fitness_of(self, index: slice, individuals: FloatArray, aggregate: str = "best") -> FloatArray:
+        """Return the fitness of each individual, from that of the archived or known solutions that contain it.
 
         Args:
             index: Columns of the individuals in a row.
             individuals: Shape ``(n, index.stop - index.start)``.
+            aggregate: One of `AGGREGATES`.
 
         Returns:
             Shape ``(n,)``; infinite for an individual without an evaluated solution.
         """
-        best = dict.fromkeys(row_keys(individuals), np.inf)
+        found: dict[bytes, list[float]] = {key: [] for key in row_keys(individuals)}
         evidence = self.evidence
         for key, fitness in zip(row_keys(evidence.vectors[:, index]), evidence.fitness.tolist(), strict=True):
-            if fitness < best.get(key, -np.inf):
-                best[key] = fitness
-        return np.array([best[key] for key in row_keys(individuals)])
+            if key in found:
+                found[key].append(fitness)
+        combined = AGGREGATES[aggregate]
+        values = {key: combined(one) if one else np.inf for key, one in found.items()}
+        return np.array([values[key] for key in row_keys(individuals)])
 
     def dump(self, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Document:
         """Return the ledger, without its archive, together with the rest of an algorithm's state.

@@ -3,11 +3,16 @@
 Two populations evolve side by side. The fitness of an individual is that of the best complete solution containing it.
 Each population keeps a small archive of individuals that represent it in collaborations with the other one.
 
-With the default mutation probability of 1 per gene, every category of a child is an independent uniform draw, so
-selection and crossover act only on numbers.
+With the default mutation probability of 1 per gene, and categories that are redrawn uniformly, every category of a
+child is an independent random draw. A scenario of categories alone, as in the case study, inherits nothing: selection
+and crossover have no effect on scenarios, nor on the labels in behaviours, only on numbers. Smaller rates, for all
+genes or by kind of gene, give a search that inherits; ``selection: none`` is the control that shows what selection
+contributes (`brink bench heredity`).
 
 Source: Sharifi et al. 2023, Algorithms 1 (co-evolution), 2 (collaboration), 3 (population archive). Where the
-authors' code departs from the paper, this follows the paper.
+authors' code departs from the paper, this follows the paper; tournaments of three and the radius are in their code
+only. Population archives of the best or of random individuals, and other aggregates of fitness, are
+strategies that the paper compares in passing. Rates by kind of gene and ``selection: none`` are ours.
 """
 
 from collections.abc import Mapping
@@ -18,6 +23,7 @@ import numpy as np
 
 from brink.search.algorithm import Evaluation
 from brink.search.algorithms.ledger import (
+    AGGREGATES,
     MAX_BREEDINGS,
     MAX_RESTARTS,
     BoundaryConfig,
@@ -33,13 +39,16 @@ from brink.search.errors import ConfigError, DocumentError, UnsupportedSpace
 from brink.search.metric import Metric
 from brink.search.operators import offspring, tournament
 from brink.search.settings import setting
-from brink.search.space import FloatArray, SearchSpace, frozen_array
+from brink.search.space import Categorical, Component, FloatArray, Integer, Real, SearchSpace, frozen_array
 from brink.search.streams import Stream, generator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MlcsheConfig(BoundaryConfig):
-    """Settings of MLCSHE; the defaults are those of the paper or, where it gives none, of its authors' code."""
+    """Settings of MLCSHE; the defaults are those of the paper or, where it gives none, of its authors' code.
+
+    ``archive_distance`` applies to the strategy ``diverse`` alone.
+    """
 
     population_size: int = setting(10, help="Individuals in each of the two populations.", ge=2, le=1_000)
     archive_size: int = setting(
@@ -49,9 +58,41 @@ class MlcsheConfig(BoundaryConfig):
         0.4, help="Smallest distance between members of a population archive (d_a).", ge=0, le=1
     )
     partners: int = setting(1, help="Smallest number of partners for each individual (k).", ge=1, le=1_000)
-    gene_swap_probability: float = setting(0.5, help="Probability that crossover swaps a gene.", ge=0, le=1)
-    mutation_probability: float = setting(1.0, help="Probability that a gene mutates.", gt=0, le=1)
+    gene_swap_probability: float = setting(
+        0.5, help="Probability that crossover swaps a gene: the crossover rate, read per gene.", ge=0, le=1
+    )
+    mutation_probability: float = setting(
+        1.0,
+        help="Probability that a gene mutates, multiplied by the factors of its kind and of its population.",
+        gt=0, le=1,
+    )  # fmt: skip
+    real_mutation_factor: float = setting(1.0, help="Factor for the mutation of real numbers.", ge=0, le=1)
+    integer_mutation_factor: float = setting(1.0, help="Factor for the mutation of integers.", ge=0, le=1)
+    categorical_mutation_factor: float = setting(
+        1.0, help="Factor for the mutation of categories, which redraws them.", ge=0, le=1
+    )
+    scenario_mutation_factor: float = setting(
+        1.0, help="Factor for the mutation of scenarios, the first component.", ge=0, le=1
+    )
+    behaviour_mutation_factor: float = setting(
+        1.0, help="Factor for the mutation of behaviours, the second component.", ge=0, le=1
+    )
     tournament_size: int = setting(3, help="Number of contestants in each tournament.", ge=1, le=100)
+    selection: str = setting(
+        "fitness",
+        help="Whether fitness decides on parents and archives, or chance alone: a control without selection.",
+        choices=("fitness", "none"),
+    )
+    archive_strategy: str = setting(
+        "diverse",
+        help="Members of a population archive: the best and random ones far from each other, the best, or random.",
+        choices=("diverse", "best", "random"),
+    )
+    fitness_aggregate: str = setting(
+        "best",
+        help="Fitness of an individual: that of its best solution, the mean of all its solutions, or the worst.",
+        choices=tuple(AGGREGATES),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -217,8 +258,9 @@ class BreedingStock:
     Attributes:
         index: Position of its component.
         individuals: Vectors, shape ``(n, d)``.
-        fitness: Smallest fitness of the complete solutions containing each individual, shape ``(n,)``.
-        archived: Positions of the new population archive, best first.
+        fitness: Aggregate fitness of the complete solutions containing each individual, or 0 without selection;
+            infinite if all of them failed. Shape ``(n,)``.
+        archived: Positions of the new population archive.
     """
 
     index: int
@@ -228,29 +270,61 @@ class BreedingStock:
 
 
 def _breeding_stock(state: MlcsheState, index: int) -> BreedingStock:
+    config, ledger = state.config, state.ledger
     individuals = state.populations[index].individuals
-    fitness = state.ledger.fitness_of(state.ledger.space.slices[index], individuals)
-    archived = _representatives(state, index, fitness)
+    fitness = ledger.fitness_of(ledger.space.slices[index], individuals, config.fitness_aggregate)
+    if config.selection == "none":
+        fitness = np.where(np.isfinite(fitness), 0.0, np.inf)
+    archived = population_archive(state, index, fitness)
     return BreedingStock(index=index, individuals=individuals, fitness=fitness, archived=archived)
 
 
-def _representatives(state: MlcsheState, index: int, fitness: FloatArray) -> tuple[int, ...]:
-    """Return the positions of the new population archive (Algorithm 3).
+def population_archive(state: MlcsheState, index: int, fitness: FloatArray) -> tuple[int, ...]:
+    """Return the positions of the new population archive (Algorithm 3, or another strategy).
 
     An individual whose solutions all failed is left out, unless all individuals are like that.
+
+    Args:
+        state: A state whose last generation was evaluated.
+        index: Position of the component.
+        fitness: Fitness of the individuals, infinite if all their solutions failed, shape ``(n,)``.
     """
     config, ledger = state.config, state.ledger
     individuals = state.populations[index].individuals
     rng = generator(ledger.seed, Stream.POPULATION_ARCHIVE, ledger.generation, index)
+    ranked = np.isfinite(fitness) if np.isfinite(fitness).any() else np.ones(len(fitness), np.bool_)
+    order = [position for position in rng.permutation(len(individuals)).tolist() if ranked[position]]
+    if config.archive_strategy == "best":
+        order.sort(key=lambda position: fitness[position])  # stable: on ties, in random order
+    if config.archive_strategy != "diverse":
+        return tuple(order[: config.archive_size])
     distances = Metric.of_component(ledger.space, index).between(individuals, individuals)
-    chosen = [int(np.argmin(fitness))]
-    for position in rng.permutation(len(individuals)).tolist():
+    chosen = [order[0] if config.selection == "none" else int(np.argmin(fitness))]
+    for position in order:
         if len(chosen) == config.archive_size:
             break
-        ranked = np.isfinite(fitness[position]) or not np.isfinite(fitness).any()
-        if ranked and position not in chosen and distances[position, chosen].min() >= config.archive_distance:
+        if position not in chosen and distances[position, chosen].min() >= config.archive_distance:
             chosen.append(position)
     return tuple(chosen)
+
+
+def mutation_rates(component: Component, index: int, config: MlcsheConfig) -> FloatArray:
+    """Return the probability that each gene of an individual mutates, shape ``(d,)``.
+
+    Args:
+        component: The component of the individual.
+        index: Its position: 0 for scenarios, 1 for behaviours.
+        config: The settings.
+    """
+    factors = {
+        Real: config.real_mutation_factor,
+        Integer: config.integer_mutation_factor,
+        Categorical: config.categorical_mutation_factor,
+    }
+    whole = config.mutation_probability * (
+        config.scenario_mutation_factor if index == 0 else config.behaviour_mutation_factor
+    )
+    return np.array([whole * factors[type(parameter)] for parameter in component.parameters])
 
 
 def _next_population(state: MlcsheState, stock: BreedingStock, attempt: int) -> Population:
@@ -259,6 +333,7 @@ def _next_population(state: MlcsheState, stock: BreedingStock, attempt: int) -> 
     rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt, stock.index)
     wanted = len(stock.individuals) - len(stock.archived)
     component = ledger.space.components[stock.index]
+    rates = mutation_rates(component, stock.index, config)
     children: list[FloatArray] = []
     while len(children) < wanted:
         mother, father = (
@@ -266,12 +341,7 @@ def _next_population(state: MlcsheState, stock: BreedingStock, attempt: int) -> 
         )
         children.extend(
             offspring(
-                component,
-                mother,
-                father,
-                crossover=config.gene_swap_probability,
-                mutation=config.mutation_probability,
-                rng=rng,
+                component, mother, father, crossover=config.gene_swap_probability, mutation=rates, rng=rng
             )
         )
     rows = [*children[:wanted], *stock.individuals[list(stock.archived)]]

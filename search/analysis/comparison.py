@@ -4,8 +4,10 @@ A control has verdicts that ignore the behaviour (`brink.search.analysis.scores`
 and chance. A control that reads low proves nothing, regardless of the test, and a p-value that does not survive its
 correction shows no difference.
 
-Source: Sharifi et al. 2023, Tables 1 and 2. Beyond the paper: strict DBS, controls, and Holm's correction over all
-comparisons of one table, which are those of one problem and one measure in which values differ at all.
+Source: Sharifi et al. 2023, Tables 1 and 2, and the differences at shares of the budget that answer its second
+research question. The paper tests at a level of .01, without correction, and has N/A where a method found nothing
+(`Duel.paper_p`). Beyond the paper: strict DBS, controls, and Holm's correction over all comparisons of one table,
+which are those of one problem and one measure in which values differ at all.
 """
 
 import itertools
@@ -15,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
+from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_LEVEL, PAPER_T_BS, Measure
 from brink.search.analysis.scores import ENOUGH_REPEATS, Figures, Scores, scored
 from brink.search.analysis.statistics import (
     Comparison,
@@ -33,7 +35,7 @@ SPREADS: Final = 2.0
 CALIBRATION: Final = 0.15
 """Share by which a control can read low although behaviour has no effect (docs/explanation/mlcshe-results.md)."""
 LEVEL: Final = 0.05
-"""Adjusted p-value up to which a difference is significant."""
+"""Adjusted p-value up to which a difference is significant, unless another level is chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +67,7 @@ class Row:
         label: Name of the row.
         campaign: Id of the campaign.
         unsafe_share: Unsafe share of the archive.
-        dbs: DBS, shape ``(len(PAPER_T_BS), len(PAPER_D_THS))``; means for a control.
+        dbs: DBS, shape ``(len(PAPER_T_BS), len(D_THS))``; means for a control.
         strict: Strict DBS, same shape.
         strict_spread: Standard deviation of strict DBS over the draws of a control, same shape; 0 for a campaign.
         repeats: Mean number of evaluated behaviours per scenario for a control; None for a campaign.
@@ -129,9 +131,9 @@ def control_summaries(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]
     Args:
         rows: The result of `compare`.
         t_b: One of the paper's thresholds.
-        d_th: One of the paper's thresholds.
+        d_th: One of `D_THS`.
     """
-    place = PAPER_T_BS.index(t_b), PAPER_D_THS.index(d_th)
+    place = PAPER_T_BS.index(t_b), D_THS.index(d_th)
     return [
         f"{row.label}: {control_summary(row, control, place)}"
         for row, control in itertools.pairwise(rows)
@@ -145,7 +147,7 @@ def control_summary(row: Row, control: Row, place: tuple[int, int]) -> str:
     Args:
         row: Row of the campaign.
         control: Row of its control.
-        place: Positions of t_b in `PAPER_T_BS` and of d_th in `PAPER_D_THS`.
+        place: Positions of t_b in `PAPER_T_BS` and of d_th in `D_THS`.
     """
     found, blind = float(row.strict[place]), float(control.strict[place])
     without = f", without the {row.beyond:,} solutions beyond it" if row.beyond else ""
@@ -210,7 +212,9 @@ class Duel:
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two distinct solutions.
         result: U, p-value and A12.
-        adjusted: The p-value, corrected for all comparisons of the table.
+        adjusted: The p-value, corrected for all comparisons of the table; None if all values are equal.
+        found_nothing: Whether one of the lines, or both, found nothing in all its campaigns.
+        level: Adjusted p-value up to which the difference is significant, in (0, 1).
     """
 
     first: Line
@@ -219,7 +223,19 @@ class Duel:
     t_b: float
     d_th: float
     result: Comparison
-    adjusted: float
+    adjusted: float | None
+    found_nothing: bool
+    level: float = LEVEL
+
+    @property
+    def differs(self) -> bool:
+        """Whether the difference is significant after correction."""
+        return is_significant(self.adjusted, self.level)
+
+    @property
+    def paper_p(self) -> float | None:
+        """The p-value of the paper's tables: not corrected, and None (N/A) where a method found nothing."""
+        return None if self.found_nothing else self.result.p_value
 
     @property
     def size(self) -> str:
@@ -241,7 +257,7 @@ def lines_of(repeats: Sequence[Repeat]) -> dict[Line, list[tuple[int, Figures]]]
 
 
 def standings(repeats: Sequence[Repeat]) -> list[Standing]:
-    """Return Table 1: means and 95% confidence intervals for every `Line`, measure and pair of thresholds."""
+    """Return Table 1: means and 95% confidence intervals for every `Line`, measure, t_b and `D_THS`."""
     return [
         Standing(
             line=line, measure=measure, t_b=t_b, d_th=d_th,
@@ -250,17 +266,27 @@ def standings(repeats: Sequence[Repeat]) -> list[Standing]:
         for line, values in lines_of(repeats).items()
         for measure in Measure
         for i, t_b in enumerate(PAPER_T_BS)
-        for j, d_th in enumerate(PAPER_D_THS)
+        for j, d_th in enumerate(D_THS)
     ]  # fmt: skip
 
 
-def duels(repeats: Sequence[Repeat]) -> list[Duel]:
-    """Return Table 2: every pair of methods on a problem, and every method against its control."""
+def is_significant(p_value: float | None, level: float) -> bool:
+    """Return whether a p-value is at most the level; None, where nothing was tested, is not."""
+    return p_value is not None and p_value <= level
+
+
+def duels(repeats: Sequence[Repeat], *, level: float = LEVEL) -> list[Duel]:
+    """Return Table 2: every pair of methods on a problem, and every method against its control.
+
+    Args:
+        repeats: Finished campaigns.
+        level: Adjusted p-value up to which a difference is significant, in (0, 1).
+    """
     lines = lines_of(repeats)
     found: list[Duel] = []
     for problem in dict.fromkeys(line.problem for line in lines):
         for measure in Measure:
-            found += _table(lines, list(_pairs(lines, problem)), measure)
+            found += _table(lines, list(_pairs(lines, problem)), measure, level)
     return found
 
 
@@ -274,26 +300,135 @@ def _pairs(lines: Mapping[Line, object], problem: str) -> Iterator[tuple[Line, L
 
 
 def _table(
-    lines: Mapping[Line, list[tuple[int, Figures]]], pairs: Sequence[tuple[Line, Line]], measure: Measure
+    lines: Mapping[Line, list[tuple[int, Figures]]],
+    pairs: Sequence[tuple[Line, Line]],
+    measure: Measure,
+    level: float,
 ) -> list[Duel]:
-    results = []
-    for first, second in pairs:
-        for i, t_b in enumerate(PAPER_T_BS):
-            for j, d_th in enumerate(PAPER_D_THS):
-                a, b = (
-                    [float(measure.of(figures)[-1, i, j]) for _, figures in lines[line]]
-                    for line in (first, second)
-                )
-                results.append((first, second, t_b, d_th, compared(a, b), len({*a, *b}) > 1))
-    # If all values are equal, there is nothing to test or to correct for (Tarone 1990).
-    tested = iter(holm([result.p_value for *_, result, differ in results if differ]))
+    places = list(itertools.product(pairs, enumerate(PAPER_T_BS), enumerate(PAPER_D_THS)))
+    values = [[_values(lines[line], measure, -1, i, j) for line in pair] for pair, (i, _), (j, _) in places]
+    results = [compared(first, second) for first, second in values]
+    adjusted = holm([result.p_value for result in results])
     return [
         Duel(
-            first=first, second=second, measure=measure, t_b=t_b, d_th=d_th, result=result,
-            adjusted=next(tested) if differ else 1.0,
+            first=first, second=second, measure=measure, t_b=t_b, d_th=d_th, result=result, adjusted=p_value,
+            found_nothing=not all(map(any, found)), level=level,
         )
-        for first, second, t_b, d_th, result, differ in results
+        for ((first, second), (_, t_b), (_, d_th)), found, result, p_value in zip(
+            places, values, results, adjusted, strict=True
+        )
     ]  # fmt: skip
+
+
+def _values(
+    campaigns: Sequence[tuple[int, Figures]], measure: Measure, share: int, t_b: int, d_th: int
+) -> list[float]:
+    """Return the value of each campaign, given the positions of the share of the budget and of the thresholds."""
+    return [float(measure.of(figures)[share, t_b, d_th]) for _, figures in campaigns]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lead:
+    """How much more one method has found than another after each tenth of the budget.
+
+    Attributes:
+        first: The method whose larger values give positive differences.
+        second: The other method.
+        measure: The measure compared.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two distinct solutions.
+        differences: Mean of the first minus mean of the second, one for each of `PAPER_FRACTIONS`.
+        p_values: p-values at these shares, not corrected; None where all values are equal.
+        found_nothing: Whether neither method found anything in any campaign, up to the whole budget.
+    """
+
+    first: str
+    second: str
+    measure: Measure
+    t_b: float
+    d_th: float
+    differences: tuple[float, ...]
+    p_values: tuple[float | None, ...]
+    found_nothing: bool
+
+    def significant(self, level: float = PAPER_LEVEL) -> list[bool]:
+        """Return at which shares of the budget the difference is significant, without correction."""
+        return [is_significant(p_value, level) for p_value in self.p_values]
+
+
+def leads(repeats: Sequence[Repeat], problem: str, measure: Measure, d_th: float) -> list[Lead]:
+    """Return the differences between every two methods on a problem, for each t_b.
+
+    Args:
+        repeats: Finished campaigns.
+        problem: Name of the problem.
+        measure: DBS or strict DBS.
+        d_th: One of `D_THS`.
+    """
+    lines = {
+        line: campaigns
+        for line, campaigns in lines_of(repeats).items()
+        if line.problem == problem and not line.control
+    }
+    j = D_THS.index(d_th)
+    return [
+        _lead(pair, measure, (t_b, d_th), [
+            (_values(lines[pair[0]], measure, k, i, j), _values(lines[pair[1]], measure, k, i, j))
+            for k in range(len(PAPER_FRACTIONS))
+        ])
+        for pair in itertools.combinations(lines, 2)
+        for i, t_b in enumerate(PAPER_T_BS)
+    ]  # fmt: skip
+
+
+def _lead(
+    pair: tuple[Line, Line],
+    measure: Measure,
+    thresholds: tuple[float, float],
+    values: Sequence[tuple[list[float], list[float]]],
+) -> Lead:
+    """Return a lead, given the values of the campaigns of both methods at each share of the budget."""
+    return Lead(
+        first=pair[0].method, second=pair[1].method, measure=measure, t_b=thresholds[0], d_th=thresholds[1],
+        differences=tuple(float(np.mean(first) - np.mean(second)) for first, second in values),
+        p_values=tuple(compared(first, second).p_value for first, second in values),
+        found_nothing=not any(any(one) for both in values for one in both),
+    )  # fmt: skip
+
+
+def lead_words(lead: Lead, level: float = PAPER_LEVEL) -> str:
+    """Return how a difference develops with the budget, worded as the end of a sentence about its two methods.
+
+    Args:
+        lead: The differences.
+        level: p-value up to which a difference is significant, without correction.
+    """
+    if lead.found_nothing:
+        return "neither finds anything at any share of the budget"
+    largest = int(np.argmax(np.abs(lead.differences)))
+    words = (
+        f"{signed(lead.differences[0])} at 10% of the budget, {signed(lead.differences[-1])} at 100%, "
+        f"furthest apart at {PAPER_FRACTIONS[largest]:.0%} ({signed(lead.differences[largest])})"
+    )
+    return f"{words}; {_significance_words(lead.significant(level), level)}"
+
+
+def signed(difference: float) -> str:
+    """Return a difference of means as text: with one decimal and its sign, and none for zero."""
+    return "0.0" if round(difference, 1) == 0 else f"{difference:+.1f}"
+
+
+def _significance_words(significant: Sequence[bool], level: float) -> str:
+    tested = f"significant at {level:g}, without correction,"
+    if not any(significant):
+        return f"not {tested} at any tenth"
+    start = significant.index(True)
+    if all(significant[start:]):
+        if start == len(significant) - 1:
+            return f"{tested} at the whole budget only"
+        return f"{tested} from {PAPER_FRACTIONS[start]:.0%} on"
+    shares = [f"{share:.0%}" for share, at in zip(PAPER_FRACTIONS, significant, strict=True) if at]
+    return f"{tested} at {', '.join(shares)} only"
 
 
 def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
@@ -305,8 +440,10 @@ def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) ->
         second: Mean of the second line.
         low: Methods of this problem whose control reads low.
     """
-    significant, uncorrected = duel.adjusted <= LEVEL, duel.result.p_value <= LEVEL
+    significant, uncorrected = duel.differs, is_significant(duel.result.p_value, duel.level)
     if duel.second.control:
+        if duel.result.p_value is None:
+            return "all values are equal: nothing to attribute to the component"
         if duel.first.method in low:
             return "the control reads low here, so this proves nothing"
         if significant and first > second:
@@ -314,25 +451,30 @@ def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) ->
         if uncorrected and first > second:
             return f"perhaps more than scenarios and chance explain: {_CHANCE}"
         return "no more than scenarios and chance explain, as far as these repeats show"
-    return difference(duel.result, duel.adjusted, duel.first.method, duel.second.method)
+    return difference(duel.result, duel.adjusted, duel.first.method, duel.second.method, duel.level)
 
 
 _CHANCE: Final = "significant by itself, but among so many comparisons it may be chance"
 
 
-def difference(result: Comparison, adjusted: float, first: str, second: str) -> str:
+def difference(
+    result: Comparison, adjusted: float | None, first: str, second: str, level: float = LEVEL
+) -> str:
     """Return the conclusion from a comparison of two methods, worded as the end of a sentence about its figures.
 
     Args:
         result: U, p-value and A12.
-        adjusted: The p-value, corrected for all comparisons of the table.
+        adjusted: The p-value, corrected for all comparisons of the table; None if all values are equal.
         first: The method whose larger values give an A12 above one half.
         second: The other method.
+        level: p-value up to which a difference is significant, in (0, 1).
     """
+    if adjusted is None:
+        return "all values are equal, so there is nothing to test"
     more = f"{first if result.a12 > 0.5 else second} finds more"
-    if adjusted <= LEVEL:
+    if is_significant(adjusted, level):
         return more
-    if result.p_value <= LEVEL:
+    if is_significant(result.p_value, level):
         return _CHANCE
     if result.a12 in (0.0, 1.0):
         return f"{more} in every repeat, but these are too few for the test"

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Self
 
-from brink.search.analysis.comparison import difference
+from brink.search.analysis.comparison import LEVEL, difference, is_significant
 from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
 from brink.search.analysis.statistics import (
     Comparison,
@@ -218,7 +218,8 @@ class PairDuel:
         first_mean: Mean of the first method.
         second_mean: Mean of the second method.
         result: U, p-value and A12.
-        adjusted: The p-value, corrected for all comparisons of the problem.
+        adjusted: The p-value, corrected for all comparisons of the problem; None if all values are equal.
+        level: Adjusted p-value up to which the difference is significant, in (0, 1).
     """
 
     problem: str
@@ -228,7 +229,13 @@ class PairDuel:
     first_mean: float
     second_mean: float
     result: Comparison
-    adjusted: float
+    adjusted: float | None
+    level: float = LEVEL
+
+    @property
+    def differs(self) -> bool:
+        """Whether the difference is significant after correction."""
+        return is_significant(self.adjusted, self.level)
 
     @property
     def size(self) -> str:
@@ -238,7 +245,7 @@ class PairDuel:
     @property
     def says(self) -> str:
         """The conclusion, worded as the end of a sentence about the figures."""
-        return difference(self.result, self.adjusted, self.first, self.second)
+        return difference(self.result, self.adjusted, self.first, self.second, self.level)
 
 
 def by_method(repeats: Sequence[PairRepeat], problem: str) -> dict[str, list[PairRepeat]]:
@@ -309,33 +316,30 @@ def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
     )
 
 
-def pair_duels(repeats: Sequence[PairRepeat]) -> list[PairDuel]:
-    """Return every two methods on a problem compared, with p-values corrected over the comparisons of the problem."""
-    return [
-        duel for problem in problems_of(repeats) for duel in _duels(repeats, problem)
-    ]  # fmt: skip
+def pair_duels(repeats: Sequence[PairRepeat], *, level: float = LEVEL) -> list[PairDuel]:
+    """Return every two methods on a problem compared, with p-values corrected over the comparisons of the problem.
+
+    Args:
+        repeats: Finished campaigns.
+        level: Adjusted p-value up to which a difference is significant, in (0, 1).
+    """
+    return [duel for problem in problems_of(repeats) for duel in _duels(repeats, problem, level)]
 
 
-def _duels(repeats: Sequence[PairRepeat], problem: str) -> list[PairDuel]:
+def _duels(repeats: Sequence[PairRepeat], problem: str, level: float) -> list[PairDuel]:
     measure = measure_of(repeats, problem)
     values = {
         method: [float(measure.of(one.counts)) for one in ours]
         for method, ours in by_method(repeats, problem).items()
     }
-    results = [
-        (first, second, compared(values[first], values[second]))
-        for first, second in itertools.combinations(values, 2)
-    ]
-    # If all values are equal, there is nothing to test or to correct for (Tarone 1990).
-    differ = [len({*values[first], *values[second]}) > 1 for first, second, _ in results]
-    tested = iter(
-        holm([result.p_value for (_, _, result), tests in zip(results, differ, strict=True) if tests])
-    )
+    pairs = list(itertools.combinations(values, 2))
+    results = [compared(values[first], values[second]) for first, second in pairs]
+    adjusted = holm([result.p_value for result in results])
     return [
         PairDuel(
             problem=problem, first=first, second=second, measure=measure,
             first_mean=mean_interval(values[first]).mean, second_mean=mean_interval(values[second]).mean,
-            result=result, adjusted=next(tested) if tests else 1.0,
+            result=result, adjusted=p_value, level=level,
         )
-        for (first, second, result), tests in zip(results, differ, strict=True)
+        for (first, second), result, p_value in zip(pairs, results, adjusted, strict=True)
     ]  # fmt: skip

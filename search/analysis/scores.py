@@ -21,7 +21,7 @@ from typing import Final, Self
 import numpy as np
 
 from brink.search.analysis.boundary import dbs_by_budget
-from brink.search.analysis.paper import PAPER_FRACTIONS
+from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.archive import Archive
 from brink.search.metric import Metric
 from brink.search.space import FloatArray, IntArray, SearchSpace, frozen_array
@@ -149,10 +149,10 @@ def blind_archive(archive: Archive, risk: ScenarioRisk, *, seed: int, draw: int 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Figures:
-    """DBS and strict DBS at shares of the budget, for the paper's thresholds.
+    """DBS and strict DBS at shares of the budget, for all pairs of thresholds.
 
     Attributes:
-        dbs: DBS, shape ``(fractions, len(PAPER_T_BS), len(PAPER_D_THS))``.
+        dbs: DBS, shape ``(fractions, len(PAPER_T_BS), len(D_THS))``.
         strict: Strict DBS, same shape.
     """
 
@@ -166,7 +166,8 @@ class Control:
 
     Attributes:
         figures: Means over `DRAWS` draws.
-        spread: Standard deviation of strict DBS over the draws at the whole budget, for the paper's thresholds.
+        spread: Standard deviation of strict DBS over the draws at the whole budget, shape
+            ``(len(PAPER_T_BS), len(D_THS))``.
         unsafe_share: Mean unsafe share of the draws.
         repeats: Mean number of evaluated behaviours per scenario.
     """
@@ -244,7 +245,7 @@ def scored(
 
 
 def _figures(archive: Archive, simulations: int, fractions: Sequence[float]) -> Figures:
-    points = list(dbs_by_budget(archive, simulations, fractions))
+    points = list(dbs_by_budget(archive, simulations, fractions, PAPER_T_BS, D_THS))
     return Figures(
         dbs=np.array([point.grid.dbs for point in points], np.float64),
         strict=np.array([point.grid.strict for point in points], np.float64),

@@ -1,6 +1,7 @@
 """Statistics of repeated campaigns: means with intervals, Mann-Whitney U, Vargha-Delaney A12, Holm's correction.
 
-Source: Sharifi et al. 2023, evaluation; Vargha and Delaney 2000; Holm 1979.
+Sources: Sharifi et al. 2023, evaluation (U and A12, at a level of .01 without correction); Vargha and Delaney 2000;
+Holm 1979.
 """
 
 from collections.abc import Sequence
@@ -35,12 +36,12 @@ class Comparison:
     Attributes:
         a12: Probability that a value of the first method exceeds one of the second, counting ties as one half.
         u: Mann-Whitney U of the first method.
-        p_value: Two-sided p-value of U.
+        p_value: Two-sided p-value of U; None if all values of both are equal, which leaves nothing to test.
     """
 
     a12: float
     u: float
-    p_value: float
+    p_value: float | None
 
 
 def mean_interval(values: Sequence[float], confidence: float = 0.95) -> MeanInterval:
@@ -87,7 +88,7 @@ def compared(first: Sequence[float], second: Sequence[float]) -> Comparison:
     effect = a12(first, second)
     u = effect * len(first) * len(second)
     if np.unique([*first, *second]).size == 1:
-        return Comparison(a12=effect, u=u, p_value=1.0)
+        return Comparison(a12=effect, u=u, p_value=None)
     from scipy import stats
 
     p_value = float(stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
@@ -111,20 +112,21 @@ def effect_size(effect: float) -> str:
     return next((word for least, word in SIZES if distance >= least), "negligible")
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """Return p-values adjusted by Holm's step-down method, in the same order.
 
     Rejecting all hypotheses with an adjusted value of at most alpha gives a probability of at most alpha that any of
-    the rejections is wrong.
+    the rejections is wrong. None, where there was nothing to test, stays None and needs no correction (Tarone 1990).
 
     Raises:
         ValueError: A p-value is not in [0, 1].
     """
-    values = np.asarray(p_values, np.float64)
+    values = np.array([value for value in p_values if value is not None], np.float64)
     if not ((values >= 0) & (values <= 1)).all():
         raise ValueError(f"p_values: expected numbers in [0, 1], got {list(p_values)}")
     order = np.argsort(values, kind="stable")
     stepped = np.maximum.accumulate(values[order] * (values.size - np.arange(values.size)))
     adjusted = np.empty_like(values)
     adjusted[order] = np.minimum(stepped, 1.0)
-    return [float(value) for value in adjusted]
+    tested = iter(adjusted.tolist())
+    return [None if value is None else float(next(tested)) for value in p_values]

@@ -15,7 +15,7 @@ from brink.search.analysis.comparison import control_summary, rows_of
 from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
 from brink.search.analysis.ground import Ground
 from brink.search.analysis.monitor import Answer, Model
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.errors import SpaceError
 from brink.search.fitness import wilson_interval
@@ -439,10 +439,10 @@ def _scores_view(campaign: Campaign, scores: Scores) -> ScoresView:
     return ScoresView(
         id=campaign.id, name=campaign.body.name, status=campaign.status, evaluated=scores.evaluated,
         unsafe=scores.unsafe, unsafe_share=own.unsafe_share, fractions=list(PAPER_FRACTIONS),
-        t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS), dbs=scores.figures.dbs.tolist(),
+        t_bs=list(PAPER_T_BS), d_ths=list(D_THS), dbs=scores.figures.dbs.tolist(),
         strict=scores.figures.strict.tolist(), control=control_view(scores.control), draws=DRAWS,
         says=[
-            [control_summary(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
+            [control_summary(own, blind, (i, j)) for j in range(len(D_THS))]
             for blind in control
             for i in range(len(PAPER_T_BS))
         ],

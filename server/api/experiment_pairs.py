@@ -20,7 +20,7 @@ from brink.search.analysis.pair_comparison import (
 from brink.search.analysis.statistics import MeanInterval
 from brink.server.api.context import Context, Services
 from brink.server.api.pair_views import ConfirmationRule
-from brink.server.api.responses import COMPUTING, computing
+from brink.server.api.responses import COMPUTING, Alpha, computing
 from brink.server.api.schemas import View
 from brink.server.campaigns.pairs import PairSettings
 from brink.server.experiments.pairs import SearchedCampaigns, settings_of
@@ -93,11 +93,15 @@ class PairDuelView(View):
     first_mean: float
     second_mean: float
     u: float
-    p: float
-    p_holm: Annotated[float, Field(description="p value, corrected over all comparisons of this problem.")]
+    p: Annotated[
+        float | None, Field(description="p value; null if all values are equal, and nothing is tested.")
+    ]
+    p_holm: Annotated[
+        float | None, Field(description="p value, corrected over all comparisons of this problem.")
+    ]
     a12: float
     effect: str
-    differs: Annotated[bool, Field(description="Whether the difference is significant after correction.")]
+    differs: Annotated[bool, Field(description="Whether the corrected p value is at most alpha.")]
     says: Annotated[str, Field(description="Conclusion in words.")]
 
 
@@ -169,6 +173,9 @@ class ExperimentPairs(View):
         tuple[LeftOutView, ...],
         Field(description="Finished campaigns that have too many pairs; they count nowhere else here."),
     ] = ()
+    alpha: Annotated[
+        float, Field(description="Corrected p value up to which a difference is significant.")
+    ] = LEVEL
 
 
 @router.get("/{experiment_id}/pairs", responses=COMPUTING)
@@ -188,20 +195,22 @@ async def get_experiment_pairs(
     wait_s: Annotated[
         float, Query(ge=0, le=60, description="How long to wait for the pairs, in seconds.")
     ] = 10.0,
+    alpha: Alpha = LEVEL,
 ) -> ExperimentPairs:
     """Return how many pairs across the boundary the campaigns that have finished found, and how many hold.
 
     All campaigns are searched for pairs with the same `eps` and `d_th`, so that methods can be compared.
     """
     experiment = await services.experiments.get(experiment_id)
-    found = await find_experiment_pairs(services, experiment, settings_of(experiment.body, eps, d_th), wait_s)
+    settings = settings_of(experiment.body, eps, d_th)
+    found = await find_experiment_pairs(services, experiment, settings, wait_s, alpha)
     if isinstance(found, str):
         return computing(found)  # type: ignore[no-any-return]
     return found
 
 
 async def find_experiment_pairs(
-    services: Context, experiment: Experiment, settings: PairSettings, wait_s: float
+    services: Context, experiment: Experiment, settings: PairSettings, wait_s: float, alpha: float
 ) -> ExperimentPairs | str:
     """Return the pairs of an experiment's finished campaigns, or what is still being computed, in words.
 
@@ -210,19 +219,22 @@ async def find_experiment_pairs(
         experiment: The experiment.
         settings: Which solutions are a pair, and which pairs are distinct.
         wait_s: How long to wait for campaigns that are being searched for pairs.
+        alpha: Corrected p-value up to which a difference is significant, in (0, 1).
     """
     searched = await services.experiment_pairs.repeats(experiment, settings, wait_s)
     if searched.pending:
         done = len(searched.repeats) + len(searched.left_out)
         return f"searched {done} of {done + searched.pending} finished campaigns for pairs"
     loop = asyncio.get_running_loop()
-    return await loop.run_in_executor(None, _view, experiment, settings, searched)
+    return await loop.run_in_executor(None, _view, experiment, settings, searched, alpha)
 
 
-def _view(experiment: Experiment, settings: PairSettings, searched: SearchedCampaigns) -> ExperimentPairs:
+def _view(
+    experiment: Experiment, settings: PairSettings, searched: SearchedCampaigns, alpha: float
+) -> ExperimentPairs:
     repeats = searched.repeats
     return ExperimentPairs(
-        id=experiment.id, name=experiment.body.name, eps=settings.eps, d_th=settings.d_th,
+        id=experiment.id, name=experiment.body.name, eps=settings.eps, d_th=settings.d_th, alpha=alpha,
         campaigns=experiment.body.campaigns, counted=len(repeats),
         problems=[
             ProblemPairs(
@@ -244,10 +256,10 @@ def _view(experiment: Experiment, settings: PairSettings, searched: SearchedCamp
             PairDuelView(
                 problem=one.problem, first=one.first, second=one.second, measure=one.measure,
                 first_mean=one.first_mean, second_mean=one.second_mean, u=one.result.u, p=one.result.p_value,
-                p_holm=one.adjusted, a12=one.result.a12, effect=one.size, differs=one.adjusted <= LEVEL,
+                p_holm=one.adjusted, a12=one.result.a12, effect=one.size, differs=one.differs,
                 says=one.says,
             )
-            for one in pair_duels(repeats)
+            for one in pair_duels(repeats, level=alpha)
         ],
         repeats=[
             PairRepeatView(

@@ -18,7 +18,7 @@ from brink.search.analysis.comparison import (
     standings,
     with_low_controls,
 )
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
+from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control
 from brink.server.api.context import Context, Services
 from brink.server.api.experiment_pairs import ExperimentPairs, find_experiment_pairs
@@ -26,6 +26,7 @@ from brink.server.api.responses import (
     COMPUTING,
     NOT_MODIFIED,
     THRESHOLDS,
+    Alpha,
     Cursor,
     DocumentHash,
     IdempotencyKey,
@@ -87,13 +88,22 @@ class DuelView(View):
     t_b: float
     d_th: float
     u: float
-    p: float
+    p: Annotated[
+        float | None, Field(description="p value; null if all values are equal, and nothing is tested.")
+    ]
     p_holm: Annotated[
-        float, Field(description="p value, corrected over all comparisons of this problem and measure.")
+        float | None,
+        Field(description="p value, corrected over all comparisons of this problem and measure."),
+    ]
+    found_nothing: Annotated[
+        bool,
+        Field(
+            description="Whether one of them, or both, found nothing in any campaign: N/A in the paper's tables."
+        ),
     ]
     a12: float
     effect: str
-    differs: Annotated[bool, Field(description="Whether the difference is significant after correction.")]
+    differs: Annotated[bool, Field(description="Whether the corrected p value is at most alpha.")]
     says: Annotated[str, Field(description="Conclusion in words.")]
 
 
@@ -108,7 +118,13 @@ class Results(View):
     scored: Annotated[int, Field(description="Finished campaigns included in the tables.")]
     fractions: Annotated[list[float], Field(description="Fractions of the budget.")]
     t_bs: list[float]
-    d_ths: list[float]
+    d_ths: Annotated[
+        list[float],
+        Field(description="Values of d_th; methods are compared only at those of the paper's tables."),
+    ]
+    alpha: Annotated[
+        float, Field(description="Corrected p value up to which a difference is significant.")
+    ] = LEVEL
     pairs: Annotated[
         ExperimentPairs | None,
         Field(description="Pairs across the boundary; null if the experiment has no section `pairs`."),
@@ -218,6 +234,7 @@ async def get_results(
     wait_s: Annotated[
         float, Query(ge=0, le=60, description="How long to wait for the scores, in seconds.")
     ] = 10.0,
+    alpha: Alpha = LEVEL,
 ) -> Results:
     """Return the result tables of the campaigns that have finished.
 
@@ -227,21 +244,24 @@ async def get_results(
     """
     experiment = await services.experiments.get(experiment_id)
     (repeats, missing), pairs = await asyncio.gather(
-        services.scorebook.repeats(experiment, wait_s), _pairs(experiment, services, wait_s)
+        services.scorebook.repeats(experiment, wait_s), _pairs(experiment, services, wait_s, alpha)
     )
     if missing:
         scored = f"scored {len(repeats)} of {len(repeats) + missing} finished campaigns"
         return computing(scored)  # type: ignore[no-any-return]
     if isinstance(pairs, str):
         return computing(pairs)  # type: ignore[no-any-return]
-    return await asyncio.get_running_loop().run_in_executor(None, results_view, experiment, repeats, pairs)
+    loop = asyncio.get_running_loop()
+    return await loop.run_in_executor(None, results_view, experiment, repeats, pairs, alpha)
 
 
-async def _pairs(experiment: Experiment, services: Context, wait_s: float) -> ExperimentPairs | str | None:
+async def _pairs(
+    experiment: Experiment, services: Context, wait_s: float, alpha: float
+) -> ExperimentPairs | str | None:
     """Return the pairs of an experiment that asks for them, or what is still being computed."""
     if experiment.body.pairs is None:
         return None
-    return await find_experiment_pairs(services, experiment, settings_of(experiment.body), wait_s)
+    return await find_experiment_pairs(services, experiment, settings_of(experiment.body), wait_s, alpha)
 
 
 RATE_S = 60.0
@@ -377,7 +397,10 @@ def progress_of(
 
 
 def results_view(
-    experiment: Experiment, repeats: Sequence[Repeat], pairs: ExperimentPairs | None = None
+    experiment: Experiment,
+    repeats: Sequence[Repeat],
+    pairs: ExperimentPairs | None = None,
+    alpha: float = LEVEL,
 ) -> Results:
     """Return the result tables of an experiment."""
     stand = standings(repeats)
@@ -392,8 +415,8 @@ def results_view(
     return Results(
         id=experiment.id, name=experiment.body.name, status=experiment.status,
         created_at=experiment.created_at, campaigns=experiment.body.campaigns, scored=len(repeats),
-        fractions=list(PAPER_FRACTIONS), t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS),
-        pairs=pairs,
+        fractions=list(PAPER_FRACTIONS), t_bs=list(PAPER_T_BS), d_ths=list(D_THS),
+        alpha=alpha, pairs=pairs,
         standings=[
             StandingView(
                 problem=one.line.problem, method=one.line.method, control=one.line.control,
@@ -407,9 +430,9 @@ def results_view(
                 problem=one.first.problem, first=one.first.method, second=one.second.method,
                 control=one.second.control, measure=one.measure, t_b=one.t_b, d_th=one.d_th,
                 u=one.result.u, p=one.result.p_value, p_holm=one.adjusted, a12=one.result.a12,
-                effect=one.size, differs=one.adjusted <= LEVEL, says=says(one),
+                effect=one.size, found_nothing=one.found_nothing, differs=one.differs, says=says(one),
             )
-            for one in duels(repeats)
+            for one in duels(repeats, level=alpha)
         ],
         repeats=[
             RepeatView(

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Protocol
 from fastapi import Header, Query, Request, Response
 from fastapi.responses import JSONResponse
 
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.paper import D_THS, PAPER_T_BS
 from brink.server.api.schemas import BeingMade, Thresholds, View
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput
@@ -22,10 +22,8 @@ NOT_MODIFIED: Final[Responses] = {304: {"description": "Not modified: the client
 COMPUTING: Final[Responses] = {
     202: {"model": BeingMade, "description": "Still being computed; try again after `Retry-After` seconds."}
 }
-THRESHOLDS: Final = Thresholds(
-    t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS)
-)
-"""Default thresholds, and the paper's grid of thresholds."""
+THRESHOLDS: Final = Thresholds(t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, t_bs=list(PAPER_T_BS), d_ths=list(D_THS))
+"""Default thresholds, and the grid of thresholds in score tables."""
 
 
 def set_etag(
@@ -64,6 +62,9 @@ def not_modified(etag: str) -> Any:
     return Response(status_code=304, headers={"ETag": etag})
 
 
+Alpha = Annotated[
+    float, Query(gt=0, lt=1, description="Corrected p value up to which a difference is significant.")
+]
 Cursor = Annotated[str | None, Query(max_length=200)]
 DocumentHash = Annotated[str | None, Query(max_length=64, pattern="^[0-9a-f]*$")]
 LATEST_S: Final = 4e9

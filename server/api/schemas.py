@@ -348,7 +348,7 @@ class Boundary(View):
     note: str
     grid: Annotated[
         list[DbsCell],
-        Field(description="DBS at the paper's thresholds, without distances at which it takes too long."),
+        Field(description="DBS at all thresholds, without distances at which it takes too long."),
     ]
     solutions: Annotated[
         list[SolutionView], Field(description="Best first; of more than `limit`, the best ones.")

@@ -14,7 +14,7 @@ from sqlalchemy import Connection
 from brink.search.algorithm import Known
 from brink.search.analysis.boundary import MOST_COST, DbsGrid, IndexArray, dbs_grid
 from brink.search.analysis.monitor import Model, Monitor, default_model
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.paper import D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
 from brink.search.errors import BoundaryTooLarge, MissingExtra
 from brink.search.space import FloatArray, IntArray
@@ -65,8 +65,8 @@ class ReadArchive:
 
     @cached_property
     def grid(self) -> DbsGrid:
-        """DBS and strict DBS at the paper's thresholds, without distances at which they would take too long."""
-        return dbs_grid(self.archive, PAPER_T_BS, PAPER_D_THS, most_cost=MOST_COST)
+        """DBS and strict DBS at all thresholds, without distances at which they would take too long."""
+        return dbs_grid(self.archive, PAPER_T_BS, D_THS, most_cost=MOST_COST)
 
     def boundary(self, t_b: float, d_th: float) -> IndexArray:
         """Return the distinct boundary solutions as positions in the archive, best first.

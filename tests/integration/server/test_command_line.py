@@ -547,6 +547,48 @@ def test_searches_with_other_settings_become_an_experiment(databases: Databases,
         assert drawn.width == 1600
 
 
+@on_sqlite
+@pytest.mark.long("runs an experiment")
+def test_study_of_heredity_runs_at_the_chosen_size(databases: Databases, tmp_path: Path) -> None:
+    file, out = tmp_path / "study.yaml", tmp_path / "out"
+    params = {"population_size": 5, "archive_size": 2}
+    study = {
+        "name": "study", "problems": [{"id": "mtq@1"}], "seeds": {"count": 9}, "budget": {"simulations": 1300},
+        "algorithms": [
+            {"name": "one", "id": "mlcshe@1", "params": params},
+            {"name": "other", "id": "mlcshe@1", "params": {**params, "selection": "none"}},
+        ],
+    }  # fmt: skip
+    file.write_text(yaml.safe_dump(study))
+    size = ["--seeds", "2", "--simulations", "100"]
+    with databases.database() as url:
+        command = [
+            "bench",
+            "heredity",
+            str(file),
+            *size,
+            "--workers",
+            "1",
+            "--database",
+            url,
+            "--out",
+            str(out),
+        ]
+        said = CliRunner().invoke(app, command)
+        assert said.exit_code == 0, said.output
+        again = CliRunner().invoke(app, [*command, "--resume", "--json"])
+        assert again.exit_code == 0, again.output
+    assert "strict DBS, selection: no difference is significant" in said.output
+    [folder] = [path for path in out.iterdir() if path.is_dir()]
+    found = json.loads((folder / "heredity.json").read_text())
+    assert {one["method"] for one in found["values"]} == {"one", "other"}
+    assert all(len(one["values"]) == 2 for one in found["values"])
+    assert len(found["effects"]) == 2 * 3, "measures, t_b"
+    for measure in ("dbs", "strict"):
+        with Image.open(folder / f"heredity-{measure}.png") as drawn:
+            assert drawn.width == 1600
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

@@ -167,6 +167,24 @@ def test_an_experiment_runs_to_its_end_and_says_what_it_found(client: httpx.Clie
     assert mean["repeats"] == 3
 
 
+def test_the_level_of_significance_is_chosen_by_request(client: httpx.Client) -> None:
+    found = submit(client)
+    work_through(client, found["id"])
+    by_alpha = {
+        alpha: expect(client.get(f"{API}/{found['id']}/results", params={"wait_s": 30, "alpha": alpha}))
+        for alpha in (0.01, 0.99)
+    }
+    for alpha, results in by_alpha.items():
+        assert results["alpha"] == alpha
+        for duel in results["duels"]:
+            assert (duel["p"] is None) == (duel["p_holm"] is None)
+            assert duel["differs"] == (duel["p_holm"] is not None and duel["p_holm"] <= alpha)
+    assert sum(duel["differs"] for duel in by_alpha[0.01]["duels"]) == 0, "three seeds are too few for .01"
+    nothing = [duel for duel in by_alpha[0.01]["duels"] if duel["found_nothing"]]
+    assert all(duel["p"] is not None or "all values are equal" in duel["says"] for duel in nothing)
+    expect(client.get(f"{API}/{found['id']}/results", params={"alpha": 0}), 422)
+
+
 def test_experiment_is_paused_resumed_cancelled_and_deleted(client: httpx.Client, engines: Engines) -> None:
     name = submit(client)["id"]
     assert expect(client.post(f"{API}/{name}/pause"))["status"] == "paused"

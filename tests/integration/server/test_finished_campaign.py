@@ -15,7 +15,7 @@ from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import Databases, on_sqlite
 from support.problems import REQUIREMENT, small_problems
 
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.similarity import nearest_solutions
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.fitness import wilson_interval
@@ -192,7 +192,7 @@ def test_boundary_solutions_are_at_least_d_th_apart(finished: Finished) -> None:
 
 
 def test_boundary_names_the_figure_that_comparisons_use(finished: Finished) -> None:
-    t_bs, d_ths = PAPER_T_BS, PAPER_D_THS
+    t_bs, d_ths = PAPER_T_BS, D_THS
     i, j = len(t_bs) - 1, 0
     done = progress(finished.client, finished.id)
     boundary = finished.get("/boundary", t_b=t_bs[i], d_th=d_ths[j])
@@ -376,7 +376,7 @@ def test_scores_are_available_once_the_campaign_has_ended(client: httpx.Client) 
     found = scores(client, campaign)
     assert (found["id"], found["name"], found["status"]) == (campaign, "ball", "finished")
     assert (found["fractions"], found["t_bs"], found["d_ths"]) == (
-        list(PAPER_FRACTIONS), list(PAPER_T_BS), list(PAPER_D_THS),
+        list(PAPER_FRACTIONS), list(PAPER_T_BS), list(D_THS),
     )  # fmt: skip
     assert found["evaluated"] == 60
     assert found["unsafe_share"] == pytest.approx(found["unsafe"] / 60)
@@ -397,7 +397,7 @@ def test_scores_compare_the_campaign_with_its_control(client: httpx.Client) -> N
         assert answer.headers["Retry-After"]
     found = scores(client, campaign)
     assert found["control"]["reads_low"], "random search tries one behaviour for each scenario"
-    assert (len(found["says"]), {len(row) for row in found["says"]}) == (len(PAPER_T_BS), {len(PAPER_D_THS)})
+    assert (len(found["says"]), {len(row) for row in found["says"]}) == (len(PAPER_T_BS), {len(D_THS)})
     assert all("proves nothing" in words for row in found["says"] for words in row)
 
     experiment = {

@@ -116,7 +116,7 @@ def test_budgets_below_the_first_generation_are_rejected() -> None:
         RandomSearch().start(SPACE, RandomSearchConfig(), seed=0, budget=0)
 
 
-def test_defaults_of_the_genetic_algorithm_are_those_of_the_paper() -> None:
+def test_defaults_of_the_genetic_algorithm_are_those_of_the_paper_or_of_the_authors_code() -> None:
     config = GeneticAlgorithmConfig()
     assert (config.population_size, config.mutation_probability, config.crossover_probability) == (
         60,

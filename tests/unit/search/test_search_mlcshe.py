@@ -1,14 +1,26 @@
 import dataclasses
+from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
 
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored
-from brink.search.algorithms.mlcshe import Mlcshe, MlcsheConfig, MlcsheState
+from brink.search.algorithms.ledger import Ledger
+from brink.search.algorithms.mlcshe import (
+    Mlcshe,
+    MlcsheConfig,
+    MlcsheState,
+    Population,
+    mutation_rates,
+    population_archive,
+)
+from brink.search.archive import archive_digest
 from brink.search.errors import ConfigError, DocumentError, OrderError, UnsupportedSpace
 from brink.search.metric import Metric
-from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.search.testing import example_spaces, synthetic_verdicts
+from brink.search.operators import offspring
+from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
+from brink.search.testing import check_algorithm, example_spaces, synthetic_verdicts
 
 SPACE = example_spaces()["mixed"]
 MLCSHE = Mlcshe()
@@ -165,7 +177,7 @@ def test_later_generations_leave_earlier_states_unchanged() -> None:
         ({"partners": 11}, 400, "partners"),
     ],
 )
-def test_inconsistent_settings_are_named_by_field(changes: dict[str, int], budget: int, field: str) -> None:
+def test_inconsistent_settings_are_named_by_field(changes: dict[str, Any], budget: int, field: str) -> None:
     with pytest.raises(ConfigError) as caught:
         MLCSHE.check(SPACE, MlcsheConfig(**changes), budget=budget)
     assert caught.value.field == field
@@ -203,8 +215,180 @@ def test_stored_state_is_rejected_with_another_archive_or_settings() -> None:
             )
 
 
-def test_defaults_are_those_of_the_paper() -> None:
+def test_defaults_are_those_of_the_paper_or_of_the_authors_code() -> None:
     assert (CONFIG.population_size, CONFIG.archive_size, CONFIG.archive_distance) == (10, 3, 0.4)
-    assert (CONFIG.partners, CONFIG.tournament_size) == (1, 3)
+    assert CONFIG.partners == 1
     assert (CONFIG.gene_swap_probability, CONFIG.mutation_probability) == (0.5, 1.0)
     assert (CONFIG.p_th, CONFIG.z) == (0.1, 1.96)
+    assert (CONFIG.archive_strategy, CONFIG.fitness_aggregate) == ("diverse", "best")
+    assert (CONFIG.radius, CONFIG.tournament_size) == (0.3, 3), "not in the paper, but in the authors' code"
+
+
+def run_to_end(budget: int = 300, **changes: object) -> MlcsheState:
+    state = started(budget, **changes)
+    while not MLCSHE.finished(state):
+        state, _ = told(state)
+    return state
+
+
+@pytest.mark.parametrize(
+    ("name", "digest"),
+    [
+        ("mixed", "9f6443ab0b4c6cfde11bb7d45cd0ce0a2d8b19df7c8649eed2faeab27e3b3432"),
+        ("numeric", "8c9fd764ca01bf1bd79cf29cc5bfb1fdc374d9283bc1b59fb98d13967d0e9f25"),
+        ("categorical", "b7d34fbff9ac38572bbe399716f13a1de39154c507824edc1ba007d6cc4f4fb1"),
+    ],
+)
+def test_default_settings_give_the_archives_they_gave_before_there_were_others(
+    name: str, digest: str
+) -> None:
+    space = example_spaces()[name]
+    verdicts = synthetic_verdicts(space, 0.05)
+    state = MLCSHE.start(space, CONFIG, seed=7, budget=300)
+    while not MLCSHE.finished(state):
+        state, candidates = MLCSHE.ask(state)
+        state = MLCSHE.tell(state, {c.number: verdicts(c) for c in candidates})
+    assert archive_digest(state.archive) == digest
+
+
+def test_mutation_rates_are_products_of_three_numbers() -> None:
+    component = Component(
+        "any", (Real("speed", 0.0, 1.0), Categorical("label", ("a", "b")), Integer("step", 0, 9))
+    )
+    assert mutation_rates(component, 0, CONFIG).tolist() == [1.0, 1.0, 1.0]
+    config = MlcsheConfig(
+        mutation_probability=0.5, real_mutation_factor=0.4, categorical_mutation_factor=0.2,
+        integer_mutation_factor=0.0, scenario_mutation_factor=0.5,
+    )  # fmt: skip
+    assert mutation_rates(component, 0, config).tolist() == pytest.approx([0.1, 0.05, 0.0])
+    assert mutation_rates(component, 1, config).tolist() == pytest.approx([0.2, 0.1, 0.0])
+
+
+def surviving(probability: float, children: int = 6_000) -> float:
+    """Return how often children of two equal parents have the parents' category, one of four."""
+    component = Component("scenario", (Categorical("road", ("a", "b", "c", "d")),))
+    parent, rng = np.array([2.0]), np.random.default_rng(1)
+    bred = [
+        float(child[0])
+        for _ in range(children // 2)
+        for child in offspring(component, parent, parent, crossover=0.5, mutation=probability, rng=rng)
+    ]
+    return Counter(bred)[2.0] / len(bred)
+
+
+@pytest.mark.parametrize(
+    ("probability", "share"), [(1.0, 1 / 4), (0.2, 0.8 + 0.2 / 4), (0.05, 0.95 + 0.05 / 4)]
+)
+def test_a_category_survives_unless_it_is_redrawn_as_another_one(probability: float, share: float) -> None:
+    assert surviving(probability) == pytest.approx(share, abs=0.02)  # 3.5 standard errors at most
+
+
+def test_genes_with_rate_zero_only_come_from_the_first_population() -> None:
+    start = started(scenario_mutation_factor=0.0)
+    first = {tuple(row) for row in start.populations[0].individuals.tolist()}
+    weathers, cars = ({row[place] for row in first} for place in (0, 1))
+    state = start
+    for _ in range(3):  # before a converged population is replaced by a random one
+        state, candidates = told(state)
+        for candidate in candidates:
+            weather, count = candidate.vectors[0].tolist()
+            assert weather in weathers
+            assert count in cars
+
+
+def ranking(fitness: list[float], **changes: object) -> list[tuple[int, ...]]:
+    """Return the population archives of ten seeds after a first generation in which individuals have this fitness."""
+    space = example_spaces()["numeric"]
+    config = dataclasses.replace(CONFIG, **changes)  # type: ignore[arg-type]
+    rows = np.stack([np.linspace(1.0, 60.0, len(fitness)), np.linspace(-3.0, 3.0, len(fitness))], axis=1)
+    population = Population(individuals=rows, archived=len(rows))
+    return [
+        population_archive(
+            MlcsheState(
+                config=config, ledger=Ledger.start(space, config, seed=seed, budget=100),
+                populations=(population, population),
+            ),
+            0,
+            np.array(fitness),
+        )
+        for seed in range(10)
+    ]  # fmt: skip
+
+
+FITNESS = [0.9, 0.2, 0.5, np.inf, 0.1, 0.8]
+
+
+def test_archive_of_the_best_has_the_smallest_fitness() -> None:
+    assert set(ranking(FITNESS, archive_strategy="best")) == {(4, 1, 2)}
+
+
+def test_archive_of_random_individuals_ignores_fitness_but_not_failures() -> None:
+    found = ranking(FITNESS, archive_strategy="random")
+    assert all(len(set(one)) == 3 for one in found)
+    assert len(set(found)) > 5
+    assert {position for one in found for position in one} == {0, 1, 2, 4, 5}
+
+
+def test_diverse_archive_starts_with_the_best_and_with_any_without_selection() -> None:
+    assert {one[0] for one in ranking(FITNESS)} == {4}
+    equal = [0.0, 0.0, 0.0, np.inf, 0.0, 0.0]
+    firsts = {one[0] for one in ranking(equal, selection="none")}
+    assert len(firsts) > 2
+    assert 3 not in firsts
+
+
+def test_fitness_of_an_individual_is_the_chosen_aggregate_of_its_solutions() -> None:
+    state, _ = told(started())
+    ledger, part = state.ledger, SPACE.slices[0]
+    individuals = np.array(sorted({tuple(row) for row in state.archive.vectors[:, part].tolist()}))
+    stranger = individuals[:1] + 1e6
+    for aggregate, combine in (("best", np.min), ("mean", np.mean), ("worst", np.max)):
+        expected = [
+            combine(state.archive.fitness[(state.archive.vectors[:, part] == row).all(axis=1)])
+            for row in individuals
+        ]
+        found = ledger.fitness_of(part, np.concatenate([individuals, stranger]), aggregate)
+        assert found[:-1].tolist() == pytest.approx(expected)
+        assert found[-1] == np.inf
+
+
+def test_without_selection_verdicts_have_no_effect_on_what_is_bred() -> None:
+    def bred(unsafe: bool, selection: str) -> list[list[float]]:
+        state = started(selection=selection)
+        state, candidates = MLCSHE.ask(state)
+        verdicts = {c.number: Scored(unsafe=unsafe and c.number % 3 == 0, robustness=1.0) for c in candidates}
+        state = MLCSHE.tell(state, verdicts)
+        return [population.individuals.tolist() for population in state.populations]
+
+    assert bred(True, "none") == bred(False, "none")
+    assert bred(True, "fitness") != bred(False, "fitness")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"selection": "none"},
+        {"archive_strategy": "best", "fitness_aggregate": "mean"},
+        {"archive_strategy": "random", "fitness_aggregate": "worst"},
+        {"mutation_probability": 0.2, "categorical_mutation_factor": 0.25},
+    ],
+)
+def test_every_strategy_keeps_the_contract(changes: dict[str, object]) -> None:
+    config = dataclasses.replace(CONFIG, **changes)  # type: ignore[arg-type]
+    check_algorithm(MLCSHE, SPACE, budget=150, config=config)
+
+
+def test_strategies_differ_from_the_default() -> None:
+    plain = archive_digest(run_to_end().archive)
+    for changes in (
+        {"selection": "none"}, {"archive_strategy": "best"}, {"archive_strategy": "random"},
+        {"fitness_aggregate": "worst"}, {"real_mutation_factor": 0.1},
+    ):  # fmt: skip
+        assert archive_digest(run_to_end(**changes).archive) != plain
+
+
+def test_unknown_strategies_are_named_by_field() -> None:
+    for field in ("selection", "archive_strategy", "fitness_aggregate"):
+        with pytest.raises(ConfigError) as caught:
+            MlcsheConfig(**{field: "other"})  # type: ignore[arg-type]
+        assert caught.value.field == field

@@ -46,9 +46,9 @@ def test_comparison_agrees_with_the_mann_whitney_test() -> None:
     assert comparison.a12 == pytest.approx(reference.statistic / 25)
 
 
-def test_equal_samples_show_no_difference() -> None:
+def test_equal_samples_leave_nothing_to_test() -> None:
     comparison = compared([3.0, 3.0], [3.0, 3.0, 3.0])
-    assert (comparison.a12, comparison.p_value) == (0.5, 1.0)
+    assert (comparison.a12, comparison.p_value) == (0.5, None)
 
 
 def test_empty_samples_are_rejected() -> None:
@@ -92,6 +92,11 @@ def test_holm_matches_r() -> None:
     assert holm([0.4, 0.9]) == pytest.approx([0.8, 0.9])
 
 
+def test_what_was_not_tested_needs_no_correction() -> None:
+    assert holm([0.01, None, 0.04]) == [0.02, None, 0.04]
+    assert holm([None]) == [None]
+
+
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
 def test_holm_rejects_the_same_hypotheses_as_the_step_down_procedure(p_values: list[float]) -> None:
     adjusted = holm(p_values)
@@ -101,7 +106,7 @@ def test_holm_rejects_the_same_hypotheses_as_the_step_down_procedure(p_values: l
             if p_values[index] * (len(p_values) - step) > alpha:
                 break
             rejected.add(index)
-        assert {i for i, value in enumerate(adjusted) if value <= alpha} == rejected
+        assert {i for i, value in enumerate(adjusted) if value is not None and value <= alpha} == rejected
 
 
 def test_values_outside_the_unit_interval_are_rejected() -> None:

@@ -22,6 +22,7 @@ from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCros
 from brink.server.problems.base import MeasuresOnData, ReportsViolations, SimulatedProblem, SupportsSeeds
 from brink.server.problems.catalogue import describe_problems
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
+from brink.server.problems.urban_injected import behaviour_component
 from brink.sim.aeb.specification import AebScenario, Behaviour, Options
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.perturbations import CATALOGUE
@@ -356,3 +357,23 @@ def test_catalogue_offers_the_requirements_that_a_problem_takes() -> None:
     }
     assert offered["urban-injected@1"][-1] == "any"
     assert "lane-keeping@1" not in offered["sumo-drivers@1"], "SUMO does not measure it"
+
+
+def test_most_random_boxes_have_the_smallest_side_by_repair() -> None:
+    # Sides in the wrong order (1/2 of all) and shorter ones (m - m^2/2, where m is the share of 50 px in the image)
+    # become 50 px: 56.1% of widths and 58.0% of heights, so 81.5% of boxes on either axis and 32.5% on both (ADR 10).
+    component, rng = behaviour_component(30.0), np.random.default_rng(1)
+    names = [parameter.name for parameter in component.parameters]
+    smallest = []
+    for _ in range(1_200):
+        values = dict(zip(names, component.sample(rng).tolist(), strict=True))
+        for box in (f"trajectory_{trajectory}.{{}}_{end}_px" for trajectory in (1, 2) for end in (0, 1)):
+            if values[f"{box[:12]}.label"] != 0:  # null
+                sides = [
+                    values[box.format(f"{axis}_max")] - values[box.format(f"{axis}_min")] for axis in "xy"
+                ]
+                smallest.append([abs(side - 50.0) < 1e-9 for side in sides])
+    found = np.array(smallest)
+    assert len(found) > 3_000
+    assert found.mean(axis=0).tolist() == pytest.approx([0.561, 0.580], abs=0.03)
+    assert (found.any(axis=1).mean(), found.all(axis=1).mean()) == pytest.approx((0.815, 0.325), abs=0.03)

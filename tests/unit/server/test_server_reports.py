@@ -19,14 +19,14 @@ from brink.report.experiment import ReportedPairs, html_report, markdown_report
 from brink.search.analysis.boundary import dbs, strict_dbs
 from brink.search.analysis.comparison import Line, Repeat, duels, standings
 from brink.search.analysis.pair_comparison import PairCounts, PairRepeat
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
+from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control, Figures, Scores, scored
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.testing import example_spaces
 from brink.server.experiments.body import parse_experiment
 from brink.sim.trace import BOX_COLUMNS, Ragged, Trace
 
-SHAPE = (len(PAPER_FRACTIONS), len(PAPER_T_BS), len(PAPER_D_THS))
+SHAPE = (len(PAPER_FRACTIONS), len(PAPER_T_BS), len(D_THS))
 METHODS = {"MLCSHE": 30, "GA": 18, "RS <b>": 4}
 SEEDS = 10
 
@@ -67,9 +67,9 @@ def values(line: Line, measure: Measure, i: int, j: int) -> list[float]:
 
 def test_standings_have_means_with_student_intervals() -> None:
     table = standings(REPEATS)
-    assert len(table) == 6 * 2 * len(PAPER_T_BS) * len(PAPER_D_THS)
+    assert len(table) == 6 * 2 * len(PAPER_T_BS) * len(D_THS)
     for one in table[::7]:
-        sample = values(one.line, one.measure, PAPER_T_BS.index(one.t_b), PAPER_D_THS.index(one.d_th))
+        sample = values(one.line, one.measure, PAPER_T_BS.index(one.t_b), D_THS.index(one.d_th))
         assert one.value.mean == pytest.approx(np.mean(sample))
         low, high = stats.t.interval(0.95, SEEDS - 1, loc=np.mean(sample), scale=stats.sem(sample))
         assert (one.value.low, one.value.high) == pytest.approx((low, high))
@@ -97,7 +97,7 @@ def test_duels_agree_with_scipy_and_the_definitions_of_the_paper() -> None:
                 p_values.append(reference.pvalue)
                 adjusted_here.append(duel.adjusted)
             else:
-                assert duel.adjusted == 1.0
+                assert (duel.result.p_value, duel.adjusted) == (None, None)
         order = np.argsort(p_values)
         steps = np.array(p_values)[order] * np.arange(len(p_values), 0, -1)
         adjusted = np.minimum(np.maximum.accumulate(steps), 1)
@@ -117,7 +117,7 @@ def test_scores_by_budget_use_the_results_known_at_the_time() -> None:
     for k, fraction in enumerate(PAPER_FRACTIONS):
         known = kept[kept < round(200 * fraction)]
         naive = Archive.empty(space, near).grown(known, rows[known], unsafe[known], np.zeros(known.size))
-        for (i, t_b), (j, d_th) in itertools.product(enumerate(PAPER_T_BS), enumerate(PAPER_D_THS)):
+        for (i, t_b), (j, d_th) in itertools.product(enumerate(PAPER_T_BS), enumerate(D_THS)):
             assert scores.figures.dbs[k, i, j] == dbs(naive, t_b, d_th)
             assert scores.figures.strict[k, i, j] == strict_dbs(naive, t_b, d_th)
 
@@ -136,9 +136,9 @@ def report(folder: Path) -> str:
         "budget": {"simulations": 1300},
     })  # fmt: skip
     pictures = {}
-    for drawn, (kind, draw) in zip(Measure, EXPERIMENT_FIGURES.items(), strict=True):
+    for place, (kind, draw) in enumerate(EXPERIMENT_FIGURES.items()):
         file = folder / f"{kind}.png"
-        draw(REPEATS, "gap", drawn).savefig(file, dpi=30)
+        draw(REPEATS, "gap", list(Measure)[place % 2]).savefig(file, dpi=30)
         for measure in Measure:
             name = f"{measure}-{kind}.png"
             shutil.copy(file, folder / name)
@@ -155,7 +155,78 @@ def test_the_report_agrees_with_the_tables(report: str) -> None:
     assert "**MLCSHE** and **GA**" in report
     assert "MLCSHE finds more" in report
     assert "The control of RS <b> **reads low**" in report
-    assert report.count("![") == 4
+    assert report.count("![") == 8
+    for d_th in PAPER_D_THS:
+        assert (
+            f"![strict DBS by share of the budget at d_th {d_th:g}](strict-by-budget-{d_th:g}.png)" in report
+        )
+    assert "![DBS by d_th](dbs-by-distance.png)" in report
+
+
+def rows_below(report: str, heading: str, measure: str = "DBS") -> list[list[str]]:
+    """Return the cells of the table below a heading of the section of a measure, without names of columns."""
+    section = re.split(r"^## ", report, flags=re.MULTILINE)
+    [text] = [one for one in section if one.splitlines()[0].lower() == measure.lower()]
+    table = text.split(f"### {heading}\n\n")[1].split("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in table]
+
+
+def test_differences_are_given_at_each_tenth_of_the_budget(report: str) -> None:
+    rows = rows_below(report, "Differences by share of the budget")
+    assert len(rows) == 3 * len(PAPER_T_BS)
+    [row] = [row for row in rows if row[:2] == ["MLCSHE − GA", "0.1"]]
+    grown = {
+        method: [one.scores.figures.dbs[:, 3, 1] for one in REPEATS if one.method == method]
+        for method in METHODS
+    }
+    for cell, ours, theirs in zip(
+        row[2:], np.transpose(grown["MLCSHE"]), np.transpose(grown["GA"]), strict=True
+    ):
+        p_value = stats.mannwhitneyu(ours, theirs, alternative="two-sided").pvalue
+        difference = f"{np.mean(ours) - np.mean(theirs):+.1f}"
+        assert cell == (f"**{difference}**" if p_value <= 0.01 else difference)
+    assert "**MLCSHE** minus **GA** over the budget: DBS +" in report
+    assert "significant at 0.01, without correction, from" in report
+
+
+def test_comparisons_as_in_the_paper_are_not_corrected(report: str) -> None:
+    rows = rows_below(report, "Comparisons as in the paper")
+    assert len(rows) == 3 * len(PAPER_D_THS), "methods only, no controls"
+    [row] = [row for row in rows if row[:2] == ["0.2", "MLCSHE : GA"]]
+    for i, cell in enumerate(row[2:]):
+        a, b = (
+            values(Line(problem="gap", method=m, control=False), Measure.DBS, i, 1) for m in ("MLCSHE", "GA")
+        )
+        p_value = stats.mannwhitneyu(a, b, alternative="two-sided").pvalue
+        assert ("< .001" if p_value < 0.001 else f"{p_value:.3f}") in cell
+        assert cell.startswith("**") == (p_value <= 0.01)
+    assert "Comparisons as in the paper" not in re.split(r"^## Strict DBS", report, flags=re.MULTILINE)[1]
+
+
+def test_equal_values_and_methods_that_found_nothing_are_not_tested() -> None:
+    def with_level(repeat: Repeat, level: float) -> Repeat:
+        same = Figures(dbs=np.full(SHAPE, level), strict=np.full(SHAPE, level))
+        return replace(repeat, scores=replace(repeat.scores, figures=same, control=None))
+
+    levels = {"MLCSHE": 3.0, "GA": 3.0, "RS <b>": 0.0}
+    text = markdown_report(
+        parse_experiment({
+            "name": "rq1", "problems": [{"name": "gap", "id": "mtq@1"}], "seeds": {"count": SEEDS},
+            "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "budget": {"simulations": 1300},
+        }),
+        [with_level(repeat, levels[repeat.method]) for repeat in REPEATS], {}, experiment="3f2a",
+        created_at=datetime(2026, 1, 2, tzinfo=UTC), elapsed_s=3700, level=0.2,
+    )  # fmt: skip
+    [ours, *_] = rows_below(text, "Comparisons")
+    assert ours[1:] == ["MLCSHE : GA", *["equal"] * len(PAPER_T_BS)]
+    paper = {row[1]: row[2:] for row in rows_below(text, "Comparisons as in the paper")}
+    assert paper["MLCSHE : GA"] == ["equal"] * len(PAPER_T_BS)
+    assert paper["MLCSHE : RS <b>"] == ["N/A"] * len(PAPER_T_BS)
+    assert (
+        "**MLCSHE** and **GA**: DBS 3.0 against 3.0; all values are equal, so there is nothing to test."
+        in text
+    )
+    assert "Bold: p at most 0.2.*" in text
 
 
 def test_a_control_that_reads_low_supports_no_conclusion(report: str) -> None:
@@ -171,7 +242,7 @@ def test_a_control_that_reads_low_supports_no_conclusion(report: str) -> None:
 
 def test_the_page_embeds_its_images_and_no_foreign_html(report: str, folder: Path) -> None:
     page = html_report(report, "rq1 <script>", folder)
-    assert page.count('src="data:image/png;base64,') == 4
+    assert page.count('src="data:image/png;base64,') == 8
     assert "<script>" not in page
     assert "<b>" not in page
     assert "<table>" in page
@@ -290,3 +361,15 @@ def test_every_box_is_written_with_its_time(tmp_path: Path) -> None:
     assert [row[:3] for row in rows[1:]] == [
         ["0.0", "seen", "vehicle"], ["0.1", "seen", "person"], ["0.1", "said", "vehicle"],
     ]  # fmt: skip
+
+
+def test_legend_of_many_methods_has_one_entry_for_all_controls() -> None:
+    few = EXPERIMENT_FIGURES["by-distance"](REPEATS, "gap", Measure.DBS).legends[0].get_texts()
+    assert [text.get_text() for text in few] == [*METHODS, *(f"{method}, control" for method in METHODS)]
+    more = [*REPEATS, *(replace(repeat, method=f"{repeat.method} 2") for repeat in REPEATS)]
+    many = EXPERIMENT_FIGURES["by-distance"](more, "gap", Measure.DBS).legends[0].get_texts()
+    assert [text.get_text() for text in many] == [
+        *METHODS,
+        *(f"{method} 2" for method in METHODS),
+        "controls",
+    ]

@@ -8,7 +8,7 @@ import { colour } from "../theme.js";
 import { chart, intervals, inWords } from "../parts/charts.js";
 import { badge, callout, facts, meter, NAMES, sure, thresholds } from "../parts/elements.js";
 import { pairsSection } from "./experiment/pairs.js";
-import { loadWhenFinished, plainRow, pValue, sentence, tableOf } from "./experiment/tables.js";
+import { loadWhenFinished, plainRow, pValue, sentence, tableOf, tested } from "./experiment/tables.js";
 
 export async function show(main, context, { parts: [, id], query }) {
   context.title("Experiment");
@@ -191,7 +191,7 @@ function resultsSection(context, query, defaults) {
     const compared = duelsAt(results, problem.value, chosen);
     text(heading, `Conclusions at t_b ${figure(chosen.t_b)}, d_th ${figure(chosen.d_th)}`);
     const said = sentences(compared, rows, chosen);
-    keyed(words, said.length ? said : [["", "There is nothing to compare: only one method, and no control."]], ([key]) => key, sentence);
+    keyed(words, said.length ? said : [["", nothingToCompare(results, problem.value, chosen)]], ([key]) => key, sentence);
     dots.update(rows, `Means of ${chosen.name} with 95% intervals: ${rows.map((row) => `${row.label} ${inWords(row)}`).join("; ")}`);
     standings.update(rows);
     curve.update(results.fractions, growthAt(results, problem.value, chosen),
@@ -217,6 +217,13 @@ function resultsSection(context, query, defaults) {
   return node;
 }
 
+/** Return why there are no comparisons at the chosen thresholds. */
+function nothingToCompare(results, problem, chosen) {
+  const at = new Set(results.duels.filter((one) => one.problem === problem).map((one) => one.d_th));
+  if (at.size === 0) return "There is nothing to compare: only one method, and no control.";
+  return `Methods are compared at d_th ${[...at].map((d_th) => figure(d_th)).join(", ")}, the distances in the paper's tables, and not at ${figure(chosen.d_th)}.`;
+}
+
 /** Return the conclusion of each comparison: its key, the names, the numbers, the sentence. */
 function sentences(duels, rows, chosen) {
   const means = new Map(rows.map((row) => [row.key, row.mean]));
@@ -224,7 +231,7 @@ function sentences(duels, rows, chosen) {
     const [first, second] = [means.get(`${one.first} false`), means.get(`${one.second} ${one.control}`)];
     const beside = one.control ? " compared with its control" : ` and ${one.second}`;
     return [`${one.first}:${one.second}:${one.control}`, one.first + beside,
-      `: ${chosen.name} ${first.toFixed(1)} against ${second.toFixed(1)}, A12 ${one.a12.toFixed(2)} (${one.effect}), p ${pValue(one.p)}, corrected ${pValue(one.p_holm)}; `, `${one.says}.`];
+      `: ${chosen.name} ${first.toFixed(1)} against ${second.toFixed(1)}${tested(one)}; `, `${one.says}.`];
   });
 }
 
@@ -241,7 +248,7 @@ function duelsTable() {
     [["First"], ["Second"], ["U", 1], ["p", 1], ["p corrected", 1], ["A12", 1], ["Effect"], ["Differ"], ["Conclusion"]]);
   const none = h("p.muted", { hidden: true }, "Nothing to compare.");
   const node = h("div", null, table, none);
-  const say = (one) => [one.first, one.control ? "its control" : one.second, figure(one.u), pValue(one.p), pValue(one.p_holm), one.a12.toFixed(2), one.effect,
+  const say = (one) => [one.first, one.control ? "its control" : one.second, figure(one.u), pValue(one.p), pValue(one.p_holm), one.a12.toFixed(2), one.p === null ? "equal" : one.effect,
     one.differs ? "yes" : "no", one.says];
   const row = plainRow(say, [0, 1, 1, 1, 1, 0, 0, 0]);
   node.update = (duels) => {

@@ -4,7 +4,7 @@ import { h, keyed, text } from "../../dom.js";
 import { count, figure, percent, plural } from "../../format.js";
 import { link } from "../../router.js";
 import { callout } from "../../parts/elements.js";
-import { loadWhenFinished, plainRow, pValue, sentence, tableOf } from "./tables.js";
+import { loadWhenFinished, plainRow, sentence, tableOf, tested } from "./tables.js";
 
 /** Return the section of pairs; ``want(finished)`` shows it, and says how many campaigns have finished. It follows the follow-ups that end. */
 export function pairsSection(path, context) {
@@ -78,7 +78,7 @@ function problemPart(first) {
 
 function conclusion(one) {
   return [`${one.first}:${one.second}`, `${one.first} and ${one.second}`,
-    `: ${one.measure} pairs ${one.first_mean.toFixed(1)} against ${one.second_mean.toFixed(1)}, U ${figure(one.u)}, A12 ${one.a12.toFixed(2)} (${one.effect}), p ${pValue(one.p)}, corrected ${pValue(one.p_holm)}; `, `${one.says}.`];
+    `: ${one.measure} pairs ${one.first_mean.toFixed(1)} against ${one.second_mean.toFixed(1)}${tested(one)}; `, `${one.says}.`];
 }
 
 function standingsTable(problem) {

@@ -2,7 +2,7 @@
 
 import { ApiError } from "../../api.js";
 import { h, text } from "../../dom.js";
-import { capital } from "../../format.js";
+import { capital, figure } from "../../format.js";
 import { whenMade } from "../../polling.js";
 
 /**
@@ -83,7 +83,14 @@ export function plainRow(say, rights) {
   };
 }
 
-/** Return a p value in words: ``< .001`` or ``0.024``. */
+/** Return the figures of a test, to follow the means; nothing if all values are equal, and nothing is tested. */
+export function tested(one) {
+  if (one.p === null) return "";
+  return `, U ${figure(one.u)}, A12 ${one.a12.toFixed(2)} (${one.effect}), p ${pValue(one.p)}, corrected ${pValue(one.p_holm)}`;
+}
+
+/** Return a p value in words: ``< .001`` or ``0.024``; of null, where all values are equal and nothing is tested, ``equal``. */
 export function pValue(value) {
+  if (value === null) return "equal";
   return value < 0.001 ? "< .001" : value.toFixed(3);
 }
