@@ -2,6 +2,7 @@
 
 SearchError
 ├── SpaceError          a vector or a value does not fit the search space
+│   └── OddError        a limit of the operational design domain does not fit the search space
 ├── ConfigError         a setting of an algorithm is invalid
 ├── UnsupportedSpace    the algorithm does not support the search space
 ├── OrderError          ask and tell were called out of order, or with the wrong candidates
@@ -19,6 +20,18 @@ class SearchError(Exception):
 
 class SpaceError(SearchError, ValueError):
     """A vector or a value does not fit the search space."""
+
+
+class OddError(SpaceError):
+    """A limit of the operational design domain does not fit the search space.
+
+    Attributes:
+        name: The parameter as it was named; None if several limits are to blame.
+    """
+
+    def __init__(self, name: str | None, message: str) -> None:
+        super().__init__(message)
+        self.name = name
 
 
 class ConfigError(SearchError, ValueError):

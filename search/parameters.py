@@ -15,8 +15,8 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar, Protocol, TypeAlias
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +27,11 @@ Value: TypeAlias = float | int | str
 
 Values: TypeAlias = dict[str, float]
 """Stored values of a component's parameters, by name."""
+
+Limit: TypeAlias = float | int | str | list[str] | dict[str, float]
+"""What an operational design domain limits a parameter to: one value, some choices, or ``{"min": …, "max": …}``."""
+
+_OF_ODD = " (the ODD)"
 
 DEFAULT_SIGMA_SHARE = 0.1
 """Default standard deviation of a Gaussian mutation, as a share of the parameter's range."""
@@ -60,6 +65,10 @@ def check_name(what: str, name: object) -> None:
         )
 
 
+def _of_odd(bounds: tuple[float, float] | None) -> str:
+    return "" if bounds is None else _OF_ODD
+
+
 @dataclass(frozen=True, slots=True)
 class Number:
     """A number in [low, high]: the common base of `Real` and `Integer`.
@@ -71,6 +80,8 @@ class Number:
         unit: ``px``, ``m/s``, …; empty for a dimensionless number.
         sigma: Standard deviation of the Gaussian mutation, before rounding; defaults to a tenth of the range.
         title: What people read in place of the full name; empty for the full name in words.
+        bounds: Smallest and largest value within an operational design domain (ODD); both are the same for a fixed
+            number. None without an ODD. Distances and pictures keep the whole range.
     """
 
     name: str
@@ -79,7 +90,9 @@ class Number:
     unit: str = ""
     sigma: float | None = None
     title: str = field(default="", compare=False, repr=False, kw_only=True)
+    bounds: tuple[float, float] | None = field(default=None, repr=False, kw_only=True)
     _type: ClassVar[str]
+    _least_sigma: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
@@ -92,16 +105,32 @@ class Number:
             )
         if self.sigma is not None and not (math.isfinite(self.sigma) and self.sigma > 0):
             raise SpaceError(f"{self.name}: expected sigma > 0, got {self.sigma!r}")
+        if self.bounds is not None and not low <= self.bounds[0] <= self.bounds[1] <= high:
+            raise SpaceError(f"{self.name}: expected bounds in [{low:g}, {high:g}], got {self.bounds!r}")
 
     @property
     def range(self) -> float:
-        """Width of the range, by which distances are normalised."""
+        """Width of the whole range, by which distances are normalised, whatever the ODD."""
         return float(self.high - self.low)
 
     @property
+    def least(self) -> float:
+        """Smallest value within the ODD."""
+        return self.low if self.bounds is None else self.bounds[0]
+
+    @property
+    def most(self) -> float:
+        """Largest value within the ODD."""
+        return self.high if self.bounds is None else self.bounds[1]
+
+    @property
     def mutation_sigma(self) -> float:
-        """Standard deviation of the Gaussian mutation, > 0."""
-        return DEFAULT_SIGMA_SHARE * self.range if self.sigma is None else self.sigma
+        """Standard deviation of the Gaussian mutation; an ODD reduces it in proportion, to 0 for a fixed number."""
+        sigma = DEFAULT_SIGMA_SHARE * self.range if self.sigma is None else self.sigma
+        if self.bounds is None:
+            return sigma
+        share = (self.most - self.least) / self.range
+        return max(share * sigma, min(self._least_sigma, sigma)) if share else 0.0
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw a uniform value."""
@@ -113,7 +142,7 @@ class Number:
 
     def clipped(self, value: float) -> float:
         """Return the valid value nearest to a number."""
-        return self.rounded(float(min(max(value, self.low), self.high)))
+        return self.rounded(float(min(max(value, self.least), self.most)))
 
     def problem(self, value: float) -> str | None:
         """Return what is wrong with a stored value, or None."""
@@ -139,9 +168,47 @@ class Number:
             raise SpaceError(f"{self.name}: {problem}")
         return number
 
+    @property
+    def odd(self) -> Limit | None:
+        """What an ODD limits the number to: a value, or ``{"min": …, "max": …}``; None for no limit."""
+        if self.bounds is None:
+            return None
+        least, most = self.bounds
+        return least if least == most else {"min": least, "max": most}
+
+    def unlimited(self) -> Self:
+        """Return the parameter without an ODD."""
+        return self if self.bounds is None else replace(self, bounds=None)
+
+    def limited(self, limit: object) -> Self:
+        """Return the parameter within an ODD.
+
+        Args:
+            limit: A number, or an object with ``min``, ``max`` or both.
+
+        Raises:
+            SpaceError: It is neither, or not in the range.
+        """
+        whole = self.unlimited()
+        if isinstance(limit, Mapping):
+            unknown = [key for key in limit if key not in ("min", "max")]
+            if unknown or not limit:
+                raise SpaceError(f"{self.name}: expected min, max or both, got {unknown or dict(limit)!r}")
+            least = whole.encode(limit["min"]) if "min" in limit else whole.low
+            most = whole.encode(limit["max"]) if "max" in limit else whole.high
+            if least > most:
+                raise SpaceError(f"{self.name}: expected min <= max, got {least:g} and {most:g}")
+        elif isinstance(limit, list | tuple | str):
+            raise SpaceError(f"{self.name}: expected a number or {{min: …, max: …}}, got {limit!r}")
+        else:
+            least = most = whole.encode(limit)
+        everything = (least, most) == (whole.low, whole.high)
+        return whole if everything else replace(whole, bounds=(least, most))
+
     def describe(self) -> dict[str, Any]:
-        """Return name, type, range and unit as a JSON object."""
-        return {"name": self.name, "type": self._type, "low": self.low, "high": self.high, "unit": self.unit}
+        """Return name, type, range and unit as a JSON object, and ``odd`` if there is a limit."""
+        about = {"name": self.name, "type": self._type, "low": self.low, "high": self.high, "unit": self.unit}
+        return about if self.bounds is None else about | {"odd": self.odd}
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,10 +221,12 @@ class Real(Number):
         Number.__post_init__(self)
         object.__setattr__(self, "low", float(self.low))
         object.__setattr__(self, "high", float(self.high))
+        if self.bounds is not None:
+            object.__setattr__(self, "bounds", (float(self.bounds[0]), float(self.bounds[1])))
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw a uniform value."""
-        return min(float(rng.uniform(self.low, self.high)), self.high)
+        return min(float(rng.uniform(self.least, self.most)), self.most)
 
     def rounded(self, value: float) -> float:
         """Return the number unchanged."""
@@ -165,9 +234,9 @@ class Real(Number):
 
     def problem(self, value: float) -> str | None:
         """Return what is wrong with a stored value, or None."""
-        if self.low <= value <= self.high:
+        if self.least <= value <= self.most:
             return None
-        return f"expected a number in [{self.low:g}, {self.high:g}], got {value!r}"
+        return f"expected a number in [{self.least:g}, {self.most:g}]{_of_odd(self.bounds)}, got {value!r}"
 
     def decode(self, value: float) -> Value:
         """Return the human-readable form of a stored value."""
@@ -181,6 +250,7 @@ class Integer(Number):
     low: int
     high: int
     _type: ClassVar[str] = "integer"
+    _least_sigma: ClassVar[float] = 0.5  # rounding would undo most of the steps of a smaller one
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
@@ -188,10 +258,12 @@ class Integer(Number):
             if isinstance(bound, bool) or not isinstance(bound, int) or abs(bound) > MAX_INTEGER:
                 raise SpaceError(f"{self.name}: expected integer bounds within ±2**53, got {bound!r}")
         Number.__post_init__(self)
+        if self.bounds is not None:
+            object.__setattr__(self, "bounds", (int(self.bounds[0]), int(self.bounds[1])))
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw a uniform value."""
-        return float(rng.integers(self.low, self.high, endpoint=True))
+        return float(rng.integers(int(self.least), int(self.most), endpoint=True))
 
     def rounded(self, value: float) -> float:
         """Return the nearest integer, as a float."""
@@ -199,9 +271,9 @@ class Integer(Number):
 
     def problem(self, value: float) -> str | None:
         """Return what is wrong with a stored value, or None."""
-        if self.low <= value <= self.high and value == math.floor(value):
+        if self.least <= value <= self.most and value == math.floor(value):
             return None
-        return f"expected a whole number in [{self.low}, {self.high}], got {value!r}"
+        return f"expected a whole number in [{self.least}, {self.most}]{_of_odd(self.bounds)}, got {value!r}"
 
     def decode(self, value: float) -> Value:
         """Return the human-readable form of a stored value."""
@@ -216,11 +288,15 @@ class Categorical:
         name: Unique in its component.
         choices: One or more, all different.
         title: What people read in place of the full name; empty for the full name in words.
+        allowed: The choices within an operational design domain (ODD), in their order; None without an ODD. Stored
+            indices count all choices.
     """
 
     name: str
     choices: tuple[str, ...]
     title: str = field(default="", compare=False, repr=False, kw_only=True)
+    allowed: tuple[str, ...] | None = field(default=None, repr=False, kw_only=True)
+    codes: tuple[int, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
@@ -229,19 +305,30 @@ class Categorical:
             raise SpaceError(f"{self.name}: expected 1 to {MAX_CHOICES} named choices, got {self.choices!r}")
         if len(set(self.choices)) < len(self.choices):
             raise SpaceError(f"{self.name}: expected distinct choices, got {self.choices!r}")
+        allowed = self.choices if self.allowed is None else self.allowed
+        codes = tuple(code for code, choice in enumerate(self.choices) if choice in allowed)
+        if not codes or len(codes) < len(allowed):
+            raise SpaceError(f"{self.name}: expected some of {', '.join(self.choices)}, got {allowed!r}")
+        object.__setattr__(self, "codes", codes)
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw the index of a choice, uniformly."""
-        return float(rng.integers(len(self.choices)))
+        drawn = int(rng.integers(len(self.codes)))
+        return float(self.codes[drawn])
 
     def clipped(self, value: float) -> float:
-        """Return the valid index nearest to a number."""
-        return float(np.rint(min(max(value, 0.0), len(self.choices) - 1.0)))
+        """Return the valid index nearest to a number; of two equally near ones, the smaller."""
+        nearest = float(np.rint(min(max(value, 0.0), len(self.choices) - 1.0)))
+        if self.allowed is None or int(nearest) in self.codes:
+            return nearest
+        return float(min(self.codes, key=lambda code: abs(code - nearest)))
 
     def problem(self, value: float) -> str | None:
         """Return what is wrong with a stored value, or None."""
         if 0 <= value < len(self.choices) and value == math.floor(value):
-            return None
+            if self.allowed is None or int(value) in self.codes:
+                return None
+            return f"expected {', '.join(self.allowed)}{_OF_ODD}, got {self.choices[int(value)]!r}"
         return f"expected the index of one of {len(self.choices)} choices, got {value!r}"
 
     def decode(self, value: float) -> Value:
@@ -254,16 +341,50 @@ class Categorical:
         Raises:
             SpaceError: There is no such choice.
         """
-        if value not in self.choices:
-            expected = ", ".join(self.choices[:12]) + (", …" if len(self.choices) > 12 else "")
+        known = self.choices if self.allowed is None else self.allowed
+        if value not in known:
+            expected = ", ".join(known[:12]) + (", …" if len(known) > 12 else "")
+            of_odd = "" if self.allowed is None else _OF_ODD
             raise SpaceError(
-                f"{self.name}: expected one of {expected}, got {value!r}{did_you_mean(value, self.choices)}"
+                f"{self.name}: expected one of {expected}{of_odd}, got {value!r}{did_you_mean(value, known)}"
             )
         return float(self.choices.index(str(value)))
 
+    @property
+    def odd(self) -> Limit | None:
+        """What an ODD limits the parameter to: a choice, or a list of choices; None for no limit."""
+        if self.allowed is None:
+            return None
+        return self.allowed[0] if len(self.allowed) == 1 else list(self.allowed)
+
+    def unlimited(self) -> Self:
+        """Return the parameter without an ODD."""
+        return self if self.allowed is None else replace(self, allowed=None)
+
+    def limited(self, limit: object) -> Self:
+        """Return the parameter within an ODD.
+
+        Args:
+            limit: A choice, or a list of choices; a number stands for the choice with its digits.
+
+        Raises:
+            SpaceError: It is neither, a choice is unknown, or there are none.
+        """
+        whole = self.unlimited()
+        wanted = limit if isinstance(limit, list | tuple) else [limit]
+        if isinstance(limit, Mapping) or not wanted:
+            raise SpaceError(f"{self.name}: expected some of {', '.join(whole.choices)}, got {limit!r}")
+        is_number = [isinstance(one, int) and not isinstance(one, bool) for one in wanted]
+        names = [str(one) if number else one for one, number in zip(wanted, is_number, strict=True)]
+        codes = sorted({int(whole.encode(name)) for name in names})
+        if len(codes) == len(whole.choices):
+            return whole
+        return replace(whole, allowed=tuple(whole.choices[code] for code in codes))
+
     def describe(self) -> dict[str, Any]:
-        """Return name, type and choices as a JSON object."""
-        return {"name": self.name, "type": "categorical", "choices": list(self.choices)}
+        """Return name, type and choices as a JSON object, and ``odd`` if there is a limit."""
+        about = {"name": self.name, "type": "categorical", "choices": list(self.choices)}
+        return about if self.allowed is None else about | {"odd": self.odd}
 
 
 Parameter: TypeAlias = Real | Integer | Categorical
@@ -296,6 +417,22 @@ class Constraint(Protocol):
 
     def describe(self) -> dict[str, Any]:
         """Return the constraint as a JSON object."""
+        ...
+
+
+@runtime_checkable
+class RespectsLimits(Protocol):
+    """A constraint whose repair stays within the limits that an ODD sets to parameters that it owns.
+
+    Its `fit` refuses limits that no values can meet. A constraint without this method has no limited parameters.
+    """
+
+    def unlimited_names(self) -> tuple[str, ...]:
+        """Return the names of the parameters that it owns and that cannot be limited."""
+        ...
+
+    def checks_limits(self) -> bool:
+        """Return whether its `problem` checks the limits, because they do not apply to every valid value."""
         ...
 
 
@@ -335,8 +472,37 @@ class _Pair:
                 raise SpaceError(
                     f"{kind}: expected {name} in [0, {size:g}], got [{number.low:g}, {number.high:g}]"
                 )
-        if not 0 < self._gap(parameters) <= size:
+        gap = self._gap(parameters)
+        if not 0 < gap <= size:
             raise SpaceError(f"{kind}: expected a minimum in (0, {size:g}], got {minimum!r}")
+        low, high = numbers
+        if not _are_apart(low.least, high.most, gap):
+            raise SpaceError(
+                f"expected an ODD in which {high.name} can be {gap:g} above {low.name}, got {low.name} >= "
+                f"{low.least:g} and {high.name} <= {high.most:g}"
+            )
+
+    def unlimited_names(self) -> tuple[str, ...]:
+        """Return nothing: an ODD may limit both numbers."""
+        return ()
+
+    def checks_limits(self) -> bool:
+        """Return that the parameters check their limits themselves."""
+        return False
+
+    def _limit(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
+        """Move a pair that is apart and in [0, size] into the ODD, in place; a valid pair stays."""
+        low, high = (_number(parameters, name, type(self).__name__) for name in self.names)
+        if low.bounds is None and high.bounds is None:
+            return
+        gap = self._gap(parameters)
+        lower, upper = low.clipped(values[low.name]), high.clipped(values[high.name])
+        if not _are_apart(lower, upper, gap):
+            if lower + gap <= high.most:
+                upper = lower + gap
+            else:
+                lower, upper = max(float(low.least), min(lower, high.most - gap)), float(high.most)
+        values[low.name], values[high.name] = lower, upper
 
     def problem(self, values: Values, parameters: Mapping[str, Parameter]) -> str | None:
         """Return what is wrong with the values, or None."""
@@ -404,6 +570,7 @@ class Extent(_Pair):
         if high < low:
             high = low + gap
         values[self.low], values[self.high] = _stretched(max(low, 0.0), min(high, size), gap, size)
+        self._limit(values, parameters)
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,6 +605,7 @@ class Duration(_Pair):
         horizon = float(self.horizon)
         start, end = sorted(min(max(values[name], 0.0), horizon) for name in self.names)
         values[self.start], values[self.end] = _stretched(start, end, self._gap(parameters), horizon)
+        self._limit(values, parameters)
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,15 +108,19 @@ def _described(component: Mapping[str, Any]) -> Component:
 
 def _described_parameter(described: Mapping[str, Any]) -> Parameter:
     name = described["name"]
+    parameter: Parameter
     match described["type"]:
         case "real":
-            return Real(name, float(described["low"]), float(described["high"]), described.get("unit", ""))
+            parameter = Real(
+                name, float(described["low"]), float(described["high"]), described.get("unit", "")
+            )
         case "integer":
-            return Integer(name, described["low"], described["high"], described.get("unit", ""))
+            parameter = Integer(name, described["low"], described["high"], described.get("unit", ""))
         case "categorical":
-            return Categorical(name, tuple(described["choices"]))
+            parameter = Categorical(name, tuple(described["choices"]))
         case other:
             raise SpaceError(f"{name}: expected the type real, integer or categorical, got {other!r}")
+    return parameter.limited(described["odd"]) if "odd" in described else parameter
 
 
 def flat_values(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ leaves a valid vector unchanged.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from brink.search.parameters import (
     Number,
     Parameter,
     Real,
+    RespectsLimits,
     Value,
     Values,
     check_name,
@@ -86,6 +87,7 @@ class Component:
     _blocks: tuple[Dormant, ...] = field(init=False, repr=False, compare=False)
     _rules: tuple[Constraint, ...] = field(init=False, repr=False, compare=False)
     _free: tuple[Number, ...] = field(init=False, repr=False, compare=False)
+    _checked: tuple[Parameter, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_name("component", self.name)
@@ -109,6 +111,7 @@ class Component:
         object.__setattr__(self, "_blocks", blocks)
         object.__setattr__(self, "_rules", rules)
         object.__setattr__(self, "_free", free)
+        object.__setattr__(self, "_checked", self._check_limits(blocks, rules))
 
     def _check_constraints(self, blocks: tuple[Dormant, ...], rules: tuple[Constraint, ...]) -> None:
         everything: tuple[Constraint | Dormant, ...] = (*blocks, *rules)
@@ -124,6 +127,32 @@ class Component:
             twice = sorted({name for name in owners if owners.count(name) > 1})
             if twice:
                 raise SpaceError(f"component {self.name}: {twice[0]} belongs to more than one {what}")
+
+    def _check_limits(
+        self, blocks: tuple[Dormant, ...], rules: tuple[Constraint, ...]
+    ) -> tuple[Parameter, ...]:
+        """Return the parameters by which single values are checked, after checking that limits can be met.
+
+        They are those of the component, without the limits that a constraint checks itself.
+        """
+        checked = dict(self.by_name)
+        for rule in rules:
+            kept = rule.unlimited_names() if isinstance(rule, RespectsLimits) else rule.names
+            for name in kept:
+                if self.by_name[name].odd is not None:
+                    raise SpaceError(
+                        f"component {self.name}: {name} cannot be limited: its possible values depend on others"
+                    )
+            if isinstance(rule, RespectsLimits) and rule.checks_limits():
+                checked |= {name: self.by_name[name].unlimited() for name in rule.names}
+        for block in blocks:
+            label, numbers = self.by_name[block.label], [self.by_name[name] for name in block.members]
+            if label.odd != block.null_choice and all(one.odd == 0 for one in numbers):
+                raise SpaceError(
+                    f"component {self.name}: expected a number other than 0 for {', '.join(block.members)}; "
+                    f"to have none of them, fix {block.label} to {block.null_choice}"
+                )
+        return tuple(checked.values())
 
     def _check_interchangeable(self) -> None:
         parts = self.interchangeable
@@ -145,6 +174,38 @@ class Component:
                     f"{where}: expected {', '.join(same)} to have the same type, range and choices"
                 )
 
+    def limited(self, limits: Mapping[str, object]) -> Self:
+        """Return the component within an operational design domain.
+
+        Parts that are limited differently are no longer interchangeable; of several groups of equal parts, the
+        largest stays so.
+
+        Args:
+            limits: Limits of some parameters by name, in the forms that `Number.limited` and `Categorical.limited`
+                take; the others stay as they are.
+
+        Raises:
+            SpaceError: A name is unknown, or a limit cannot be met.
+        """
+        for name in limits:
+            if name not in self.by_name:
+                raise SpaceError(f"{self.name}.{name}: unknown parameter{did_you_mean(name, self.by_name)}")
+        parameters = {
+            name: parameter.limited(limits[name]) if name in limits else parameter
+            for name, parameter in self.by_name.items()
+        }
+        alike: dict[tuple[Parameter, ...], list[tuple[str, ...]]] = {}
+        for part in self.interchangeable:
+            numbered = enumerate(parameters[name] for name in part)
+            key = tuple(replace(parameter, name=f"p{place}") for place, parameter in numbered)
+            alike.setdefault(key, []).append(part)
+        largest = max(alike.values(), key=len, default=[])
+        return replace(
+            self,
+            parameters=tuple(parameters.values()),
+            interchangeable=tuple(largest) if len(largest) > 1 else (),
+        )
+
     @property
     def dimension(self) -> int:
         """Number of parameters."""
@@ -157,11 +218,12 @@ class Component:
         for parameter in self.parameters:
             match parameter:
                 case Real():
-                    return float("inf")
+                    if parameter.least < parameter.most:
+                        return float("inf")
                 case Integer():
-                    size *= parameter.high - parameter.low + 1
+                    size *= parameter.most - parameter.least + 1
                 case Categorical():
-                    size *= len(parameter.choices)
+                    size *= len(parameter.codes)
         return size
 
     def sample(self, rng: np.random.Generator) -> FloatArray:
@@ -252,7 +314,7 @@ class Component:
 
     def _value_problems(self, values: Values) -> Iterator[tuple[str, str]]:
         dormant = self._dormant(values)
-        for parameter in self.parameters:
+        for parameter in self._checked:
             value = values[parameter.name]
             if parameter.name in dormant:
                 problem = None if value == 0 else f"expected 0 while its block is dormant, got {value!r}"
@@ -337,7 +399,7 @@ class SearchSpace:
         components: In the order of a solution's vectors, with unique names.
         dimension: Number of all parameters.
         categorical: Which parameters are categorical, shape ``(dimension,)``.
-        ranges: Range of each number, 1 for a category, shape ``(dimension,)``.
+        ranges: Whole range of each number, whatever the ODD, 1 for a category, shape ``(dimension,)``.
         slices: Position of each component in a row.
     """
 
@@ -394,10 +456,15 @@ class SearchSpace:
             rng: Source of the draws.
         """
         parameters = [p for component in self.components for p in component.parameters]
-        low = np.array([0.0 if isinstance(p, Categorical) else p.low for p in parameters])
-        choices = np.array([len(p.choices) if isinstance(p, Categorical) else 1 for p in parameters])
+        low = np.array([0.0 if isinstance(p, Categorical) else p.least for p in parameters])
+        width = np.array([1.0 if isinstance(p, Categorical) else float(p.most - p.least) for p in parameters])
+        choices = np.array([len(p.codes) if isinstance(p, Categorical) else 1 for p in parameters])
         drawn = rng.random((count, self.dimension))
-        return np.where(self.categorical, np.floor(drawn * choices), low + drawn * self.ranges)
+        rows: FloatArray = np.where(self.categorical, np.floor(drawn * choices), low + drawn * width)
+        for column, parameter in enumerate(parameters):
+            if isinstance(parameter, Categorical) and parameter.allowed is not None:
+                rows[:, column] = np.array(parameter.codes)[rows[:, column].astype(np.intp)]
+        return rows
 
     def dormant(self, row: FloatArray) -> BoolArray:
         """Return which numbers of a valid row are dormant, shape ``(dimension,)``."""
@@ -452,6 +519,26 @@ class SearchSpace:
             for component in self.components
             for parameter in component.parameters
         }
+
+    def contains(self, vectors: Sequence[FloatArray]) -> bool:
+        """Return whether a complete solution is valid.
+
+        Raises:
+            SpaceError: A vector is missing or has the wrong shape.
+        """
+        parts = zip(self.components, self._counted(vectors), strict=True)
+        return not any(True for component, vector in parts for _ in component.problems(vector))
+
+    def unlimited(self) -> "SearchSpace":
+        """Return the space without its ODD; interchangeable parts that the ODD told apart stay told apart."""
+        if all(parameter.odd is None for component in self.components for parameter in component.parameters):
+            return self
+        return SearchSpace(
+            tuple(
+                replace(component, parameters=tuple(one.unlimited() for one in component.parameters))
+                for component in self.components
+            )
+        )
 
     def join(self, vectors: Sequence[FloatArray]) -> FloatArray:
         """Return a complete solution as one row, shape ``(dimension,)``, read-only.

@@ -22,6 +22,7 @@ from brink.cli.options import (
     Database,
     DistanceThreshold,
     FitnessThreshold,
+    Odd,
     Server,
     about_file,
     check_ids,
@@ -32,6 +33,7 @@ from brink.cli.options import (
     print_json,
     print_line,
     program,
+    read_odd,
     with_api,
     write_json,
 )
@@ -69,13 +71,14 @@ def submit(
     key: Annotated[
         str | None, typer.Option(help="Idempotency key: a second submission with the same key has no effect.")
     ] = None,
+    odd: Odd = None,
     as_json: AsJson = False,
 ) -> None:
     """Submit a campaign to a coordinator.
 
     Example: brink submit examples/paper-mlcshe.yaml --server http://coordinator:8700 --watch
     """
-    body = read_campaign_file(file)
+    body = read_campaign_file(file).within_odd(read_odd(odd))
 
     async def work(api: Api) -> bool:
         headers = {"Idempotency-Key": key} if key else {}

@@ -98,7 +98,7 @@ async def _export_scenario(
     check_exportable(None if solution.spec is None else str(solution.spec.get("simulator")))
     origin = Origin(
         campaign=view.id, name=view.body.name, number=number, words=solution.words,
-        deciding=await fetch_requirements(api, campaign) or (),
+        deciding=await fetch_requirements(api, campaign) or (), odd=view.body.problem.params.get("odd", {}),
     )  # fmt: skip
     trace: Trace = (
         await run_episode(api, campaign, number)

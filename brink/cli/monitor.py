@@ -204,7 +204,7 @@ def judge(
     """
     check_picture(picture)
     fitted = _read(file)
-    sides = None if pairs is None else _pairs(pairs, fitted.space)
+    sides = None if pairs is None else _pairs(pairs, fitted.space.unlimited())
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
     _check_fresh(file, [one.id for one in fetched])
     vectors, unsafe = _evaluated(fetched)

@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Awaitable, Callable, Collection, Iterator
+from collections.abc import Awaitable, Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError, Missing, connect, in_process
+from brink.server.documents import parse_yaml
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
 
@@ -92,6 +93,14 @@ LogLevelOption = Annotated[
         help="Lowest level to log (default: BRINK_LOG_LEVEL, else info).",
     ),
 ]  # fmt: skip
+Odd = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--odd", metavar="NAME=LIMIT", show_default=False,
+        help="Limit a parameter, as problem.params.odd does: 'scenario.weather=[clear, rain]', "
+        "'scenario.speed={min: 5, max: 12}', 'behaviour.x=3'. May be given several times.",
+    ),
+]  # fmt: skip
 Confirmed = Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")]
 Alpha = Annotated[
     float,
@@ -149,6 +158,23 @@ def _setting_errors(error: "ValidationError", given: dict[str, Any]) -> list[Fie
         message = item["msg"].removeprefix("Value error, ")
         errors.append(FieldError(pointer=place, message=f"{message[0].lower()}{message[1:]}{shown}"))
     return errors
+
+
+def read_odd(given: Sequence[str] | None) -> dict[str, Any]:
+    """Return the limits that the option ``--odd`` gives, by parameter.
+
+    Raises:
+        InvalidInput: One is not a name and a limit, or a name is given twice.
+    """
+    odd: dict[str, Any] = {}
+    for one in given or ():
+        name, equals, limit = one.partition("=")
+        if not equals or not name.strip() or not limit.strip():
+            raise InvalidInput.at("--odd", f"expected NAME=LIMIT, such as scenario.speed=5; got {one!r}")
+        if name.strip() in odd:
+            raise InvalidInput.at("--odd", f"{name.strip()} is limited twice: expected one limit")
+        odd[name.strip()] = parse_yaml(limit)
+    return odd
 
 
 def program() -> str:

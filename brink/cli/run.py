@@ -24,6 +24,7 @@ from brink.cli.options import (
     CampaignFile,
     Database,
     New,
+    Odd,
     Port,
     Resume,
     Workers,
@@ -31,6 +32,7 @@ from brink.cli.options import (
     console,
     print_json,
     program,
+    read_odd,
 )
 from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
@@ -70,6 +72,7 @@ def run(
         int, typer.Option(min=0, max=50, help="Number of boundary solutions to replay, best first.")
     ] = 3,
     port: Port = None,
+    odd: Odd = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Run one campaign: start a coordinator and workers, show progress, write results and figures.
@@ -78,7 +81,7 @@ def run(
 
     Example: brink run examples/quickstart.yaml --workers 2
     """
-    body = read_campaign_file(file)
+    body = read_campaign_file(file).within_odd(read_odd(odd))
     options = RunOptions(
         file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
     )  # fmt: skip

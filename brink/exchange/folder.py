@@ -5,11 +5,11 @@ import math
 import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from brink import __version__
 from brink.exchange import opendrive, openscenario, replay_in_carla
@@ -38,6 +38,7 @@ class Origin:
         number: Number of the solution.
         words: Description of the solution.
         deciding: Requirements that decide the campaign's verdict.
+        odd: The campaign's operational design domain: limits by component.parameter; empty if it was not limited.
     """
 
     campaign: str
@@ -45,6 +46,7 @@ class Origin:
     number: int
     words: str
     deciding: tuple[str, ...]
+    odd: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_openscenario(
@@ -111,6 +113,7 @@ def verdicts_document(trace: Trace, origin: Origin) -> JsonObject:
         "campaign_name": origin.name,
         "solution": origin.number,
         "words": origin.words,
+        **({"odd": dict(origin.odd)} if origin.odd else {}),
         "requirements": requirements,
         "spec": spec.to_json(),
         "versions": trace.about.get("versions"),
@@ -126,11 +129,13 @@ _WHO_DRIVES: Final = {
 
 def _readme(trace: Trace, origin: Origin, ego: EgoControl, created_at: datetime) -> str:
     spec = spec_of(trace)
+    limits = "".join(f"\n  {name}: {json.dumps(limit)}" for name, limit in origin.odd.items())
+    odd = f"\nThe campaign was limited to the operational design domain{limits}\n" if limits else ""
     return f"""A drive exported by Brink
 
 Campaign {origin.campaign} ({origin.name}), solution {origin.number}
 {origin.words}
-
+{odd}
 {_WHO_DRIVES[ego]}
 
 Files

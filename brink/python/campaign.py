@@ -26,6 +26,8 @@ class Campaign:
         seed: Seed of the search: the same campaign with the same seed gives the same result.
         problem_params: Parameters of the problem that differ from their defaults.
         algorithm_params: The same for the algorithm.
+        odd: Operational design domain: limits by component.parameter, each one value, a list of choices, or a mapping
+            with ``min``, ``max`` or both.
         start_from: What is known already: an earlier campaign, its result or id, or a data frame with a column for
             each parameter and one for ``robustness``.
         more: Further fields of the campaign file, such as ``repeats`` or ``execution``.
@@ -38,14 +40,16 @@ class Campaign:
     seed: int = 1
     problem_params: Mapping[str, Any] = field(default_factory=dict)
     algorithm_params: Mapping[str, Any] = field(default_factory=dict)
+    odd: Mapping[str, Any] = field(default_factory=dict)
     start_from: Start = None
     more: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """Return the campaign as a campaign file has it, without what it starts from."""
+        odd = {"odd": dict(self.odd)} if self.odd else {}
         return {
             "name": self.name or f"{self.problem.partition('@')[0]}, {self.algorithm.partition('@')[0]}",
-            "problem": {"id": self.problem, "params": dict(self.problem_params)},
+            "problem": {"id": self.problem, "params": {**self.problem_params, **odd}},
             "algorithm": {"id": self.algorithm, "params": dict(self.algorithm_params)},
             "budget": {"simulations": self.simulations},
             "seed": self.seed,

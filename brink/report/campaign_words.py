@@ -11,6 +11,7 @@ import numpy as np
 from brink.api.live import failures_of
 from brink.report.campaign_facts import LISTED, RANDOM, Facts
 from brink.search.analysis.dependence import ParameterColumn
+from brink.search.odd import odd_words
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray
 from brink.server.api.pair_views import PairsView
@@ -18,6 +19,7 @@ from brink.server.api.tolerance import CellView, Finding, ToleranceView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.problems.base import ReplacesComponent
+from brink.server.problems.catalogue import ODD
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind
 from brink.sim.catalogue import REQUIREMENTS, load_plugin
@@ -132,21 +134,28 @@ def verdicts(facts: Facts) -> list[str]:
         f"{'was' if facts.unsafe == 1 else 'were'} unsafe"
     )
     if facts.tolerance is not None:
-        return [
+        told = [
             f"Of {count(facts.evaluated, 'drive')}, with and without errors, {facts.unsafe:,} "
             f"{view.kinds[OutcomeKind.VIOLATED]}."
         ]
+        return _of_odd(told, view.odd)
     if not view.requirements:
         how = "computed: chance has no part in them" if facts.computed else "given by the problem itself"
-        return [f"{unsafe}, {safe:,} safe; the verdicts are {how}."]
+        return _of_odd([f"{unsafe}, {safe:,} safe; the verdicts are {how}."], view.odd)
     these = "this requirement" if len(view.requirements) == 1 else "these requirements"
     told = [f"{unsafe}: {'it' if facts.unsafe == 1 else 'they'} {view.kinds[OutcomeKind.VIOLATED]}."]
     if safe:
-        rest = view.words.partition("; ")[2].rstrip(".") if others_recorded(facts) else ""
+        counts = view.words.removesuffix(view.odd).rstrip()
+        rest = counts.partition("; ")[2].rstrip(".") if others_recorded(facts) else ""
         more = f"; {rest}" if rest else ""
         others = f"The other {noun(facts)} was" if safe == 1 else f"The other {safe:,} {many} were"
-        told.append(f"{others} safe with regard to {these}{more}.")
-    return told
+        within = " within the ODD" if view.odd else ""
+        told.append(f"{others} safe{within} with regard to {these}{more}.")
+    return _of_odd(told, view.odd)
+
+
+def _of_odd(told: list[str], odd: str) -> list[str]:
+    return [*told, odd] if odd else told
 
 
 def findings(facts: Facts) -> list[str]:
@@ -221,7 +230,8 @@ def uncertainties(facts: Facts) -> list[str]:
                 "as caused."
             )
     if isinstance(facts.pairs, PairsView) and facts.pairs.caveat:
-        told.append(facts.pairs.caveat)
+        caveat = facts.pairs.caveat.removesuffix(facts.fetched.outcomes.odd).rstrip()
+        told += [caveat] if caveat else []
     if failed := failures_of(facts.progress):
         told.append(f"{count(failed, 'simulation')} failed; they count as neither safe nor unsafe.")
     if not facts.computed:
@@ -269,11 +279,17 @@ def trust(facts: Facts) -> list[Term]:
         terms += _repeated(facts)
     known = facts.progress.known
     if known is not None and known.results:
+        left_out = (
+            f" {count(known.outside_odd, 'result')} outside the ODD {'was' if known.outside_odd == 1 else 'were'} "
+            "left out."
+            if known.outside_odd
+            else ""
+        )
         terms.append(
             Term(
                 "Start",
                 f"The search began with {count(known.results, 'result')} that it did not simulate, "
-                f"{known.unsafe:,} of them unsafe; they count nowhere on this page.",
+                f"{known.unsafe:,} of them unsafe; they count nowhere on this page.{left_out}",
             )
         )
     if facts.control:
@@ -447,7 +463,7 @@ def _values(column: ParameterColumn) -> str:
         kind = parameter.unit or "(no unit)"
         if len(used) == 1:
             return f"{used[0]:g} {kind}"
-        return f"{parameter.low:g} to {parameter.high:g} {kind}"
+        return f"{parameter.least:g} to {parameter.most:g} {kind}"
     choices = [str(parameter.choices[int(index)]) for index in used]
     if len(choices) <= MOST_CHOICES:
         return ", ".join(choices)
@@ -463,8 +479,11 @@ def fixed(facts: Facts) -> list[tuple[str, str, str]]:
     rows = [
         (name, _value(value, one.get("unit", "")), str(one.get("help", "")))
         for name, value in params.items()
+        if name != ODD
         for one in [about.get(name, {})]
     ]
+    if words := odd_words(problem.space):
+        rows.append(("odd", words, "The operational design domain, to which the search was limited."))
     for one in constants(facts.columns) if facts.evaluated else ():
         same = f"{one.component}: in no {noun(facts)}" if one.values == "had no part" else one.values
         rows.append((one.names.replace("_", " "), same, f"{one.component}: the same in all {noun(facts)}s"))

@@ -4,11 +4,13 @@ It is written as Markdown with separate image files; the HTML page is rendered f
 """
 
 import base64
+import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from markdown_it import MarkdownIt
 
@@ -37,6 +39,7 @@ from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
 from brink.server.api.experiment_pairs import LeftOutView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
+from brink.server.problems.catalogue import ODD
 
 NAMES = {Measure.DBS: "DBS", Measure.STRICT: "strict DBS"}
 STYLE = """
@@ -209,12 +212,18 @@ def _facts(
         f"- Experiment `{experiment}`, submitted {created_at:%Y-%m-%d %H:%M} UTC, {hours} h {minutes:02} min"
         f"{finished}.",
         f"- Methods: {', '.join(f'{one.label} (`{one.id}`)' for one in body.algorithms)}.",
-        f"- Problems: {', '.join(f'{one.label} (`{one.id}`)' for one in body.problems)}.",
+        f"- Problems: {', '.join(f'{one.label} (`{one.id}`{_odd(one.params)})' for one in body.problems)}.",
         f"- {len(body.seeds)} seeds ({_seed_list(body.seeds)}), {body.budget.simulations:,} simulations each: "
         f"{total * body.budget.simulations:,} in all.",
         f"- Brink {__version__}.",
     ]
     return "\n".join(rows)
+
+
+def _odd(params: Mapping[str, Any]) -> str:
+    """Return the operational design domain among a problem's parameters in words; empty for none."""
+    limits = "; ".join(f"`{name}: {json.dumps(limit)}`" for name, limit in params.get(ODD, {}).items())
+    return f", within the ODD {limits}" if limits else ""
 
 
 def _seed_list(seeds: Sequence[int]) -> str:

@@ -46,6 +46,7 @@ from brink.search.curves import (
 )
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError, SpaceError, UnsupportedSpace
+from brink.search.odd import is_within
 from brink.search.parameters import Categorical, Value, did_you_mean
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
@@ -220,7 +221,7 @@ class Layout:
         self._columns = columns
         self.severity = self._column("severity", config.severity)
         severity = self._parameters[self.severity]
-        if isinstance(severity, Categorical) or (severity.low, severity.high) != (0.0, 1.0):
+        if isinstance(severity, Categorical) or (severity.least, severity.most) != (0.0, 1.0):
             raise ConfigError("severity", f"expected a number from 0 to 1, got {columns[self.severity]}")
         self._component = _component_of(space, self.severity)
         chosen = {
@@ -428,10 +429,10 @@ class Layout:
             if codes is not None:
                 row[column] = codes[int(shares[column] * len(codes))]
             elif isinstance(parameter, Categorical):
-                row[column] = int(shares[column] * len(parameter.choices))
+                row[column] = parameter.codes[int(shares[column] * len(parameter.codes))]
             else:
                 row[column] = parameter.rounded(
-                    parameter.low + shares[column] * (parameter.high - parameter.low)
+                    parameter.least + shares[column] * (parameter.most - parameter.least)
                 )
         for column, value in self._fixed.items():
             row[column] = value
@@ -452,9 +453,14 @@ class Layout:
     def condition_of(self, values: Mapping[str, Value]) -> str | None:
         """Return the condition of a drive in any space with the same parameters; None if it has none.
 
+        A drive outside the ODD of this search has none.
+
         Args:
             values: Decoded values by component.parameter.
         """
+        for column, parameter in zip(self._columns, self._parameters, strict=True):
+            if parameter.odd is not None and column in values and not is_within(parameter, values[column]):
+                return None
         for name, limit in zip(self.conditions, self._limits, strict=True):
             allowed = {
                 self._columns[column]: {self._parameters[column].decode(code) for code in codes}

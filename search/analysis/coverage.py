@@ -1,13 +1,15 @@
 """Which solutions are unlike anything simulated, so that no model of the verdict can be trusted there.
 
-A solution is unlike the simulated ones in three cases: it has a category that was never simulated; one of its numbers
-is more than a tenth of the range away from every simulated value; or its nearest simulated solution is farther away
-than that of 99% of the simulated solutions themselves, each compared with all others. Distances are those of
-`brink.search.metric`, the smallest over all equivalent orders.
+A solution is unlike the simulated ones in four cases: it is outside the operational design domain (ODD) of the
+simulations; it has a category that was never simulated; one of its numbers is more than a tenth of the range away
+from every simulated value; or its nearest simulated solution is farther away than that of 99% of the simulated
+solutions themselves, each compared with all others. Distances are those of `brink.search.metric`, the smallest over
+all equivalent orders.
 
 That the test passes does not mean that a prediction is right: it means that the model was fitted to such solutions.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Self
@@ -15,6 +17,7 @@ from typing import Final, Self
 import numpy as np
 
 from brink.search.metric import Metric, Points
+from brink.search.odd import limit_words
 from brink.search.space import Categorical, FloatArray, IntArray, Parameter, SearchSpace
 
 QUANTILE: Final = 0.99
@@ -54,15 +57,24 @@ def _unseen(column: int, name: str, parameter: Parameter, values: FloatArray) ->
         for code, choice in enumerate(parameter.choices):
             if code not in values:
                 reason = f"{name} {choice} was never simulated"
+                if code not in parameter.codes:
+                    reason = f"{name} {choice} is outside the ODD ({limit_words(parameter)})"
                 yield _Unseen(column=column, low=code - 0.5, high=code + 0.5, reason=reason)
         return
+    if parameter.bounds is not None:
+        # The zeros of dormant blocks are simulated values that may be outside.
+        below, above = values[values < parameter.least], values[values > parameter.most]
+        for ends in ([-np.inf, *below, parameter.least], [parameter.most, *above, np.inf]):
+            for low, high in itertools.pairwise(ends):
+                reason = f"{name} is outside the ODD ({limit_words(parameter)})"
+                yield _Unseen(column=column, low=float(low), high=float(high), reason=reason)
     gap = MAX_GAP * parameter.range
     lows, highs = np.append(-np.inf, values + gap), np.append(values - gap, np.inf)
     for place in np.flatnonzero(lows < highs):
         low, high = float(lows[place]), float(highs[place])
         near = [f"{v:g}" for v in (values[place - 1 : place] if place else values[:0]).tolist()]
         near += [f"{v:g}" for v in values[place : place + 1].tolist()]
-        if low < parameter.high and high > parameter.low:
+        if low < parameter.most and high > parameter.least:
             reason = f"{name} is far from every simulated value, the closest being {' and '.join(near)}"
             yield _Unseen(column=column, low=low, high=high, reason=reason)
 

@@ -169,14 +169,15 @@ def _grouped(
     """Return positions and labels of the groups, and the group of each value."""
     parameter = column.parameter
     if isinstance(parameter, Categorical):
-        labels = tuple(choice.replace("_", " ") for choice in parameter.choices)
-        return np.arange(len(labels), dtype=np.float64), labels, values.astype(np.intp)
-    if isinstance(parameter, Integer) and parameter.range < FEW_INTEGERS:
-        whole = np.arange(parameter.low, parameter.high + 1)
+        codes = np.array(parameter.codes, dtype=np.float64)
+        labels = tuple(parameter.choices[code].replace("_", " ") for code in parameter.codes)
+        return codes, labels, np.searchsorted(codes, values)
+    if isinstance(parameter, Integer) and parameter.most - parameter.least < FEW_INTEGERS:
+        whole = np.arange(parameter.least, parameter.most + 1)
         return (
             whole.astype(np.float64),
             tuple(map(str, whole.tolist())),
-            (values - parameter.low).astype(np.intp),
+            (values - parameter.least).astype(np.intp),
         )
     if values.size == 0:
         return np.empty(0), (), np.empty(0, np.intp)

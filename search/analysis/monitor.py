@@ -287,6 +287,18 @@ class Monitor:
             unlike=self.coverage.reasons(rows, nearest),
         )  # fmt: skip
 
+    def encoded(self, values: Mapping[str, Mapping[str, object]]) -> FloatArray:
+        """Return the row of a complete solution, shape ``(d,)``; it may be outside the ODD, which its risk says.
+
+        Args:
+            values: ``{component: {parameter: value}}``.
+
+        Raises:
+            SpaceError: A value is missing, unknown or out of range; names the parameter.
+        """
+        whole = self.space.unlimited()
+        return whole.join(whole.encode(values))
+
     def ask(self, values: Mapping[str, Mapping[str, object]]) -> Risk:
         """Estimate the risk of one complete solution.
 
@@ -296,7 +308,7 @@ class Monitor:
         Raises:
             SpaceError: A value is missing, unknown or out of range; names the parameter.
         """
-        risks = self.score(self.space.join(self.space.encode(values))[None])
+        risks = self.score(self.encoded(values)[None])
         return risks.each(self.threshold)[0]
 
     def to_json(self, about: Mapping[str, Any] | None = None) -> str:
@@ -430,10 +442,13 @@ def _checked(
 
 def _parameter(described: Mapping[str, Any]) -> Parameter:
     name, kind = str(described["name"]), described["type"]
+    parameter: Parameter
     if kind == "categorical":
-        return Categorical(name, tuple(described["choices"]))
-    if kind == "integer":
-        return Integer(name, described["low"], described["high"], described.get("unit", ""))
-    if kind == "real":
-        return Real(name, described["low"], described["high"], described.get("unit", ""))
-    raise DocumentError(f"{name}: expected a real, integer or categorical parameter, got {kind!r}")
+        parameter = Categorical(name, tuple(described["choices"]))
+    elif kind == "integer":
+        parameter = Integer(name, described["low"], described["high"], described.get("unit", ""))
+    elif kind == "real":
+        parameter = Real(name, described["low"], described["high"], described.get("unit", ""))
+    else:
+        raise DocumentError(f"{name}: expected a real, integer or categorical parameter, got {kind!r}")
+    return parameter.limited(described["odd"]) if "odd" in described else parameter

@@ -174,8 +174,8 @@ def _features(columns: Iterable[ParameterColumn]) -> list[_Feature]:
         parameter, sleeps = column.parameter, not column.active.all()
         choices: tuple[str | None, ...] = (None,)
         if isinstance(parameter, Categorical):
-            two = len(parameter.choices) == 2 and not sleeps
-            choices = parameter.choices[1:] if two else parameter.choices
+            allowed = tuple(parameter.choices[code] for code in parameter.codes)
+            choices = allowed[1:] if len(allowed) == 2 and not sleeps else allowed
         features += [
             _Feature(name=column.name, parameter=parameter, choice=choice, sleeps=sleeps)
             for choice in choices
@@ -251,7 +251,8 @@ def _conditions(bounds: Mapping[int, tuple[float, float]], features: Sequence[_F
             feature = next(feature for feature in features if feature.name == name)
             parameter = feature.parameter
             assert isinstance(parameter, Categorical)
-            left = [str(choice) for choice in parameter.choices if choice not in choices]
+            allowed = [parameter.choices[code] for code in parameter.codes]
+            left = [choice for choice in allowed if choice not in choices]
             left += ["inactive"] if feature.sleeps else []
             conditions[name] = (
                 f"{name} is {' or '.join(left)}"

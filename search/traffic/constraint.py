@@ -5,12 +5,13 @@ starts on a lane, a pavement or a side street, clear of all others; and every ac
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from brink.search.errors import SpaceError, UnsupportedSpace
-from brink.search.parameters import Parameter, Values
+from brink.search.parameters import Categorical, Number, Parameter, Values
 from brink.search.space import Component, FloatArray, SearchSpace, frozen_array
 from brink.search.traffic.participants import (
     ACTION_CHOICES,
@@ -22,6 +23,7 @@ from brink.search.traffic.participants import (
     MAX_SPEEDS_MPS,
     MIN_ACTIONS,
     MIN_DURATION_S,
+    NONE,
     PEDESTRIAN_ACTIONS,
     REACH_M,
     SIZES_M,
@@ -204,15 +206,53 @@ class Participants:
         """Raise SpaceError if the constraint does not fit the component's parameters."""
         for place in self.places:
             for parameter in place.parameters():
-                if parameters.get(parameter.name) != parameter:
+                given = parameters.get(parameter.name)
+                if given is None or given.unlimited() != parameter:
                     raise SpaceError(f"Participants: expected the parameter {parameter!r}")
+        self._fit_limits(parameters)
+
+    def _fit_limits(self, parameters: Mapping[str, Parameter]) -> None:
+        """Check the limits of an ODD: the same in all places, as repair moves participants and actions up."""
+        first = self.places[0]
+        for place in self.places:
+            others = zip((place.kind, place.start[3]), (first.kind, first.start[3]), strict=True)
+            genes = [pair for gene in place.genes for pair in zip(gene, first.genes[0], strict=True)]
+            for name, other in (*others, *genes):
+                if parameters[name].odd != parameters[other].odd:
+                    raise SpaceError(
+                        f"expected the same limit for {name} and {other}, as repair moves road users and actions "
+                        f"up: limit {_pattern(name)}"
+                    )
+        action, duration, _ = first.genes[0]
+        kinds, actions = _allowed(parameters[first.kind]), _allowed(parameters[action])
+        if NONE not in kinds or kinds == {NONE}:
+            raise SpaceError(f"expected {NONE} and at least one other choice of {_pattern(first.kind)}")
+        if not actions >= {NONE, Action.KEEP}:
+            raise SpaceError(f"expected {NONE} and {Action.KEEP} among the choices of {_pattern(action)}")
+        speed, times = parameters[first.start[3]], parameters[duration]
+        slowest = min(MAX_SPEEDS_MPS[Kind(kind)] for kind in kinds - {NONE})
+        if isinstance(speed, Number) and speed.least > slowest:
+            raise SpaceError(
+                f"expected {_pattern(first.start[3])} to be at least {slowest:g} m/s or less, the largest speed of "
+                f"one of the kinds; got {speed.least:g} m/s"
+            )
+        if isinstance(times, Number) and times.most < MIN_DURATION_S:
+            raise SpaceError(f"expected {_pattern(duration)} to be up to {MIN_DURATION_S:g} s or more")
+
+    def unlimited_names(self) -> tuple[str, ...]:
+        """Return the places where participants start: they follow from the road and from the others."""
+        return tuple(name for place in self.places for name in place.start[:3])
+
+    def checks_limits(self) -> bool:
+        """Return that `problem` checks the limits: the zeros of an empty place may be outside."""
+        return True
 
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
         """Repair the values in place; participants without room are dropped, valid values stay unchanged."""
-        present = [self._repaired(values, place) for place in self.places if values[place.kind]]
+        present = [self._repaired(values, place, parameters) for place in self.places if values[place.kind]]
         if not present:
-            first = {**values, self.places[0].kind: float(KIND_CHOICES.index(Kind.CAR))}
-            present = [self._repaired(first, self.places[0])]
+            first = {**values, self.places[0].kind: float(self._first_kind(parameters))}
+            present = [self._repaired(first, self.places[0], parameters)]
         taken = [ego_box(self.road)]
         kept: list[list[float]] = []
         for numbers in present:
@@ -225,20 +265,29 @@ class Participants:
             numbers = kept[index] if index < len(kept) else [0.0] * len(place.all)
             values.update(zip(place.all, numbers, strict=True))
 
-    def _repaired(self, values: Values, place: ParameterNames) -> list[float]:
+    def _first_kind(self, parameters: Mapping[str, Parameter]) -> int:
+        """Return the first kind that is allowed, a car without an ODD."""
+        allowed = _allowed(parameters[self.places[0].kind])
+        return next(place for place, kind in enumerate(KIND_CHOICES) if kind != NONE and kind in allowed)
+
+    def _repaired(
+        self, values: Values, place: ParameterNames, parameters: Mapping[str, Parameter]
+    ) -> list[float]:
         """Return the repaired numbers of one participant, ignoring the others."""
         kind = Kind(KIND_CHOICES[int(values[place.kind])])
         ds_m, dd_m, dyaw_rad, speed_mps = (values[name] for name in place.start)
         heading = dyaw_rad if math.isfinite(dyaw_rad) else 0.0
         start = nearest_start(kind, Start(ds_m, dd_m, min(max(heading, -math.pi), math.pi)), self.road)
         numbers = [values[place.kind], start.ds_m, start.dd_m, start.dyaw_rad]
+        speed_mps = _clipped(speed_mps, parameters[place.start[3]])
         numbers.append(min(max(speed_mps, 0.0), MAX_SPEEDS_MPS[kind]))
         genes = [
-            _repaired_gene(kind, *(values[name] for name in gene))
+            _repaired_gene(kind, [values[name] for name in gene], [parameters[name] for name in gene])
             for gene in place.genes
             if values[gene[0]] != _NO_ACTION
         ]
-        keep = (float(ACTION_CHOICES.index(Action.KEEP)), _FILLER_S, 0.0)
+        filler_s = _clipped(_FILLER_S, parameters[place.genes[0][1]])
+        keep = (float(ACTION_CHOICES.index(Action.KEEP)), filler_s, 0.0)
         genes += [keep] * (MIN_ACTIONS - len(genes))
         genes += [(float(_NO_ACTION), 0.0, 0.0)] * (MAX_ACTIONS - len(genes))
         return numbers + [number for gene in genes for number in gene]
@@ -281,19 +330,38 @@ class Participants:
 
 
 def _repaired_gene(
-    kind: Kind, choice: float, duration_s: float, magnitude: float
+    kind: Kind, gene: Sequence[float], parameters: Sequence[Parameter]
 ) -> tuple[float, float, float]:
+    choice, duration_s, magnitude = gene
     action = Action(ACTION_CHOICES[int(choice)])
     if kind is Kind.PEDESTRIAN and action not in PEDESTRIAN_ACTIONS:
-        action = Action.CROSS
+        action = Action.CROSS if Action.CROSS in _allowed(parameters[0]) else Action.KEEP
     if kind is not Kind.PEDESTRIAN and action not in VEHICLE_ACTIONS:
         action = Action.KEEP
     has_magnitude = MAGNITUDES[action].unit != ""
+    duration_s, magnitude = _clipped(duration_s, parameters[1]), _clipped(magnitude, parameters[2])
     return (
         float(ACTION_CHOICES.index(action)),
         min(max(duration_s, MIN_DURATION_S), MAX_DURATION_S),
         min(max(magnitude, 0.0), 1.0) if has_magnitude else 0.0,
     )
+
+
+def _clipped(value: float, parameter: Parameter) -> float:
+    """Return the nearest value within the ODD; the value itself without one."""
+    return parameter.clipped(value) if isinstance(parameter, Number) and parameter.bounds else value
+
+
+def _allowed(parameter: Parameter) -> set[str]:
+    """Return the choices within the ODD."""
+    if not isinstance(parameter, Categorical):
+        return set()
+    return {parameter.choices[code] for code in parameter.codes}
+
+
+def _pattern(name: str) -> str:
+    """Return what stands for a parameter of all participants and actions: ``p*.a*.action`` for ``p2.a1.action``."""
+    return re.sub(r"(?<=[pa])[0-9]+(?=\.)", "*", name)
 
 
 def participants_component(name: str, count: int, road: RoadLimits) -> Component:

@@ -521,7 +521,7 @@ async def score_solutions(campaign_id: str, questions: Questions, services: Serv
     rows = []
     for place, values in enumerate(questions.solutions):
         try:
-            rows.append(monitor.space.join(monitor.space.encode(values)))
+            rows.append(monitor.encoded(values))
         except SpaceError as error:
             raise InvalidInput.at(f"/solutions/{place}", str(error)) from None
     risks = await asyncio.get_running_loop().run_in_executor(None, monitor.score, np.array(rows))

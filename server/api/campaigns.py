@@ -352,8 +352,9 @@ def _known_view(connection: Connection, campaign: Campaign) -> KnownView | None:
         return None
     counts = count_known(connection, campaign.id)
     return KnownView(
-        campaign=start.campaign, results=counts.results, unsafe=counts.unsafe, points=counts.points
-    )
+        campaign=start.campaign, results=counts.results, unsafe=counts.unsafe, points=counts.points,
+        outside_odd=start.outside_odd or 0,
+    )  # fmt: skip
 
 
 overview_router = APIRouter(tags=["campaigns"])

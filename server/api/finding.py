@@ -45,7 +45,7 @@ from brink.server.campaigns.violations import read_violations
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import HasDetector, ReportsViolations
-from brink.server.problems.catalogue import problem_type, takes_requirement
+from brink.server.problems.catalogue import ODD, make_problem, problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
 from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
@@ -199,8 +199,10 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
     avoidable = await asyncio.to_thread(_avoidable_examples, known.violations)
     of = await read(services.engines, lambda c: _followed(c, campaign))
     view = known.pairs
+    if odd := known.outcomes.odd:
+        words = f"within the ODD: {words}"
     if view is not None and view.searched and view.distinct:
-        more = [*more, view.caveat]
+        more = [*more, view.caveat.removesuffix(odd).rstrip()]  # the outcomes say it already
     return FindingView(
         campaign=campaign.id, complete=campaign.status in ENDED,
         words=_sentence(words), more=[_sentence(one) for one in more if one],
@@ -521,9 +523,12 @@ def _tolerance_step(campaign: Campaign, errors_problem: str) -> StepView:
     """Return the step that asks how wrong the detector of a problem may be."""
     requirement = campaign.body.problem.params.get("requirement")
     kind = problem_type(errors_problem)
+    names = make_problem(errors_problem, {}).space.column_names()
+    limits = {name: one for name, one in campaign.body.problem.params.get(ODD, {}).items() if name in names}
+    odd = {ODD: limits} if limits else {}
     body = {
         "name": f"{campaign.body.name[:180]}: tolerances",
-        "problem": {"id": errors_problem, "params": {"errors": 1, "requirement": requirement}},
+        "problem": {"id": errors_problem, "params": {"errors": 1, "requirement": requirement} | odd},
         "algorithm": {"id": Tolerance.id, "params": {"cells": dict(kind.usual_cells)}},
         "budget": {"simulations": _TOLERANCE_SIMULATIONS},
     }

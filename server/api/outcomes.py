@@ -32,8 +32,17 @@ class OutcomesView(View):
     evaluated: Annotated[int, Field(description="Solutions with a verdict.")]
     recorded: Annotated[int, Field(description="Those whose result has the requirements.")]
     words: Annotated[
-        str, Field(description="How many drives held the requirements, and what they violated nevertheless.")
+        str,
+        Field(
+            description="How many drives held the requirements, what they violated nevertheless, and in which ODD."
+        ),
     ]
+    odd: Annotated[
+        str,
+        Field(
+            description="The sentences in `words` about the ODD; empty if the search was not limited to one."
+        ),
+    ] = ""
     kinds: Annotated[
         dict[OutcomeKind, str],
         Field(description="What the solutions of each kind have in common, such as `front gap held`."),
@@ -61,7 +70,7 @@ async def get_outcomes(
 def _view(outcomes: CampaignOutcomes, *, solutions: bool) -> OutcomesView:
     return OutcomesView(
         requirements=list(outcomes.requirements), evaluated=len(outcomes.numbers), recorded=outcomes.recorded,
-        words=outcomes.sentence(),
+        words=outcomes.sentence(), odd=outcomes.odd,
         kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind},
         counts={kind: outcomes.count(kind) for kind in OutcomeKind},
         groups=[

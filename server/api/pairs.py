@@ -13,6 +13,7 @@ from brink.search.algorithms.minimise import Reduced, Reductions
 from brink.search.analysis.confirmation import Confirmation, Share
 from brink.search.analysis.pairs import Pair, Side
 from brink.search.features import Unit
+from brink.search.odd import with_odd
 from brink.server.api.context import Services
 from brink.server.api.pair_table import pairs_table
 from brink.server.api.pair_views import (
@@ -218,7 +219,7 @@ def pairs_view(
         searched=searches_for_pairs(campaign.body.algorithm.id), computed=ignores_seeds(problem),
         note=_note(campaign, found, pairs, deciding, counts),
         terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
-        caveat=_caveat(campaign, problem),
+        caveat=with_odd(_caveat(campaign, problem), problem.space),
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
         without_part=pairs.found.without_part, repeated=sides[0], changed=sides[1],
         chance=_chance(pairs, *sides),

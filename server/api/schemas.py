@@ -105,6 +105,9 @@ class KnownView(View):
     points: Annotated[
         int, Field(description="Known solutions without a result, which the campaign simulates first.")
     ]
+    outside_odd: Annotated[
+        int, Field(description="Solutions of that campaign that were left out, as they are outside the ODD.")
+    ] = 0
 
 
 class Progress(View):

@@ -19,6 +19,7 @@ from brink.search.analysis.boundary import has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
 from brink.search.archive import Archive
 from brink.search.errors import BoundaryTooLarge
+from brink.search.odd import with_odd
 from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
@@ -321,7 +322,7 @@ def boundary_view(
         dbs=len(chosen),
         strict_dbs=int(np.count_nonzero(is_strict)),
         words=listed_words(len(numbers), len(chosen)),
-        note=_note(read, t_b, within, known),
+        note=with_odd(_note(read, t_b, within, known), read.plan.problem.space),
         grid=[
             DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
             for row, t in enumerate(grid.t_bs)

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from brink.search.analysis.confirmation import Share
 from brink.search.curves import Curve, Screening, severities
+from brink.search.odd import with_odd
 from brink.search.streams import Stream, generator
 from brink.server.api.context import Services
 from brink.server.api.pair_views import ShareView
@@ -521,7 +522,8 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
         complete=campaign.status in ENDED, requirements=requirements, limit=config.limit,
         confidence=config.confidence, simulations=campaign.evaluated, open=len(found.tally.open_numbers),
-        note=_note(cells, drives, config.limit, config.confidence), caveat=_caveat(cells, config.limit),
+        note=_note(cells, drives, config.limit, config.confidence),
+        caveat=with_odd(_caveat(cells, config.limit), plan.problem.space),
         conditions=list(layout.conditions), baseline=_baselines(found), cells=cells,
         mean_width=sum(curve.tolerated.width for curve in found.curves) / len(found.curves),
         audited=max((one.audited for one in found.tally.screenings), default=0),

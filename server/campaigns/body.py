@@ -180,6 +180,15 @@ class StartFrom(Body):
         ),
     ] = None
     solutions: Annotated[list[KnownSolution] | None, Field(min_length=1, max_length=MOST_GIVEN)] = None
+    outside_odd: Annotated[
+        int | None,
+        Field(
+            ge=0,
+            exclude_if=lambda given: given is None,  # for the hashes of older submissions
+            description="Set by the coordinator: solutions of that campaign that were left out, as they are outside "
+            "the ODD of this one.",
+        ),
+    ] = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -226,6 +235,18 @@ class CampaignBody(Body):
     ] = None
     tags: Tags = Field(default_factory=list, description="Short words by which to find the campaign again.")
     notes: Annotated[Notes, Field(description="What people should know about the campaign.")] = ""
+
+    def within_odd(self, odd: Mapping[str, Any]) -> Self:
+        """Return the campaign with further limits of its operational design domain; they replace limits it has.
+
+        Args:
+            odd: Limits by component.parameter.
+        """
+        own = self.problem.params.get("odd", {})
+        if not odd or not isinstance(own, Mapping):  # a wrong one is refused with the other parameters
+            return self
+        params = {**self.problem.params, "odd": {**own, **odd}}
+        return self.model_copy(update={"problem": PluginChoice(id=self.problem.id, params=params)})
 
     def document_hash(self) -> str:
         """Return a hash that identifies identical submissions, whatever their tags and notes are."""

@@ -15,6 +15,7 @@ import numpy as np
 from sqlalchemy import Connection, select
 
 from brink.search.archive import Archive
+from brink.search.odd import odd_sentence
 from brink.search.space import IntArray
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import CampaignBody
@@ -144,6 +145,7 @@ class CampaignOutcomes:
         groups: The different outcomes, in order of first appearance.
         which: Index of each solution's outcome in `groups`, shape ``(n,)``.
         recorded: Number of solutions whose result has the requirements.
+        odd: What the outcomes hold for, in sentences; empty without an ODD.
     """
 
     requirements: tuple[str, ...]
@@ -151,6 +153,7 @@ class CampaignOutcomes:
     groups: tuple[OutcomeGroup, ...]
     which: IntArray
     recorded: int
+    odd: str = ""
 
     @property
     def counts(self) -> IntArray:
@@ -175,7 +178,13 @@ class CampaignOutcomes:
         return held if kind is OutcomeKind.HELD else f"{held}, another requirement violated"
 
     def sentence(self) -> str:
-        """Return how many drives held the requirements, and what those violated nevertheless; empty if unknown."""
+        """Return how many drives held the requirements, what those violated nevertheless, and within which ODD.
+
+        Empty if no requirements are known and there is no ODD.
+        """
+        return " ".join(filter(None, (self._counts_in_words(), self.odd)))
+
+    def _counts_in_words(self) -> str:
         if not self.requirements:
             return ""
         held = self.count(OutcomeKind.HELD) + self.count(OutcomeKind.OTHER)
@@ -262,7 +271,7 @@ def read_outcomes(
         deciding = {problem.requirements}
     return CampaignOutcomes(
         requirements=next(iter(deciding)) if len(deciding) == 1 else (), numbers=archive.numbers,
-        groups=tuple(groups), which=which, recorded=recorded,
+        groups=tuple(groups), which=which, recorded=recorded, odd=odd_sentence(problem.space),
     )  # fmt: skip
 
 

@@ -50,8 +50,7 @@ from brink.server.problems.catalogue import (
     config_field_error,
     make_algorithm,
     make_params,
-    make_problem,
-    read_problem_params,
+    spelled_out,
 )
 from brink.server.queue.job_store import NewJob
 from brink.server.states import JobKind
@@ -132,8 +131,7 @@ def make_plan(body: CampaignBody) -> Plan:
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
-    problem_params = read_problem_params(body.problem.id, body.problem.params)
-    problem = make_problem(body.problem.id, asdict(problem_params))
+    problem, problem_params = spelled_out(body.problem.id, body.problem.params)
     if body.ground_truth:
         problem = with_truth(problem)
     algorithm = make_algorithm(body.algorithm.id)
@@ -142,7 +140,7 @@ def make_plan(body: CampaignBody) -> Plan:
     config = make_params(algorithm.config_type, {**defaults, **body.algorithm.params}, "/algorithm/params")
     resolved = body.model_copy(
         update={
-            "problem": PluginChoice(id=body.problem.id, params=asdict(problem_params)),
+            "problem": PluginChoice(id=body.problem.id, params=problem_params),
             "algorithm": PluginChoice(id=body.algorithm.id, params=asdict(config)),
         }
     )
@@ -170,6 +168,7 @@ def with_truth(problem: Problem) -> SimulatedProblem:
             f"{problem.id} has ground truth in place of a component already: its scenarios alone are to blame"
         )
         raise InvalidInput.at("/ground_truth", message)
+    found.space = problem.space  # the same, within the ODD
     return found
 
 

@@ -3,6 +3,9 @@
 A result is taken over only if this campaign would have asked for the very same simulation: the same problem with the
 same parameters, and, for every solution, an episode with the same hash. Otherwise the campaign is refused, unless it
 asks for the solutions alone. Then they are simulated first, and cost as much as any others.
+
+Two campaigns may have different operational design domains. Solutions outside this campaign's are left out, and
+counted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +16,7 @@ from sqlalchemy import Connection, select
 
 from brink.search.algorithm import nearest_to_boundary
 from brink.search.errors import SpaceError
+from brink.search.odd import odd_of, odd_words
 from brink.search.space import SearchSpace
 from brink.server.campaigns.body import MOST_KNOWN, CampaignBody, StartFrom
 from brink.server.campaigns.known import KnownRecord, given_records, read_known
@@ -22,6 +26,7 @@ from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.db.models import SolutionRow
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.catalogue import ODD
 from brink.server.states import SolutionVerdict
 
 _POINTER = "/start_from/campaign"
@@ -45,17 +50,24 @@ def find_start(connection: Connection, body: CampaignBody) -> Start | None:
         return Start(records=given_records(plan.problem.space, wanted.solutions), start_from=wanted)
     source = _source(connection, wanted)
     there = _plan_of(source)
-    if there.problem.space.describe() != plan.problem.space.describe():
+    if there.problem.space.unlimited().describe() != plan.problem.space.unlimited().describe():
         _refuse(f"campaign {source.id} searches another space: {_first_difference(there, plan)}")
     if wanted.results:
         _check_same_problem(connection, source, there, plan)
-    records = _nearest(_evaluated(connection, source), wanted)
-    if not records:
+    evaluated = _evaluated(connection, source)
+    inside = _within_odd(evaluated, plan.problem.space)
+    records = _nearest(inside, wanted)
+    if not evaluated:
         _refuse(f"campaign {source.id} has no evaluated solutions")
+    if not records:
+        _refuse(f"campaign {source.id} has no solutions within the ODD: {odd_words(plan.problem.space)}")
     _check_rows(source, records, plan.problem.space)
     if wanted.results:
         _check_same_episodes(connection, source, records, plan)
-    resolved = wanted.model_copy(update={"campaign": source.id, "limit": len(records)})
+    outside = len(evaluated) - len(inside)
+    resolved = wanted.model_copy(
+        update={"campaign": source.id, "limit": len(records), "outside_odd": outside or None}
+    )
     return Start(records=records, start_from=resolved)
 
 
@@ -119,7 +131,10 @@ def _settings(there: CampaignBody, here: CampaignBody) -> list[tuple[str, object
     now: Mapping[str, Any] = here.problem.params
     return [
         ("problem.id", there.problem.id, here.problem.id),
-        *((f"problem.params.{name}", before.get(name), now.get(name)) for name in sorted({*before, *now})),
+        *(
+            (f"problem.params.{name}", before.get(name), now.get(name))
+            for name in sorted({*before, *now} - {ODD})
+        ),
         ("ground_truth", there.ground_truth, here.ground_truth),
     ]
 
@@ -142,6 +157,13 @@ def _evaluated(connection: Connection, source: Campaign) -> list[KnownRecord]:
         for row in connection.execute(query)
     ]  # fmt: skip
     return own + [one for one in read_known(connection, source.id) if one.unsafe is not None]
+
+
+def _within_odd(records: Sequence[KnownRecord], space: SearchSpace) -> Sequence[KnownRecord]:
+    """Return the results within the ODD of a space; all of them if it has none."""
+    if not odd_of(space):
+        return records
+    return [one for one in records if space.contains(space.split(np.frombuffer(one.vector, "<f8")))]
 
 
 def _nearest(records: Sequence[KnownRecord], wanted: StartFrom) -> list[KnownRecord]:

@@ -1,11 +1,12 @@
 """The available problems and algorithms, and the JSON schemas of their parameters.
 
 Parameters are dataclasses whose fields carry their bounds (`brink.search.settings.setting`). They are converted to
-pydantic models, which validate and describe the input.
+pydantic models, which validate and describe the input. Every problem has one parameter more, `ODD`, which limits its
+search space (`brink.search.odd`) and which the problem itself does not see.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, Field, asdict, fields
 from importlib.util import find_spec
 from typing import Any, Final, Literal, cast, get_type_hints
 
@@ -14,8 +15,10 @@ from pydantic import Field as PydanticField
 
 from brink.extras import install_command
 from brink.search.algorithm import Algorithm
-from brink.search.errors import ConfigError, UnsupportedSpace
+from brink.search.errors import ConfigError, OddError, UnsupportedSpace
+from brink.search.odd import limited, odd_of
 from brink.search.slots import slots_of
+from brink.search.space import SearchSpace
 from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
 from brink.server.problems.base import (
@@ -32,6 +35,14 @@ from brink.sim.catalogue import load_plugin, plugin_ids, plugin_modules, require
 
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
+ODD: Final = "odd"
+"""Name of the parameter that all problems have: the operational design domain."""
+
+_PARAMS: Final = "/problem/params"
+_ABOUT_ODD: Final = (
+    "Operational design domain: limits by component.parameter, each one value, a list of choices, or "
+    '{"min": …, "max": …}. A * in a name stands for any characters.'
+)
 
 _BOUNDS = ("ge", "gt", "le", "lt")
 _MODELS: dict[type[Any], type[BaseModel]] = {}
@@ -138,29 +149,51 @@ def problem_type(problem_id: str) -> type[Any]:
     return cast(type[Any], _load(PROBLEMS, problem_id, "/problem/id", "problem"))
 
 
-def read_problem_params(problem_id: str, values: Mapping[str, Any]) -> Any:
-    """Return the parameters of a problem, including defaults.
+def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
+    """Return a problem, whose search space is limited to the ODD if the parameters have one.
 
     Raises:
         InvalidInput: The id is unknown, or a parameter is invalid.
+        TypeError: The plug-in is not a problem.
     """
-    return make_params(problem_type(problem_id).params_type, values, "/problem/params")
+    return spelled_out(problem_id, params)[0]
 
 
-def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
-    """Return a problem.
+def spelled_out(problem_id: str, params: Mapping[str, Any]) -> tuple[Problem, dict[str, Any]]:
+    """Return a problem and all its parameters; the ODD is among them only if it limits something.
+
+    Args:
+        problem_id: Id of the problem.
+        params: Parameters that differ from their defaults.
 
     Raises:
         InvalidInput: The id is unknown, or a parameter is invalid.
         TypeError: The plug-in is not a problem.
     """
     kind = problem_type(problem_id)
-    problem = kind(read_problem_params(problem_id, params))
+    given = {name: value for name, value in params.items() if name != ODD}
+    own = make_params(kind.params_type, given, _PARAMS)
+    problem = kind(own)
     if not isinstance(problem, SimulatedProblem | InProcessProblem):
         raise TypeError(
             f"plug-in {problem_id}: expected a class with the methods episode and evaluation, or with evaluate"
         )
-    return problem
+    everything = asdict(own)
+    if params.get(ODD):
+        problem.space = _within_odd(problem.space, params[ODD])
+        everything |= {ODD: odd} if (odd := odd_of(problem.space)) else {}
+    return problem, everything
+
+
+def _within_odd(space: SearchSpace, odd: object) -> SearchSpace:
+    if not isinstance(odd, Mapping):
+        message = f"expected limits by parameter, such as {{{space.column_names()[0]}: …}}, got {odd!r:.80}"
+        raise InvalidInput.at(f"{_PARAMS}/{ODD}", message)
+    try:
+        return limited(space, odd)
+    except OddError as error:
+        at = "" if error.name is None else "/" + error.name.replace("~", "~0").replace("/", "~1")
+        raise InvalidInput.at(f"{_PARAMS}/{ODD}{at}", str(error)) from None
 
 
 def check_extra(problem: Problem) -> None:
@@ -202,6 +235,9 @@ def describe_problems() -> list[dict[str, Any]]:
 def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
     """Return the JSON schema of a problem's parameters; a requirement has options, each with its meaning."""
     schema = params_model(kind.params_type).model_json_schema()
+    schema["properties"][ODD] = {
+        "type": "object", "title": "Odd", "label": "ODD", "default": {}, "description": _ABOUT_ODD,
+    }  # fmt: skip
     requirement = schema["properties"].get("requirement")
     if requirement is not None and isinstance(problem, NamesRequirements):
         requirement |= {"main": True, "options": _requirement_options(kind)}
@@ -227,7 +263,7 @@ def takes_requirement(problem_id: str, requirement: str) -> bool:
     """
     kind = problem_type(problem_id)
     try:
-        make_params(kind.params_type, {"requirement": requirement}, "/problem/params")
+        make_params(kind.params_type, {"requirement": requirement}, _PARAMS)
     except InvalidInput:
         return False
     return True

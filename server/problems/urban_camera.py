@@ -13,12 +13,7 @@ from brink.search.space import SearchSpace
 from brink.server.problems.base import Vectors, wrong_detector
 from brink.server.problems.perception_errors import HasTrueVariant
 from brink.server.problems.requirements import JudgedByRequirements, requirement_setting
-from brink.server.problems.urban_injected import (
-    REQUIREMENTS,
-    UrbanInjectedParams,
-    scenario_component,
-    scenario_of,
-)
+from brink.server.problems.urban_injected import REQUIREMENTS, UrbanParams, scenario_component, scenario_of
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.world.scenario import words_of_scenario
@@ -28,7 +23,7 @@ WITH_TRUTH = "brink-drive-errors@1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UrbanCameraParams(UrbanInjectedParams):
+class UrbanCameraParams(UrbanParams):
     """Parameters of the problem."""
 
     requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009

@@ -42,6 +42,7 @@ _ABSENT_PX: Final = float(b.IMAGE_WIDTH_PX)
 """What one drive reports and the other one does not, or not at that time, differs by the whole image."""
 _PX_PER_STEP: Final = 8.0
 """How much a step in which one drive alone reports something counts: ten seconds as much as the whole image."""
+_ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 AFTERWARDS: Final = "all that differs came after the violation"
 
 
@@ -80,7 +81,7 @@ def words_of_changes(
     """
     parts = [_Clause(words) for words in scenario_changes(safe["scenario"], unsafe["scenario"], changed)]
     late = False
-    for number in range(1, b.TRAJECTORY_COUNT + 1):
+    for number in b.trajectory_numbers(unsafe["behaviour"]):
         prefix = f"behaviour.trajectory_{number}."
         names = frozenset(one.removeprefix(prefix) for one in changed if one.startswith(prefix))
         if names:
@@ -184,27 +185,27 @@ class _Reports:
         return [*found, *self._times(), *self._boxes()]
 
     def _name(self, number: int, safe: Mapping[str, Any]) -> str:
-        """Return what the trajectory reports, such as ``the reported person``, told apart from a second one."""
+        """Return what the trajectory reports, such as ``the reported person``, told apart from others like it."""
         label = self._new["label"]
         if label == b.NULL_LABEL:
             label = safe[f"trajectory_{number}.label"]
         same = [one for one in self._others[1] if one["label"] == label and self._is_seen(one)]
         if not same or not self._is_seen(self._new):
             return f"the reported {label}"
-        first = all((self._new["t0_step"], number) < (one["t0_step"], one["number"]) for one in same)
-        return f"the {'first' if first else 'second'} reported {label}"
+        earlier = sum((one["t0_step"], one["number"]) < (self._new["t0_step"], number) for one in same)
+        return f"the {_ORDINALS[earlier]} reported {label}"
 
     def _vanished(self) -> str:
         """Say that what is reported in the safe drive is not in the unsafe one, or only after its violation."""
         label, seconds = self._old["label"], _seconds(self._old)
-        second = "second " if self._reports_other(self._others[1], label, self._end_step) else ""
+        second = self._among(self._others[1], label, self._end_step)
         ended = self._unsafe_ended_at_step
         if self._new["label"] == label and ended is not None and self._new["t0_step"] <= ended:
             times = f"{_s(self._new['t0_step'])} s instead of {_s(self._old['t0_step'])} s"
             return f"a {second}{label} is reported only after the violation, from {times}"
         known = ended is not None or self._end_step == float("inf")
         until_step = float("inf") if ended is None else ended + 1
-        later = not second and self._reports_other(self._others[1], label, until_step)
+        later = not second and bool(self._among(self._others[1], label, until_step))
         never = known and not later
         when = "" if never else " up to the violation"
         return f"no {second}{label} is reported{when}; in the safe drive, one is from {seconds}"
@@ -214,14 +215,18 @@ class _Reports:
         label, seconds = self._new["label"], _seconds(self._new)
         later = self._old["label"] == label
         until_step = self._old["t0_step"] if later else float("inf")
-        second = "second " if self._reports_other(self._others[0], label, until_step) else ""
+        second = self._among(self._others[0], label, until_step)
         when = f"only from {_s(self._old['t0_step'])} s" if later else f"no {second}{label} is"
         return f"a {second}{label} is reported from {seconds}; in the safe drive, {when}"
 
     @staticmethod
-    def _reports_other(others: Sequence[Mapping[str, Any]], label: str, until_step: float) -> bool:
-        """Return whether another trajectory of a drive has a label and begins before a step."""
-        return any(one["label"] == label and one["t0_step"] < until_step for one in others)
+    def _among(others: Sequence[Mapping[str, Any]], label: str, until_step: float) -> str:
+        """Return which one of its label a trajectory would be, such as ``second`` followed by a space.
+
+        Empty if no other trajectory of the drive has the label and begins before the step.
+        """
+        before = sum(one["label"] == label and one["t0_step"] < until_step for one in others)
+        return f"{_ORDINALS[before]} " if before else ""
 
     def _is_seen(self, values: Mapping[str, Any]) -> bool:
         return bool(values["label"] != b.NULL_LABEL and values["t0_step"] < self._end_step)
@@ -375,7 +380,7 @@ def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the numbers and values of the other trajectories of a drive, without the prefixes of their names."""
     return [
         {"number": one, **{name: behaviour[f"trajectory_{one}.{name}"] for name in b.TRAJECTORY_FIELDS}}
-        for one in range(1, b.TRAJECTORY_COUNT + 1)
+        for one in b.trajectory_numbers(behaviour)
         if one != number
     ]
 

@@ -18,12 +18,7 @@ from brink.server.problems.changes import different
 from brink.server.problems.perception_errors import NO_ERROR, HasTrueVariant, severity_scale
 from brink.server.problems.requirements import JudgedByRequirements, requirement_setting
 from brink.server.problems.urban_changes import scenario_changes
-from brink.server.problems.urban_injected import (
-    REQUIREMENTS,
-    UrbanInjectedParams,
-    scenario_component,
-    scenario_of,
-)
+from brink.server.problems.urban_injected import REQUIREMENTS, UrbanParams, scenario_component, scenario_of
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception_errors import MODE
 from brink.sim.urban.behaviour import steps_from_json
@@ -52,7 +47,7 @@ _FIELDS: Final = ("type", "target", "onset", "onset_s", "duration_s", "severity"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UrbanErrorsParams(UrbanInjectedParams):
+class UrbanErrorsParams(UrbanParams):
     """Parameters of the problem."""
 
     requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009

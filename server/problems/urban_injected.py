@@ -1,9 +1,9 @@
 """The problem `urban-injected@1`: an urban scenario with injected obstacle detections.
 
-The scenario has seven categorical parameters, the behaviour two injected trajectories with eleven parameters each.
-Sources: Sharifi et al. 2023, sections 5.1 (encoding) and 6.1 (requirement). Not in the paper but in the authors' code
-are the label ``null``, the smallest box, the shortest trajectory, the sigmas and the order of repairs; see
-docs/explanation/hazard-boundary.md.
+The scenario has seven categorical parameters, the behaviour one to six injected trajectories, two by default, with
+eleven parameters each. Sources: Sharifi et al. 2023, sections 5.1 (encoding) and 6.1 (requirement). Not in the paper
+but in the authors' code are the label ``null``, the smallest box, the shortest trajectory, the sigmas and the order of
+repairs; see docs/explanation/hazard-boundary.md.
 """
 
 from collections.abc import Collection, Mapping
@@ -61,9 +61,12 @@ BOX_SIGMA_PX = 40.0
 _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "road_length": ROAD_LENGTHS}
 
 
+MOST_TRAJECTORIES = 6
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UrbanInjectedParams:
-    """Parameters of the problem."""
+class UrbanParams:
+    """Parameters of all problems of urban driving."""
 
     requirement: str | list[str] = requirement_setting("front-gap@1", REQUIREMENTS)  # noqa: RUF009  (returns a field)
     duration_s: float = setting(
@@ -82,6 +85,15 @@ class UrbanInjectedParams:
         return chosen_requirements(self.requirement, REQUIREMENTS)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UrbanInjectedParams(UrbanParams):
+    """Parameters of the problem."""
+
+    trajectories: int = setting(
+        b.TRAJECTORY_COUNT, ge=1, le=MOST_TRAJECTORIES, help="Most injected trajectories in an episode."
+    )
+
+
 def scenario_component() -> Component:
     """Return the seven categorical parameters of a scenario."""
     return Component(
@@ -93,12 +105,12 @@ def scenario_component() -> Component:
     )
 
 
-def behaviour_component(duration_s: float) -> Component:
-    """Return the component of the two injected trajectories."""
+def behaviour_component(duration_s: float, count: int = b.TRAJECTORY_COUNT) -> Component:
+    """Return the component of `count` injected trajectories in episodes of a length."""
     parameters: list[Parameter] = []
     constraints: list[Constraint | Dormant] = []
     horizon = b.last_perception_step(duration_s)
-    for index in range(1, b.TRAJECTORY_COUNT + 1):
+    for index in range(1, count + 1):
         prefix = f"trajectory_{index}."
         parameters.append(Categorical(name=prefix + "label", choices=b.TRAJECTORY_LABELS))
         for name, (low, high, unit) in b.trajectory_ranges(duration_s).items():
@@ -135,9 +147,11 @@ def behaviour_component(duration_s: float) -> Component:
         name="behaviour",
         parameters=tuple(parameters),
         constraints=tuple(constraints),
-        interchangeable=tuple(
+        interchangeable=()
+        if count == 1
+        else tuple(
             tuple(f"trajectory_{index}.{name}" for name in b.TRAJECTORY_FIELDS)
-            for index in range(1, b.TRAJECTORY_COUNT + 1)
+            for index in range(1, count + 1)
         ),
     )
 
@@ -163,7 +177,9 @@ class UrbanInjected(JudgedByRequirements):
 
     def __init__(self, params: UrbanInjectedParams) -> None:
         self.params = params
-        self.space = SearchSpace((scenario_component(), behaviour_component(params.duration_s)))
+        self.space = SearchSpace(
+            (scenario_component(), behaviour_component(params.duration_s, params.trajectories))
+        )
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = params.requirements
         self.needs = SIMULATOR
@@ -312,7 +328,7 @@ class _Trajectory:
 def _trajectories(space: SearchSpace) -> list[_Trajectory]:
     behaviour = space.components[1]
     place = {parameter.name: index for index, parameter in enumerate(behaviour.parameters)}
-    prefixes = [f"trajectory_{number}." for number in range(1, b.TRAJECTORY_COUNT + 1)]
+    prefixes = [f"trajectory_{number}." for number in b.trajectory_numbers(place)]
     return [
         _Trajectory(
             label=place[prefix + "label"],
@@ -329,7 +345,7 @@ def _trajectories(space: SearchSpace) -> list[_Trajectory]:
 def _behaviour(values: Mapping[str, Any]) -> dict[str, Json]:
     trajectories: list[Json] = [
         {name: values[f"trajectory_{index}.{name}"] for name in b.TRAJECTORY_FIELDS}
-        for index in range(1, b.TRAJECTORY_COUNT + 1)
+        for index in b.trajectory_numbers(values)
         if values[f"trajectory_{index}.label"] != b.NULL_LABEL
     ]
     return {"mode": b.BehaviourMode.INJECTED.value, "trajectories": trajectories}

@@ -3,7 +3,7 @@
 This module has no heavy imports, so that code that builds a search space can read the parameters from here.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
@@ -23,7 +23,7 @@ MIN_DURATION_SHARE = 1.0 / 18.0
 """Minimum duration of a sampled trajectory, as a share of the episode."""
 
 TRAJECTORY_COUNT = 2
-"""Number of trajectories in a sampled behaviour; an episode accepts up to `MAX_TRAJECTORIES`."""
+"""Usual number of trajectories in a sampled behaviour; an episode accepts up to `MAX_TRAJECTORIES`."""
 MAX_TRAJECTORIES = 16
 
 NULL_LABEL = "null"
@@ -32,6 +32,11 @@ BOX_SIDES = ("x_min", "x_max", "y_min", "y_max")
 BOX_FIELDS = tuple(f"{side}_{end}_px" for end in (0, 1) for side in BOX_SIDES)
 TRAJECTORY_FIELDS = ("label", "t0_step", "t1_step", *BOX_FIELDS)
 """The eleven parameters of a trajectory, in the order of the genome."""
+
+
+def trajectory_numbers(names: Collection[str]) -> range:
+    """Return the numbers of the trajectories of a behaviour, from 1, given the names of its parameters."""
+    return range(1, sum(name.startswith("trajectory_") and name.endswith(".label") for name in names) + 1)
 
 
 def trajectory_ranges(duration_s: float = DEFAULT_DURATION_S) -> dict[str, tuple[float, float, str]]:

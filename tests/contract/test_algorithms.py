@@ -11,6 +11,7 @@ from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Sco
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from brink.search.document import Document
 from brink.search.errors import DocumentError, UnsupportedSpace
+from brink.search.odd import limited
 from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
@@ -46,7 +47,20 @@ ERRORS = SearchSpace(
         ),
     )
 )
-SPACES = {**example_spaces(), "mtq": MTQ_SPACE, "onemax": ONEMAX_SPACE, "errors": ERRORS}
+SPACES = {
+    **example_spaces(), "mtq": MTQ_SPACE, "onemax": ONEMAX_SPACE, "errors": ERRORS,
+    "mixed within an ODD": limited(
+        example_spaces()["mixed"],
+        {
+            "scenario.weather": ["wet", "fog"], "behaviour.start": {"min": 20}, "behaviour.delay": 0.5,
+            "behaviour.left": {"min": 100, "max": 130}, "behaviour.right": {"max": 170},
+        },
+    ),
+    "traffic within an ODD": limited(
+        example_spaces()["traffic"],
+        {"participants.p*.kind": ["none", "car"], "participants.p*.speed_mps": {"min": 5, "max": 8}},
+    ),
+}  # fmt: skip
 
 
 def algorithm(plugin_id: str) -> Algorithm:

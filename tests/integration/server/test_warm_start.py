@@ -94,7 +94,8 @@ def test_results_of_an_earlier_campaign_guide_the_search_and_are_not_its_own(
     stands, own = progress(client, campaign), archive(client, campaign)
     known = archive(client, earlier)
     assert stands["known"] == {
-        "campaign": earlier, "results": 60, "unsafe": int(known["unsafe"].sum()), "points": 0
+        "campaign": earlier, "results": 60, "unsafe": int(known["unsafe"].sum()), "points": 0,
+        "outside_odd": 0,
     }  # fmt: skip
     assert stands["simulations"] == stands["evaluated"] == len(own["numbers"])
     assert stands["generations"][0]["evaluated"] <= 25
@@ -186,7 +187,7 @@ def test_given_points_are_simulated_first_and_given_results_not_at_all(client: h
     assert own["unsafe"][:2].tolist() == [True, False]
     assert len(own["numbers"]) == 20
     stands = progress(client, campaign)
-    assert stands["known"] == {"campaign": None, "results": 2, "unsafe": 1, "points": 2}
+    assert stands["known"] == {"campaign": None, "results": 2, "unsafe": 1, "points": 2, "outside_odd": 0}
     listed = expect(client.get(f"/api/v1/campaigns/{campaign}/known"))["solutions"]
     assert [one["verdict"] for one in listed] == ["unsafe", None, None, "safe"]
     assert {(one["campaign"], one["number"]) for one in listed} == {(None, None)}
@@ -245,6 +246,7 @@ def test_another_problem_is_refused_and_its_solutions_alone_are_simulated_first(
         "results": 0,
         "unsafe": 0,
         "points": 12,
+        "outside_odd": 0,
     }
     sizes = np.abs(np.hypot(*own["vectors"][:12].T) - 1.0)
     assert (np.diff(sizes[::2]) >= 0).all()

@@ -79,6 +79,18 @@ def test_urban_trajectories_are_interchangeable() -> None:
     assert not Features.of_space(MIXED).is_symmetric
 
 
+@pytest.mark.parametrize(("count", "orders"), [(1, 1), (2, 2), (3, 6), (4, 4), (6, 6)])
+def test_more_trajectories_are_shown_in_few_orders(count: int, orders: int) -> None:
+    space = UrbanInjected(UrbanInjectedParams(trajectories=count)).space
+    found = equivalent_orders(space)
+    assert found.shape == (orders, 7 + 11 * count), (
+        "six trajectories have 720 orders, which nobody can afford"
+    )
+    row = space.join(space.sample(np.random.default_rng(2)))
+    for order in found:
+        space.check(space.split(row[order]))
+
+
 def test_stored_layout_gives_the_same_features() -> None:
     features = Features.of_space(URBAN)
     bare = SearchSpace(tuple(Component(c.name, c.parameters) for c in URBAN.components))

@@ -73,6 +73,41 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
     return change_words(URBAN, safe, unsafe, changes_between(URBAN, safe, unsafe, units))
 
 
+def test_of_several_alike_a_description_counts() -> None:
+    three = UrbanInjected(UrbanInjected.params_type(trajectories=3))
+    first, second = report("person", 10, 250), report("person", 20, 250)
+
+    def side(third: dict[str, Any]) -> SimulatedSolution:
+        values = {
+            f"trajectory_{number}.{name}": value
+            for number, one in enumerate((first, second, third), start=1)
+            for name, value in one.items()
+        }
+        return SimulatedSolution(
+            vectors=three.space.encode({"scenario": SCENARIO, "behaviour": values}),
+            activity=None,
+            result=None,
+        )
+
+    fields = {f"behaviour.trajectory_3.{name}" for name in NONE}
+    later, absent = side(report("person", 43, 60)), side(NONE)
+    sooner, moved = (
+        side(report("person", 41, 60)),
+        side(report("person", 43, 60, x_min_0_px=200.0, x_max_0_px=300.0)),
+    )
+    start = {"behaviour.trajectory_3.t0_step"}
+    edges = {"behaviour.trajectory_3.x_min_0_px", "behaviour.trajectory_3.x_max_0_px"}
+    assert three.words_of_change(absent, later, fields) == (
+        "a third person is reported from 4.3 to 6.0 s; in the safe drive, no third person is"
+    )
+    assert three.words_of_change(later, absent, fields) == (
+        "no third person is reported; in the safe drive, one is from 4.3 to 6.0 s"
+    )
+    assert "third" in three.words_of_change(later, moved, edges)
+    assert "from 4.1 s instead of 4.3 s" in three.words_of_change(later, sooner, start)
+    assert three.words(later.vectors).count("person ") == 3
+
+
 @pytest.mark.parametrize(
     ("safe", "unsafe", "expected"),
     [

@@ -211,7 +211,7 @@ function formOf({ problems, algorithms, description }) {
     for (const one of fields) one.complain("");
     let first = null;
     for (const error of errors) {
-      const place = fields.find((one) => one.pointer === error.pointer);
+      const place = fields.find((one) => error.pointer === one.pointer || error.pointer?.startsWith(`${one.pointer}/`));
       if (!place) rest.push(error);
       else {
         place.complain(error.nearest ? `${sentence(error.message)} Did you mean ${error.nearest}?` : error.message);
