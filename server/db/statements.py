@@ -155,6 +155,8 @@ def share_round_trips(engine: Engine) -> None:
 
     @event.listens_for(engine, "rollback")
     def forget(connection: Connection) -> None:
+        if connection.invalidated:  # its information is gone, and asking for it would hide the original error
+            return
         connection.info.pop(_WAITING, None)
         connection.info.pop(_PIPELINE, None)  # the driver may now drop all prepared statements
 

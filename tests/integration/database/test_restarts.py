@@ -439,6 +439,27 @@ def test_losing_the_database_ends_no_campaign(two: Coordinators, monkeypatch: py
     assert two.campaign.generation == 1
 
 
+@on_postgres
+def test_a_step_whose_connection_is_lost_ends_no_campaign(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two.simulate()
+    write = step_store.write_step
+
+    def cut(connection: Connection, step: Any) -> bool:
+        pid = connection.execute(text("SELECT pg_backend_pid()")).scalar_one()
+        with two.engines.reader.connect() as other:
+            other.execute(text("SELECT pg_terminate_backend(:pid, 5000)"), {"pid": pid})
+        return write(connection, step)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(step_store, "write_step", cut)
+        with pytest.raises(Unavailable):
+            two.steppers[0].advance("c0ffee")
+    assert two.campaign.status is CampaignStatus.RUNNING
+    assert two.steppers[0].advance("c0ffee")
+
+
 @pytest.mark.parametrize(
     "passing",
     [

@@ -18,6 +18,7 @@ from brink.server.db.models import CampaignRow, TraceRow
 from brink.server.db.sql import driver_time, in_list
 from brink.server.db.statements import BulkUpdate, Statement, read, write
 from brink.server.db.writer import Writer
+from brink.server.errors import Unavailable
 from brink.server.queue.exchange import Exchange
 from brink.server.queue.lease_policy import LeaseDemand
 from brink.server.queue.report_store import Outcome
@@ -177,13 +178,27 @@ def test_dropped_prepared_statements_are_prepared_again(engines: Engines) -> Non
     assert names(engines) == ["a", "b"]
 
 
+def end_session(connection: Connection, engines: Engines) -> None:
+    """Have the server end the session of a connection."""
+    (own,) = read(connection, (Statement(text("SELECT pg_backend_pid() AS pid")), {}))[0]
+    with engines.reader.connect() as other:
+        other.execute(text("SELECT pg_terminate_backend(:pid, 5000)"), {"pid": own.pid})
+
+
 @on_postgres
-def test_lost_connection_is_reported_as_lost(engines: Engines) -> None:
+@pytest.mark.parametrize(
+    "then",
+    [
+        lambda connection: write(connection, ADD, {"name": "a"}),
+        lambda connection: read(connection, (NAMES, {})),
+        lambda connection: connection.execute(select(CampaignRow.id)),
+    ],
+    ids=["commit", "query", "other statement"],
+)
+def test_lost_connection_is_reported_as_lost(engines: Engines, then: Callable[[Connection], object]) -> None:
     def unit(connection: Connection) -> None:
-        (own,) = read(connection, (Statement(text("SELECT pg_backend_pid() AS pid")), {}))[0]
-        with engines.reader.connect() as other:
-            other.execute(text("SELECT pg_terminate_backend(:pid, 5000)"), {"pid": own.pid})
-        write(connection, ADD, {"name": "a"})
+        end_session(connection, engines)
+        then(connection)
 
     with pytest.raises(OperationalError) as raised:
         run(engines, unit)
@@ -191,6 +206,22 @@ def test_lost_connection_is_reported_as_lost(engines: Engines) -> None:
     with engines.writer.begin() as connection:
         write(connection, ADD, {"name": "b"})
     assert names(engines) == ["b"]
+
+
+@on_postgres
+def test_unit_whose_connection_is_lost_is_told_that_the_database_is_unavailable(engines: Engines) -> None:
+    def unit(connection: Connection) -> None:
+        end_session(connection, engines)
+        read(connection, (NAMES, {}))
+
+    writer = Writer(engines.writer)
+    try:
+        with pytest.raises(Unavailable, match="database"):
+            writer.submit(unit).result(30.0)
+        writer.submit(partial(write, statement=ADD, values={"name": "a"})).result(30.0)
+    finally:
+        writer.close()
+    assert names(engines) == ["a"]
 
 
 @on_postgres
