@@ -53,6 +53,11 @@ def database_now(connection: Connection) -> datetime:
     return datetime.now(UTC)
 
 
+def storable(words: str) -> str:
+    """Return a text without NUL characters, which Postgres cannot store."""
+    return words.replace("\0", "\N{REPLACEMENT CHARACTER}")
+
+
 def constant(value: str | int) -> ColumnClause[Any]:
     """Return a value that is part of a statement's text.
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeAlias
 from sqlalchemy import Connection, bindparam, case, exists, insert, select, update
 
 from brink.server.db.models import JobRow, TraceRow
-from brink.server.db.sql import constant, driver_time, in_list, transaction_time
+from brink.server.db.sql import constant, driver_time, in_list, storable, transaction_time
 from brink.server.db.statements import BulkUpdate, Statement, Values, read
 from brink.server.queue.job_store import IS_LEASED, idle_campaigns
 from brink.server.queue.lease_policy import LeaseTerms
@@ -257,7 +257,8 @@ def _judge(
             reason = _invalid(connection, rows[outcome.job], outcome, check)
             if reason is not None:
                 status = "invalid"
-                outcome = replace(outcome, result=None, trace=None, error=f"invalid result: {reason}")
+                error = storable(f"invalid result: {reason}")
+                outcome = replace(outcome, result=None, trace=None, error=error)
             accepted[outcome.job] = outcome
         statuses.append(status)
     return statuses, accepted

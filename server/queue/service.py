@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
+from brink.server.db.sql import storable
 from brink.server.db.writer import BatchedUnit, Writer
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.metrics import Metrics
@@ -461,5 +462,5 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
         result = outcome.model_dump_json(exclude={"trace"})
         return Outcome(job=job, token=token, result=result, completed=outcome, trace=trace)
     reason, message = getattr(outcome, "reason", "error"), getattr(outcome, "message", "")
-    error = f"{reason}: {message}".replace("\0", "�")  # Postgres text cannot contain NUL
+    error = storable(f"{reason}: {message}")
     return Outcome(job=job, token=token, result=None, error=error, final=reason == "invalid")
