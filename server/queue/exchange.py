@@ -5,7 +5,7 @@ as nothing unusual happens: one reads the reported jobs together with the queue,
 before the outcomes were stored is also the queue afterwards, unless one of them changes more than its own job.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
@@ -16,6 +16,7 @@ from brink.server.queue.job_store import idle_campaigns
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
 from brink.server.queue.lease_store import Look
 from brink.server.queue.report_store import Outcome, Report, ResultCheck
+from brink.server.queue.workers import Contact, record_contact
 from brink.worker.wire import HeldLease, LeasedJob
 
 
@@ -25,7 +26,7 @@ class Exchange:
 
     Attributes:
         terms: The terms of retries.
-        contacts: Units that record the contact of workers.
+        contacts: Contacts of workers to record.
         outcomes: The reported outcomes.
         release: Leases given back.
         demand: The jobs wanted next, if any.
@@ -33,7 +34,7 @@ class Exchange:
     """
 
     terms: LeaseTerms
-    contacts: tuple[Callable[[Connection], None], ...] = ()
+    contacts: tuple[Contact, ...] = ()
     outcomes: tuple[Outcome, ...] = ()
     release: tuple[HeldLease, ...] = ()
     demand: LeaseDemand | None = None
@@ -58,8 +59,8 @@ class ExchangeReply:
 def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list[ExchangeReply]:
     """Run all exchanges that share a commit: first store their outcomes, then grant jobs in order."""
     for exchange in exchanges:
-        for record in exchange.contacts:
-            record(connection)
+        for contact in exchange.contacts:
+            record_contact(connection, contact)
     demands = [exchange.demand for exchange in exchanges if exchange.demand is not None]
     stored, look = _store_outcomes(connection, exchanges, demands)
     released = [lease_store.release(connection, exchange.release) for exchange in exchanges]
