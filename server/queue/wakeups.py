@@ -7,6 +7,8 @@ from collections.abc import Callable
 from sqlalchemy import Connection, text
 from sqlalchemy.engine import URL
 
+from brink.server.db.engine import postgres_options
+
 CHANNEL = "brink_jobs"
 DUE_CHANNEL = "brink_due"
 RECONNECT_S = 1.0
@@ -90,9 +92,12 @@ async def listen(url: URL, on_jobs: Callable[[], None], on_due: Callable[[str], 
     import psycopg  # an optional dependency
 
     conninfo = url.set(drivername="postgresql").render_as_string(hide_password=False)
+    options = postgres_options(url)
     while True:
         try:
-            async with await psycopg.AsyncConnection.connect(conninfo, autocommit=True) as connection:
+            async with await psycopg.AsyncConnection.connect(
+                conninfo, autocommit=True, **options
+            ) as connection:
                 await connection.execute(f"LISTEN {CHANNEL}".encode())
                 await connection.execute(f"LISTEN {DUE_CHANNEL}".encode())
                 on_jobs()
