@@ -1,8 +1,8 @@
 """Exchanges: requests of workers that report, give back and lease jobs, several in one commit.
 
-All outcomes are stored first, then all leases granted. On Postgres, this takes two round trips and the commit as long
-as nothing unusual happens: one reads the reported jobs together with the queue, the other writes. The queue as it was
-before the outcomes were stored is also the queue afterwards, unless one of them changes more than its own job.
+All outcomes are stored first, then all leases granted. On Postgres, this takes two round trips as long as nothing
+unusual happens: one reads the reported jobs together with the queue, the other writes and commits. The queue as it
+was before the outcomes were stored is also the queue afterwards, unless one of them changes more than its own job.
 """
 
 from collections.abc import Sequence
@@ -65,8 +65,8 @@ def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list
     stored, look = _store_outcomes(connection, exchanges, demands)
     released = [lease_store.release(connection, exchange.release) for exchange in exchanges]
     granted = lease_store.lease_together(connection, demands, None if any(released) else look)
-    # A campaign that has just granted a job is not idle.
-    idle = idle_campaigns(connection, set(stored.campaigns) - granted.campaigns)
+    # A campaign of whose current generation a job was just granted is not idle, and need not be looked up.
+    idle = idle_campaigns(connection, set(stored.campaigns) - granted.busy)
     reported = [{outcome.job for outcome in exchange.outcomes} for exchange in exchanges]
     statuses, grants = iter(stored.statuses), iter(granted.jobs)
     return [
