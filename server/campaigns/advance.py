@@ -116,7 +116,7 @@ class Stepper:
         max_stored_distances: Number of solutions above which distances are not stored.
         seeds: Where seeds come from.
         metrics: Where step times are recorded.
-        others: Other coordinators that may share the database; None if there can be none.
+        others: Other coordinators that may share the database; None to take all steps.
     """
 
     def __init__(
@@ -144,13 +144,15 @@ class Stepper:
         self._live[campaign_id] = live
 
     def take_over(self, campaign_id: str) -> None:
-        """Take the next step of a campaign whose search no coordinator has in memory."""
+        """Take the next step of a campaign here: no coordinator has its search in memory."""
         if self._others is not None:
             self._others.take_over(campaign_id)
 
     def forget(self, campaign_id: str) -> None:
         """Drop the search of a campaign that has ended or is paused."""
         self._live.pop(campaign_id, None)
+        if self._others is not None:
+            self._others.forget(campaign_id)
 
     @property
     def live_campaigns(self) -> tuple[str, ...]:
@@ -181,7 +183,7 @@ class Stepper:
         with self._engines.reader.connect() as connection:
             campaign = CAMPAIGNS.find(connection, campaign_id)
             if campaign is None or campaign.status is not CampaignStatus.RUNNING:
-                self._live.pop(campaign_id, None)
+                self.forget(campaign_id)
                 return False
             outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
         try:
@@ -216,7 +218,7 @@ class Stepper:
         if _is_open(outcomes):
             self._pause_if_nothing_works(campaign, outcomes)
             return False
-        if self._others is not None and not self._is_current(campaign) and self._others.get_step(campaign):
+        if self._others is not None and not self._is_current(campaign) and self._others.leave_step(campaign):
             self._live.pop(campaign.id, None)
             return False
         live = self._state(campaign)

@@ -94,7 +94,7 @@ def _store_outcomes(
     ahead = lease_store.look_queries(demands) if demands and is_pipelined(connection) else []
     reported, *seen = read(connection, report_store.reported_query(outcomes), *ahead)
     stored = report_store.store_outcomes(
-        connection, outcomes, reported, exchanges[0].terms, exchanges[0].check
+        connection, outcomes, reported, exchanges[0].terms.retry_backoff_s, exchanges[0].check
     )
     if not seen or stored.changes_queue:
         return stored, None

@@ -198,7 +198,7 @@ def store_outcomes(
     connection: Connection,
     outcomes: Sequence[Outcome],
     found: Sequence[JobRecord],
-    terms: LeaseTerms,
+    retry_backoff_s: float,
     check: ResultCheck | None = None,
 ) -> Report:
     """Store the outcomes of jobs that nobody else holds; all others change nothing.
@@ -207,7 +207,7 @@ def store_outcomes(
         connection: In a write transaction.
         outcomes: What workers report.
         found: The rows of `reported_query`.
-        terms: Terms with the backoff of retries.
+        retry_backoff_s: Delay before the first retry; doubles with each attempt.
         check: Refuses results that are of no use; their attempts have failed. None to store all results.
 
     Returns:
@@ -230,7 +230,7 @@ def store_outcomes(
         connection,
         [_failure(rows[job], o) for job, o in accepted.items() if o.result is None],
         now,
-        terms.retry_backoff_s,
+        retry_backoff_s,
     )
     touched = {rows[job].campaign_id for job in accepted} | sharing
     return Report(

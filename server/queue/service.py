@@ -46,7 +46,8 @@ from brink.worker.wire import (
 RECHECK_S = 10.0
 """Interval at which a waiting lease looks for jobs by itself, in case a wake-up was lost."""
 SHARED_RECHECK_S = 2.0
-"""The same with several coordinators: no wake-up announces jobs that another one read ahead and did not grant."""
+"""The same while another coordinator serves workers: no wake-up announces jobs that it read ahead and did not grant,
+and on SQLite none of its jobs."""
 LIVE_WORKERS_S = 0.5
 """How long a list of the live workers is reused."""
 SPACING_S_A_WORKER = 1e-4
@@ -124,7 +125,7 @@ class _Swept:
     Attributes:
         sweep: How it began; None if another coordinator was sweeping.
         expiry: The leases taken back.
-        elsewhere: What each live worker of any coordinator can run; empty if there is only this one.
+        elsewhere: What each live worker of any coordinator can run.
         due_retries: How many retries are due.
         draining: The workers that were asked to exit.
     """
@@ -155,9 +156,9 @@ class QueueService:
     _draining: dict[str, workers.Process] = field(default_factory=dict)
 
     @property
-    def _is_alone(self) -> bool:
-        """Whether no other coordinator can share the database."""
-        return self.settings.sqlite_file is not None
+    def has_workers_elsewhere(self) -> bool:
+        """Whether another coordinator served workers lately, as of the last sweep."""
+        return any(name not in self._workers for name in self._elsewhere)
 
     def end_waits(self) -> None:
         """Answer all waiting requests, and let no request wait from now on."""
@@ -205,7 +206,7 @@ class QueueService:
                 break
             if granted or remaining <= 0 or self.stopping:
                 return LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
-            recheck_s = RECHECK_S if self._is_alone else SHARED_RECHECK_S
+            recheck_s = SHARED_RECHECK_S if self.has_workers_elsewhere else RECHECK_S
             await self.wakeups.wait(min(remaining, recheck_s), gone, since=changes)
         return LeaseReply(jobs=[], lease_s=self.settings.lease_s)
 
@@ -328,16 +329,18 @@ class QueueService:
 
     def _sweep(self, connection: Connection, terms: LeaseTerms, *, resuming: bool) -> _Swept:
         workers.forget_absent(connection, FORGET_S)
-        settings, alone = self.settings, self._is_alone
+        settings = self.settings
         sweep = outages.begin_sweep(
             connection, lease_s=settings.lease_s, sweep_s=settings.sweep_s, resuming=resuming
         )
-        if alone:  # workers on this machine need not be waited for: their processes can be looked up
+        if (
+            settings.sqlite_file is not None
+        ):  # its workers are most likely on this machine: look up their processes
             lease_store.end_now(connection, workers.leases_of_dead(connection))
         return _Swept(
             sweep=sweep,
             expiry=report_store.expire(connection, terms) if sweep is not None else Expiry(),
-            elsewhere={} if alone else workers.live_capabilities(connection, settings.worker_seen_s),
+            elsewhere=workers.live_capabilities(connection, settings.worker_seen_s),
             due_retries=lease_store.count_due_retries(connection, terms.elsewhere),
             draining=workers.read_draining(connection),
         )

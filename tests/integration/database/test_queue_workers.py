@@ -309,19 +309,21 @@ def test_a_dead_worker_of_this_machine_is_not_waited_for(database_url: str, dead
     asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
 
 
-def test_a_coordinator_knows_the_workers_of_the_others(postgres_databases: PostgresDatabases) -> None:
-    async def body(database_url: str) -> None:
+def test_a_coordinator_knows_the_workers_of_the_others(database_url: str) -> None:
+    async def body() -> None:
         async with AsyncExitStack() as stack:
             coordinators = Coordinators(stack)
             first, second = await coordinators.start(database_url), await coordinators.start(database_url)
             await ask(first, identity("w1"), "x")
+            await first.sweep()
+            known = [first.has_workers_elsewhere]
             await ask(second, identity("w2"), "x", "y")
             await first.sweep()
+            assert [*known, first.has_workers_elsewhere] == [False, True]
             assert first.terms("w1").live_workers == 2
             assert first.terms("w1").elsewhere == {"x", "y"}
 
-    with postgres_databases.database() as url:
-        asyncio.run(asyncio.wait_for(body(url), PATIENCE_S))
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
 
 
 def test_what_a_worker_can_run_is_noted_if_it_reports_before_it_asks(database_url: str, queue: Queue) -> None:
