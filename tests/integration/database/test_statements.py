@@ -158,6 +158,22 @@ def test_text_that_postgres_cannot_store_is_refused(engines: Engines) -> None:
 
 
 @on_postgres
+def test_transaction_begins_all_the_same_after_a_query_with_an_invalid_parameter(engines: Engines) -> None:
+    named = Statement(select(TraceRow.spec_hash).where(TraceRow.spec_hash == bindparam("name")))
+
+    def unit(connection: Connection) -> None:
+        with pytest.raises(DataError):
+            read(connection, (named, {"name": "a\0b"}))
+        write(connection, ADD, {"name": "a"})
+        read(connection, (NAMES, {}))
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run(engines, unit)
+    assert names(engines) == [], "it was rolled back"
+
+
+@on_postgres
 def test_more_than_the_sockets_hold_is_sent_and_received_at_once(engines: Engines) -> None:
     echo = Statement(select(bindparam("words", type_=Text).label("words")))
     words = "x" * 4_000_000
@@ -200,7 +216,9 @@ def test_lost_connection_is_reported_as_lost(engines: Engines, then: Callable[[C
         end_session(connection, engines)
         then(connection)
 
-    with pytest.raises(OperationalError) as raised:
+    with pytest.raises(
+        OperationalError, match="terminating connection due to administrator command"
+    ) as raised:
         run(engines, unit)
     assert raised.value.connection_invalidated
     with engines.writer.begin() as connection:
