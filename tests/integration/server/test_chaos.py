@@ -36,7 +36,7 @@ def test_nothing_is_lost_in_a_fault_trial() -> None:
 def test_trial_reveals_a_queue_that_ignores_lease_tokens(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     plan = ChaosPlan(
-        minutes=0.15, faults=1, every_s=5.0, share=0.4, simulations=100, drives=False, plugins=("unfenced",)
+        minutes=0.4, faults=1, every_s=5.0, share=0.4, simulations=100, drives=False, plugins=("unfenced",)
     )
     assert run_trial(plan, ignore).findings.doubled
 
