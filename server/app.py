@@ -56,7 +56,7 @@ from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
-from brink.server.queue.wakeups import Wakeups, listen
+from brink.server.queue.wakeups import Wakeups, count_listening, listen
 from brink.server.settings import LOOPBACK, Settings
 from brink.server.single_flight import SingleFlightCache
 
@@ -87,13 +87,13 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        shared = sweeping and not engines.is_sqlite
-        context = _context(settings, engines, metrics, asyncio.get_running_loop(), shared=shared)
+        context = _context(settings, engines, metrics, asyncio.get_running_loop(), sweeping=sweeping)
         app.state.context = context
         stopping = asyncio.Event()
         sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
         heard = context.queue.wakeups.wake, context.scheduler.advance_own
-        listener = asyncio.create_task(listen(engines.writer.url, *heard)) if shared else None
+        listens = sweeping and not engines.is_sqlite
+        listener = asyncio.create_task(listen(engines.writer.url, *heard)) if listens else None
         try:
             yield
         finally:
@@ -173,8 +173,14 @@ def _routes() -> list[BaseRoute]:
 
 
 def _context(
-    settings: Settings, engines: Engines, metrics: Metrics, loop: asyncio.AbstractEventLoop, *, shared: bool
+    settings: Settings, engines: Engines, metrics: Metrics, loop: asyncio.AbstractEventLoop, *, sweeping: bool
 ) -> Context:
+    def others_are_known() -> bool:
+        if engines.is_sqlite:
+            return queue.has_workers_elsewhere
+        with engines.reader.connect() as connection:
+            return count_listening(connection) > 1
+
     def on_seeds(campaign_id: str) -> None:
         with suppress(RuntimeError):  # the coordinator has stopped in the meantime
             loop.call_soon_threadsafe(scheduler.advance_soon, [campaign_id])
@@ -187,7 +193,7 @@ def _context(
         max_stored_distances=settings.max_stored_distances,
         seeds=seeds,
         metrics=metrics,
-        others=OtherCoordinators(engines, writer) if shared else None,
+        others=OtherCoordinators(engines, writer, others_are_known) if sweeping else None,
     )
     wakeups = Wakeups()
     scheduler = Scheduler(engines, stepper, wakeups)

@@ -149,7 +149,9 @@ class CoordinatorClient:
             return self._parse(response.content, reply_type)
         message = f"{self.server}: {name} returned {_explain(response)}"
         if response.status_code >= 500 or response.status_code in _RETRYABLE:
-            raise CoordinatorUnavailable(message, retry_after_s=_retry_after_s(response))
+            raise CoordinatorUnavailable(
+                message, retry_after_s=_retry_after_s(response), status=response.status_code
+            )
         if response.status_code == httpx.codes.UNAUTHORIZED:
             words = no_token_words(self.server, given="Authorization" in self._http.headers, scope="worker")
             raise RequestRefused(words, status=response.status_code)

@@ -39,11 +39,15 @@ class CoordinatorUnavailable(CoordinatorError):
 
     Attributes:
         retry_after_s: Requested wait, or None.
+        status: HTTP status, or None if there was no response.
     """
 
-    def __init__(self, message: str, *, retry_after_s: float | None = None) -> None:
+    def __init__(
+        self, message: str, *, retry_after_s: float | None = None, status: int | None = None
+    ) -> None:
         super().__init__(message)
         self.retry_after_s = retry_after_s
+        self.status = status
 
 
 class RequestRefused(CoordinatorError):

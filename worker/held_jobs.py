@@ -89,14 +89,14 @@ class FinishedJob:
         outcome: The result, or why there is none.
         size_bytes: Size of the outcome as JSON.
         finished_s: When it finished, on the monotonic clock.
-        replaced: Whether the coordinator refused the original outcome.
+        original: What this is reported instead of, because the coordinator did not take it; None if this is it.
     """
 
     leased: LeasedJob
     outcome: Completed | JobFailed
     size_bytes: int
     finished_s: float
-    replaced: bool = False
+    original: "FinishedJob | None" = None
 
     def to_wire(self) -> JobResult:
         """Return the wire message."""
@@ -157,6 +157,7 @@ class HeldJobs:
         self._running_since_s = 0.0
         self._finished: list[FinishedJob] = []
         self._lost: set[Key] = set()
+        self._max_batch = MAX_BATCH
         # After a refused report: how many outcomes are still to be reported one at a time.
         self._report_singly = 0
         self._queue_was_empty = False
@@ -291,28 +292,47 @@ class HeldJobs:
                     log.info("the lease was lost before the outcome arrived", extra=fields)
             self.changed.notify_all()
 
-    def handle_refusal(self, report: Report, reason: str) -> None:
+    def handle_refusal(self, report: Report, reason: str, *, too_large: bool = False) -> None:
         """Isolate the outcome that the coordinator refuses, and replace it with a failure.
 
         The outcomes of a refused report are sent again one at a time. An outcome that is refused on its own is
-        replaced with an error. If that is refused too, the job is dropped and its lease will expire.
+        replaced with an error. If that is refused too, the job is dropped and its lease will expire. If the report
+        was too large, it and all later ones have half as many outcomes instead.
         """
         with self.changed:
+            if too_large and len(report.outcomes) > 1:
+                self._max_batch = len(report.outcomes) // 2
+                return
             if len(report.outcomes) > 1 or report.room:
                 self._report_singly = max(1, len(report.outcomes))
                 return
             refused = self._finished.pop(0)
             fields = {"job": refused.leased.job, "reason": reason}
-            if refused.replaced:
+            if refused.original is not None:
                 log.error("the coordinator refused even the failure of a job; dropped", extra=fields)
                 self._report_singly = max(0, self._report_singly - 1)
                 self._note_if_idle()
                 return
             log.error("the coordinator refused an outcome; reporting an error instead", extra=fields)
-            message = failure_text(f"the coordinator refused the outcome: {reason}")
-            failure = JobFailed(reason="error", message=message)
-            replacement = replace(refused, outcome=failure, size_bytes=len(message), replaced=True)
-            self._finished.insert(0, replacement)
+            self._finished.insert(0, _in_place_of(refused, f"the coordinator refused the outcome: {reason}"))
+
+    def handle_fault(self, report: Report, reason: str) -> None:
+        """Isolate the outcome at which the coordinator fails, and report an error in its place.
+
+        The outcomes of the report are sent again one at a time. If the coordinator fails even at the error, the
+        outcome is not the cause, and is sent again until the coordinator works.
+        """
+        with self.changed:
+            if len(report.outcomes) > 1 or report.room:
+                self._report_singly = max(1, len(report.outcomes))
+                return
+            suspect = self._finished[0]
+            if suspect.original is not None:
+                self._finished[0] = suspect.original
+                return
+            fields = {"job": suspect.leased.job, "reason": reason}
+            log.error("the coordinator fails at an outcome; reporting an error instead", extra=fields)
+            self._finished[0] = _in_place_of(suspect, f"the coordinator failed at the outcome: {reason}")
 
     def postpone(self, delay_s: float) -> None:
         """Make no request for this long: the coordinator is unavailable."""
@@ -419,7 +439,7 @@ class HeldJobs:
     def _batch(self) -> tuple[FinishedJob, ...]:
         batch: list[FinishedJob] = []
         size_bytes = 0
-        for outcome in self._finished[: 1 if self._report_singly else MAX_BATCH]:
+        for outcome in self._finished[: 1 if self._report_singly else self._max_batch]:
             size_bytes += outcome.size_bytes
             if batch and size_bytes > MAX_BATCH_BYTES:
                 break
@@ -463,6 +483,13 @@ class HeldJobs:
         if not self._waiting and not self._in_process and not self._finished:
             self._idle_since_s = self._clock()
             self._asked_while_idle = False
+
+
+def _in_place_of(finished: FinishedJob, why: str) -> FinishedJob:
+    """Return a failure to report instead of an outcome."""
+    message = failure_text(why)
+    failure = JobFailed(reason="error", message=message)
+    return replace(finished, outcome=failure, size_bytes=len(message), original=finished)
 
 
 def _key(job: LeasedJob) -> Key:

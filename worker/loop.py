@@ -10,6 +10,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from http import HTTPStatus
 from random import Random
 from typing import Final
 
@@ -60,6 +61,9 @@ START_ATTEMPTS: Final = 3
 
 BODY_ERRORS: Final = frozenset({400, 413, 422})
 """Statuses of refusals that are due to the request body; any other is due to the worker or the address."""
+
+FAULTS_BEFORE_ISOLATION: Final = 3
+"""Consecutive internal errors of the coordinator (500) after which a report is suspected to be the cause."""
 
 LONGEST_PAUSE_WHEN_STOPPING_S: Final = 0.5
 
@@ -378,6 +382,7 @@ class Reporter:
         self._wait_s = wait_s
         self._on_lease = on_lease
         self._outage = Outage(client.server, Backoff(first_s=0.5, cap_s=10.0), rng)
+        self._faults = 0
 
     def run(self) -> None:
         """Make requests until none is left to make.
@@ -422,11 +427,26 @@ class Reporter:
         except RequestRefused as refusal:
             if refusal.status not in BODY_ERRORS or not report.outcomes:
                 raise
-            self._held.handle_refusal(report, str(refusal))
+            self._held.handle_refusal(
+                report, str(refusal), too_large=refusal.status == HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+            )
             return
+        except CoordinatorUnavailable as error:
+            self._note_fault(report, error)
+            raise
+        self._faults = 0
         self._held.acknowledge(report, reply.statuses, wall_s=time.monotonic() - began_s)
         if reply.lease is not None:
             self._add(reply.lease)
+
+    def _note_fault(self, report: Report, error: CoordinatorUnavailable) -> None:
+        """Isolate outcomes if the coordinator keeps failing on their report, rather than being unavailable."""
+        if error.status != HTTPStatus.INTERNAL_SERVER_ERROR or not report.outcomes:
+            return
+        self._faults += 1
+        if self._faults == FAULTS_BEFORE_ISOLATION:
+            self._faults = 0
+            self._held.handle_fault(report, str(error))
 
     def _add(self, reply: LeaseReply) -> None:
         self._on_lease(reply.lease_s)

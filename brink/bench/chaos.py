@@ -3,8 +3,8 @@
 Two coordinators and four workers share a Postgres server. A proxy loses, delays, truncates and repeats their
 messages. Processes, episodes, database connections and the database itself are killed or suspended, and the clocks of
 two workers are wrong. In outages, no coordinator runs for longer than a lease. Afterwards no acknowledged verdict may
-be missing or counted twice, no job may be stuck or in quarantine, and every archive must be identical to that of the
-same campaign without faults.
+be missing or counted twice, no job may be stuck, in quarantine, or charged for an outage, no request may have met an
+internal error, and every archive must be identical to that of the same campaign without faults.
 """
 
 import asyncio
@@ -39,7 +39,7 @@ from brink.bench.processes import (
 )
 from brink.bench.servers import TemporaryPostgres, temporary_postgres
 from brink.server.db.engine import open_engines
-from brink.server.db.models import CampaignRow, JobRow, SolutionRow
+from brink.server.db.models import CampaignRow, JobRow, SolutionRow, WorkerRow
 from brink.server.states import JobKind, JobStatus, SolutionVerdict
 from brink.worker.wire import Completed
 
@@ -56,6 +56,7 @@ DOWN_S = (0.0, 3.0)
 """How long a killed process stays down."""
 OUTAGE_S = (3.5, 9.0)
 """How long all coordinators are down in an outage: always longer than a lease."""
+EPISODE_KILLED = "episode process killed"
 CONCURRENT_CAMPAIGNS = 2
 FINISH_TIMEOUT_S = 240.0
 """How long the campaigns may take to finish after the last fault."""
@@ -127,11 +128,15 @@ class Findings:
         doubled: Verdicts that were accepted twice, campaigns that count more verdicts than their solutions have, and
             campaigns that were not submitted.
         stuck: Jobs and campaigns that did not finish.
+        charged: Losses and failed attempts that jobs were charged although they were nobody's fault.
+        errors: Internal errors of coordinators.
     """
 
     lost: tuple[str, ...] = ()
     doubled: tuple[str, ...] = ()
     stuck: tuple[str, ...] = ()
+    charged: tuple[str, ...] = ()
+    errors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,12 +191,19 @@ def run_trial(plan: ChaosPlan, progress: Progress) -> ChaosOutcome:
             {**ENVIRONMENT, **plugin_environment(MODULE, *plan.plugins)},
             plan.rng(1),
         )
-        trial, ledger = _Trial(plan, progress, site), Ledger()
-        asyncio.run(trial.run(ledger))
+        ledger = Ledger()
+        trial = _Trial(plan, progress, site, ledger)
+        asyncio.run(trial.run())
         engines = open_engines(site.database)
         try:
             with engines.reader.connect() as connection:
-                findings = audit(connection, ledger, trial.campaigns)
+                findings = audit(
+                    connection,
+                    ledger,
+                    trial.campaigns,
+                    crashes=site.faults[EPISODE_KILLED],
+                    charged=site.charged,
+                )
         finally:
             engines.dispose()
         undisturbed = _run_undisturbed(plan, list(trial.bodies.values()), folder, progress)
@@ -213,10 +225,12 @@ class Ledger:
     Attributes:
         accepted: Accepted results of each job, as they are stored.
         statuses: Number of results by the coordinator's response.
+        errors: Number of internal errors of coordinators by the request's method and path.
     """
 
     accepted: dict[int, list[str]] = field(default_factory=dict)
     statuses: Counter[str] = field(default_factory=Counter)
+    errors: Counter[str] = field(default_factory=Counter)
 
     def note(self, request: bytes, reply: bytes) -> None:
         """Record the results of one report and the coordinator's responses."""
@@ -229,13 +243,22 @@ class Ledger:
                 self.accepted.setdefault(result["job"], []).append(stored)
 
 
-def audit(connection: Connection, ledger: Ledger, campaigns: Mapping[str, int]) -> Findings:
+def audit(
+    connection: Connection,
+    ledger: Ledger,
+    campaigns: Mapping[str, int],
+    *,
+    crashes: int = 0,
+    charged: Sequence[str] = (),
+) -> Findings:
     """Compare the results that coordinators accepted with those in the database.
 
     Args:
         connection: Connection to the database, which nothing writes to any more.
         ledger: The accepted results.
         campaigns: Number of simulations of each submitted campaign.
+        crashes: Number of episodes that were made to fail; no other attempt may have failed.
+        charged: What jobs were wrongly charged, as far as it is known already.
     """
     lost: list[str] = []
     stuck: list[str] = []
@@ -246,7 +269,9 @@ def audit(connection: Connection, ledger: Ledger, campaigns: Mapping[str, int]) 
     ]
     jobs = {
         row.id: row
-        for row in connection.execute(select(JobRow.id, JobRow.status, JobRow.result, JobRow.kind))
+        for row in connection.execute(
+            select(JobRow.id, JobRow.status, JobRow.result, JobRow.kind, JobRow.attempt, JobRow.losses)
+        )
     }
     for job, results in ledger.accepted.items():
         row = jobs.get(job)
@@ -274,7 +299,15 @@ def audit(connection: Connection, ledger: Ledger, campaigns: Mapping[str, int]) 
             doubled.append(
                 f"campaign {campaign}: counts {stored[campaign].evaluated} solutions, {verdicts} have a verdict"
             )
-    return Findings(lost=tuple(lost), doubled=tuple(doubled), stuck=tuple(stuck))
+    failures = sum(
+        max(0, row.attempt - row.losses - 1) for row in jobs.values() if row.status == JobStatus.DONE
+    )
+    if failures > crashes:
+        charged = [*charged, f"{failures} failed attempts, but {crashes} episodes were killed"]
+    return Findings(
+        lost=tuple(lost), doubled=tuple(doubled), stuck=tuple(stuck), charged=tuple(charged),
+        errors=tuple(f"{request}: {count} times" for request, count in ledger.errors.items()),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -401,8 +434,10 @@ class FaultyProxy:
             return None
         finally:
             writer.close()
-        is_report = b"/jobs/results " in request.head.partition(b"\r\n")[0]
-        if is_report and b" 200 " in reply.head.partition(b"\r\n")[0]:
+        asked, status = request.head.partition(b"\r\n")[0], reply.head.partition(b"\r\n")[0]
+        if b" 500 " in status:
+            self._ledger.errors[asked.decode().removesuffix(" HTTP/1.1")] += 1
+        if b"/jobs/results " in asked and b" 200 " in status:
             self._ledger.note(request.body, reply.body)
         return reply
 
@@ -423,7 +458,9 @@ class Site:
     Attributes:
         faults: Number of injected faults, by kind.
         unexpected_exits: Descriptions of processes that exited by themselves.
+        charged: Descriptions of jobs that were charged for an outage.
         database: Database URL.
+        proxy: The proxy of the workers; None before `start`.
         coordinators: The coordinators.
         workers: The workers; empty before `start`.
 
@@ -445,7 +482,9 @@ class Site:
     ) -> None:
         self.faults: Counter[str] = Counter()
         self.unexpected_exits: list[str] = []
+        self.charged: list[str] = []
         self.database = database
+        self.proxy: FaultyProxy | None = None
         self.coordinators = [
             CoordinatorProcess(database, folder / f"coordinator-{index}.log", env)
             for index in range(COORDINATORS)
@@ -465,16 +504,17 @@ class Site:
             "worker killed": (4, lambda: self._end(self.workers, Process.kill)),
             "worker told to stop": (2, lambda: self._end(self.workers, Process.stop)),
             "worker stands still": (3, lambda: self._suspend(self.workers)),
-            "episode process killed": (6, self._kill_episode),
+            EPISODE_KILLED: (6, self._kill_episode),
             "database connection cut": (6, lambda: self._cut_connections(1)),
             "all database connections cut": (2, lambda: self._cut_connections(None)),
             "database crashed": (1, self._crash_database),
         }
 
-    def start(self, proxy_url: str) -> None:
+    def start(self, proxy: FaultyProxy) -> None:
         """Start all processes that are not running yet."""
+        self.proxy = proxy
         for index, clocks in enumerate(CLOCKS[:WORKERS]):
-            options = ("--server", proxy_url, "--wait", "5", "--grace", "3", "--memory", "0")
+            options = ("--server", proxy.url, "--wait", "5", "--grace", "3", "--memory", "0")
             skewed = ["brink.bench.wrong_clock", *map(str, clocks)]
             module = skewed if clocks != (0.0, 1.0) else ["brink.worker"]
             command = [sys.executable, "-m", *module, *options]
@@ -535,23 +575,46 @@ class Site:
         return True
 
     async def _kill_coordinators(self) -> bool:
-        """Kill all coordinators for longer than a lease; no job may be charged for it."""
-        down = [one for one in self.coordinators if one not in self._down]
-        if len(down) < len(self.coordinators):  # the other one would come back during the outage
-            return False
-        self._down.update(down)
-        outage_s = self._rng.uniform(*OUTAGE_S)
+        """Kill all coordinators for longer than a lease; no job that was leased then may be charged for it.
 
-        async def restart() -> None:
-            for one in down:
-                await asyncio.to_thread(one.kill)
-            await asyncio.sleep(outage_s)
-            for one in down:
-                one.start()
-                self._down.discard(one)
-
-        self._recover_later(restart())
+        Until that is clear, nothing else is broken: other faults may cost leases that were renewed after the outage.
+        """
+        assert self.proxy is not None
+        share, self.proxy.share = self.proxy.share, 0.0
+        await self.recover()
+        for one in self.coordinators:
+            await asyncio.to_thread(one.kill)
+        before = await asyncio.to_thread(self._losses_of_leased)
+        await asyncio.sleep(self._rng.uniform(*OUTAGE_S))
+        await asyncio.gather(*(asyncio.to_thread(one.start_ready) for one in self.coordinators))
+        await asyncio.sleep(float(ENVIRONMENT["BRINK_LEASE_S"]) + 2 * float(ENVIRONMENT["BRINK_SWEEP_S"]))
+        after = await asyncio.to_thread(self._losses_of, list(before))
+        self.charged += [
+            f"job {job} was charged {after[job] - losses} losses for an outage"
+            for job, losses in before.items()
+            if after[job] > losses
+        ]
+        self.proxy.share = share
         return True
+
+    def _losses_of_leased(self) -> dict[int, int]:
+        """Return the losses of each leased job whose worker's clock is right: the others may renew too late."""
+        punctual = [one.pid for one, clock in zip(self.workers, CLOCKS, strict=True) if clock[1] == 1.0]
+        query = select(JobRow.id, JobRow.losses).join(WorkerRow, WorkerRow.id == JobRow.lease_worker)
+        leased = query.where(JobRow.status == JobStatus.LEASED, WorkerRow.pid.in_(punctual))
+        return self._read(lambda connection: {row.id: row.losses for row in connection.execute(leased)})
+
+    def _losses_of(self, jobs: list[int]) -> dict[int, int]:
+        query = select(JobRow.id, JobRow.losses).where(JobRow.id.in_(jobs))
+        return self._read(lambda connection: {row.id: row.losses for row in connection.execute(query)})
+
+    def _read(self, query: Callable[[Connection], dict[int, int]]) -> dict[int, int]:
+        engines = open_engines(self.database)
+        try:
+            with engines.reader.connect() as connection:
+                return query(connection)
+        finally:
+            engines.dispose()
 
     async def _suspend(self, processes: _Processes) -> bool:
         process = self._take_down(processes)
@@ -599,7 +662,7 @@ class Site:
 
 
 class _Trial:
-    def __init__(self, plan: ChaosPlan, progress: Progress, site: Site) -> None:
+    def __init__(self, plan: ChaosPlan, progress: Progress, site: Site, ledger: Ledger) -> None:
         self.campaigns: dict[str, int] = {}
         self.bodies: dict[str, dict[str, Any]] = {}
         self.digests: dict[str, str] = {}
@@ -609,16 +672,17 @@ class _Trial:
         self._site = site
         self._plan = plan
         self._progress = progress
+        self._ledger = ledger
         self._rng = plan.rng(4)
 
-    async def run(self, ledger: Ledger) -> None:
+    async def run(self) -> None:
         """Run campaigns under faults, then let them finish."""
         plan = self._plan
         ports = [coordinator.port for coordinator in self._site.coordinators]
-        async with FaultyProxy(ports, ledger, share=plan.share, rng=plan.rng(2)) as proxy:
+        async with FaultyProxy(ports, self._ledger, share=plan.share, rng=plan.rng(2)) as proxy:
             for coordinator in self._site.coordinators:  # one after another: the first creates the schema
                 await asyncio.to_thread(coordinator.start_ready)
-            self._site.start(proxy.url)
+            self._site.start(proxy)
             try:
                 async with httpx.AsyncClient(timeout=10.0) as client:
                     await self._inject_faults(client)
@@ -680,6 +744,8 @@ class _Trial:
             response = await client.request(method, f"{coordinator.url}/api/v1{path}", **more)
         except httpx.TransportError:
             return None
+        if response.status_code == httpx.codes.INTERNAL_SERVER_ERROR:
+            self._ledger.errors[f"{method} {path}"] += 1
         if response.is_client_error:
             raise MeasurementFailed(f"{method} {path}: {response.status_code} {response.text[:500]}")
         return response.json() if response.is_success else None

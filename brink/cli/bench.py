@@ -837,7 +837,8 @@ def chaos(
 
     Two coordinators and four workers run. Processes, episodes, the database and its connections are killed or
     suspended; messages are lost, truncated, delayed and repeated; the clocks of two workers are wrong. No verdict may
-    be lost or counted twice, no job may get stuck, and every archive must match that of the undisturbed campaign.
+    be lost or counted twice, no job may get stuck or be charged for an outage, no request may meet an internal error,
+    and every archive must match that of the undisturbed campaign.
 
     Example: brink bench chaos --minutes 10
     """
@@ -847,7 +848,13 @@ def chaos(
     with _progress() as progress:
         outcome = run_trial(plan, progress)
     findings = outcome.findings
-    wrong = {"lost": findings.lost, "counted twice": findings.doubled, "stuck": findings.stuck}
+    wrong = {
+        "verdicts or jobs lost": findings.lost,
+        "verdicts or jobs counted twice": findings.doubled,
+        "verdicts or jobs stuck": findings.stuck,
+        "jobs charged for what is nobody's fault": findings.charged,
+        "internal errors": findings.errors,
+    }
     undisturbed = outcome.same == len(outcome.digests)
     document = {
         "minutes": outcome.minutes,
@@ -858,7 +865,11 @@ def chaos(
         "campaigns": outcome.campaigns,
         "digests": outcome.digests,
         "ended_by_themselves": outcome.unexpected_exits,
-        **{name.replace(" ", "_"): list(found) for name, found in wrong.items()},
+        "lost": findings.lost,
+        "counted_twice": findings.doubled,
+        "stuck": findings.stuck,
+        "charged": findings.charged,
+        "internal_errors": findings.errors,
     }
     injected = _table(("fault", "times"), (outcome.broken + outcome.messages).most_common())
     injected.add_row("processes, connections, databases", str(outcome.broken.total()))
@@ -866,7 +877,7 @@ def chaos(
     answers = ", ".join(f"{count:,} {name}" for name, count in outcome.statuses.most_common())
     verdicts = _table(
         ("in the end", "value", "target", ""),
-        ((f"verdicts or jobs {name}", len(found), "0", _met(not found)) for name, found in wrong.items()),
+        ((name, len(found), "0", _met(not found)) for name, found in wrong.items()),
     )
     same = f"{outcome.same} of {len(outcome.digests)}"
     verdicts.add_row("archives identical to the undisturbed ones", same, "all", _met(undisturbed))

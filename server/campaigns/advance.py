@@ -64,6 +64,7 @@ from brink.server.campaigns.step_store import (
 )
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.db.engine import Engines, read
+from brink.server.db.sql import storable
 from brink.server.db.writer import Writer, is_transient
 from brink.server.errors import Damaged, InvalidInput, Unavailable
 from brink.server.llm.settings import LlmSettings
@@ -115,7 +116,7 @@ class Stepper:
         max_stored_distances: Number of solutions above which distances are not stored.
         seeds: Where seeds come from.
         metrics: Where step times are recorded.
-        others: Other coordinators that may share the database; None if there can be none.
+        others: Other coordinators that may share the database; None to take all steps.
     """
 
     def __init__(
@@ -143,13 +144,15 @@ class Stepper:
         self._live[campaign_id] = live
 
     def take_over(self, campaign_id: str) -> None:
-        """Take the next step of a campaign whose search no coordinator has in memory."""
+        """Take the next step of a campaign here: no coordinator has its search in memory."""
         if self._others is not None:
             self._others.take_over(campaign_id)
 
     def forget(self, campaign_id: str) -> None:
         """Drop the search of a campaign that has ended or is paused."""
         self._live.pop(campaign_id, None)
+        if self._others is not None:
+            self._others.forget(campaign_id)
 
     @property
     def live_campaigns(self) -> tuple[str, ...]:
@@ -180,31 +183,11 @@ class Stepper:
         with self._engines.reader.connect() as connection:
             campaign = CAMPAIGNS.find(connection, campaign_id)
             if campaign is None or campaign.status is not CampaignStatus.RUNNING:
-                self._live.pop(campaign_id, None)
+                self.forget(campaign_id)
                 return False
             outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
-        if self._has_other_simulator(campaign):
-            return False
-        if _is_open(outcomes):
-            self._pause_if_nothing_works(campaign, outcomes)
-            return False
-        if self._others is not None and not self._is_current(campaign) and self._others.get_step(campaign):
-            self._live.pop(campaign.id, None)
-            return False
         try:
-            live = self._state(campaign)
-            if outcomes and seed_request(live.plan, live.state) is not None:
-                # Since this state was made, another coordinator has received the seeds and called `ask`.
-                live = self._restore(campaign)
-            if seed_request(live.plan, live.state) is not None:
-                return self._seed(campaign, live)
-            if not outcomes:
-                # Another coordinator may have called `ask` after the outcomes were read, before the state was made.
-                with self._engines.reader.connect() as connection:
-                    outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
-                if _is_open(outcomes):
-                    return False
-            return self._tell(campaign, live, outcomes)
+            return self._take_step(campaign, outcomes)
         except _MovedOn:
             return False
         except InvalidInput as error:
@@ -222,6 +205,35 @@ class Stepper:
             else:  # nothing is lost, and the cause may be fixed
                 self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             raise
+
+    def _take_step(self, campaign: Campaign, outcomes: Sequence[JobOutcome]) -> bool:
+        """Take a campaign's step if it is due; return whether it was taken.
+
+        Args:
+            campaign: The campaign, which is running.
+            outcomes: The outcomes of its current generation.
+        """
+        if self._has_other_simulator(campaign):
+            return False
+        if _is_open(outcomes):
+            self._pause_if_nothing_works(campaign, outcomes)
+            return False
+        if self._others is not None and not self._is_current(campaign) and self._others.leave_step(campaign):
+            self._live.pop(campaign.id, None)
+            return False
+        live = self._state(campaign)
+        if outcomes and seed_request(live.plan, live.state) is not None:
+            # Since this state was made, another coordinator has received the seeds and called `ask`.
+            live = self._restore(campaign)
+        if seed_request(live.plan, live.state) is not None:
+            return self._seed(campaign, live)
+        if not outcomes:
+            # Another coordinator may have called `ask` after the outcomes were read, before the state was made.
+            with self._engines.reader.connect() as connection:
+                outcomes = job_store.generation_outcomes(connection, campaign.id, campaign.generation)
+            if _is_open(outcomes):
+                return False
+        return self._tell(campaign, live, outcomes)
 
     def _pause_if_nothing_works(self, campaign: Campaign, outcomes: Sequence[JobOutcome]) -> None:
         """Pause a campaign whose first simulations all failed, rather than wait for the rest of its generation."""
@@ -519,7 +531,8 @@ def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> E
         kind = JobKind.DATASET if question is Question.DATASET else JobKind.EPISODE
         return evaluate(problem, kind, Completed.model_validate_json(result))
     except UNREADABLE as error:
-        return Failed(reason=f"error: the result cannot be evaluated: {type(error).__name__}: {error}")
+        reason = f"error: the result cannot be evaluated: {type(error).__name__}: {error}"
+        return Failed(reason=storable(reason))
 
 
 def _is_transient(error: Exception) -> bool:

@@ -1,8 +1,8 @@
 """Decides which of several coordinators takes a campaign's steps: the one that has its search in memory.
 
 Any other one would first have to read the whole archive, only to find that the step has been taken meanwhile. So it
-leaves a step that is due, and tells the others. If nobody has taken the step after a while, it takes it all the same.
-Two coordinators that take the same step do no harm; see `brink.server.campaigns.advance`.
+leaves a step that is due, and tells the others, if it knows of any. If nobody has taken the step after a while, it
+takes it all the same. Two coordinators that take the same step do no harm; see `brink.server.campaigns.advance`.
 """
 
 import time
@@ -22,6 +22,9 @@ PATIENCE_S: Final = 3.0
 """Shortest time for which a step is left to others."""
 PATIENCE_STEPS: Final = 4.0
 """The same, relative to the time that the campaign's last step took."""
+LONGEST_PATIENCE_S: Final = 30.0
+WORTH_LEAVING_S: Final = 1.0
+"""On SQLite, where the others are not told, a step that takes less is not left: they only look once a second."""
 FORGET_S: Final = 3600.0
 
 
@@ -45,36 +48,47 @@ class OtherCoordinators:
     Attributes:
         engines: The database.
         writer: Its writer.
+        are_known: Returns whether there are any, as far as is known.
         clock: Monotonic clock, in seconds.
     """
 
     engines: Engines
     writer: Writer
+    are_known: Callable[[], bool]
     clock: Callable[[], float] = time.monotonic
     _left: dict[str, _LeftStep] = field(default_factory=dict)
-    _mine: set[str] = field(default_factory=set)
+    _taken_over: set[str] = field(default_factory=set)
 
     def take_over(self, campaign_id: str) -> None:
-        """Leave the next step of a campaign to nobody: no coordinator has its search in memory."""
-        self._mine.add(campaign_id)
+        """Take the next step of a campaign here: no coordinator has its search in memory."""
+        self._taken_over.add(campaign_id)
 
-    def get_step(self, campaign: Campaign) -> bool:
+    def forget(self, campaign_id: str) -> None:
+        """Drop what is known of a campaign that has ended or is paused."""
+        self._taken_over.discard(campaign_id)
+        self._left.pop(campaign_id, None)
+
+    def leave_step(self, campaign: Campaign) -> bool:
         """Return whether a step that is due is left to the other coordinators, and tell them if it is.
 
         Args:
             campaign: The campaign, whose search this coordinator does not have in memory.
         """
-        if campaign.id in self._mine:
-            self._mine.discard(campaign.id)
+        if campaign.id in self._taken_over:
+            self._taken_over.discard(campaign.id)
             return False
         now = self.clock()
         left = self._left.get(campaign.id)
         if left is not None and left.generation == campaign.generation:
             return now < left.until_s
+        last_step_s = self._last_step_s(campaign)
+        if (self.engines.is_sqlite and last_step_s < WORTH_LEAVING_S) or not self.are_known():
+            return False
         self._left = {name: one for name, one in self._left.items() if one.until_s > now - FORGET_S}
-        patience_s = max(PATIENCE_S, PATIENCE_STEPS * self._last_step_s(campaign))
+        patience_s = min(LONGEST_PATIENCE_S, max(PATIENCE_S, PATIENCE_STEPS * last_step_s))
         self._left[campaign.id] = _LeftStep(generation=campaign.generation, until_s=now + patience_s)
-        self.writer.submit(lambda connection: notify_due(connection, campaign.id))
+        if not self.engines.is_sqlite:
+            self.writer.submit(lambda connection: notify_due(connection, campaign.id))
         return True
 
     def _last_step_s(self, campaign: Campaign) -> float:

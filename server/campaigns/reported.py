@@ -3,6 +3,7 @@
 They are preliminary only in that the search has not scored them. Their verdicts do not change any more.
 """
 
+import logging
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,6 +29,8 @@ from brink.worker.wire import Completed
 MOST: Final = 2_000
 """Maximum number of results of one campaign that are read: a generation can be larger, but a page need not be."""
 CACHED: Final = 8
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,6 +126,9 @@ def _problem_of(campaign: Campaign) -> SimulatedProblem | None:
     try:
         problem = make_plan(campaign.body).problem
     except InvalidInput:  # its plug-in is not installed here
+        return None
+    except Exception:  # a plug-in's fault must not hide the campaign's progress, which says what is wrong
+        log.exception("reported results cannot be read", extra={"campaign": campaign.id})
         return None
     return None if isinstance(problem, InProcessProblem) else problem
 

@@ -7,10 +7,10 @@ at the next generation step, when no worker can be asked again.
 import logging
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from threading import Lock
 from typing import Final
 
 from sqlalchemy import Connection
+from sqlalchemy.exc import SQLAlchemyError
 
 from brink.search.algorithm import Evaluation, NeedsObjectives, Scored
 from brink.server.campaigns.plan import Plan, make_plan
@@ -22,7 +22,8 @@ from brink.worker.wire import Completed
 
 UNREADABLE: Final = (LookupError, ValueError, TypeError, ArithmeticError)
 """What a problem raises for a result that it cannot evaluate."""
-CACHED: Final = 64
+CACHED: Final = 1000
+"""Number of campaigns whose expectations are kept; more hardly ever run at once."""
 
 log = logging.getLogger(__name__)
 
@@ -61,10 +62,9 @@ class _Expected:
 
 @dataclass(slots=True)
 class ResultCheck:
-    """Checks the results of all campaigns; keeps what the last ones expect."""
+    """Checks the results of all campaigns, on the writer's thread; keeps what the last ones expect."""
 
     _expected: OrderedDict[str, _Expected | None] = field(default_factory=OrderedDict)
-    _lock: Lock = field(default_factory=Lock)
 
     def __call__(self, connection: Connection, campaign_id: str, kind: str, result: Completed) -> str | None:
         """Return why a campaign cannot use a result, or None if it can.
@@ -95,19 +95,24 @@ class ResultCheck:
 
     def _of(self, connection: Connection, campaign_id: str) -> _Expected | None:
         """Return what a campaign expects; None if it is gone, or expects nothing that can be checked here."""
-        with self._lock:
-            if campaign_id in self._expected:
-                self._expected.move_to_end(campaign_id)
-                return self._expected[campaign_id]
-        campaign = CAMPAIGNS.find(connection, campaign_id)
+        if campaign_id in self._expected:
+            self._expected.move_to_end(campaign_id)
+            return self._expected[campaign_id]
         try:
+            campaign = CAMPAIGNS.find(connection, campaign_id)
             expected = None if campaign is None else _expected(make_plan(campaign.body))
         except InvalidInput:  # its plug-in is not installed here
             expected = None
-        with self._lock:
-            self._expected[campaign_id] = expected
-            while len(self._expected) > CACHED:
-                self._expected.popitem(last=False)
+        except SQLAlchemyError:
+            raise
+        except (
+            Exception
+        ):  # a plug-in that does not load must not fail the results of others; the step reports it
+            log.exception("results cannot be checked", extra={"campaign": campaign_id})
+            expected = None
+        self._expected[campaign_id] = expected
+        while len(self._expected) > CACHED:
+            self._expected.popitem(last=False)
         return expected
 
 

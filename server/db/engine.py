@@ -8,7 +8,7 @@ import asyncio
 import re
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -23,6 +23,16 @@ from brink.server.errors import DatabaseError
 
 T = TypeVar("T")
 
+LOCK_S = 5
+"""How long a write on Postgres waits for a row that another coordinator has locked."""
+IDLE_S = 15
+"""After this long without a statement, Postgres ends a write transaction: its coordinator, which never pauses in
+between, is suspended or gone, and others may wait for its locks."""
+CONNECT_S = 10
+_SILENCE = {"idle": 10, "interval": 5, "count": 3}
+"""When a connection is tested that carries no data, in seconds, and how many tests may fail."""
+_UNACKNOWLEDGED_MS = 20_000
+"""After this long without acknowledgement of what was sent, a connection is lost, in milliseconds."""
 SQLITE_BUSY_S = 30.0
 MAX_OVERFLOW = 32
 """Maximum number of temporary connections beyond a pool's permanent ones; more than there are reading threads."""
@@ -90,26 +100,53 @@ def open_engines(database: str) -> Engines:
             writer=_sqlite(url, "BEGIN IMMEDIATE", cache_kib=WRITER_CACHE_KIB),
             reader=_sqlite(url, "BEGIN", cache_kib=READER_CACHE_KIB),
         )
+    # The writer must find rows by index. The job table changes so fast that its statistics mislead the planner:
+    # left alone it chooses sequential scans, merge and hash joins, or bitmap scans that read a whole index first.
+    off = ("enable_seqscan", "enable_bitmapscan", "enable_mergejoin", "enable_hashjoin", "jit")
+    for_writing = {
+        **dict.fromkeys(off, "off"), "plan_cache_mode": "force_generic_plan",
+        "lock_timeout": f"{LOCK_S}s", "idle_in_transaction_session_timeout": f"{IDLE_S}s",
+    }  # fmt: skip
     try:
-        # The writer must find rows by index. The job table changes so fast that its statistics mislead the planner:
-        # left alone it chooses sequential scans, merge and hash joins, or bitmap scans that read a whole index first.
-        off = ("enable_seqscan", "enable_bitmapscan", "enable_mergejoin", "enable_hashjoin", "jit")
-        by_index = {
-            "options": " ".join(
-                [*(f"-c {name}=off" for name in off), "-c plan_cache_mode=force_generic_plan"]
-            )
-        }
         writer = create_engine(
-            url, pool_pre_ping=True, pool_size=4, connect_args=by_index, hide_parameters=True
-        )
+            url, pool_pre_ping=True, pool_size=4, connect_args=postgres_options(url, for_writing),
+            hide_parameters=True,
+        )  # fmt: skip
         share_round_trips(writer)
         reader = create_engine(
             url, pool_pre_ping=True, pool_size=8, max_overflow=MAX_OVERFLOW, isolation_level="REPEATABLE READ",
-            hide_parameters=True,
+            connect_args=postgres_options(url), hide_parameters=True,
         )  # fmt: skip
     except ModuleNotFoundError:
         raise DatabaseError(f"Postgres needs its driver: {install_command('postgres')}") from None
     return Engines(writer=writer, reader=reader)
+
+
+def postgres_options(url: URL, settings: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Return options of a connection to Postgres, by which both ends notice when the other's machine is gone.
+
+    Without them, a connection over which nothing is sent outlives the other end for hours, and so do its locks.
+    Options in the URL have precedence.
+
+    Args:
+        url: The database.
+        settings: Settings of the server for this connection.
+    """
+    ours = {
+        "connect_timeout": CONNECT_S, "tcp_user_timeout": _UNACKNOWLEDGED_MS,
+        **{f"keepalives_{name}": value for name, value in _SILENCE.items()},
+    }  # fmt: skip
+    on_the_server = {
+        "tcp_user_timeout": str(_UNACKNOWLEDGED_MS),
+        **{f"tcp_keepalives_{name}": str(value) for name, value in _SILENCE.items()},
+        **(settings or {}),
+    }
+    given = url.normalized_query
+    words = [f"-c {name}={value}" for name, value in on_the_server.items()]
+    return {
+        **{name: value for name, value in ours.items() if name not in given},
+        "options": " ".join([*words, *given.get("options", ())]),
+    }
 
 
 def _sqlite(url: URL, begin: str, *, cache_kib: int) -> Engine:

@@ -102,7 +102,23 @@ class Pipeline:
         return statements, failed or list(itertools.compress(results, own))
 
     def _results(self) -> list[Any]:
-        """Return all results up to the end of the pipeline."""
+        """Return all results up to the end of the pipeline.
+
+        Raises:
+            psycopg.Error: The connection is lost; if the server said why before it closed it, that is the error.
+        """
+        found: list[Any] = []
+        try:
+            self._collect(found)
+        except OperationalError:
+            last = next((one for one in found if one.status == pq.ExecStatus.FATAL_ERROR), None)
+            if last is None:
+                raise
+            raise error_from_result(last) from None
+        return found
+
+    def _collect(self, found: list[Any]) -> None:
+        """Append all results up to the end of the pipeline."""
         connection = self._driver.pgconn
         readable, both = select.poll(), select.poll()
         readable.register(connection.socket, select.POLLIN)
@@ -111,7 +127,6 @@ class Pipeline:
             for _, happened in both.poll():
                 if happened & ~select.POLLOUT:
                     connection.consume_input()
-        found: list[Any] = []
         while True:
             while connection.is_busy():
                 readable.poll()
@@ -122,7 +137,7 @@ class Pipeline:
                     raise OperationalError("the connection is lost")
                 continue
             if result.status == pq.ExecStatus.PIPELINE_SYNC:
-                return found
+                return
             if result.status not in _EXPECTED:
                 raise InterfaceError(f"unexpected result: {pq.ExecStatus(result.status).name}")
             found.append(result)

@@ -53,6 +53,21 @@ def database_now(connection: Connection) -> datetime:
     return datetime.now(UTC)
 
 
+def allow_pauses(connection: Connection) -> None:
+    """Let this transaction wait for locks and pause between statements for as long as it takes.
+
+    Postgres otherwise ends transactions of the writer that do (`brink.server.db.engine`).
+    """
+    if connection.dialect.name == "postgresql":
+        for timeout in ("lock_timeout", "idle_in_transaction_session_timeout"):
+            connection.execute(text(f"SET LOCAL {timeout} = 0"))
+
+
+def storable(words: str) -> str:
+    """Return a text without NUL characters, which Postgres cannot store."""
+    return words.replace("\0", "\N{REPLACEMENT CHARACTER}")
+
+
 def constant(value: str | int) -> ColumnClause[Any]:
     """Return a value that is part of a statement's text.
 

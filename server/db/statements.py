@@ -122,8 +122,11 @@ def read(connection: Connection, *queries: tuple[Statement, Values]) -> list[lis
         connection: In a write transaction.
         queries: Statements with their parameters.
     """
-    waiting = connection.info.pop(_WAITING, [])
-    return _run(connection, [*waiting, *queries])[len(waiting) :]
+    waiting = connection.info.get(_WAITING, [])
+    found = _run(connection, [*waiting, *queries])[len(waiting) :]
+    # Not before: if a parameter is invalid, nothing was sent, and the BEGIN still has to be.
+    connection.info.pop(_WAITING, None)
+    return found
 
 
 def share_round_trips(engine: Engine) -> None:
@@ -155,6 +158,8 @@ def share_round_trips(engine: Engine) -> None:
 
     @event.listens_for(engine, "rollback")
     def forget(connection: Connection) -> None:
+        if connection.invalidated:  # its information is gone, and asking for it would hide the original error
+            return
         connection.info.pop(_WAITING, None)
         connection.info.pop(_PIPELINE, None)  # the driver may now drop all prepared statements
 

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, text
 from sqlalchemy.exc import DBAPIError
 
 from brink.server.db.engine import Engines
+from brink.server.db.sql import allow_pauses
 from brink.server.errors import DatabaseError
 
 UPGRADE_LOCK = 0x6272696E6B  # "brink": key of the advisory lock on Postgres
@@ -70,6 +71,7 @@ def upgrade(engines: Engines) -> tuple[str | None, str]:
         DatabaseError: The database cannot be reached, or its schema is newer than this version knows.
     """
     with _readable(engines), engines.writer.begin() as connection:
+        allow_pauses(connection)
         if connection.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": UPGRADE_LOCK})
         before = MigrationContext.configure(connection).get_current_revision()

@@ -32,8 +32,13 @@ CONFLICTS = frozenset({"40001", "40P01", "23505", "26000"})
 """SQLSTATE of errors after which the unit is run again. After serialization_failure, deadlock_detected and
 unique_violation, it sees what another process wrote first; after invalid_sql_statement_name, because a connection
 pooler dropped a prepared statement, it prepares that again."""
+LOCKED = "55P03"
+"""SQLSTATE of lock_not_available: another coordinator holds a row for too long."""
 FRESH_S = 1.0
 """A connection idle for longer is returned to the pool, which tests it before handing it out again."""
+STUCK_S = 10.0
+"""If a unit has waited for longer, the database does not answer, and no more units are taken: each waiting one keeps
+its request, and its worker soon sends another."""
 TROUBLE_S = 30.0
 """Failures further apart than this belong to separate periods."""
 
@@ -61,6 +66,7 @@ class BatchedUnit(Generic[A, T]):
 class _Waiting:
     unit: Unit[Any]
     answer: Future[Any]
+    since_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,6 +112,7 @@ class Writer:
         self._connection: Connection | None = None
         self._used_s = 0.0
         self._began_s = 0.0
+        self._oldest_s: float | None = None
         self.spacing_s = 0.0
         # Guards the end of the queue: a unit submitted after the closing mark would never be resolved.
         self._closing_lock = threading.Lock()
@@ -123,12 +130,18 @@ class Writer:
 
         Returns:
             A future for the unit's result or error. The error is `Unavailable` if the database is unavailable
-            or the writer is closed.
+            or does not answer, or the writer is closed.
         """
         answer: Future[T] = Future()
+        now, oldest_s = time.monotonic(), self._oldest_s
+        if oldest_s is not None and now - oldest_s > STUCK_S:
+            reason = "database: no answer to earlier writes"
+            self._note_trouble(reason)
+            answer.set_exception(Unavailable(reason))
+            return answer
         with self._closing_lock:
             if not self._closing.is_set():
-                self._waiting.put(_Waiting(unit, answer))
+                self._waiting.put(_Waiting(unit, answer, now))
                 return answer
         answer.set_exception(Unavailable("the coordinator is stopping"))
         return answer
@@ -156,6 +169,7 @@ class Writer:
             first = self._waiting.get()
             if first is None:
                 return
+            self._oldest_s = first.since_s
             self._let_units_gather()
             batch, last = self._take_more(first)
             try:
@@ -165,6 +179,7 @@ class Writer:
                 for waiting in batch:
                     if not waiting.answer.done():
                         waiting.answer.set_exception(error)
+            self._oldest_s = None
             if last:
                 return
 
@@ -242,13 +257,13 @@ class Writer:
 
     def _fail(self, waiting: _Waiting, error: Exception) -> None:
         translated = _translated(error)
-        if isinstance(error, OperationalError):
-            now = time.monotonic()
-            before = self.trouble
-            self._trouble = Trouble(
-                reason=str(translated), first_s=before.first_s if before else now, last_s=now
-            )
+        if isinstance(error, OperationalError) and _sqlstate(error) != LOCKED:
+            self._note_trouble(str(translated))
         waiting.answer.set_exception(translated)
+
+    def _note_trouble(self, reason: str) -> None:
+        now, before = time.monotonic(), self.trouble
+        self._trouble = Trouble(reason=reason, first_s=before.first_s if before else now, last_s=now)
 
 
 def _run_all(connection: Connection, units: Sequence[Unit[Any]]) -> list[Any]:
@@ -270,7 +285,12 @@ def is_transient(error: DBAPIError) -> bool:
 
 
 def _is_conflict(error: Exception) -> bool:
-    return isinstance(error, DBAPIError) and getattr(error.orig, "sqlstate", None) in CONFLICTS
+    return isinstance(error, DBAPIError) and _sqlstate(error) in CONFLICTS
+
+
+def _sqlstate(error: DBAPIError) -> str | None:
+    found: str | None = getattr(error.orig, "sqlstate", None)
+    return found
 
 
 def _translated(error: Exception) -> Exception:

@@ -52,7 +52,7 @@ from brink.server.db.models import (
     TraceRow,
     ViolationNameRow,
 )
-from brink.server.db.sql import database_now
+from brink.server.db.sql import allow_pauses, database_now
 from brink.server.db.types import UtcDateTime
 from brink.server.errors import Conflict, NotFound, ServerError
 from brink.server.states import CampaignStatus, JobStatus
@@ -160,6 +160,7 @@ def import_campaign(connection: Connection, file: Path) -> tuple[tuple[str, ...]
         BadFile: The file is of another kind, damaged or inconsistent.
         Conflict: A campaign with one of these ids exists.
     """
+    allow_pauses(connection)
     try:
         with zipfile.ZipFile(file) as archive:
             return _import(connection, _File(archive))

@@ -1,11 +1,11 @@
 """Exchanges: requests of workers that report, give back and lease jobs, several in one commit.
 
-All outcomes are stored first, then all leases granted. On Postgres, this takes two round trips and the commit as long
-as nothing unusual happens: one reads the reported jobs together with the queue, the other writes. The queue as it was
-before the outcomes were stored is also the queue afterwards, unless one of them changes more than its own job.
+All outcomes are stored first, then all leases granted. On Postgres, this takes two round trips as long as nothing
+unusual happens: one reads the reported jobs together with the queue, the other writes and commits. The queue as it
+was before the outcomes were stored is also the queue afterwards, unless one of them changes more than its own job.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
@@ -16,6 +16,7 @@ from brink.server.queue.job_store import idle_campaigns
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
 from brink.server.queue.lease_store import Look
 from brink.server.queue.report_store import Outcome, Report, ResultCheck
+from brink.server.queue.workers import Contact, record_contact
 from brink.worker.wire import HeldLease, LeasedJob
 
 
@@ -25,7 +26,7 @@ class Exchange:
 
     Attributes:
         terms: The terms of retries.
-        contacts: Units that record the contact of workers.
+        contacts: Contacts of workers to record.
         outcomes: The reported outcomes.
         release: Leases given back.
         demand: The jobs wanted next, if any.
@@ -33,7 +34,7 @@ class Exchange:
     """
 
     terms: LeaseTerms
-    contacts: tuple[Callable[[Connection], None], ...] = ()
+    contacts: tuple[Contact, ...] = ()
     outcomes: tuple[Outcome, ...] = ()
     release: tuple[HeldLease, ...] = ()
     demand: LeaseDemand | None = None
@@ -58,14 +59,14 @@ class ExchangeReply:
 def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list[ExchangeReply]:
     """Run all exchanges that share a commit: first store their outcomes, then grant jobs in order."""
     for exchange in exchanges:
-        for record in exchange.contacts:
-            record(connection)
+        for contact in exchange.contacts:
+            record_contact(connection, contact)
     demands = [exchange.demand for exchange in exchanges if exchange.demand is not None]
     stored, look = _store_outcomes(connection, exchanges, demands)
     released = [lease_store.release(connection, exchange.release) for exchange in exchanges]
     granted = lease_store.lease_together(connection, demands, None if any(released) else look)
-    # A campaign that has just granted a job is not idle.
-    idle = idle_campaigns(connection, set(stored.campaigns) - granted.campaigns)
+    # A campaign of whose current generation a job was just granted is not idle, and need not be looked up.
+    idle = idle_campaigns(connection, set(stored.campaigns) - granted.busy)
     reported = [{outcome.job for outcome in exchange.outcomes} for exchange in exchanges]
     statuses, grants = iter(stored.statuses), iter(granted.jobs)
     return [
@@ -93,7 +94,7 @@ def _store_outcomes(
     ahead = lease_store.look_queries(demands) if demands and is_pipelined(connection) else []
     reported, *seen = read(connection, report_store.reported_query(outcomes), *ahead)
     stored = report_store.store_outcomes(
-        connection, outcomes, reported, exchanges[0].terms, exchanges[0].check
+        connection, outcomes, reported, exchanges[0].terms.retry_backoff_s, exchanges[0].check
     )
     if not seen or stored.changes_queue:
         return stored, None

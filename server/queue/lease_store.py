@@ -4,10 +4,11 @@ Each public function is a unit for `brink.server.db.writer.Writer`. The database
 and a lease can only be changed by naming its token.
 """
 
+import itertools
 import json
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, cast
 
@@ -62,7 +63,7 @@ _ELIGIBLE = (_IS_QUEUED, in_list(JobRow.needs, "capabilities"), _DUE, ~(_TWIN_RU
 """A worker with these capabilities could run the job now, and no worker is running the same simulation."""
 
 _GRANTED = (
-    JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.spec, JobRow.spec_hash,
+    JobRow.id, JobRow.campaign_id, JobRow.number, JobRow.kind, JobRow.spec, JobRow.spec_hash,
     JobRow.attempt, JobRow.timeout_s, JobRow.cache,
 )  # fmt: skip
 _HELD_ATTEMPTS = Statement(
@@ -140,7 +141,7 @@ _FRESH_WORK = (
     .limit(bindparam("most"))
 )
 _RETRY = (
-    select(*_GRANTED, CampaignRow.priority)
+    select(*_GRANTED, CampaignRow.priority, CampaignRow.generation_end)
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
     .where(
         *_ELIGIBLE,
@@ -156,7 +157,9 @@ _RETRY = (
     .limit(1)
 )
 _CAMPAIGNS_IN_TURN = (
-    select(CampaignRow.id, CampaignRow.priority, CampaignRow.turn, CampaignRow.served)
+    select(
+        CampaignRow.id, CampaignRow.priority, CampaignRow.turn, CampaignRow.served, CampaignRow.generation_end
+    )
     .where(
         _IS_RUNNING,
         exists(
@@ -229,11 +232,11 @@ class Grants:
 
     Attributes:
         jobs: The jobs for each demand.
-        campaigns: The campaigns of all granted jobs.
+        busy: The campaigns whose current generations have some of these jobs.
     """
 
     jobs: Sequence[list[LeasedJob]]
-    campaigns: frozenset[str]
+    busy: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,20 +302,21 @@ def lease_together(
         look: The queue as it is now, if known.
     """
     if not demands:
-        return Grants(jobs=(), campaigns=frozenset())
+        return Grants(jobs=(), busy=frozenset())
     if look is None:
         look = _look(connection, demands)
     if len(demands) > 1 and (look.backlog.retries or look.backlog.traces):
         alone = [lease_together(connection, [demand]) for demand in demands]
         return Grants(
             jobs=[grants.jobs[0] for grants in alone],
-            campaigns=frozenset().union(*(grants.campaigns for grants in alone)),
+            busy=frozenset().union(*(grants.busy for grants in alone)),
         )
     held = {} if look.is_plain else _held_attempts(connection, demands)
-    assignment = lease_policy.assign_jobs(demands, look.backlog, held, _View(connection, look))
-    grants = _grant(connection, demands, assignment.jobs, look.now)
+    view = _View(connection, look)
+    assignment = lease_policy.assign_jobs(demands, look.backlog, held, view)
+    granted = _grant(connection, demands, assignment.jobs, look.now)
     _write_turns(connection, assignment.turns)
-    return grants
+    return Grants(jobs=granted, busy=view.busy_among(itertools.chain.from_iterable(assignment.jobs)))
 
 
 def count_due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
@@ -365,10 +369,15 @@ def end_now(connection: Connection, leases: Iterable[HeldLease]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """A `lease_policy.QueueView` of a write transaction; its jobs are database rows."""
+    """A `lease_policy.QueueView` of a write transaction; its jobs are database rows.
+
+    Attributes:
+        ends: The `CampaignTurn.generation_end` of each campaign whose jobs were found.
+    """
 
     connection: Connection
     look: Look
+    ends: dict[str, int | None] = field(default_factory=dict)
 
     def first_retry(self, demand: LeaseDemand) -> Retry | None:
         rows = self._read(_READ_RETRY, self._retry(demand))
@@ -382,15 +391,19 @@ class _View:
         return turns[0].priority if turns else None
 
     def lock_retry(self, demand: LeaseDemand) -> Sequence[QueuedJob]:
-        return self._read(_LOCK_RETRY, self._retry(demand))
+        rows = self._read(_LOCK_RETRY, self._retry(demand))
+        self.ends.update((row.campaign_id, row.generation_end) for row in rows)
+        return rows
 
     def lock_traces(self, capabilities: tuple[str, ...], limit: int) -> Sequence[QueuedJob]:
         return self._read(_LOCK_TRACES, {"capabilities": capabilities, "most": limit})
 
     def turns(self, capabilities: tuple[str, ...]) -> Sequence[CampaignTurn]:
-        if self.look.turns is not None and capabilities == self.look.capabilities:
-            return self.look.turns
-        return [CampaignTurn(*row) for row in self._read(_READ_TURNS, {"capabilities": capabilities})]
+        turns = self.look.turns
+        if turns is None or capabilities != self.look.capabilities:
+            turns = [CampaignTurn(*row) for row in self._read(_READ_TURNS, {"capabilities": capabilities})]
+        self.ends.update((one.campaign, one.generation_end) for one in turns)
+        return turns
 
     def lock_fresh(
         self, campaign: str, capabilities: tuple[str, ...], *, after: int, limit: int
@@ -411,6 +424,15 @@ class _View:
             "most": limit - len(known),
         }
         return [*known, *self._read(_LOCK_FRESH, asked)]
+
+    def busy_among(self, jobs: Iterable[QueuedJob]) -> frozenset[str]:
+        """Return the campaigns whose current generations have some of these jobs."""
+        busy = set()
+        for job in jobs:
+            end = self.ends.get(job.campaign_id)
+            if job.kind != JobKind.TRACE and (end is None or cast(Any, job).number < end):
+                busy.add(job.campaign_id)
+        return frozenset(busy)
 
     def _retry(self, demand: LeaseDemand) -> dict[str, Any]:
         return {
@@ -461,7 +483,7 @@ def _grant(
     demands: Sequence[LeaseDemand],
     assigned: Sequence[Sequence[QueuedJob]],
     now: datetime,
-) -> Grants:
+) -> list[list[LeasedJob]]:
     granted: list[list[LeasedJob]] = []
     values: dict[float, list[tuple[int, str, str]]] = {}
     for demand, rows in zip(demands, assigned, strict=True):
@@ -472,7 +494,7 @@ def _grant(
         )
     for lease_s, rows_of in values.items():
         _GRANT.run(connection, rows_of, {"expires": now + timedelta(seconds=lease_s)})
-    return Grants(jobs=granted, campaigns=frozenset(row.campaign_id for rows in assigned for row in rows))
+    return granted
 
 
 def _write_turns(connection: Connection, turns: Mapping[str, tuple[int, int]]) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeAlias
 from sqlalchemy import Connection, bindparam, case, exists, insert, select, update
 
 from brink.server.db.models import JobRow, TraceRow
-from brink.server.db.sql import constant, driver_time, in_list, transaction_time
+from brink.server.db.sql import constant, driver_time, in_list, storable, transaction_time
 from brink.server.db.statements import BulkUpdate, Statement, Values, read
 from brink.server.queue.job_store import IS_LEASED, idle_campaigns
 from brink.server.queue.lease_policy import LeaseTerms
@@ -198,7 +198,7 @@ def store_outcomes(
     connection: Connection,
     outcomes: Sequence[Outcome],
     found: Sequence[JobRecord],
-    terms: LeaseTerms,
+    retry_backoff_s: float,
     check: ResultCheck | None = None,
 ) -> Report:
     """Store the outcomes of jobs that nobody else holds; all others change nothing.
@@ -207,7 +207,7 @@ def store_outcomes(
         connection: In a write transaction.
         outcomes: What workers report.
         found: The rows of `reported_query`.
-        terms: Terms with the backoff of retries.
+        retry_backoff_s: Delay before the first retry; doubles with each attempt.
         check: Refuses results that are of no use; their attempts have failed. None to store all results.
 
     Returns:
@@ -230,7 +230,7 @@ def store_outcomes(
         connection,
         [_failure(rows[job], o) for job, o in accepted.items() if o.result is None],
         now,
-        terms.retry_backoff_s,
+        retry_backoff_s,
     )
     touched = {rows[job].campaign_id for job in accepted} | sharing
     return Report(
@@ -257,7 +257,8 @@ def _judge(
             reason = _invalid(connection, rows[outcome.job], outcome, check)
             if reason is not None:
                 status = "invalid"
-                outcome = replace(outcome, result=None, trace=None, error=f"invalid result: {reason}")
+                error = storable(f"invalid result: {reason}")
+                outcome = replace(outcome, result=None, trace=None, error=error)
             accepted[outcome.job] = outcome
         statuses.append(status)
     return statuses, accepted

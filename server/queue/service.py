@@ -13,10 +13,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from brink.server.db.writer import BatchedUnit, Writer
+from brink.server.db.sql import storable
+from brink.server.db.writer import BatchedUnit, Unit, Writer
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.metrics import Metrics
 from brink.server.queue import lease_store, outages, report_store, workers
@@ -43,7 +46,8 @@ from brink.worker.wire import (
 RECHECK_S = 10.0
 """Interval at which a waiting lease looks for jobs by itself, in case a wake-up was lost."""
 SHARED_RECHECK_S = 2.0
-"""The same with several coordinators: no wake-up announces jobs that another one read ahead and did not grant."""
+"""The same while another coordinator serves workers: no wake-up announces jobs that it read ahead and did not grant,
+and on SQLite none of its jobs."""
 LIVE_WORKERS_S = 0.5
 """How long a list of the live workers is reused."""
 SPACING_S_A_WORKER = 1e-4
@@ -55,6 +59,8 @@ CONTACT_S = 5.0
 FORGET_S = 24 * 3600.0
 """A worker that has not made contact for this long is deleted."""
 
+T = TypeVar("T")
+
 log = logging.getLogger(__name__)
 
 
@@ -64,7 +70,7 @@ class _WorkerRecord:
 
     Attributes:
         contact_s: Time of the last contact.
-        recorded_s: Time when the contact was last recorded in the database.
+        recorded_s: Time when the contact was last recorded in the database, or given to a write that records it.
         done: Jobs completed since then.
         failed: Failed attempts since then.
     """
@@ -82,13 +88,19 @@ class _WorkerRecord:
         return self.contact_s > self.recorded_s or self.done > 0 or self.failed > 0
 
     def take_contact(self, now_s: float) -> workers.Contact:
-        """Return the last contact, which the caller records."""
+        """Return the last contact, which the caller records, or else puts back."""
         contact = workers.Contact(
             worker=self.identity, capabilities=self.capabilities, ago_s=now_s - self.contact_s,
             done=self.done, failed=self.failed,
         )  # fmt: skip
         self.recorded_s, self.done, self.failed = now_s, 0, 0
         return contact
+
+    def put_back(self, contact: workers.Contact) -> None:
+        """Take back that a contact was recorded, so that the next one is recorded in full."""
+        self.recorded_s = -math.inf
+        self.done += contact.done
+        self.failed += contact.failed
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +125,7 @@ class _Swept:
     Attributes:
         sweep: How it began; None if another coordinator was sweeping.
         expiry: The leases taken back.
-        elsewhere: What each live worker of any coordinator can run; empty if there is only this one.
+        elsewhere: What each live worker of any coordinator can run.
         due_retries: How many retries are due.
         draining: The workers that were asked to exit.
     """
@@ -144,9 +156,9 @@ class QueueService:
     _draining: dict[str, workers.Process] = field(default_factory=dict)
 
     @property
-    def _is_alone(self) -> bool:
-        """Whether no other coordinator can share the database."""
-        return self.settings.sqlite_file is not None
+    def has_workers_elsewhere(self) -> bool:
+        """Whether another coordinator served workers lately, as of the last sweep."""
+        return any(name not in self._workers for name in self._elsewhere)
 
     def end_waits(self) -> None:
         """Answer all waiting requests, and let no request wait from now on."""
@@ -194,20 +206,20 @@ class QueueService:
                 break
             if granted or remaining <= 0 or self.stopping:
                 return LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
-            recheck_s = RECHECK_S if self._is_alone else SHARED_RECHECK_S
+            recheck_s = SHARED_RECHECK_S if self.has_workers_elsewhere else RECHECK_S
             await self.wakeups.wait(min(remaining, recheck_s), gone, since=changes)
         return LeaseReply(jobs=[], lease_s=self.settings.lease_s)
 
     async def heartbeat(self, request: HeartbeatRequest) -> HeartbeatReply:
         """Renew leases."""
-        record = self._note_contact(request.worker, None)
+        contacts = self._note_contact(request.worker, None)
 
         def unit(connection: Connection) -> list[int]:
-            if record is not None:
-                record(connection)
+            for contact in contacts:
+                workers.record_contact(connection, contact)
             return lease_store.renew(connection, request.leases, self.settings.lease_s)
 
-        held = await self.writer.write(unit)
+        held = await self._write(unit, contacts)
         return HeartbeatReply(held=held, lease_s=self.settings.lease_s)
 
     async def results(self, request: ResultsRequest, gone: asyncio.Event) -> ResultsReply:
@@ -222,18 +234,18 @@ class QueueService:
         """
         traced = any(isinstance(item.outcome, Completed) and item.outcome.trace for item in request.results)
         outcomes = await asyncio.to_thread(_outcomes, request) if traced else _outcomes(request)
-        contacts = [self._note_contact(request.worker, None)]
+        contacts = self._note_contact(request.worker, None)
         draining = self._is_draining(request.worker)
         wanted = None if draining else request.lease
         if wanted is not None:
-            contacts.append(self._note_contact(wanted.worker, wanted.capabilities))
+            contacts += self._note_contact(wanted.worker, wanted.capabilities)
         terms = self.terms(wanted.worker.id if wanted is not None else None)
         exchange = Exchange(
-            terms=terms, contacts=tuple(filter(None, contacts)), outcomes=tuple(outcomes),
+            terms=terms, contacts=contacts, outcomes=tuple(outcomes),
             release=tuple(request.release), demand=_demand(wanted, terms) if wanted is not None else None,
             check=self.check,
         )  # fmt: skip
-        stored = await self.writer.write(BatchedUnit(run_exchanges, exchange))
+        stored = await self._write(BatchedUnit(run_exchanges, exchange), contacts)
         report, released, granted = stored.report, stored.released, stored.granted
         self._count(request, report)
         _log_report(request, report)
@@ -273,8 +285,8 @@ class QueueService:
 
     async def _refuse_more(self, worker: WorkerIdentity) -> LeaseReply:
         """Return the reply that tells a worker to ask for no more jobs, and record its contact."""
-        if (record := self._note_contact(worker, None)) is not None:
-            await self.writer.write(record)
+        if contacts := self._note_contact(worker, None):
+            await self._write(partial(workers.record_contacts, contacts=contacts), contacts)
         return LeaseReply(jobs=[], lease_s=self.settings.lease_s, drain=True)
 
     def _count(self, request: ResultsRequest, report: Report) -> None:
@@ -296,13 +308,15 @@ class QueueService:
         # Until this sweep has succeeded, nobody knows whether workers could renew their leases.
         resuming, self._resuming = self._resuming, True
         terms = self.terms()
-        contacts = [*self._drop_absent(), *self._due_contacts()]
+        absent = [one for one in self._workers.values() if self._is_absent(one)]
+        contacts = self._due_contacts(absent)
 
         def unit(connection: Connection) -> _Swept:
             workers.record_contacts(connection, contacts)
             return self._sweep(connection, terms, resuming=resuming)
 
-        swept = await self.writer.write(unit)
+        swept = await self._write(unit, contacts)
+        self._drop(absent)
         self._resuming = resuming and swept.sweep is None
         self._draining = swept.draining
         self._elsewhere = {name: able for name, able in swept.elsewhere.items() if name not in self._workers}
@@ -315,49 +329,59 @@ class QueueService:
 
     def _sweep(self, connection: Connection, terms: LeaseTerms, *, resuming: bool) -> _Swept:
         workers.forget_absent(connection, FORGET_S)
-        settings, alone = self.settings, self._is_alone
+        settings = self.settings
         sweep = outages.begin_sweep(
             connection, lease_s=settings.lease_s, sweep_s=settings.sweep_s, resuming=resuming
         )
-        if alone:  # workers on this machine need not be waited for: their processes can be looked up
+        if (
+            settings.sqlite_file is not None
+        ):  # its workers are most likely on this machine: look up their processes
             lease_store.end_now(connection, workers.leases_of_dead(connection))
         return _Swept(
             sweep=sweep,
             expiry=report_store.expire(connection, terms) if sweep is not None else Expiry(),
-            elsewhere={} if alone else workers.live_capabilities(connection, settings.worker_seen_s),
+            elsewhere=workers.live_capabilities(connection, settings.worker_seen_s),
             due_retries=lease_store.count_due_retries(connection, terms.elsewhere),
             draining=workers.read_draining(connection),
         )
 
-    def _drop_absent(self) -> list[workers.Contact]:
-        """Drop workers that are dead or have not made contact; return their last contacts."""
-        horizon = self.clock() - self.settings.worker_seen_s
-        absent = {
-            name: one
-            for name, one in self._workers.items()
-            if one.contact_s < horizon or workers.process_is_gone(one.identity.machine, one.identity.pid)
-        }
-        for name, one in absent.items():
-            del self._workers[name]
-            about = {"worker": name, "host": one.identity.host, "pid": one.identity.pid}
-            log.info("worker gone", extra=about)
-        return [one.take_contact(self.clock()) for one in absent.values() if one.is_unrecorded]
+    def _is_absent(self, one: _WorkerRecord) -> bool:
+        """Return whether a worker is dead or has not made contact."""
+        return one.contact_s < self.clock() - self.settings.worker_seen_s or workers.process_is_gone(
+            one.identity.machine, one.identity.pid
+        )
 
-    def _due_contacts(self) -> list[workers.Contact]:
-        """Return the contacts of workers whose last record is `CONTACT_S` old."""
-        now = self.clock()
-        return [
+    def _due_contacts(self, absent: Sequence[_WorkerRecord]) -> tuple[workers.Contact, ...]:
+        """Return the unrecorded contacts of absent workers, and of those whose last record is `CONTACT_S` old."""
+        now, gone = self.clock(), {one.identity.id for one in absent}
+        return tuple(
             one.take_contact(now)
-            for one in self._workers.values()
-            if one.is_unrecorded and now - one.recorded_s >= CONTACT_S
-        ]
+            for name, one in self._workers.items()
+            if one.is_unrecorded and (name in gone or now - one.recorded_s >= CONTACT_S)
+        )
+
+    def _drop(self, absent: Iterable[_WorkerRecord]) -> None:
+        """Drop absent workers, except those that have made contact since."""
+        for one in filter(self._is_absent, absent):
+            self._workers.pop(one.identity.id, None)
+            about = {"worker": one.identity.id, "host": one.identity.host, "pid": one.identity.pid}
+            log.info("worker gone", extra=about)
+
+    async def _write(self, unit: Unit[T], contacts: Iterable[workers.Contact]) -> T:
+        """Write a unit that records contacts, among other things; unless it does, put them back."""
+        try:
+            return await self.writer.write(unit)
+        except BaseException:
+            for contact in contacts:
+                if (one := self._workers.get(contact.worker.id)) is not None:
+                    one.put_back(contact)
+            raise
 
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
-        record = self._note_contact(request.worker, request.capabilities)
-        contacts = (record,) if record is not None else ()
+        contacts = self._note_contact(request.worker, request.capabilities)
         terms = self.terms(request.worker.id)
         exchange = Exchange(terms=terms, contacts=contacts, demand=_demand(request, terms))
-        granted = (await self.writer.write(BatchedUnit(run_exchanges, exchange))).granted
+        granted = (await self._write(BatchedUnit(run_exchanges, exchange), contacts)).granted
         _log_granted(request.worker.id, granted)
         return granted
 
@@ -369,8 +393,8 @@ class QueueService:
 
     def _note_contact(
         self, worker: WorkerIdentity, capabilities: Sequence[str] | None
-    ) -> Callable[[Connection], None] | None:
-        """Remember a worker's contact; return a unit that records it in the database, or None if a sweep will."""
+    ) -> tuple[workers.Contact, ...]:
+        """Remember a worker's contact; return it if it is to be recorded now, and nothing if a sweep will do that."""
         now = self.clock()
         if worker.id not in self._workers:
             about = {"worker": worker.id, "host": worker.host, "pid": worker.pid, "version": worker.version}
@@ -384,11 +408,8 @@ class QueueService:
             one.capabilities = tuple(capabilities)
             self._live = None
         if not (changed or restarted) and one.recorded_s > -math.inf:
-            return None
-        contact = one.take_contact(now)
-        return lambda connection: workers.record_contact(
-            connection, worker, contact.capabilities, done=contact.done, failed=contact.failed
-        )
+            return ()
+        return (one.take_contact(now),)
 
 
 def _demand(request: LeaseRequest, terms: LeaseTerms) -> LeaseDemand:
@@ -461,5 +482,5 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
         result = outcome.model_dump_json(exclude={"trace"})
         return Outcome(job=job, token=token, result=result, completed=outcome, trace=trace)
     reason, message = getattr(outcome, "reason", "error"), getattr(outcome, "message", "")
-    error = f"{reason}: {message}".replace("\0", "�")  # Postgres text cannot contain NUL
+    error = storable(f"{reason}: {message}")
     return Outcome(job=job, token=token, result=None, error=error, final=reason == "invalid")

@@ -7,8 +7,12 @@ from collections.abc import Callable
 from sqlalchemy import Connection, text
 from sqlalchemy.engine import URL
 
+from brink.server.db.engine import postgres_options
+
 CHANNEL = "brink_jobs"
 DUE_CHANNEL = "brink_due"
+LISTENING = (0x6272696E, 0x6B)
+"""Key of the advisory lock that each coordinator shares while it listens: the locks are as many as coordinators."""
 RECONNECT_S = 1.0
 
 log = logging.getLogger(__name__)
@@ -79,6 +83,17 @@ def notify_due(connection: Connection, campaign_id: str) -> None:
         connection.execute(text(f"SELECT pg_notify('{DUE_CHANNEL}', :campaign)"), {"campaign": campaign_id})
 
 
+def count_listening(connection: Connection) -> int:
+    """Return how many coordinators listen on the same Postgres."""
+    locks = text(
+        "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND granted AND objsubid = 2 "
+        "AND database = (SELECT oid FROM pg_database WHERE datname = current_database()) "
+        "AND classid = :first AND objid = :second"
+    )
+    first, second = LISTENING
+    return int(connection.execute(locks, {"first": first, "second": second}).scalar_one())
+
+
 async def listen(url: URL, on_jobs: Callable[[], None], on_due: Callable[[str], None]) -> None:
     """Listen on a separate connection for notifications of new jobs and due steps, until cancelled.
 
@@ -90,9 +105,13 @@ async def listen(url: URL, on_jobs: Callable[[], None], on_due: Callable[[str], 
     import psycopg  # an optional dependency
 
     conninfo = url.set(drivername="postgresql").render_as_string(hide_password=False)
+    options = postgres_options(url)
     while True:
         try:
-            async with await psycopg.AsyncConnection.connect(conninfo, autocommit=True) as connection:
+            async with await psycopg.AsyncConnection.connect(
+                conninfo, autocommit=True, **options
+            ) as connection:
+                await connection.execute("SELECT pg_advisory_lock_shared(%s, %s)", LISTENING)
                 await connection.execute(f"LISTEN {CHANNEL}".encode())
                 await connection.execute(f"LISTEN {DUE_CHANNEL}".encode())
                 on_jobs()

@@ -21,7 +21,9 @@ _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabil
 _DRAINING = Statement(
     select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(WorkerRow.drained_at.is_not(None))
 )
-_PROCESSES = select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(in_list(WorkerRow.id, "names"))
+_PROCESSES = select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine, WorkerRow.last_seen_at).where(
+    in_list(WorkerRow.id, "names")
+)
 _REFRESH = (
     update(WorkerRow)
     .where(WorkerRow.id == bindparam("named"))
@@ -58,82 +60,80 @@ class WorkerStatus:
     draining: bool
 
 
-def record_contact(
-    connection: Connection, worker: WorkerIdentity, capabilities: Sequence[str], *, done: int, failed: int
-) -> None:
-    """Record a worker's contact and the jobs it finished since the previous one.
-
-    Args:
-        connection: In a write transaction.
-        worker: The worker.
-        capabilities: What the worker can run; empty if it did not say.
-        done: Jobs completed since then.
-        failed: Failed attempts since then.
-    """
-    now = database_now(connection)
-    values: dict[str, Any] = {
-        "host": worker.host, "pid": worker.pid, "machine": worker.machine, "version": worker.version,
-        "last_seen_at": now,
-    }  # fmt: skip
-    if capabilities:
-        values["capabilities"] = list(capabilities)
-    # Another process with the same id has not been asked to exit.
-    same = (WorkerRow.pid == worker.pid) & (WorkerRow.machine == worker.machine)
-    values["drained_at"] = case((same, WorkerRow.drained_at), else_=None)
-    changed = connection.execute(
-        update(WorkerRow)
-        .where(WorkerRow.id == worker.id)
-        .values(**values, jobs_done=WorkerRow.jobs_done + done, jobs_failed=WorkerRow.jobs_failed + failed)
-    )
-    if changed.rowcount == 0:
-        values |= {"capabilities": list(capabilities), "drained_at": None}
-        connection.execute(
-            insert(WorkerRow).values(
-                id=worker.id, first_seen_at=now, jobs_done=done, jobs_failed=failed, **values
-            )
-        )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
     """A worker's last contact.
 
     Attributes:
         worker: The worker.
-        capabilities: What it can run.
+        capabilities: What it can run; empty if it did not say.
         ago_s: Time since the contact, in seconds.
         done: Jobs completed since the previous record.
         failed: Failed attempts since then.
     """
 
     worker: WorkerIdentity
-    capabilities: Sequence[str]
-    ago_s: float
-    done: int
-    failed: int
+    capabilities: Sequence[str] = ()
+    ago_s: float = 0.0
+    done: int = 0
+    failed: int = 0
+
+    @property
+    def process(self) -> "Process":
+        """The worker's process."""
+        return Process(self.worker.pid, self.worker.machine)
+
+
+def record_contact(connection: Connection, contact: Contact) -> None:
+    """Record a worker's contact and the jobs it finished since the previous one, in a write transaction."""
+    worker, now = contact.worker, database_now(connection)
+    values: dict[str, Any] = {
+        "host": worker.host, "pid": worker.pid, "machine": worker.machine, "version": worker.version,
+        "last_seen_at": now - timedelta(seconds=contact.ago_s),
+    }  # fmt: skip
+    if contact.capabilities:
+        values["capabilities"] = list(contact.capabilities)
+    # Another process with the same id has not been asked to exit.
+    same = (WorkerRow.pid == worker.pid) & (WorkerRow.machine == worker.machine)
+    values["drained_at"] = case((same, WorkerRow.drained_at), else_=None)
+    changed = connection.execute(
+        update(WorkerRow)
+        .where(WorkerRow.id == worker.id)
+        .values(
+            **values,
+            jobs_done=WorkerRow.jobs_done + contact.done,
+            jobs_failed=WorkerRow.jobs_failed + contact.failed,
+        )
+    )
+    if changed.rowcount == 0:
+        values |= {"capabilities": list(contact.capabilities), "drained_at": None}
+        connection.execute(
+            insert(WorkerRow).values(
+                id=worker.id, first_seen_at=now, jobs_done=contact.done, jobs_failed=contact.failed, **values
+            )
+        )
 
 
 def record_contacts(connection: Connection, contacts: Sequence[Contact]) -> None:
-    """Record the last contacts of any number of workers, with one statement for all that are known already."""
+    """Record the last contacts of any number of workers, with one statement for all that are known already.
+
+    Contacts are left out if another process with the same id has made a later one.
+    """
     if not contacts:
         return
     known = connection.execute(_PROCESSES, {"names": [one.worker.id for one in contacts]})
-    stored = {row.id: Process(row.pid, row.machine) for row in known}
+    stored = {row.id: (Process(row.pid, row.machine), row.last_seen_at) for row in known}
     now = database_now(connection)
-    rows = [
-        {
-            "named": one.worker.id, "seen": now - timedelta(seconds=one.ago_s), "done": one.done,
-            "failed": one.failed,
-        }
-        for one in sorted(contacts, key=lambda one: one.worker.id)  # in one order: no deadlocks
-        # Another process with the same id has made its own contact.
-        if stored.get(one.worker.id) == (one.worker.pid, one.worker.machine)
-    ]  # fmt: skip
+    rows: list[dict[str, Any]] = []
+    for one in sorted(contacts, key=lambda one: one.worker.id):  # in one order: no deadlocks
+        seen = now - timedelta(seconds=one.ago_s)
+        process, last_seen = stored.get(one.worker.id, (None, None))
+        if process == one.process:
+            rows.append({"named": one.worker.id, "seen": seen, "done": one.done, "failed": one.failed})
+        elif last_seen is None or last_seen < seen:
+            record_contact(connection, one)
     if rows:
         connection.execute(_REFRESH, rows)
-    for one in contacts:
-        if one.worker.id not in stored:
-            record_contact(connection, one.worker, one.capabilities, done=one.done, failed=one.failed)
 
 
 class Process(NamedTuple):

@@ -3,6 +3,7 @@
 import asyncio
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 from sqlalchemy import event
@@ -316,7 +317,7 @@ def test_jobs_of_workers_that_died_in_an_outage_are_given_back_at_once(
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
     dead = WorkerIdentity(id="w1", host="here", pid=process.pid, machine=machine_name())
-    queue.run(lambda connection: workers.record_contact(connection, dead, ["x"], done=0, failed=0))
+    queue.run(partial(workers.record_contact, contact=workers.Contact(worker=dead, capabilities=["x"])))
     queue.campaign(1, max_losses=1)
     queue.lease("w1")
     writer = Writer(engines.writer)

@@ -133,7 +133,8 @@ def periodic(queue: Queue) -> None:
     """Do what the sweeper does: at first, and when two leases have run out and a worker is dead."""
     engines = queue.engines
     dead = WorkerIdentity(id="w3", host="here", pid=NO_PROCESS, machine=machine_name())
-    queue.run(lambda connection: workers.record_contact(connection, dead, [SIMULATOR], done=0, failed=0))
+    contact = workers.Contact(worker=dead, capabilities=[SIMULATOR])
+    queue.run(partial(workers.record_contact, contact=contact))
     queue.lease("w3", max_jobs=1)
     interrupted, lost = queue.lease("w4", max_jobs=2)
     writer = Writer(engines.writer)

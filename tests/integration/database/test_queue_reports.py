@@ -3,15 +3,18 @@
 import pytest
 from sqlalchemy import update
 from support.databases import on_sqlite
-from support.queue import RESULT, Queue
+from support.problems import SIMULATOR
+from support.queue import RESULT, TERMS, Queue
 
 from brink.server.campaigns import store
 from brink.server.campaigns.store import retry_job
 from brink.server.campaigns.traces import request_trace
-from brink.server.db.models import JobRow, TraceRow
+from brink.server.db.models import CampaignRow, JobRow, TraceRow
 from brink.server.db.sql import database_now
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue import report_store
+from brink.server.queue.exchange import Exchange
+from brink.server.queue.lease_policy import LeaseDemand
 from brink.server.queue.report_store import Outcome
 from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
@@ -183,6 +186,25 @@ def test_the_last_outcome_names_the_campaign_whose_step_is_due(queue: Queue) -> 
     done = leased[other]
     report = queue.report(Outcome(job=done.job, token=done.token, result=None, error="no", final=True))
     assert report.campaigns == (other,)
+
+
+def test_a_due_step_is_named_although_a_job_of_a_later_generation_is_granted(queue: Queue) -> None:
+    campaign = queue.campaign(5)
+    queue.run(lambda connection: connection.execute(update(CampaignRow).values(generation_end=3)))
+    first, second = queue.lease(max_jobs=2)
+    demand = LeaseDemand(worker="w1", capabilities=(SIMULATOR,), max_jobs=1, terms=TERMS)
+
+    def report_and_lease(job: LeasedJob) -> tuple[tuple[str, ...], LeasedJob]:
+        outcome = Outcome(job=job.job, token=job.token, result=RESULT)
+        ((report, (granted,)),) = queue.exchange(Exchange(terms=TERMS, outcomes=(outcome,), demand=demand))
+        return report.campaigns, granted
+
+    idle, third = report_and_lease(first)
+    assert (idle, queue.job(third.job).number) == ((), 2)
+    idle, fourth = report_and_lease(second)
+    assert (idle, queue.job(fourth.job).number) == ((), 3), "the third one is still running"
+    idle, fifth = report_and_lease(third)
+    assert (idle, queue.job(fifth.job).number) == ((campaign,), 4)
 
 
 def test_a_failed_job_is_tried_again_until_quarantine(queue: Queue) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, ExitStack, closing
 from datetime import timedelta
+from functools import partial
 from typing import Any
 
 import pytest
@@ -24,7 +25,8 @@ from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import WorkerRow
 from brink.server.db.sql import database_now
 from brink.server.db.writer import Unit, Writer
-from brink.server.queue import lease_store, workers
+from brink.server.errors import Unavailable
+from brink.server.queue import exchange, lease_store, workers
 from brink.server.queue.report_store import Outcome, Report
 from brink.server.queue.service import CONTACT_S, QueueService
 from brink.server.states import CampaignStatus
@@ -51,7 +53,8 @@ def dead_pid() -> int:
 
 def noted(queue: Queue, machine: str, pid: int, worker: str = "w1") -> None:
     identity = WorkerIdentity(id=worker, host="here", pid=pid, machine=machine)
-    queue.run(lambda connection: workers.record_contact(connection, identity, ["x"], done=0, failed=0))
+    contact = workers.Contact(worker=identity, capabilities=["x"])
+    queue.run(partial(workers.record_contact, contact=contact))
 
 
 def test_leases_of_a_dead_process_of_this_machine_are_found(queue: Queue, dead_pid: int) -> None:
@@ -224,14 +227,72 @@ def test_further_contacts_are_recorded_by_sweeps(database_url: str, queue: Queue
     assert {seen.capabilities for seen in queue.run(workers.list_workers)} == {("x",)}
 
 
-def test_a_contact_of_a_process_is_not_recorded_for_its_successor(queue: Queue) -> None:
+@pytest.mark.parametrize(("ago_s", "pid"), [(90.0, 2), (0.0, 1)], ids=["older", "newer"])
+def test_of_the_contacts_of_two_processes_with_one_id_the_later_one_counts(
+    queue: Queue, ago_s: float, pid: int
+) -> None:
     noted(queue, "", 2)
     silent_for(queue, timedelta(seconds=60))
-    contact = workers.Contact(worker=identity("w1", pid=1), capabilities=(), ago_s=0.0, done=1, failed=0)
-    queue.run(lambda connection: workers.record_contacts(connection, [contact]))
+    contact = workers.Contact(worker=identity("w1", pid=1), ago_s=ago_s, done=1)
+    queue.run(partial(workers.record_contacts, contacts=[contact]))
     (seen,) = queue.run(workers.list_workers)
-    assert seen.seen_s_ago > 30
-    assert seen.jobs_done == 0
+    assert (seen.pid, seen.jobs_done) == (pid, int(pid == 1))
+    assert seen.seen_s_ago == pytest.approx(min(60.0, ago_s), abs=10.0)
+
+
+def fail(*_: object, **__: object) -> None:
+    """Fail as a database that is away does."""
+    raise Unavailable("the database is away")
+
+
+@on_sqlite
+def test_jobs_of_a_restarted_worker_whose_first_request_failed_are_not_taken_for_those_of_the_dead(
+    database_url: str, queue: Queue, dead_pid: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The database still names the old process, which is dead."""
+
+    async def body() -> None:
+        async with AsyncExitStack() as stack:
+            service = await Coordinators(stack).start(database_url)
+            await ask(service, identity("w1", machine_name(), dead_pid), "x")
+            live = identity("w1", machine_name(), os.getpid())
+            with monkeypatch.context() as patched:
+                patched.setattr(exchange, "record_contact", fail)
+                with pytest.raises(Unavailable):
+                    await ask(service, live, "x")
+            queue.campaign(1, needs="x")
+            await ask(service, live, "x")
+            await service.sweep()
+
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
+    assert [(row.status, row.losses) for row in queue.jobs()] == [("leased", 0)]
+    assert [seen.pid for seen in queue.run(workers.list_workers)] == [os.getpid()]
+
+
+def test_what_a_worker_did_is_counted_although_the_write_that_should_have_said_so_failed(
+    database_url: str, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body() -> None:
+        async with AsyncExitStack() as stack:
+            service = await Coordinators(stack).start(database_url)
+            now_s = 1000.0
+            service.clock = lambda: now_s
+            queue.campaign(1, needs="x", max_attempts=1)
+            wanted = LeaseRequest(worker=identity("w1"), capabilities=["x"], wait_s=0)
+            (job,) = (await service.lease(wanted, asyncio.Event())).jobs
+            failed = JobFailed(reason="error", message="no")
+            result = JobResult(job=job.job, token=job.token, outcome=failed)
+            await service.results(ResultsRequest(worker=identity("w1"), results=[result]), asyncio.Event())
+            now_s += service.settings.worker_seen_s + 1  # the worker is gone by then
+            with monkeypatch.context() as patched:
+                patched.setattr(workers, "record_contacts", fail)
+                with pytest.raises(Unavailable):
+                    await service.sweep()
+            await service.sweep()
+            assert service._workers == {}
+
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
+    assert [seen.jobs_failed for seen in queue.run(workers.list_workers)] == [1]
 
 
 def test_a_dead_worker_of_this_machine_is_not_waited_for(database_url: str, dead_pid: int) -> None:
@@ -248,19 +309,21 @@ def test_a_dead_worker_of_this_machine_is_not_waited_for(database_url: str, dead
     asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
 
 
-def test_a_coordinator_knows_the_workers_of_the_others(postgres_databases: PostgresDatabases) -> None:
-    async def body(database_url: str) -> None:
+def test_a_coordinator_knows_the_workers_of_the_others(database_url: str) -> None:
+    async def body() -> None:
         async with AsyncExitStack() as stack:
             coordinators = Coordinators(stack)
             first, second = await coordinators.start(database_url), await coordinators.start(database_url)
             await ask(first, identity("w1"), "x")
+            await first.sweep()
+            known = [first.has_workers_elsewhere]
             await ask(second, identity("w2"), "x", "y")
             await first.sweep()
+            assert [*known, first.has_workers_elsewhere] == [False, True]
             assert first.terms("w1").live_workers == 2
             assert first.terms("w1").elsewhere == {"x", "y"}
 
-    with postgres_databases.database() as url:
-        asyncio.run(asyncio.wait_for(body(url), PATIENCE_S))
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
 
 
 def test_what_a_worker_can_run_is_noted_if_it_reports_before_it_asks(database_url: str, queue: Queue) -> None:

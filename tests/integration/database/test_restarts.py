@@ -21,7 +21,7 @@ from support.api import (
     submit,
     undisturbed_digest,
 )
-from support.databases import on_postgres
+from support.databases import on_postgres, on_sqlite
 from support.llm_endpoint import serving
 from support.marks import mostly_long
 from support.problems import SIMULATOR, simulated
@@ -30,7 +30,7 @@ from support.traffic import driven, seeded
 
 from brink.search.algorithm import Proposal, SeedRequest
 from brink.search.archive import archive_digest
-from brink.server.campaigns import advance, step_store, store
+from brink.server.campaigns import advance, others, step_store, store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.others import PATIENCE_S, OtherCoordinators
@@ -45,6 +45,7 @@ from brink.server.llm.store import claim
 from brink.server.problems.base import Problem
 from brink.server.queue import job_store
 from brink.server.queue.report_store import Outcome
+from brink.server.queue.wakeups import count_listening
 from brink.server.states import CampaignStatus
 from brink.sim import catalogue
 from brink.worker.wire import Completed, LeasedJob
@@ -260,12 +261,22 @@ class Clock:
         return self.now_s
 
 
+def stepper_beside(two: Coordinators, clock: Clock, *, others_known: bool = True) -> Stepper:
+    """Return a stepper of a coordinator that knows, or does not know, of another one."""
+    beside = OtherCoordinators(two.engines, two.writers[1], lambda: others_known, clock)
+    return Stepper(two.engines, two.writers[1], max_stored_distances=1000, seeds=two.seeds[1], others=beside)
+
+
+@pytest.fixture
+def steps_worth_leaving(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave steps however short they are, on SQLite as well."""
+    monkeypatch.setattr(others, "WORTH_LEAVING_S", 0.0)
+
+
+@pytest.mark.usefixtures("steps_worth_leaving")
 def test_a_due_step_is_left_for_a_while_to_the_coordinator_that_has_the_search(two: Coordinators) -> None:
     clock, first = Clock(), two.steppers[0]
-    others = OtherCoordinators(two.engines, two.writers[1], clock)
-    second = Stepper(
-        two.engines, two.writers[1], max_stored_distances=1000, seeds=two.seeds[1], others=others
-    )
+    second = stepper_beside(two, clock)
     two.simulate()
     assert not second.advance("c0ffee"), "the first has the search in memory"
     assert first.advance("c0ffee")
@@ -282,14 +293,50 @@ def test_a_due_step_is_left_for_a_while_to_the_coordinator_that_has_the_search(t
     assert two.digest() == undisturbed_digest(ball())
 
 
+@pytest.mark.usefixtures("steps_worth_leaving")
+def test_a_step_is_left_for_half_a_minute_at_most(two: Coordinators) -> None:
+    clock = Clock()
+    two.simulate()
+    two.steppers[0].advance("c0ffee")
+    two.queue.run(lambda connection: connection.execute(update(GenerationRow).values(step_s=100.0)))
+    two.simulate()
+    second = stepper_beside(two, clock)
+    assert not second.advance("c0ffee")
+    clock.now_s += 29.0
+    assert not second.advance("c0ffee")
+    clock.now_s += 1.0
+    assert second.advance("c0ffee")
+
+
+@pytest.mark.usefixtures("steps_worth_leaving")
+def test_a_coordinator_that_knows_of_no_other_takes_all_steps_at_once(two: Coordinators) -> None:
+    two.simulate()
+    assert stepper_beside(two, Clock(), others_known=False).advance("c0ffee")
+
+
+@on_sqlite
+def test_a_short_step_is_not_left_to_others_that_cannot_be_told(two: Coordinators) -> None:
+    two.simulate()
+    assert stepper_beside(two, Clock()).advance("c0ffee")
+
+
+@pytest.mark.usefixtures("steps_worth_leaving")
 def test_a_coordinator_that_takes_over_takes_the_next_step(two: Coordinators) -> None:
-    others = OtherCoordinators(two.engines, two.writers[1], Clock())
-    second = Stepper(
-        two.engines, two.writers[1], max_stored_distances=1000, seeds=two.seeds[1], others=others
-    )
+    second = stepper_beside(two, Clock())
     two.simulate()
     second.take_over("c0ffee")
     assert second.advance("c0ffee")
+
+
+@pytest.mark.usefixtures("steps_worth_leaving")
+def test_a_step_that_was_taken_over_but_never_came_is_forgotten_with_its_campaign(two: Coordinators) -> None:
+    second = stepper_beside(two, Clock())
+    second.take_over("c0ffee")
+    two.queue.set_status("c0ffee", CampaignStatus.PAUSED)
+    assert not second.advance("c0ffee")
+    two.queue.set_status("c0ffee", CampaignStatus.RUNNING)
+    two.simulate()
+    assert not second.advance("c0ffee"), "it is left to the first one"
 
 
 @on_postgres
@@ -298,15 +345,17 @@ def test_a_step_that_is_left_is_taken_at_once_by_the_coordinator_that_has_the_se
 ) -> None:
     """Were it not told, it would find the step when it sweeps next, after a minute."""
 
-    def listening() -> bool:
-        query = text("SELECT count(*) FROM pg_stat_activity WHERE query = 'LISTEN brink_due'")
+    def listening() -> int:
         with engines.reader.connect() as connection:
-            return bool(connection.execute(query).scalar_one() == 2)
+            return count_listening(connection)
 
-    with coordinator(database_url, sweep_s=60.0) as first, coordinator(database_url, sweep_s=60.0) as second:
-        eventually(listening, "both listen")
-        campaign = submit(first, ball())
-        assert FakeWorker(second).work(campaign)["status"] == "finished"
+    assert listening() == 0
+    with coordinator(database_url, sweep_s=60.0) as first:
+        with coordinator(database_url, sweep_s=60.0) as second:
+            eventually(lambda: listening() == 2, "both listen")
+            campaign = submit(first, ball())
+            assert FakeWorker(second).work(campaign)["status"] == "finished"
+        eventually(lambda: listening() == 1, "the second one has gone")
 
 
 def test_a_stale_step_is_not_written(two: Coordinators) -> None:
@@ -437,6 +486,27 @@ def test_losing_the_database_ends_no_campaign(two: Coordinators, monkeypatch: py
     assert two.campaign.status is CampaignStatus.RUNNING
     assert two.steppers[0].advance("c0ffee")
     assert two.campaign.generation == 1
+
+
+@on_postgres
+def test_a_step_whose_connection_is_lost_ends_no_campaign(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two.simulate()
+    write = step_store.write_step
+
+    def cut(connection: Connection, step: Any) -> bool:
+        pid = connection.execute(text("SELECT pg_backend_pid()")).scalar_one()
+        with two.engines.reader.connect() as other:
+            other.execute(text("SELECT pg_terminate_backend(:pid, 5000)"), {"pid": pid})
+        return write(connection, step)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(step_store, "write_step", cut)
+        with pytest.raises(Unavailable):
+            two.steppers[0].advance("c0ffee")
+    assert two.campaign.status is CampaignStatus.RUNNING
+    assert two.steppers[0].advance("c0ffee")
 
 
 @pytest.mark.parametrize(

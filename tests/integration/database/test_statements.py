@@ -18,6 +18,7 @@ from brink.server.db.models import CampaignRow, TraceRow
 from brink.server.db.sql import driver_time, in_list
 from brink.server.db.statements import BulkUpdate, Statement, read, write
 from brink.server.db.writer import Writer
+from brink.server.errors import Unavailable
 from brink.server.queue.exchange import Exchange
 from brink.server.queue.lease_policy import LeaseDemand
 from brink.server.queue.report_store import Outcome
@@ -157,6 +158,22 @@ def test_text_that_postgres_cannot_store_is_refused(engines: Engines) -> None:
 
 
 @on_postgres
+def test_transaction_begins_all_the_same_after_a_query_with_an_invalid_parameter(engines: Engines) -> None:
+    named = Statement(select(TraceRow.spec_hash).where(TraceRow.spec_hash == bindparam("name")))
+
+    def unit(connection: Connection) -> None:
+        with pytest.raises(DataError):
+            read(connection, (named, {"name": "a\0b"}))
+        write(connection, ADD, {"name": "a"})
+        read(connection, (NAMES, {}))
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run(engines, unit)
+    assert names(engines) == [], "it was rolled back"
+
+
+@on_postgres
 def test_more_than_the_sockets_hold_is_sent_and_received_at_once(engines: Engines) -> None:
     echo = Statement(select(bindparam("words", type_=Text).label("words")))
     words = "x" * 4_000_000
@@ -177,20 +194,52 @@ def test_dropped_prepared_statements_are_prepared_again(engines: Engines) -> Non
     assert names(engines) == ["a", "b"]
 
 
-@on_postgres
-def test_lost_connection_is_reported_as_lost(engines: Engines) -> None:
-    def unit(connection: Connection) -> None:
-        (own,) = read(connection, (Statement(text("SELECT pg_backend_pid() AS pid")), {}))[0]
-        with engines.reader.connect() as other:
-            other.execute(text("SELECT pg_terminate_backend(:pid, 5000)"), {"pid": own.pid})
-        write(connection, ADD, {"name": "a"})
+def end_session(connection: Connection, engines: Engines) -> None:
+    """Have the server end the session of a connection."""
+    (own,) = read(connection, (Statement(text("SELECT pg_backend_pid() AS pid")), {}))[0]
+    with engines.reader.connect() as other:
+        other.execute(text("SELECT pg_terminate_backend(:pid, 5000)"), {"pid": own.pid})
 
-    with pytest.raises(OperationalError) as raised:
+
+@on_postgres
+@pytest.mark.parametrize(
+    "then",
+    [
+        lambda connection: write(connection, ADD, {"name": "a"}),
+        lambda connection: read(connection, (NAMES, {})),
+        lambda connection: connection.execute(select(CampaignRow.id)),
+    ],
+    ids=["commit", "query", "other statement"],
+)
+def test_lost_connection_is_reported_as_lost(engines: Engines, then: Callable[[Connection], object]) -> None:
+    def unit(connection: Connection) -> None:
+        end_session(connection, engines)
+        then(connection)
+
+    with pytest.raises(
+        OperationalError, match="terminating connection due to administrator command"
+    ) as raised:
         run(engines, unit)
     assert raised.value.connection_invalidated
     with engines.writer.begin() as connection:
         write(connection, ADD, {"name": "b"})
     assert names(engines) == ["b"]
+
+
+@on_postgres
+def test_unit_whose_connection_is_lost_is_told_that_the_database_is_unavailable(engines: Engines) -> None:
+    def unit(connection: Connection) -> None:
+        end_session(connection, engines)
+        read(connection, (NAMES, {}))
+
+    writer = Writer(engines.writer)
+    try:
+        with pytest.raises(Unavailable, match="database"):
+            writer.submit(unit).result(30.0)
+        writer.submit(partial(write, statement=ADD, values={"name": "a"})).result(30.0)
+    finally:
+        writer.close()
+    assert names(engines) == ["a"]
 
 
 @on_postgres

@@ -185,6 +185,25 @@ def test_a_commit_that_fails_is_told_to_everybody(engines: Engines, writer: Writ
     assert writer.submit(writes("three")).result(WAIT_S) == "three"
 
 
+def test_no_units_are_taken_while_the_database_does_not_answer(
+    engines: Engines, writer: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate()
+    answer = writer.submit(gate)
+    assert gate.entered.wait(WAIT_S)
+    waits = writer.submit(writes("waits"))
+    with monkeypatch.context() as patched:
+        patched.setattr("brink.server.db.writer.STUCK_S", 0.0)
+        with pytest.raises(Unavailable, match="no answer to earlier writes"):
+            writer.submit(writes("refused")).result(0)
+        assert writer.trouble is not None
+    gate.open.set()
+    answer.result(WAIT_S)
+    waits.result(WAIT_S)
+    writer.submit(writes("taken again")).result(WAIT_S)
+    assert written(engines) == {"waits", "taken again"}
+
+
 def test_a_cancelled_unit_does_not_run(engines: Engines, writer: Writer) -> None:
     gate = Gate()
     writer.submit(gate)

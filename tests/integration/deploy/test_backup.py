@@ -32,7 +32,7 @@ def run(
     """Run the script of a container, with a folder in place of the volume of backups."""
     one = container(pod, name)
     [script] = one["args"]
-    assert set(variables) == {variable["name"] for variable in one["env"]}
+    assert set(variables) == {variable["name"] for variable in one.get("env", ())}
     assert [mount["mountPath"] for mount in one["volumeMounts"]] == ["/backups"]
     path = os.pathsep.join((str(find_binaries()), os.environ["PATH"]))
     return subprocess.run(
@@ -73,23 +73,35 @@ def test_a_campaign_continues_from_a_backup(
         assert (done_again["status"], done_again["digest"]) == ("finished", undisturbed_digest(body))
 
 
-def test_each_backup_is_restored_before_old_ones_are_deleted(databases: Databases, tmp_path: Path) -> None:
-    two_weeks_ago = tmp_path / "brink-20260101T031700Z.dump"
-    two_weeks_ago.touch()
-    os.utime(two_weeks_ago, (0, 0))
+def test_a_backup_that_cannot_be_restored_fails_the_job(databases: Databases, tmp_path: Path) -> None:
     with databases.database() as database, databases.database(migrated=False) as scratch:
         newest = dump(database, tmp_path)
         whole = newest.read_bytes()
         newest.write_bytes(whole[: len(whole) // 2])
         assert run(BACKUP, "restore", tmp_path, SCRATCH=scratch).returncode != 0
-        assert two_weeks_ago.exists(), "a backup that cannot be restored must not replace an older one"
     with databases.database(migrated=False) as scratch:
         newest.write_bytes(whole)
         done = run(BACKUP, "restore", tmp_path, SCRATCH=scratch)
         assert done.returncode == 0, done.stderr
-        assert list(tmp_path.glob("brink-*")) == [newest]
         examined = brink("doctor", "--restored", f"--database={scratch}", cwd=tmp_path)
         assert examined.returncode == 0, examined.stdout + examined.stderr
+
+
+def test_old_backups_are_deleted_once_the_new_one_was_examined(databases: Databases, tmp_path: Path) -> None:
+    names = [one["name"] for one in (*BACKUP["initContainers"], *BACKUP["containers"])]
+    assert names == ["dump", "server", "restore", "examine", "delete-old"], (
+        "each begins if those before succeeded"
+    )
+    old = tmp_path / "brink-20260101T031700Z.dump"
+    old.touch()
+    os.utime(old, (0, 0))
+    with databases.database() as database, databases.database(migrated=False) as scratch:
+        newest = dump(database, tmp_path)
+        assert run(BACKUP, "restore", tmp_path, SCRATCH=scratch).returncode == 0
+    assert old.exists(), "it may be needed until the new one was examined"
+    done = run(BACKUP, "delete-old", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert list(tmp_path.glob("brink-*")) == [newest]
 
 
 def test_a_failed_dump_leaves_no_backup(databases: Databases, tmp_path: Path) -> None:

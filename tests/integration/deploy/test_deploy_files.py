@@ -220,7 +220,7 @@ def test_pods_have_few_rights() -> None:
 def test_pods_run_where_there_is_a_simulator() -> None:
     """PyBullet has wheels for x86-64 only."""
     for name, spec in pod_specs().items():
-        images = {one["image"] for one in spec["containers"]}
+        images = {one["image"] for one in (*spec.get("initContainers", ()), *spec["containers"])}
         if any(image.startswith("brink") for image in images):
             assert spec["nodeSelector"] == {"kubernetes.io/arch": "amd64"}, name
     assert {service(name)["platform"] for name in ("coordinator", "worker")} == {"linux/amd64"}

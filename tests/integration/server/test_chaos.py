@@ -9,7 +9,7 @@ from support.databases import on_sqlite
 from support.processes import environment
 from support.queue import RESULT, Queue
 
-from brink.bench.chaos import ChaosPlan, Ledger, audit, run_trial
+from brink.bench.chaos import ChaosPlan, Findings, Ledger, audit, run_trial
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, SolutionRow
 from brink.server.states import CampaignStatus, SolutionVerdict
@@ -26,7 +26,7 @@ def ignore(part: str, done: int, total: int) -> None:
 def test_nothing_is_lost_in_a_fault_trial() -> None:
     outcome = run_trial(SHORT, ignore)
     findings = outcome.findings
-    assert (findings.lost, findings.doubled, findings.stuck) == ((), (), ())
+    assert findings == Findings()
     assert outcome.same == len(outcome.digests) >= 2
     assert outcome.broken.total() >= 8
     assert outcome.messages.total() >= 1
@@ -36,7 +36,7 @@ def test_nothing_is_lost_in_a_fault_trial() -> None:
 def test_trial_reveals_a_queue_that_ignores_lease_tokens(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     plan = ChaosPlan(
-        minutes=0.15, faults=1, every_s=5.0, share=0.4, simulations=100, drives=False, plugins=("unfenced",)
+        minutes=0.4, faults=1, every_s=5.0, share=0.4, simulations=100, drives=False, plugins=("unfenced",)
     )
     assert run_trial(plan, ignore).findings.doubled
 
@@ -119,3 +119,26 @@ class TestAudit:
     def test_campaign_that_was_not_submitted_is_doubled(self, queue: Queue, engines: Engines) -> None:
         campaign = queue.campaign(1)
         assert findings_of(engines, Ledger(), {})[1] == [f"campaign {campaign} was not submitted"]
+
+    def test_failed_attempts_are_charged_wrongly_unless_episodes_were_killed(
+        self, queue: Queue, engines: Engines
+    ) -> None:
+        queue.campaign(2, max_losses=9)
+        killed, lost = queue.lease_all()
+        queue.fail(killed)
+        queue.run_out(lost)
+        queue.end_backoffs()
+        while jobs := queue.lease("w2"):
+            queue.complete(*jobs)
+        assert [(row.attempt, row.losses) for row in queue.jobs()] == [(2, 0), (2, 1)]
+        with engines.reader.connect() as connection:
+            assert audit(connection, Ledger(), {}, crashes=1).charged == ()
+            assert audit(connection, Ledger(), {}, charged=["job 1"]).charged == (
+                "job 1", "1 failed attempts, but 0 episodes were killed"
+            )  # fmt: skip
+
+    def test_internal_errors_are_findings(self, engines: Engines) -> None:
+        ledger = Ledger()
+        ledger.errors["POST /api/v1/jobs/results"] += 2
+        with engines.reader.connect() as connection:
+            assert audit(connection, ledger, {}).errors == ("POST /api/v1/jobs/results: 2 times",)

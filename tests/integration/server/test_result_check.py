@@ -4,8 +4,9 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, ball, completes, expect, submit
+from support.api import FakeWorker, ball, completes, coordinator, eventually, expect, progress, submit
 from support.databases import on_sqlite
+from support.problems import Ball
 from support.traffic import driven, traffic_worker
 
 from brink.server.problems.catalogue import make_algorithm
@@ -92,6 +93,37 @@ def test_a_refused_result_counts_in_the_metrics_and_not_as_done(client: httpx.Cl
     told = client.get("/metrics").text
     assert 'brink_results_total{status="invalid"} 1.0' in told
     assert 'brink_failures_total{reason="invalid-result"} 1.0' in told
+
+
+def test_results_of_a_problem_that_cannot_be_made_are_stored_and_its_campaign_pauses(
+    database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball(simulations=20))
+        jobs = FakeWorker(client).lease_all()
+
+    def broken(*_: Any) -> None:
+        raise RuntimeError("a library of the plug-in is missing")
+
+    monkeypatch.setattr(Ball, "__init__", broken)
+    with coordinator(database_url) as client:
+        assert FakeWorker(client).report(jobs) == ["accepted"] * len(jobs)
+        eventually(lambda: progress(client, campaign)["status"] == "paused", "the campaign pauses")
+        assert "a library of the plug-in is missing" in progress(client, campaign)["status_reason"]
+
+
+def test_reason_with_a_character_that_no_database_stores_is_stored_without_it(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreadable(*_: Any) -> None:
+        raise ValueError("expected a number, got \0")
+
+    monkeypatch.setattr(Ball, "evaluation", unreadable)
+    submit(client, ball(simulations=20))
+    worker = FakeWorker(client)
+    assert worker.report(worker.lease(max_jobs=1)) == ["invalid"]
+    (row,) = expect(client.get("/api/v1/jobs", params={"limit": 1}))["jobs"]
+    assert row["last_error"].endswith("expected a number, got \N{REPLACEMENT CHARACTER}")
 
 
 @on_sqlite

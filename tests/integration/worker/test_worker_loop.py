@@ -11,6 +11,7 @@ import pytest
 from support.api import eventually
 from worker_harness import TIMEOUT_S, FakeCoordinator, Fault, running_worker, use_faulty_simulator
 
+from brink.worker.backoff import Backoff
 from brink.worker.wire import (
     Completed,
     HeartbeatRequest,
@@ -244,6 +245,21 @@ def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(coordina
     assert isinstance(sent[-1], JobFailed)
     assert "too strange" in sent[-1].message
     assert "\n" not in sent[-1].message
+
+
+def test_outcome_at_which_the_coordinator_fails_becomes_an_error_and_the_others_are_accepted(
+    coordinator: FakeCoordinator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Backoff, "delay_s", lambda *_: 0.0)
+    with running_worker(coordinator.url, prefetch_s=10.0):
+        coordinator.add()
+        coordinator.wait_for_all()
+        with coordinator.changed:
+            jobs = [coordinator.add() for _ in range(5)]
+            coordinator.poisonous_jobs.add(jobs[2])
+        coordinator.wait_for_all()
+    failed = [job for job in jobs if isinstance(coordinator.jobs[job].outcome, JobFailed)]
+    assert failed == [jobs[2]]
 
 
 def test_stopping_finishes_the_episode_and_releases_the_rest(

@@ -86,6 +86,7 @@ class FakeCoordinator:
         self.requests: list[tuple[str, Message]] = []
         self.statuses: list[ResultStatus] = []
         self.refused_jobs: set[int] = set()
+        self.poisonous_jobs: set[int] = set()
         self.delivered: set[int] = set()
         self.draining = False
         self.port = 0
@@ -197,6 +198,8 @@ class FakeCoordinator:
                     if any(result.job in self.refused_jobs for result in results.results):
                         self._record(name, results)
                         return 422, {"title": "Unprocessable", "detail": "results.0:\n too strange"}
+                    if any(self._is_poison(result) for result in results.results):
+                        return 500, {"title": "Internal error", "detail": "see the log"}
                     answered = self._results(results, gone)
                     self._record(name, results)
                     return 200, answered
@@ -279,6 +282,9 @@ class FakeCoordinator:
             self.changed.notify_all()
         lease_reply = None if request.lease is None else self._lease(request.lease, gone)
         return ResultsReply(statuses=statuses, lease=lease_reply)
+
+    def _is_poison(self, result: JobResult) -> bool:
+        return result.job in self.poisonous_jobs and isinstance(result.outcome, Completed)
 
     def _store(self, result: JobResult) -> ResultStatus:
         job = self.jobs.get(result.job)

@@ -213,6 +213,48 @@ def test_outcomes_of_a_refused_report_are_sent_singly_and_the_culprit_becomes_an
     assert [outcome.leased.job for outcome in report(held).outcomes] == [2]
 
 
+def test_outcome_at_which_the_coordinator_fails_alone_becomes_an_error() -> None:
+    held = held_jobs(Clock())
+    held.add(grant(1, 2))
+    for _ in range(2):
+        finish(held, take(held))
+    held.handle_fault(report(held), "500")
+    alone = report(held)
+    assert ([outcome.leased.job for outcome in alone.outcomes], alone.room) == ([1], 0)
+    held.handle_fault(alone, "500 no idea")
+    error = report(held)
+    assert isinstance(error.outcomes[0].outcome, JobFailed)
+    assert "500 no idea" in error.outcomes[0].outcome.message
+    accept(held, error)
+    assert [outcome.leased.job for outcome in report(held).outcomes] == [2]
+
+
+def test_outcome_is_kept_if_the_coordinator_fails_at_the_error_as_well() -> None:
+    held = held_jobs(Clock())
+    held.add(grant(1))
+    finish(held, take(held))
+    held.handle_fault(report(held), "500")
+    for _ in range(2):
+        held.handle_fault(report(held), "500")
+    assert report(held).outcomes[0].outcome == DONE
+
+
+def test_report_that_is_too_large_is_halved_as_are_all_later_ones() -> None:
+    held = held_jobs(Clock(), capacity=20)
+    held.add(grant(*range(8)))
+    for _ in range(8):
+        finish(held, take(held))
+    held.handle_refusal(report(held), "413", too_large=True)
+    accept(held, report(held))
+    later = report(held)
+    assert [outcome.leased.job for outcome in later.outcomes] == [4, 5, 6, 7]
+    accept(held, later)
+    held.add(grant(*range(8, 14)))
+    for _ in range(6):
+        finish(held, take(held))
+    assert len(report(held).outcomes) == 4
+
+
 def test_a_worker_polls_at_least_once_before_it_exits_for_being_idle() -> None:
     clock = Clock()
     held = HeldJobs(PrefetchPolicy(max_jobs=5, prefetch_s=1.0), exit_when_idle_s=0.0, clock=clock)
