@@ -17,6 +17,8 @@ from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.guard.option import OPTION as GUARD
+from brink.sim.guard.option import GuardOption, option_of
 from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, steps_to_json
@@ -34,6 +36,8 @@ MAX_DURATION_S = 600.0
 BICYCLE, WHEELS = "bicycle", "wheels"
 FIDELITIES = (BICYCLE, WHEELS)
 """Motion model of the ego: single-track, or four wheels in the physics engine (about ten times slower)."""
+OPTIONS = ("fidelity", GUARD)
+"""The options of an episode; see `GuardOption` for the second one."""
 
 
 class BrinkDrive:
@@ -64,10 +68,11 @@ class BrinkDrive:
             SimulationCrashed: The physics engine failed.
         """
         scenario = _read_scenario(spec, self.id)
+        guard = option_of(spec.options)
         detector = self._detector(spec)
         requirements = make_requirements(spec.requirements)
         try:
-            return self._run(spec, scenario, detector, requirements, record=record)
+            return self._run(spec, scenario, detector, requirements, guard=guard, record=record)
         except EngineError as error:
             discard_engine()
             raise SimulationCrashed(f"the physics engine failed: {error}") from error
@@ -79,6 +84,7 @@ class BrinkDrive:
         detector: "UrbanDetector",
         requirements: Mapping[str, Requirement],
         *,
+        guard: GuardOption | None,
         record: bool,
     ) -> EpisodeResult:
         cpu_s = time.process_time()
@@ -86,9 +92,11 @@ class BrinkDrive:
         engine.reset()
         world = make_world(scenario, spec.seed, _ego_maker(spec, engine))
         recorder = Recorder(world, spec.requirements) if record else None
+        system = ModularDriving(world.route, camera=self._camera)
+        guarded = None if guard is None else guard.around(system, world.route)
         outcome = run_loop(
             world,
-            ModularDriving(world.route, camera=self._camera),
+            system if guarded is None else guarded,
             detector.behaviour,
             requirements,
             engine=engine,
@@ -103,11 +111,16 @@ class BrinkDrive:
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
-            features={**outcome_features(outcome), **detector.features(outcome), **features_of(requirements)},
+            features={
+                **outcome_features(outcome),
+                **detector.features(outcome),
+                **features_of(requirements),
+                **({} if guarded is None else guarded.account.features()),
+            },
             provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
             trace=None
             if recorder is None
-            else recorder.trace(trace_header(spec, verdicts, versions)).to_bytes(),
+            else recorder.trace(trace_header(spec, verdicts, versions), guarded).to_bytes(),
         )
 
 
@@ -181,11 +194,11 @@ def _read_scenario(spec: EpisodeSpec, simulator: str) -> UrbanScenario:
     """
     spec.check_for(simulator, MAX_DURATION_S)
     for name, value in spec.options.items():
-        if name != "fidelity":
+        if name not in OPTIONS:
             raise InvalidEpisode(
-                f"options: unknown field {name!r}{nearest(name, ('fidelity',))}; expected fidelity"
+                f"options: unknown field {name!r}{nearest(name, OPTIONS)}; expected {', '.join(OPTIONS)}"
             )
-        if not isinstance(value, str) or value not in FIDELITIES:
+        if name == "fidelity" and (not isinstance(value, str) or value not in FIDELITIES):
             raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
     return UrbanScenario.from_json(spec.scenario)
 
