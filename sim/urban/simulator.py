@@ -14,6 +14,7 @@ from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discar
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import DrivingSystem
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
@@ -43,6 +44,10 @@ class BrinkDrive:
 
     def __init__(self) -> None:
         self._camera = Camera()
+
+    def _driving(self, world: World, scenario: UrbanScenario, spec: EpisodeSpec) -> DrivingSystem:
+        """Return the driving system under test, new."""
+        return ModularDriving(world.route, camera=self._camera)
 
     def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
         """Return the obstacle detector of an episode.
@@ -88,7 +93,7 @@ class BrinkDrive:
         recorder = Recorder(world, spec.requirements) if record else None
         outcome = run_loop(
             world,
-            ModularDriving(world.route, camera=self._camera),
+            self._driving(world, scenario, spec),
             detector.behaviour,
             requirements,
             engine=engine,
