@@ -26,7 +26,8 @@ class Guarded:
         guard: The guard.
         fallback: The fallback.
         fallback_id: Its id, for traces.
-        scan: Returns the range sensor's scan, called at each perception step; None without a sensor.
+        scan: Returns the range sensor's scan at a simulated time, called at each perception step; None without a
+            sensor.
 
     Attributes:
         fallback_id: Id of the fallback.
@@ -40,7 +41,7 @@ class Guarded:
         fallback: Fallback,
         *,
         fallback_id: str,
-        scan: Callable[[], RangeScan] | None = None,
+        scan: Callable[[float], RangeScan] | None = None,
     ) -> None:
         self._system = system
         self._guard = guard
@@ -54,7 +55,9 @@ class Guarded:
         """Run one control step and return the command that the car executes."""
         fallback = self._fallback
         command = self._system.step(fallback.perceive(observation, self._reading))
-        scan = self._scan() if self._scan is not None and observation.boxes is not None else None
+        scan = None
+        if self._scan is not None and observation.boxes is not None:
+            scan = self._scan(observation.time_s)
         self._reading = reading = self._guard.step(observation, command, self._system.plan, scan)
         executed = fallback.step(observation, command, reading)
         self.account.note(observation.time_s, alarm=reading.alarm, intervenes=fallback.active)

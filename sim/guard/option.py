@@ -10,8 +10,9 @@ settings of the fallback are listed, so that the hash of an episode does not dep
 """
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, Protocol, Self, cast
 
@@ -20,8 +21,11 @@ from brink.sim.driving.interface import DrivingSystem, Route
 from brink.sim.episode import Json, JsonObject, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.fallback import DEFAULT_FALLBACK, fallback_settings, make_fallback
+from brink.sim.guard.features import UNKNOWN, KnownConditions
 from brink.sim.guard.guarded import Guarded
-from brink.sim.guard.interface import Guard
+from brink.sim.guard.interface import Guard, RangeScan
+from brink.sim.guard.model import GuardModel, Sensor
+from brink.sim.guard.monitor import ModelGuard
 from brink.sim.guard.setting import Settings, settings_to_json
 
 GUARDS: Final = "brink.guards"
@@ -32,13 +36,18 @@ _FIELDS: Final = ("guard", "digest", "threshold", "fallback", "settings")
 
 
 class MakeGuard(Protocol):
-    """Makes a guard for one drive."""
+    """Makes a guard for one drive.
 
-    def __call__(self, *, route: Route, threshold: float | None) -> Guard:
+    Attributes:
+        needs_scan: Whether the car needs a range sensor; without this attribute it does not.
+    """
+
+    def __call__(self, route: Route, conditions: KnownConditions, threshold: float | None) -> Guard:
         """Return a new guard.
 
         Args:
             route: The route of the drive.
+            conditions: What the car knows of time of day and weather.
             threshold: Probability from which it raises the alarm; None takes its own.
         """
         ...
@@ -127,16 +136,30 @@ class GuardOption:
             settings=fallback_settings(fallback, settings, f"{where}.settings"),
         )
 
-    def around(self, system: DrivingSystem, route: Route) -> Guarded:
+    @property
+    def needs_scan(self) -> bool:
+        """Whether the car needs a range sensor."""
+        return bool(getattr(_maker(self.guard, self.digest), "needs_scan", False))
+
+    def around(
+        self,
+        system: DrivingSystem,
+        route: Route,
+        conditions: KnownConditions = UNKNOWN,
+        *,
+        scan: Callable[[float], RangeScan] | None = None,
+    ) -> Guarded:
         """Return a driving system with a new guard beside it and a new fallback around it.
 
         Args:
             system: The driving system.
             route: The route of the drive.
+            conditions: What the car knows of time of day and weather.
+            scan: Returns the range sensor's scan at a simulated time; None without a sensor.
         """
-        guard = _maker(self.guard)(route=route, threshold=self.threshold)
+        guard = _maker(self.guard, self.digest)(route, conditions, self.threshold)
         fallback = make_fallback(self.fallback, self.settings)
-        return Guarded(system, guard, fallback, fallback_id=self.fallback)
+        return Guarded(system, guard, fallback, fallback_id=self.fallback, scan=scan)
 
 
 def option_of(options: Mapping[str, Json]) -> GuardOption | None:
@@ -186,12 +209,15 @@ def _checked_digest(where: str, guard: str, digest: Json) -> str:
     return found
 
 
-def _maker(guard: str) -> MakeGuard:
+def _maker(guard: str, digest: str = "") -> MakeGuard:
     """Return what makes a guard.
 
     Raises:
         InvalidEpisode: The guard is unknown.
+        GuardFileError: Its file is no guard.
     """
+    if guard.startswith(FILE):
+        return _from_file(_path(guard), digest)
     try:
         return cast(MakeGuard, load_plugin(GUARDS, guard))
     except KeyError:
@@ -199,3 +225,25 @@ def _maker(guard: str) -> MakeGuard:
         raise InvalidEpisode(
             f"guard: expected one of {', '.join([*known, FILE + 'FILE'])}; got {guard!r}{nearest(guard, known)}"
         ) from None
+
+
+class _Fitted:
+    """Makes guards from a fitted model."""
+
+    def __init__(self, model: GuardModel) -> None:
+        self._model = model
+        self.needs_scan = model.sensor is Sensor.RANGE
+
+    def __call__(self, route: Route, conditions: KnownConditions, threshold: float | None) -> Guard:
+        """Return a new guard, which raises the alarm from a threshold on."""
+        model, rule = self._model, self._model.alarm
+        if threshold is not None:
+            release = threshold * rule.release / rule.threshold if rule.threshold > 0.0 else 0.0
+            model = replace(model, alarm=replace(rule, threshold=threshold, release=min(release, threshold)))
+        return ModelGuard(model, route, conditions)
+
+
+@lru_cache(maxsize=4)
+def _from_file(file: Path, _digest: str) -> MakeGuard:
+    """Return what makes the guard in a file; read once while its content does not change."""
+    return _Fitted(GuardModel.load(file))

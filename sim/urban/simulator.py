@@ -14,17 +14,26 @@ from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discar
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import DrivingSystem
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.guard.guarded import Guarded
 from brink.sim.guard.option import OPTION as GUARD
 from brink.sim.guard.option import GuardOption, option_of
 from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, steps_to_json
+from brink.sim.urban.behaviour import (
+    DELIVERED,
+    PERCEPTION_STEP_S,
+    BehaviourMode,
+    DetectorBehaviour,
+    steps_to_json,
+)
 from brink.sim.urban.detection_errors import ERROR_STEPS, DetectionError, errors_from_json
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.erroneous_detector import ErroneousDetector
+from brink.sim.urban.range_sensor import known_conditions, range_sensor
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.ego import EgoCar, MakeEgo
 from brink.sim.world.scenario import UrbanScenario
@@ -47,6 +56,10 @@ class BrinkDrive:
 
     def __init__(self) -> None:
         self._camera = Camera()
+
+    def _driving(self, world: World, scenario: UrbanScenario, spec: EpisodeSpec) -> DrivingSystem:
+        """Return the driving system under test, new."""
+        return ModularDriving(world.route, camera=self._camera)
 
     def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
         """Return the obstacle detector of an episode.
@@ -92,8 +105,8 @@ class BrinkDrive:
         engine.reset()
         world = make_world(scenario, spec.seed, _ego_maker(spec, engine))
         recorder = Recorder(world, spec.requirements) if record else None
-        system = ModularDriving(world.route, camera=self._camera)
-        guarded = None if guard is None else guard.around(system, world.route)
+        system = self._driving(world, scenario, spec)
+        guarded = None if guard is None else _with_guard(system, guard, world, scenario, spec)
         outcome = run_loop(
             world,
             system if guarded is None else guarded,
@@ -201,6 +214,20 @@ def _read_scenario(spec: EpisodeSpec, simulator: str) -> UrbanScenario:
         if name == "fidelity" and (not isinstance(value, str) or value not in FIDELITIES):
             raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
     return UrbanScenario.from_json(spec.scenario)
+
+
+def _with_guard(
+    system: DrivingSystem, guard: GuardOption, world: World, scenario: UrbanScenario, spec: EpisodeSpec
+) -> Guarded:
+    """Return the driving system of an episode with its guard and, if the guard needs one, a range sensor."""
+    conditions = known_conditions(scenario)
+    sensor = range_sensor(world, scenario, spec) if guard.needs_scan else None
+    return guard.around(
+        system,
+        world.route,
+        conditions,
+        scan=None if sensor is None else lambda time_s: sensor.scan(round(time_s / PERCEPTION_STEP_S)),
+    )
 
 
 def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:
