@@ -89,7 +89,7 @@ class BoostedTrees:
         shown = features.in_every_order(vectors)
         folds = _folds(vectors, unsafe, rng)
         forest, unseen = _grown(shown, unsafe, folds)
-        calibration, covariance = _calibrated(unseen, unsafe)
+        calibration, covariance = calibrated(unseen, unsafe)
         return cls(features=features, forest=forest, calibration=calibration, covariance=covariance)
 
     @classmethod
@@ -241,7 +241,7 @@ def forest_of(models: Sequence[Any], features: int) -> Forest:
     return Forest.of(document, features)
 
 
-def _calibrated(score: FloatArray, unsafe: BoolArray) -> tuple[FloatArray, FloatArray]:
+def calibrated(score: FloatArray, unsafe: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return intercept and slope of the log odds of being unsafe, and their covariance.
 
     Args:
