@@ -218,16 +218,29 @@ class GuardTrack:
 
     @classmethod
     def of(cls, header: Mapping[str, Any] | None, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
-        """Return the track that the results of `header` and `arrays` hold, or None if there is none."""
+        """Return the track that the results of `header` and `arrays` hold, or None if there is none.
+
+        Raises:
+            ValueError: The arrays do not have an entry for each sample.
+        """
         if header is None:
             return None
-        return cls(
+        track = cls(
             fallback=str(header["fallback"]),
             horizons_s=tuple(float(horizon_s) for horizon_s in header["horizons_s"]),
             probabilities=arrays["guard.probabilities"],
             alarm=arrays["guard.alarm"],
             intervenes=arrays["guard.intervenes"],
         )
+        samples = len(arrays["time_s"])
+        for name, array, shape in (
+            ("probabilities", track.probabilities, (samples, len(track.horizons_s))),
+            ("alarm", track.alarm, (samples,)),
+            ("intervenes", track.intervenes, (samples,)),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"{name} of the guard: expected shape {shape}, got {array.shape}")
+        return track
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -128,6 +128,21 @@ def sector_distances(starts: FloatArray, ends: FloatArray) -> FloatArray:
     return found
 
 
+def in_view(ahead_m: float, left_m: float, turn_rad: float, length_m: float, width_m: float) -> bool:
+    """Return whether a footprint is within the range and the sectors of a range sensor, whatever is in between.
+
+    Args:
+        ahead_m: Its centre ahead of the sensor.
+        left_m: Its centre to the left of the sensor.
+        turn_rad: Its heading relative to the sensor's.
+        length_m: Extent along its heading.
+        width_m: Extent across its heading.
+    """
+    place = (np.array([value]) for value in (ahead_m, left_m, turn_rad, length_m, width_m))
+    corners = _corners(*place)
+    return bool(sector_distances(corners, np.roll(corners, -1, axis=1)).min() <= RANGE_M)
+
+
 def known_conditions(scenario: UrbanScenario) -> KnownConditions:
     """Return what a car knows of the conditions of a scenario."""
     return KnownConditions(*rain_wet_dark(scenario.time_of_day, scenario.weather))
