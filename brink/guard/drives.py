@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, Self, TypeAlias
+from typing import Final, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.analysis.guard_training import DriveSeries
-from brink.search.space import FloatArray
+from brink.search.archive import Archive
+from brink.search.space import BoolArray
 from brink.search.streams import Stream, episode_seed, generator
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
@@ -30,6 +31,8 @@ HalfArray: TypeAlias = NDArray[np.float16]
 
 SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
 """Ids of the simulators whose drives can be recorded."""
+MOST_DIFFERENT: Final = 0.02
+"""Share of the drives of a campaign that may end otherwise: on another class of processor, a few do."""
 _STORED: Final = 1
 
 
@@ -81,18 +84,6 @@ class Drive:
         )
 
 
-class HasSolutions(Protocol):
-    """The evaluated solutions of a campaign: an archive."""
-
-    @property
-    def numbers(self) -> NDArray[np.int64]:  # noqa: D102
-        ...
-
-    @property
-    def vectors(self) -> FloatArray:  # noqa: D102
-        ...
-
-
 def check_problem(problem: object) -> SimulatedProblem:
     """Return a problem whose drives a guard can watch.
 
@@ -117,7 +108,7 @@ def random_specs(problem: SimulatedProblem, count: int, seed: int) -> list[Episo
     ]
 
 
-def campaign_specs(problem: SimulatedProblem, archive: HasSolutions, seed: int) -> list[EpisodeSpec]:
+def solution_specs(problem: SimulatedProblem, archive: Archive, seed: int) -> list[EpisodeSpec]:
     """Return the episodes of the evaluated solutions of a campaign.
 
     Args:
@@ -129,6 +120,29 @@ def campaign_specs(problem: SimulatedProblem, archive: HasSolutions, seed: int) 
         problem.episode(problem.space.split(row), episode_seed(seed, number))
         for number, row in zip(archive.numbers.tolist(), archive.vectors, strict=True)
     ]
+
+
+def check_verdicts(
+    drives: Sequence[Drive], requirements: Sequence[str], unsafe: BoolArray, whose: str
+) -> None:
+    """Check that drives that were run again ended as they did the first time.
+
+    Args:
+        drives: The recorded drives.
+        requirements: Ids of the requirements that decide.
+        unsafe: Their verdicts the first time, shape ``(len(drives),)``.
+        whose: Whose drives they are, for the error.
+
+    Raises:
+        Conflict: More than a few ended otherwise.
+    """
+    again = np.array([one.first_violation_s(requirements) is not None for one in drives], np.bool_)
+    differ = int((again != unsafe).sum())
+    if differ > MOST_DIFFERENT * len(drives):
+        raise Conflict(
+            f"{differ:,} of {len(drives):,} drives of {whose} end otherwise when they are run again: it is a campaign "
+            "of another version of Brink, or one that repeats the drives of another campaign"
+        )
 
 
 def record(
