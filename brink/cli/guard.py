@@ -1,4 +1,4 @@
-"""`brink guard fit | judge`: a runtime monitor of what a car can observe, fitted to the drives of campaigns."""
+"""`brink guard fit | judge | drive`: a runtime monitor of what a car can observe, fitted to drives of campaigns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ import typer
 from brink.api.client import Api
 from brink.api.live import Steps
 from brink.api.results import FetchedArchive, fetch_archive
+from brink.cli.guard_drive import drive
 from brink.cli.options import (
     AsJson,
     Database,
@@ -42,6 +43,7 @@ guard = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
+guard.command(name="drive")(drive)
 GuardFile = Annotated[
     Path, typer.Argument(metavar="GUARD", help="Guard file written by `brink guard fit`.", show_default=False)
 ]

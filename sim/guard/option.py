@@ -40,6 +40,7 @@ class MakeGuard(Protocol):
 
     Attributes:
         needs_scan: Whether the car needs a range sensor; without this attribute it does not.
+        own_threshold: The threshold of its guards unless another one is given; without this attribute 0.5.
     """
 
     def __call__(self, route: Route, conditions: KnownConditions, threshold: float | None) -> Guard:
@@ -141,6 +142,11 @@ class GuardOption:
         """Whether the car needs a range sensor."""
         return bool(getattr(_maker(self.guard, self.digest), "needs_scan", False))
 
+    @property
+    def own_threshold(self) -> float:
+        """The probability from which the guard raises the alarm if no threshold is given."""
+        return float(getattr(_maker(self.guard, self.digest), "own_threshold", 0.5))
+
     def around(
         self,
         system: DrivingSystem,
@@ -233,6 +239,7 @@ class _Fitted:
     def __init__(self, model: GuardModel) -> None:
         self._model = model
         self.needs_scan = model.sensor is Sensor.RANGE
+        self.own_threshold = model.alarm.threshold
 
     def __call__(self, route: Route, conditions: KnownConditions, threshold: float | None) -> Guard:
         """Return a new guard, which raises the alarm from a threshold on."""

@@ -15,7 +15,6 @@ from brink.sim.guard.range_features import RANGE_TTC
 HORIZONS_S: Final = (1.0, 2.0, 3.0)
 DECIDING: Final = 1
 """Index of the horizon whose probability decides about the alarm."""
-DEFAULT_THRESHOLD: Final = 0.5
 
 
 class TimeToCollision:
@@ -29,11 +28,12 @@ class TimeToCollision:
     """
 
     needs_scan: ClassVar[bool] = False
+    own_threshold: ClassVar[float] = 0.5
     _feature: ClassVar[int] = TTC
 
     def __init__(self, route: Route, conditions: KnownConditions, threshold: float | None = None) -> None:
         self._extractor = FeatureExtractor(route, conditions, ranges=self.needs_scan)
-        self._threshold = DEFAULT_THRESHOLD if threshold is None else threshold
+        self._threshold = self.own_threshold if threshold is None else threshold
         self._reading = GuardReading(probabilities=(0.0,) * len(HORIZONS_S), alarm=False)
 
     @property
