@@ -1,4 +1,4 @@
-"""Replays of a car with a guard show when it raised the alarm, when the fallback intervened, and what they prevent."""
+"""Replays show when a guard raised the alarm, when the fallback intervened, and what they prevent."""
 
 from dataclasses import replace
 
