@@ -506,12 +506,16 @@ def guard(
     sets: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="NAME", show_default=False,
+            "--set",
+            metavar="NAME",
+            show_default=False,
             help="Training set: random, MLCSHE, edge or mixture; may be repeated (default: all).",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the training sets.")] = 1,
-    requirement: Annotated[str, typer.Option(help="Requirement whose violation the guards predict.")] = "front-gap@1",
+    requirement: Annotated[
+        str, typer.Option(help="Requirement whose violation the guards predict.")
+    ] = "front-gap@1",
     processes: Processes = 2,
     out: Annotated[Path, typer.Option(help="Folder for drives, which are not simulated again.")] = RESULTS
     / "bench-guard",
@@ -549,9 +553,7 @@ def guard(
     )
     each = _table(_GUARD_COLUMNS, map(_guard_row, measured.judged))
     unseen = _table(_GUARD_COLUMNS, map(_guard_row, measured.unseen))
-    baselines = _table(
-        ("baseline", "warned", "false alarms"), baseline_rows(measured.judged[-1].evaluation)
-    )
+    baselines = _table(("baseline", "warned", "false alarms"), baseline_rows(measured.judged[-1].evaluation))
     _conclude(
         measured.to_json(), figures, each, baselines, unseen, as_json=as_json,
         missed=any(row.met is False for row in rows),
