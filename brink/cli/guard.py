@@ -49,7 +49,7 @@ GuardFile = Annotated[
 ]
 Campaigns = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[ID...]", help="Ids of campaigns.", show_default=False, callback=check_ids),
+    typer.Argument(metavar="ID...", help="Ids of campaigns.", show_default=False, callback=check_ids),
 ]
 Processes = Annotated[int, typer.Option(min=1, max=256, help="Processes that run drives again.")]
 
@@ -120,7 +120,8 @@ def fit(
         return
     console().print(
         f"{out}: fitted to {len(drives):,} drives, {violations:,} of which violate "
-        f"{' or '.join(source.requirements)}; alarm at a probability of {model.alarm.threshold:.3f} within {model.alarm.horizon_s:g} s",
+        f"{' or '.join(source.requirements)}; "
+        f"alarm at a probability of {model.alarm.threshold:.3f} within {model.alarm.horizon_s:g} s",
         soft_wrap=True,
     )
 

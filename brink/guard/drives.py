@@ -45,6 +45,7 @@ class Drive:
         scenario: Its scenario, as canonical JSON.
         features: Features at the perception steps, in the order of `ALL_FEATURES`, shape ``(steps, features)``.
         violated_at_s: Time of the first violation of each requirement that was evaluated; None if it held.
+        robustness: Robustness of each of these requirements.
         ended_at_s: When the drive ended.
     """
 
@@ -52,6 +53,7 @@ class Drive:
     scenario: str
     features: HalfArray
     violated_at_s: Mapping[str, float | None]
+    robustness: Mapping[str, float]
     ended_at_s: float
 
     def first_violation_s(self, requirements: Sequence[str]) -> float | None:
@@ -140,8 +142,8 @@ def check_verdicts(
     differ = int((again != unsafe).sum())
     if differ > MOST_DIFFERENT * len(drives):
         raise Conflict(
-            f"{differ:,} of {len(drives):,} drives of {whose} end otherwise when they are run again: it is a campaign "
-            "of another version of Brink, or one that repeats the drives of another campaign"
+            f"{differ:,} of {len(drives):,} drives of {whose} end otherwise when they are run again: it is of "
+            "another version of Brink, or repeats the drives of another campaign"
         )
 
 
@@ -222,6 +224,7 @@ def record_one(spec: EpisodeSpec) -> Drive:
         scenario=json.dumps(dict(spec.scenario), sort_keys=True, separators=(",", ":")),
         features=recorded.features,
         violated_at_s={name: _time(verdict) for name, verdict in recorded.verdicts.items()},
+        robustness={name: verdict.robustness for name, verdict in recorded.verdicts.items()},
         ended_at_s=recorded.ended_at_s,
     )
 
@@ -253,6 +256,7 @@ def save_drives(file: Path, drives: Sequence[Drive]) -> None:
         else np.zeros((0, len(ALL_FEATURES)), np.float16),
         steps=np.array([len(one.features) for one in drives], np.int64),
         violated_at_s=np.array(times, np.float64).reshape(len(drives), -1),
+        robustness=np.array([[one.robustness[name] for name in requirements] for one in drives], np.float64),
         ended_at_s=np.array([one.ended_at_s for one in drives], np.float64),
     )
     temporary.replace(file)
@@ -276,11 +280,12 @@ def load_drives(file: Path) -> list[Drive] | None:
                     name: None if np.isnan(at) else float(at)
                     for name, at in zip(header["requirements"], times, strict=True)
                 },
+                robustness=dict(zip(header["requirements"], robustness.tolist(), strict=True)),
                 ended_at_s=float(ended),
             )
-            for digest, scenario, first, end, times, ended in zip(
+            for digest, scenario, first, end, times, robustness, ended in zip(
                 header["digests"], header["scenarios"], [0, *ends[:-1]], ends, arrays["violated_at_s"],
-                arrays["ended_at_s"], strict=True,
+                arrays["robustness"], arrays["ended_at_s"], strict=True,
             )
         ]  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, EOFError):

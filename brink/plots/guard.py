@@ -43,9 +43,9 @@ def figure_guard(evaluation: GuardEvaluation) -> Figure:
     figure = new_figure(
         HEIGHT_PX,
         f"Guard on {evaluation.drives:,} drives ({evaluation.sensor})",
-        f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}.\nLeft: each point is "
-        f"an alarm threshold; solid, violations warned at least {LEAD_S:g} s ahead, dashed 0.5 s, dotted 3 s. Right: "
-        f"with alarms in at most {FALSE_ALARMS:.0%} of the safe drives.",
+        f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}.\nLeft: each point "
+        f"is an alarm threshold; solid, violations warned at least {LEAD_S:g} s ahead, dashed 0.5 s, dotted 3 s. "
+        f"Right: with alarms in at most {FALSE_ALARMS:.0%} of the safe drives.",
     )
     grid = figure.add_gridspec(
         1,
