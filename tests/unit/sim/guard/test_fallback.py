@@ -185,7 +185,7 @@ def test_what_appears_in_the_middle_of_the_image_nearby_is_doubted_for_a_while()
     [
         Box(ObstacleLabel.VEHICLE, 300.0, 400.0, 100.0, 250.0),  # above the horizon
         Box(ObstacleLabel.VEHICLE, 300.0, 400.0, 50.0, 340.0),  # 12 m high
-        Box(ObstacleLabel.PERSON, 380.0, 420.0, 330.0, 350.0),  # 0.7 m high at 14 m
+        Box(ObstacleLabel.PERSON, 380.0, 420.0, 338.0, 350.0),  # 0.4 m high at 14 m
     ],
 )
 def test_a_box_that_no_body_on_the_ground_can_have_is_implausible(box: Box) -> None:

@@ -16,7 +16,7 @@ from brink.sim.replay.style import GUARD_DOES
 from brink.sim.replay.timeline import timeline_figure
 from brink.sim.trace import GuardTrack, Trace
 
-SAMPLES = 120
+SAMPLES = 200
 ALARM, FALLBACK = slice(40, 60), slice(45, 80)
 
 
