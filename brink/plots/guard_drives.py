@@ -87,7 +87,8 @@ def _plot(
     axes: Axes, points: Sequence[tuple[float, Estimate, Estimate]], colour: str, *, named: bool = False
 ) -> None:
     known = [point for point in points if point[1].value is not None and point[2].value is not None]
-    across, up = ([one[place].value or 0.0 for one in known] for place in (1, 2))
+    across = [lost.value or 0.0 for _, lost, _ in known]
+    up = [falls.value or 0.0 for _, _, falls in known]
     axes.plot(across, up, color=colour, linewidth=1.2, marker="o", markersize=8 if named else 5, zorder=3)
     for threshold, lost, falls in known:
         x, y = lost.value or 0.0, falls.value or 0.0

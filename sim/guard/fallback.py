@@ -301,7 +301,8 @@ def fallback_settings(fallback_id: str, document: Mapping[str, Json], where: str
     Raises:
         InvalidEpisode: No fallback has this id, or a setting is unknown or out of range.
     """
-    return settings_from_json(where, _factory(fallback_id).settings_type, document)
+    kind: type[Settings] = _factory(fallback_id).settings_type
+    return settings_from_json(where, kind, document)
 
 
 def make_fallback(fallback_id: str, settings: Settings) -> Fallback:

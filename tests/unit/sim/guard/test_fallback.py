@@ -175,7 +175,8 @@ def test_a_person_who_walks_into_the_image_from_the_side_is_plausible() -> None:
 
 def test_what_appears_in_the_middle_of_the_image_nearby_is_doubted_for_a_while() -> None:
     box = seen(ObstacleLabel.VEHICLE, 15.0, 0.0, ego())
-    frames = [(ego(), [])] * 5 + [(ego(), [box])] * 30
+    nothing: list[Box] = []
+    frames = [(ego(), nothing)] * 5 + [(ego(), [box])] * 30
 
     assert kept(frames) == [0] * 25 + [1] * 10
 
