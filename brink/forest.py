@@ -96,7 +96,7 @@ class Forest:
         scores = np.empty((len(features), self.offsets.size))
         step = max(1, BLOCK_NODES // self.roots.size)
         for first in range(0, len(features), step):
-            part = np.ascontiguousarray(features[first : first + step])
+            part: FeatureArray = np.ascontiguousarray(features[first : first + step])
             values = self.value[self._leaves(part)]
             scores[first : first + step] = np.add.reduceat(values, starts, axis=1) + self.offsets
         return scores

@@ -4,7 +4,10 @@ Features are not stored with the results of campaigns. Episodes are deterministi
 parallel processes (docs/adr/0055).
 """
 
+import io
 import json
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -16,7 +19,7 @@ from numpy.typing import NDArray
 
 from brink.search.analysis.guard_training import DriveSeries
 from brink.search.archive import Archive
-from brink.search.space import BoolArray
+from brink.search.space import BoolArray, FloatArray
 from brink.search.streams import Stream, episode_seed, generator
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
@@ -77,7 +80,7 @@ class Drive:
             features: Number of features, from the first.
         """
         at_s = self.first_violation_s(requirements)
-        times_s = STEP_S * np.arange(len(self.features))
+        times_s: FloatArray = STEP_S * np.arange(len(self.features), dtype=np.float64)
         kept = np.ones(times_s.size, np.bool_) if at_s is None else times_s < at_s
         return DriveSeries(
             features=self.features[kept, :features],
@@ -265,7 +268,8 @@ def save_drives(file: Path, drives: Sequence[Drive]) -> None:
 def load_drives(file: Path) -> list[Drive] | None:
     """Return the drives in a file; None if it is missing, damaged, or of another version."""
     try:
-        with np.load(file, allow_pickle=False) as npz:
+        # From memory: numpy leaves the file of a damaged archive open.
+        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as npz:
             arrays = {name: npz[name] for name in npz.files}
         header = json.loads(arrays["header"].tobytes())
         if header["version"] != _STORED or header["features"] != FEATURES_ID:
@@ -288,5 +292,5 @@ def load_drives(file: Path) -> list[Drive] | None:
                 arrays["robustness"], arrays["ended_at_s"], strict=True,
             )
         ]  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, EOFError):
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         return None

@@ -289,14 +289,11 @@ def _thresholds(harmless: FloatArray, hazards: FloatArray) -> list[float]:
         return [1.0]
     # Close together where there are few false alarms: that is where a guard works.
     rare = np.unique(harmless[np.isfinite(harmless)])[::-1][:POINTS]
-    kept = np.unique(np.concatenate([rare, finite[np.linspace(0, finite.size - 1, POINTS).astype(int)]]))[
-        ::-1
-    ]
-    return [
-        float(np.nextafter(finite[0], np.inf)),
-        *(float(np.nextafter(one, np.inf)) for one in rare),
-        *kept.tolist(),
-    ]
+    spread = finite[np.linspace(0, finite.size - 1, POINTS).astype(int)]
+    # Just above each of the rare ones, too: there, a false alarm less costs nothing.
+    kept = np.concatenate([np.nextafter(finite[:1], np.inf), np.nextafter(rare, np.inf), rare, spread])
+    found: list[float] = np.unique(kept)[::-1].tolist()
+    return found
 
 
 def _point(threshold: float, harmless: FloatArray, hazards: FloatArray) -> WarningPoint:

@@ -152,7 +152,8 @@ class _Steps:
 
     @classmethod
     def of(cls, drives: Sequence[DriveSeries], folds: IntArray, longest_s: float) -> "_Steps":
-        features, until_s, weight, fold = [], [], [], []
+        features: list[SingleArray] = []
+        until_s, weight, fold = [], [], []
         for drive, which in zip(drives, folds.tolist(), strict=True):
             near = drive.until_s <= longest_s + NEAR_S
             # The phase differs from drive to drive, so that no moment is left out in all of them.

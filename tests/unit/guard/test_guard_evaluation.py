@@ -1,5 +1,6 @@
 """Evaluation of a guard, with figures counted by hand, and the storage of recorded drives."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,7 @@ def test_points_run_from_no_alarms_to_alarms_everywhere() -> None:
     assert (points[0].false_alarms, points[0].recall) == (0.0, 0.0)
     assert (points[-1].false_alarms, points[-1].warned[0]) == (1.0, 1.0)
     assert points[-1].recall == 0.75, "the early violation cannot be warned"
-    for old, new in zip(points, points[1:], strict=False):
+    for old, new in pairwise(points):
         assert old.threshold > new.threshold
         assert old.false_alarms <= new.false_alarms
         assert old.recall <= new.recall

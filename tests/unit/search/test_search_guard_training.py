@@ -8,8 +8,10 @@ import pytest
 
 from brink.forest import Forest
 from brink.search.analysis import guard_training
+from brink.search.analysis.boosted_trees import forest_of
 from brink.search.analysis.guard_training import FOLDS, DriveSeries, _folds, _Steps, fit_horizons
 from brink.search.errors import MissingExtra
+from brink.search.space import FloatArray
 
 HORIZONS_S = (1.0, 2.0)
 
@@ -23,7 +25,7 @@ def small_forests(monkeypatch: pytest.MonkeyPatch) -> None:
 def series(number: int, *, violated: bool, group: int | None = None) -> DriveSeries:
     """Return a drive of six seconds whose first feature is a noisy time to the violation."""
     rng = np.random.default_rng([7, number])
-    until_s = 6.0 - 0.1 * np.arange(60) if violated else np.full(60, np.inf)
+    until_s: FloatArray = 5.95 - 0.1 * np.arange(60, dtype=np.float64) if violated else np.full(60, np.inf)
     seen = np.minimum(until_s, 6.0) + rng.normal(0.0, 0.3, 60)
     features = np.stack([seen, rng.normal(size=60)], axis=1).astype(np.float16)
     return DriveSeries(features=features, until_s=until_s, group=number if group is None else group)
@@ -37,7 +39,6 @@ def test_probabilities_rise_towards_the_violation_and_the_trees_are_those_of_sci
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     fitted_models: list[Any] = []
-    forest_of = guard_training.forest_of
 
     def kept(models: Sequence[Any], features: int) -> Forest:
         fitted_models.extend(models)
@@ -78,7 +79,7 @@ def test_steps_far_from_a_violation_are_thinned_and_stand_for_those_left_out() -
     given = [series(0, violated=True), series(1, violated=False)]
     steps = _Steps.of(given, np.array([0, 1]), 2.0)
     near = steps.until_s <= 3.0
-    assert near.sum() == 31
+    assert near.sum() == 30
     assert (steps.weight[near] == 1).all()
     assert (steps.weight[~near] == 3).all()
     assert steps.weight[steps.fold == 1].sum() == pytest.approx(60, abs=3)
