@@ -39,7 +39,7 @@ RANDOM_SEED = 1_001
 
 guard = typer.Typer(
     name="guard",
-    help="Fit and judge a guard: a monitor in the car that warns of a violation from what the car can observe.",
+    help="Fit, judge and drive with a guard: a monitor in the car that warns of a violation.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -272,11 +272,13 @@ def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray
         f"{' or '.join(loop.requirements)} without a guard; with it, an alarm triggers {option.fallback}",
         soft_wrap=True,
     )  # fmt: skip
-    names = (
-        "violations fall by", "distance lost", "when safe", "prevented", "caused", "others caused",
-        "false alarms an hour", "safe drives with an alarm",
-    )  # fmt: skip
+    names = ("fall by", "prevented", "caused", "others", "distance lost", "when safe", "an hour", "drives")
     table = plain_table("threshold", *names, right=("threshold", *names))
+    screen.print(
+        "violations prevented, caused, and of other requirements; mean distance lost, and that of drives that are "
+        "safe without; false alarms an hour, and safe drives with one:",
+        soft_wrap=True,
+    )
     for condition in loop.conditions:
         table.add_row(f"{condition.threshold:.3f}", *_row(loop.worth(condition)))
     screen.print(table)
@@ -295,8 +297,8 @@ def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray
 
 def _row(worth: GuardWorth) -> list[str]:
     return [
-        _percent(worth.reduction), _percent(worth.distance_lost, 1), _percent(worth.distance_lost_when_safe, 1),
-        f"{worth.prevented:,}", f"{worth.caused:,}", _percent(worth.other_share, 1),
+        _percent(worth.reduction), f"{worth.prevented:,}", f"{worth.caused:,}", _percent(worth.other_share, 1),
+        _percent(worth.distance_lost, 1), _percent(worth.distance_lost_when_safe, 1),
         _number(worth.false_alarms_per_h), _percent(worth.alarmed_when_safe),
     ]  # fmt: skip
 

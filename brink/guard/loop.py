@@ -125,12 +125,13 @@ class GuardedLoop:
     def recommended(self, most_lost: float = MOST_LOST) -> Condition:
         """Return the condition in which violations fall most while the mean distance falls by at most a share.
 
-        If it falls by more under every condition, that with the smallest loss.
+        Of several, that with the highest threshold, which has the fewest alarms. If the distance falls by more under
+        every condition, that with the smallest loss.
         """
         worths = [(one, self.worth(one)) for one in self.conditions]
         within = [(one, worth) for one, worth in worths if (worth.distance_lost.value or 0.0) <= most_lost]
         if within:
-            return max(within, key=lambda pair: pair[1].reduction.value or 0.0)[0]
+            return max(within, key=lambda pair: (pair[1].reduction.value or 0.0, pair[0].threshold or 0.0))[0]
         return min(worths, key=lambda pair: pair[1].distance_lost.value or 0.0)[0]
 
     def prevented(self, condition: Condition) -> list[int]:

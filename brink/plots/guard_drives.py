@@ -38,7 +38,7 @@ def figure_guard_tradeoff(points: Sequence[tuple[float, GuardWorth]], *, fallbac
     first = points[0][1]
     figure = new_figure(
         HEIGHT_PX,
-        f"A guard with the fallback {fallback}: {first.drives:,} drives",
+        f"What a guard with the fallback {fallback} prevents and costs: {first.drives:,} drives",
         f"{first.violations_without:,} of the drives violate a requirement without the guard. Each point is a "
         f"threshold of the alarm; lines are 95% intervals over {first.seeds} seeds.\n"
         f"Green: violations fall by at least {AIM[1]:.0%} at a loss of at most {AIM[0]:.0%} of the mean distance.",

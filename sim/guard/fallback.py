@@ -82,7 +82,7 @@ class InterventionSettings:
 
     least_s: float = ranged(1.0, low=0.0, high=30.0, unit="s")
     clear_s: float = ranged(0.5, low=0.0, high=30.0, unit="s")
-    longest_s: float = ranged(9.0, low=0.5, high=600.0, unit="s")
+    longest_s: float = ranged(30.0, low=0.5, high=600.0, unit="s")
     rest_s: float = ranged(2.0, low=0.0, high=60.0, unit="s")
 
 

@@ -66,7 +66,7 @@ def test_it_prints_a_line_for_each_threshold_and_what_was_reported() -> None:
     text = called("ttc@1", *SMALL)
 
     assert "8 drives of 2 seeds" in text
-    assert text.count("\n0.400") + text.count("\n    0.400") >= 1 or " 0.400 " in text
+    assert all(f"{threshold} " in text for threshold in ("0.400", "0.600"))
     assert "reported in the 3 s before" in text
 
 
