@@ -231,7 +231,7 @@ class GuardBench:
         )
         drives = load_drives(file)
         if drives is not None:
-            return drives
+            return drives[: self._training]
         algorithm_id, params = SEARCHES[name]
         algorithm = make_algorithm(algorithm_id)
         config = make_params(algorithm.config_type, params, "/algorithm/params")
@@ -254,7 +254,7 @@ class GuardBench:
             )
             drives += found
         save_drives(file, drives)
-        return drives
+        return drives[: self._training]  # a search may exceed its budget to complete a generation
 
     def _scored(self, drive: Drive) -> Scored:
         robustness = min(drive.robustness[name] for name in self._problem.requirements)
