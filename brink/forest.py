@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
-FeatureArray: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
+FeatureArray: TypeAlias = NDArray[np.floating[Any]]
 
 BLOCK_NODES: Final = 1 << 20
 """Maximum number of nodes visited at a time."""
@@ -96,7 +96,7 @@ class Forest:
         scores = np.empty((len(features), self.offsets.size))
         step = max(1, BLOCK_NODES // self.roots.size)
         for first in range(0, len(features), step):
-            part: FeatureArray = np.ascontiguousarray(features[first : first + step])
+            part = np.ascontiguousarray(features[first : first + step])
             values = self.value[self._leaves(part)]
             scores[first : first + step] = np.add.reduceat(values, starts, axis=1) + self.offsets
         return scores

@@ -338,7 +338,7 @@ def _own_alarms(model: GuardModel, watched: Sequence[_Watched], deciding: Sequen
     )  # fmt: skip
 
 
-def _is_recent(violated_at_s: float, starts_s: FloatArray, states: BoolArray) -> bool:
+def _is_recent(violated_at_s: float, starts_s: NDArray[np.floating[Any]], states: BoolArray) -> bool:
     """Return whether an alarm was raised shortly before a violation, or was on `LEAD_S` before it."""
     ahead_s = violated_at_s - starts_s
     if ((ahead_s >= LEAD_S - 1e-9) & (ahead_s <= RECENT_S)).any():

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.api import FakeWorker, ball, coordinator, expect, finish, submit
+from support.api import FakeWorker, coordinator, eventually, expect, progress, submit
 from support.guards import stump_guard
 from typer.testing import CliRunner, Result
 
@@ -25,12 +25,15 @@ CAMPAIGN: dict[str, Any] = {
     "name": "drives",
     "problem": {
         "id": "urban-injected@1",
-        "params": {"requirement": ["front-gap@1", "lane-keeping@1", "red-light@1"], "duration_s": 10.0},
+        "params": {"requirement": ["front-gap@1", "no-collision@1", "progress@1"], "duration_s": 16.0},
     },
     "algorithm": {"id": "random@1"},
     "budget": {"simulations": DRIVES},
     "seed": 4,
 }
+OTHER: dict[str, Any] = {
+    "name": "other", "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"}, "budget": {"simulations": 20},
+}  # fmt: skip
 UNSAFE_SHARE = (0.2, 0.8)
 
 
@@ -69,7 +72,8 @@ def driven(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive
         worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
         assert worker.work(campaign)["status"] == "finished"
         counts = expect(client.get(f"/api/v1/campaigns/{campaign}/outcomes"))["counts"]
-        other = finish(client, ball(simulations=10))
+        other = submit(client, OTHER)
+        eventually(lambda: progress(client, other)["status"] == "finished", "the other campaign has finished")
     return Driven(database=f"sqlite:///{file}", campaign=campaign, other=other, unsafe=counts["violated"])
 
 
@@ -96,9 +100,9 @@ def test_a_guard_is_fitted_to_a_campaign_and_judged_on_fresh_drives(driven: Driv
     assert UNSAFE_SHARE[0] < driven.unsafe / DRIVES < UNSAFE_SHARE[1]
     model = GuardModel.load(file)
     assert model.sensor is Sensor.RANGE
-    assert model.requirements == ("front-gap@1", "lane-keeping@1", "red-light@1")
+    assert model.requirements == ("front-gap@1", "no-collision@1", "progress@1")
     assert model.about["campaigns"] == [driven.campaign]
-    assert model.about["problem"]["params"]["duration_s"] == 10.0
+    assert model.about["problem"]["params"]["duration_s"] == 16.0
     assert model.alarm.threshold == told["threshold"]
 
     picture = tmp_path / "pictures" / "guard.png"
@@ -121,11 +125,11 @@ def test_random_drives_alone_are_enough_and_the_output_is_readable(tmp_path: Pat
     file = tmp_path / "guard.json"
     file.write_text(stump_guard().to_json())
     document = json.loads(file.read_text())
-    document["requirements"] = ["front-gap@1", "lane-keeping@1"]
+    document["requirements"] = ["front-gap@1", "progress@1"]
     file.write_text(json.dumps(document))
     text = output(brink("judge", file, driven.campaign, "--database", driven.database))
     assert f"{DRIVES} drives, " in text
-    assert "violate front-gap@1 or lane-keeping@1" in text
+    assert "violate front-gap@1 or progress@1" in text
     assert "time to collision on boxes" in text
     assert "with its own threshold (0.500)" in text
 

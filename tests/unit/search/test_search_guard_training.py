@@ -9,7 +9,7 @@ import pytest
 from brink.forest import Forest
 from brink.search.analysis import guard_training
 from brink.search.analysis.boosted_trees import forest_of
-from brink.search.analysis.guard_training import FOLDS, DriveSeries, _folds, _Steps, fit_horizons
+from brink.search.analysis.guard_training import FOLDS, THIN, DriveSeries, _folds, _Steps, fit_horizons
 from brink.search.errors import MissingExtra
 from brink.search.space import FloatArray
 
@@ -72,7 +72,7 @@ def test_groups_are_never_divided_and_violations_are_spread_evenly() -> None:
     folds = _folds(given, np.random.default_rng(1))
     for group in range(40):
         assert len({*folds[3 * group : 3 * group + 3].tolist()}) == 1
-    assert sorted(np.bincount(folds).tolist()) == [30] * 4
+    assert np.bincount(folds).min() >= 36
 
 
 def test_steps_far_from_a_violation_are_thinned_and_stand_for_those_left_out() -> None:
@@ -81,8 +81,8 @@ def test_steps_far_from_a_violation_are_thinned_and_stand_for_those_left_out() -
     near = steps.until_s <= 3.0
     assert near.sum() == 30
     assert (steps.weight[near] == 1).all()
-    assert (steps.weight[~near] == 3).all()
-    assert steps.weight[steps.fold == 1].sum() == pytest.approx(60, abs=3)
+    assert (steps.weight[~near] == THIN).all()
+    assert steps.weight[steps.fold == 1].sum() == pytest.approx(60, abs=THIN)
 
 
 @pytest.mark.parametrize(
