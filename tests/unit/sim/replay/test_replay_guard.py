@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.traces import make_trace
+from support.traces import guarded, make_trace
 
 from brink.server.api.episode_views import episode_view
 from brink.sim.errors import InvalidEpisode
@@ -14,37 +14,24 @@ from brink.sim.replay.pair import pair_story
 from brink.sim.replay.pair_view import pair_still
 from brink.sim.replay.style import GUARD_DOES
 from brink.sim.replay.timeline import timeline_figure
-from brink.sim.trace import GuardTrack, Trace
+from brink.sim.trace import Trace
 
 SAMPLES = 200
-ALARM, FALLBACK = slice(40, 60), slice(45, 80)
-
-
-def with_guard(trace: Trace, *, probabilities: int = SAMPLES) -> Trace:
-    """Return a drive with an alarm from 4 to 6 s, on which the fallback intervenes from 4.5 to 8 s."""
-    alarm, intervenes = (np.zeros(SAMPLES, np.uint8) for _ in range(2))
-    alarm[ALARM], intervenes[FALLBACK] = 1, 1
-    rising = np.linspace(0.0, 0.9, probabilities, dtype=np.float32)
-    track = GuardTrack(
-        fallback="safe-stop@1", horizons_s=(1.0, 3.0), probabilities=np.column_stack([rising / 2, rising]),
-        alarm=alarm, intervenes=intervenes,
-    )  # fmt: skip
-    return replace(trace, guard=track)
 
 
 @pytest.fixture(scope="module")
-def guarded() -> Trace:
-    return with_guard(make_trace(samples=SAMPLES, violated=False))
+def watched() -> Trace:
+    return guarded(make_trace(samples=SAMPLES, violated=False))
 
 
-def test_the_guard_survives_the_trace_as_bytes(guarded: Trace) -> None:
-    again = Trace.from_bytes(guarded.to_bytes()).guard
+def test_the_guard_survives_the_trace_as_bytes(watched: Trace) -> None:
+    again = Trace.from_bytes(watched.to_bytes()).guard
 
     assert again is not None
-    assert guarded.guard is not None
+    assert watched.guard is not None
     assert (again.fallback, again.horizons_s) == ("safe-stop@1", (1.0, 3.0))
     for name in ("probabilities", "alarm", "intervenes"):
-        assert np.array_equal(getattr(again, name), getattr(guarded.guard, name))
+        assert np.array_equal(getattr(again, name), getattr(watched.guard, name))
 
 
 def test_a_trace_without_a_guard_has_none_and_the_same_bytes_as_ever() -> None:
@@ -54,13 +41,13 @@ def test_a_trace_without_a_guard_has_none_and_the_same_bytes_as_ever() -> None:
     assert b"guard" not in trace.to_bytes()
 
 
-def test_a_guard_that_lacks_samples_makes_no_trace(guarded: Trace) -> None:
+def test_a_guard_that_lacks_samples_makes_no_trace(watched: Trace) -> None:
     with pytest.raises(InvalidEpisode, match="probabilities of the guard: expected shape"):
-        Trace.from_bytes(with_guard(guarded, probabilities=SAMPLES - 1).to_bytes())
+        Trace.from_bytes(replace(make_trace(samples=SAMPLES - 1), guard=watched.guard).to_bytes())
 
 
-def test_words_say_alarm_until_the_fallback_intervenes(guarded: Trace) -> None:
-    words = guard_words(guarded)
+def test_words_say_alarm_until_the_fallback_intervenes(watched: Trace) -> None:
+    words = guard_words(watched)
 
     assert [words[place] for place in (39, 40, 44, 45, 70, 79, 80)] == [
         "", "alarm", "alarm", "fallback", "fallback", "fallback", "",
@@ -68,9 +55,9 @@ def test_words_say_alarm_until_the_fallback_intervenes(guarded: Trace) -> None:
     assert not any(guard_words(make_trace(samples=10)))
 
 
-def test_the_time_bar_has_a_row_for_the_guard(guarded: Trace) -> None:
+def test_the_time_bar_has_a_row_for_the_guard(watched: Trace) -> None:
     plain = make_trace(samples=SAMPLES, violated=False)
-    with_row, without = (np.asarray(FramePainter(one).frame(0)) for one in (guarded, plain))
+    with_row, without = (np.asarray(FramePainter(one).frame(0)) for one in (watched, plain))
     layout = Layout.of((960, 540), guarded=True)
 
     assert layout.time_bar[1] == Layout.of((960, 540)).time_bar[1] - 13
@@ -80,8 +67,8 @@ def test_the_time_bar_has_a_row_for_the_guard(guarded: Trace) -> None:
         assert not (without == colour).all(axis=2).any()
 
 
-def test_the_timeline_has_a_band_for_the_guard(guarded: Trace) -> None:
-    bands = timeline_figure(guarded).axes[2]
+def test_the_timeline_has_a_band_for_the_guard(watched: Trace) -> None:
+    bands = timeline_figure(watched).axes[2]
 
     names = [label.get_text() for label in bands.get_yticklabels()]
     assert names[-1] == "guard"
@@ -90,10 +77,10 @@ def test_the_timeline_has_a_band_for_the_guard(guarded: Trace) -> None:
     ]
 
 
-def test_a_prevented_violation_is_told_side_by_side(guarded: Trace) -> None:
+def test_a_prevented_violation_is_told_side_by_side(watched: Trace) -> None:
     alone = make_trace(samples=SAMPLES)
 
-    pair = prevented_pair(alone, guarded, "front-gap@1")
+    pair = prevented_pair(alone, watched, "front-gap@1")
     story = pair_story(pair)
 
     assert [part.name for part in story.parts] == ["alone", "guarded"]
@@ -104,8 +91,8 @@ def test_a_prevented_violation_is_told_side_by_side(guarded: Trace) -> None:
     assert (picture == GUARD_DOES["fallback"]).all(axis=2).sum() > 50
 
 
-def test_the_api_returns_probabilities_and_states(guarded: Trace) -> None:
-    view = episode_view(guarded, ("front-gap@1",))
+def test_the_api_returns_probabilities_and_states(watched: Trace) -> None:
+    view = episode_view(watched, ("front-gap@1",))
 
     assert view.guard is not None
     assert view.guard.fallback == "safe-stop@1"
