@@ -1,11 +1,13 @@
 """`brink guard drive`: drives without and with a guard, on the command line, with what it writes."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
+from support.guards import stump_guard
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -109,6 +111,37 @@ def test_a_violation_by_a_detector_that_reports_nothing_is_one_of_nothing_report
     assert {sight.reported for sight in silent} <= {Reported.NOTHING, Reported.NO_ROAD_USER}
     assert not any(sight.ever for sight in silent)
     assert any(sight.in_range for sight in silent)
+
+
+def test_scenarios_that_a_guard_has_met_are_told_apart(tmp_path: Path) -> None:
+    file = fitted(tmp_path, drives=1500, seed=1)
+
+    text = called(
+        str(file), "--drives", "8", "--seeds", "1", "--processes", "1", "--threshold", "0.9", "--json"
+    )
+
+    (condition,) = json.loads(text)["conditions"]
+    parts = condition["parts"]
+    assert set(parts) == {"scenario seen, behaviour unseen", "scenario and behaviour unseen"}
+    assert sum(one["drives"] for one in parts.values()) == 8
+    assert sum(one["prevented"] for one in parts.values()) == condition["worth"]["prevented"]
+
+
+def test_a_guard_is_not_driven_on_what_it_was_fitted_to(tmp_path: Path) -> None:
+    file = fitted(tmp_path, drives=10, seed=7)
+
+    said = refused(str(file), "--drives", "1", "--seeds", "3", "--first-seed", "5")
+
+    assert "was fitted to random drives of seed 7" in said
+
+
+def fitted(folder: Path, *, drives: int, seed: int) -> Path:
+    """Write a guard that says it was fitted to random drives."""
+    model = stump_guard()
+    about = {**model.about, "campaigns": [], "random": {"drives": drives, "seed": seed}}
+    file = folder / "guard.json"
+    file.write_text(replace(model, about=about).to_json(), encoding="utf-8")
+    return file
 
 
 def test_thresholds_lie_around_a_guards_own() -> None:

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.guards import stump_guard
 
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
+from brink.sim.guard.model import Sensor
 from brink.sim.guard.option import GuardOption, guard_digest
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
@@ -102,6 +104,24 @@ def test_a_guarded_episode_is_the_same_bit_for_bit() -> None:
 
     assert first.trace == second.trace
     assert first.features == second.features
+
+
+@pytest.mark.parametrize("sensor", list(Sensor))
+def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sensor: Sensor) -> None:
+    file = tmp_path / "guard.json"
+    file.write_text(
+        stump_guard(sensor=sensor, feature=sensor.features[-1], above=-1e4).to_json(), encoding="utf-8"
+    )
+    settings = {"speed_mps": 4.0}
+
+    slow = drive(guarded(spec(), f"file:{file}", fallback="slow-down@1", settings=settings))
+    deaf = drive(guarded(spec(), f"file:{file}", threshold=0.99, fallback="slow-down@1", settings=settings))
+
+    # The stump takes a violation within three seconds for 98% likely, whatever the feature is.
+    assert slow.features["guard:alarms_s"] == [0.1]
+    assert deaf.features["guard:alarms_s"] == []
+    assert float(str(slow.features["way_m"])) < 0.7 * float(str(deaf.features["way_m"]))
+    assert deaf.verdicts == drive(spec()).verdicts
 
 
 @pytest.mark.parametrize(
