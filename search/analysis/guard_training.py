@@ -30,7 +30,7 @@ FOLDS: Final = 3
 TREES: Final = 60
 """Number of trees for each horizon."""
 LEAVES: Final = 8
-"""Small trees: with 15 leaves, scores of drives that trees did not see were worse calibrated, and not more accurate."""
+"""Small trees: those with 15 leaves were not more accurate, and worse calibrated on drives that they did not see."""
 LEARNING_RATE: Final = 0.1
 BINS: Final = 127
 SHRINKAGE: Final = 5.0
