@@ -16,7 +16,7 @@ from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.features import ALL_FEATURES
 from brink.sim.guard.model import Sensor
 
-TRAINING, FRESH = 90, 80
+TRAINING, FRESH = 120, 80
 
 
 @pytest.fixture
