@@ -25,6 +25,7 @@ class Stream(IntEnum):
     REPEATS = 10
     EDGE = 11
     TOLERANCE = 12
+    GUARD = 13
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

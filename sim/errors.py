@@ -4,6 +4,7 @@ SimulatorError
 ├── InvalidEpisode      final: the specification can never run; fix it
 ├── PluginMissing       final: a module listed in BRINK_PLUGINS cannot be imported
 ├── ExtraMissing        final: a simulator needs an optional extra that is not installed here
+├── GuardFileError      final: a file is not a guard that this version can use; fit the guard again
 └── SimulationCrashed   retryable: this run failed; running the same specification again may work
 """
 
@@ -22,6 +23,10 @@ class PluginMissing(SimulatorError):
 
 class ExtraMissing(SimulatorError, ImportError):
     """A simulator needs an optional extra that is not installed here. A worker then does not offer it."""
+
+
+class GuardFileError(SimulatorError):
+    """A file is not a guard, or is one of another version or for other features."""
 
 
 class SimulationCrashed(SimulatorError):

@@ -21,6 +21,7 @@ from brink.sim.errors import InvalidEpisode
 
 FloatArray: TypeAlias = NDArray[np.float32]
 IntArray: TypeAlias = NDArray[np.int32]
+FlagArray: TypeAlias = NDArray[np.uint8]
 
 TRACE_VERSION = 1
 
@@ -186,6 +187,63 @@ class Film:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GuardTrack:
+    """What a guard and the fallback that it triggers did during an episode.
+
+    Attributes:
+        fallback: Id of the fallback.
+        horizons_s: Horizons of the probabilities.
+        probabilities: Probability of a violation within each horizon, at each sample, shape ``(n, len(horizons_s))``.
+        alarm: 1 while the guard raises the alarm, shape ``(n,)``.
+        intervenes: 1 while the fallback intervenes, shape ``(n,)``.
+    """
+
+    fallback: str
+    horizons_s: tuple[float, ...]
+    probabilities: FloatArray
+    alarm: FlagArray
+    intervenes: FlagArray
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the track as named arrays."""
+        return {
+            "guard.probabilities": self.probabilities,
+            "guard.alarm": self.alarm,
+            "guard.intervenes": self.intervenes,
+        }
+
+    def header(self) -> dict[str, Any]:
+        """Return what is not an array, as JSON."""
+        return {"fallback": self.fallback, "horizons_s": list(self.horizons_s)}
+
+    @classmethod
+    def of(cls, header: Mapping[str, Any] | None, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
+        """Return the track that the results of `header` and `arrays` hold, or None if there is none.
+
+        Raises:
+            ValueError: The arrays do not have an entry for each sample.
+        """
+        if header is None:
+            return None
+        track = cls(
+            fallback=str(header["fallback"]),
+            horizons_s=tuple(float(horizon_s) for horizon_s in header["horizons_s"]),
+            probabilities=arrays["guard.probabilities"],
+            alarm=arrays["guard.alarm"],
+            intervenes=arrays["guard.intervenes"],
+        )
+        samples = len(arrays["time_s"])
+        for name, array, shape in (
+            ("probabilities", track.probabilities, (samples, len(track.horizons_s))),
+            ("alarm", track.alarm, (samples,)),
+            ("intervenes", track.intervenes, (samples,)),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"{name} of the guard: expected shape {shape}, got {array.shape}")
+        return track
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trace:
     """One sampled episode.
 
@@ -208,6 +266,7 @@ class Trace:
         about: Scenario, behaviour and versions, for captions.
         film: Images of a camera in the loop; None without one.
         reference: What a reference driver did in the system's place; None without one.
+        guard: What a guard said; None without one.
     """
 
     time_s: FloatArray
@@ -228,6 +287,7 @@ class Trace:
     about: Mapping[str, Json]
     film: Film | None = None
     reference: "Trace | None" = None
+    guard: GuardTrack | None = None
 
     def to_bytes(self) -> bytes:
         """Return the trace as a compressed npz archive."""
@@ -248,7 +308,7 @@ class Trace:
             arrays[f"scene.{index}"] = surface.points
         for index, series in enumerate(self.robustness.values()):
             arrays[f"robustness.{index}"] = series
-        header = {
+        header: dict[str, Any] = {
             "version": TRACE_VERSION,
             "ego_size_m": list(self.ego_size_m),
             "actors": [[a.name, a.kind, a.length_m, a.width_m] for a in self.actors],
@@ -266,6 +326,9 @@ class Trace:
             arrays.update(self.film.arrays())
         if self.reference is not None:
             arrays[_REFERENCE] = np.frombuffer(self.reference.to_bytes(), np.uint8)
+        if self.guard is not None:
+            arrays.update(self.guard.arrays())
+            header["guard"] = self.guard.header()
         arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
@@ -337,6 +400,7 @@ class Trace:
             ),
             about=header["about"],
             film=Film.from_arrays(arrays),
+            guard=GuardTrack.of(header.get("guard"), arrays),
         )
 
 

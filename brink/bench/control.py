@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from brink.bench.measurement import Progress
-from brink.bench.trials import process_pool, single_threaded
 from brink.bench.urban import FRONT_GAP, draw_candidate
 from brink.search.algorithm import Evaluation, ask_all
 from brink.search.analysis.boundary import dbs_grid
@@ -25,6 +24,7 @@ from brink.server.problems.base import SimulatedProblem
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeSpec, Json
 from brink.worker.child_protocol import completed_document
+from brink.worker.pool import process_pool, single_threaded
 from brink.worker.wire import Completed
 
 ALGORITHMS: Final = ("mlcshe@1", "ga@1", "random@1")

@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple
 import cv2
 
 from brink.bench.measurement import Progress, Row, at_least
-from brink.bench.trials import process_pool, single_threaded
 from brink.server.errors import InvalidInput
 from brink.sim.aeb.dataset import FRAMES_A_STREET, Split, labelled_frames
 from brink.sim.perception.boxes import (
@@ -30,6 +29,7 @@ from brink.sim.perception.boxes import (
 )
 from brink.sim.perception.detector import LABELS, Detector, find_detector
 from brink.sim.perturbations import CATALOGUE, Gene, Perturbation, Pipeline
+from brink.worker.pool import process_pool, single_threaded
 
 PERSON: Final = "person"
 

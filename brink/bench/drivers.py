@@ -10,10 +10,11 @@ from typing import Final
 import numpy as np
 
 from brink.bench.measurement import Progress, Row, at_most
-from brink.bench.trials import process_pool, run_record, single_threaded
+from brink.bench.trials import run_record
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.encounter.reference import COLLISION, Driver
 from brink.sim.episode import EpisodeSpec
+from brink.worker.pool import process_pool, single_threaded
 
 MAX_SHARE: Final[dict[Driver, float]] = {Driver.CAREFUL: 0.05, Driver.IDEAL: 0.0}
 """Largest share of drives with a collision among those that are safe for the system."""

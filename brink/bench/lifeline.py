@@ -5,7 +5,6 @@ however that happens, and sends a signal to the other one, which needs neither a
 """
 
 import fcntl
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -13,8 +12,6 @@ import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-from brink.worker.child import exit_with_parent
 
 
 def start_tied(command: Sequence[str | Path], **options: Any) -> subprocess.Popen[bytes]:
@@ -39,13 +36,3 @@ def start_tied(command: Sequence[str | Path], **options: Any) -> subprocess.Pope
     finally:
         os.close(read_end)
     return process
-
-
-def end_with_parent() -> None:
-    """End this process, which `multiprocessing` started, when its parent ends.
-
-    A process of a pool would otherwise wait for the next task forever: it holds both ends of the pool's queue.
-    """
-    parent = multiprocessing.parent_process()
-    assert parent is not None, "only processes that multiprocessing started have a parent process"
-    exit_with_parent(parent.sentinel)

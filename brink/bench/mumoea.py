@@ -26,7 +26,7 @@ import numpy as np
 
 from brink.bench.measurement import Progress, Row, at_least
 from brink.bench.stand_in import StandInSeeds, serving
-from brink.bench.trials import code_fingerprint, process_pool, single_threaded
+from brink.bench.trials import code_fingerprint
 from brink.report.text import p_text
 from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Origin, Seeded, ask_all
 from brink.search.algorithms.multi_objective import Child
@@ -45,6 +45,7 @@ from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.errors import SimulatorError
 from brink.worker.child_protocol import completed_document
+from brink.worker.pool import process_pool, single_threaded
 from brink.worker.wire import Completed
 
 if TYPE_CHECKING:

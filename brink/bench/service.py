@@ -22,7 +22,6 @@ from typing import Any
 import httpx
 
 from brink.api.client import TIMEOUT, Api
-from brink.bench.lifeline import end_with_parent
 from brink.bench.measurement import children_of, cpu_seconds
 from brink.server.campaigns.body import CampaignBody, PluginChoice, parse_body
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
@@ -30,6 +29,7 @@ from brink.server.runtime.database import prepare_database
 from brink.server.settings import Settings
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeSpec
+from brink.worker.pool import end_with_parent
 
 START_TIMEOUT_S = 60.0
 POLL_INTERVAL_S = 0.5

@@ -11,11 +11,12 @@ from typing import Final
 from brink.bench.measurement import Progress, Row, at_least, at_most
 from brink.bench.simood_places import Criteria, NamedChain, Places
 from brink.bench.simood_searches import Campaign
-from brink.bench.trials import Record, Records, process_pool, run_record, single_threaded
+from brink.bench.trials import Record, Records, run_record
 from brink.search.algorithms.simood import SimoodConfig
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
 from brink.sim.perturbations import CATALOGUE
+from brink.worker.pool import process_pool, single_threaded
 
 TARGET_SPEEDUP: Final = 10.0
 MAX_EXTRA_TIME: Final = 0.20

@@ -3,21 +3,17 @@
 import contextlib
 import hashlib
 import json
-import multiprocessing
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-from brink.bench.lifeline import end_with_parent
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeSpec, Json
+from brink.worker.pool import process_pool, single_threaded
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _CHUNK = 8
 
 
@@ -176,24 +172,3 @@ class Records:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
-
-
-def process_pool(processes: int) -> ProcessPoolExecutor:
-    """Return a pool of fresh processes, spawned rather than forked, which end when this process does."""
-    spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(processes, mp_context=spawn, initializer=end_with_parent)
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Limit numerical libraries to one thread in processes that are started inside the block."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

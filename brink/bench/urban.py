@@ -23,7 +23,7 @@ import numpy as np
 
 from brink.bench.lifeline import start_tied
 from brink.bench.measurement import Progress, Row, at_least, memory_mib, under
-from brink.bench.trials import Trial, run_trial, run_trials, single_threaded
+from brink.bench.trials import Trial, run_trial, run_trials
 from brink.search.space import FloatArray
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
@@ -56,6 +56,7 @@ from brink.sim.world.scenario import (
     Weather,
 )
 from brink.sim.world.world import make_world
+from brink.worker.pool import single_threaded
 
 Value: TypeAlias = "str | int | float"
 SIMULATOR_ID = "brink-drive@2"

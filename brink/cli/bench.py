@@ -49,6 +49,7 @@ from brink.sim.perception.user_files import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from brink.bench.detector import ClassAccuracy, DetectorAccuracy, StepAccuracy
+    from brink.bench.guard import Judged
     from brink.bench.heredity import Heredity
 
 bench = typer.Typer(
@@ -529,6 +530,86 @@ def monitor_accuracy(
     _conclude(
         {"each": [asdict(one) for one in found], "means": [fields(row) for row in rows]}, each, means,
         as_json=as_json, missed=any(row.met is False for row in rows),
+    )  # fmt: skip
+
+
+@bench.command()
+def guard(
+    drives: Annotated[int, typer.Option(min=100, help="Fresh random drives.")] = 2000,
+    training: Annotated[int, typer.Option(min=100, help="Drives that each guard is fitted to.")] = 1300,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME",
+            show_default=False,
+            help="Training set: random, MLCSHE, edge or mixture; may be repeated (default: all).",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the training sets.")] = 1,
+    requirement: Annotated[
+        str, typer.Option(help="Requirement whose violation the guards predict.")
+    ] = "front-gap@1",
+    processes: Processes = 2,
+    out: Annotated[Path, typer.Option(help="Folder for drives, which are not simulated again.")] = RESULTS
+    / "bench-guard",
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="PNG or SVG file for a plot of the guard of the first training set, boxes alone."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how early guards warn on fresh drives, for each training set and sensor, beside baselines.
+
+    Example: brink bench guard --drives 2000 --picture guard.png
+    """
+    from brink.bench.guard import SETS, GuardBench, baseline_rows
+
+    check_picture(picture)
+    chosen = tuple(sets or SETS)
+    for one in chosen:
+        if one not in SETS:
+            raise InvalidInput.at("--set", f"expected some of {', '.join(SETS)}, got {one!r}")
+    with _progress() as progress:
+        measured = GuardBench(
+            out, training=training, fresh=drives, seed=seed, requirement=requirement, sets=chosen,
+            processes=processes, progress=progress,
+        ).measure()  # fmt: skip
+    if picture is not None:
+        from brink.plots.guard import figure_guard
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        figure_guard(measured.judged[0].evaluation).savefig(picture)
+    rows = list(measured.rows())
+    figures = _table(
+        ("what", "value", "target", "", "of"),
+        ((row.what, f"{row.value:.3f}", row.target, _met(row.met), row.note) for row in rows),
+    )
+    each = _table(_GUARD_COLUMNS, map(_guard_row, measured.judged))
+    unseen = _table(_GUARD_COLUMNS, map(_guard_row, measured.unseen))
+    baselines = _table(("baseline", "warned", "false alarms"), baseline_rows(measured.judged[-1].evaluation))
+    _conclude(
+        measured.to_json(), figures, each, baselines, unseen, as_json=as_json,
+        missed=any(row.met is False for row in rows),
+    )  # fmt: skip
+
+
+_GUARD_COLUMNS = (
+    "fitted to", "sensor", "judged on", "drives", "violations", "warned", "interval", "own: warned", "recent",
+    "false alarms", "an hour", "lead s", "AUROC", "Brier", "fit s",
+)  # fmt: skip
+
+
+def _guard_row(one: "Judged") -> tuple[object, ...]:
+    evaluation = one.evaluation
+    compared, own, last = evaluation.guard.compared, evaluation.own, evaluation.horizons[-1]
+    low, high = evaluation.guard.interval
+    lead = "" if own.median_lead_s is None else f"{own.median_lead_s:.1f}"
+    return (
+        one.trained_on, one.sensor, one.judged_on, f"{evaluation.drives:,}", f"{evaluation.violations:,}",
+        f"{compared.recall:.2f}", f"{low:.2f} to {high:.2f}", f"{own.point.recall:.2f}", f"{own.recent:.2f}",
+        f"{own.point.false_alarms:.1%}", f"{own.false_per_hour:.1f}", lead, f"{last.auroc:.3f}",
+        f"{last.brier:.4f}", f"{one.fit_s:.0f}",
     )  # fmt: skip
 
 

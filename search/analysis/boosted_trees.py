@@ -9,7 +9,8 @@ calibrate the probability: a logistic regression on the score (Platt). The limit
 score plus and minus z standard errors. The error covers two uncertainties: how much the score would change with
 other simulations (the delete-a-group jackknife over the ten models) and the error of the calibration.
 
-Only fitting needs scikit-learn (extra `analysis`). The trees are kept as arrays, and NumPy alone evaluates them.
+Only fitting needs scikit-learn (extra `analysis`). The trees are kept as arrays (`brink.forest`), and NumPy alone
+evaluates them.
 
 Source: Friedman 2001 (gradient boosting); Platt 1999 (calibration, with his smoothed targets); Efron and Stein 1981
 (the jackknife).
@@ -23,6 +24,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from brink.extras import install_command
+from brink.forest import Forest
 from brink.search.errors import MissingExtra
 from brink.search.features import FeatureArray, Features
 from brink.search.space import BoolArray, FloatArray, IntArray, frozen_array
@@ -34,112 +36,12 @@ SHRINKAGE: Final = 5.0
 """L2 penalty on the values of leaves; chosen by cross-validation, with which calibration has a slope near 1."""
 LEAST_OF_A_VERDICT: Final = 10
 """Fewest solutions of each verdict to which trees are fitted."""
-BLOCK_NODES: Final = 1 << 20
-"""Maximum number of nodes visited at a time."""
 _TOLERANCE: Final = 1e-6
 
 
 def is_installed() -> bool:
     """Return whether scikit-learn, which fitting needs, is installed."""
     return find_spec("sklearn") is not None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Forest:
-    """The trees of several models, as arrays of nodes.
-
-    The left child of an inner node is the next node. A solution goes left if its feature is at most the threshold.
-
-    Attributes:
-        right: Right child of each node, 0 for a leaf, shape ``(nodes,)``.
-        feature: Feature compared at each inner node, 0 for a leaf, shape ``(nodes,)``.
-        value: Threshold of an inner node, contribution of a leaf in log odds, shape ``(nodes,)``.
-        roots: First node of each tree, ascending, shape ``(trees,)``.
-        owners: Model of each tree, ascending, shape ``(trees,)``.
-        offsets: Score of each model before its trees, in log odds, shape ``(models,)``.
-    """
-
-    right: IntArray
-    feature: IntArray
-    value: FloatArray
-    roots: IntArray
-    owners: IntArray
-    offsets: FloatArray
-
-    @classmethod
-    def of(cls, document: Mapping[str, Any], features: int) -> Self:
-        """Return the trees of a document written by `to_document`.
-
-        Args:
-            document: The document.
-            features: Number of features.
-
-        Raises:
-            ValueError: A shape or an index is wrong; every walk through accepted trees ends in a leaf.
-        """
-        right, feature, roots, owners = (
-            frozen_array(document[name], np.int64) for name in ("right", "feature", "roots", "owners")
-        )
-        value, offsets = (frozen_array(document[name]) for name in ("value", "offsets"))
-        nodes = np.arange(right.size)
-        ends = np.append(roots[1:], right.size)
-        # A child comes after its parent and in the same tree, so that no walk can circle or leave the arrays.
-        end = np.repeat(ends, ends - roots) if (ends > roots).all() and roots.size else np.zeros(0)
-        inner = right > 0
-        good = (
-            all(one.ndim == 1 for one in (right, feature, value, roots, owners, offsets))
-            and right.shape == feature.shape == value.shape == end.shape
-            and roots.shape == owners.shape
-            and roots[0] == 0
-            and (right >= 0).all()
-            and (right[inner] > nodes[inner] + 1).all()
-            and (right[inner] < end[inner]).all()
-            and ((feature >= 0) & (feature < features)).all()
-            and np.isfinite(value).all()
-            and np.isfinite(offsets).all()
-            and (np.unique(owners) == np.arange(offsets.size)).all()
-            and (np.diff(owners) >= 0).all()
-        )
-        if not good:
-            raise ValueError("expected consistent arrays of trees")
-        return cls(right=right, feature=feature, value=value, roots=roots, owners=owners, offsets=offsets)
-
-    def to_document(self) -> dict[str, Any]:
-        """Return the arrays as a JSON object."""
-        return {
-            "right": self.right.tolist(), "feature": self.feature.tolist(), "value": self.value.tolist(),
-            "roots": self.roots.tolist(), "owners": self.owners.tolist(), "offsets": self.offsets.tolist(),
-        }  # fmt: skip
-
-    def scores(self, features: FeatureArray) -> FloatArray:
-        """Return the score of each solution by each model in log odds, shape ``(m, models)``.
-
-        Args:
-            features: Features of the solutions, shape ``(m, features)``.
-        """
-        starts = np.searchsorted(self.owners, np.arange(self.offsets.size))
-        scores = np.empty((len(features), self.offsets.size))
-        step = max(1, BLOCK_NODES // self.roots.size)
-        for first in range(0, len(features), step):
-            part = np.ascontiguousarray(features[first : first + step])
-            values = self.value[self._leaves(part)]
-            scores[first : first + step] = np.add.reduceat(values, starts, axis=1) + self.offsets
-        return scores
-
-    def _leaves(self, features: FeatureArray) -> IntArray:
-        """Return the leaf that each solution reaches in each tree, shape ``(m, trees)``."""
-        count, width = features.shape
-        at = np.tile(self.roots, count)
-        row = np.repeat(np.arange(0, count * width, width), self.roots.size)
-        flat = features.ravel()
-        walking = np.flatnonzero(self.right[at] > 0)
-        while walking.size:
-            node = at[walking]
-            left = flat[row[walking] + self.feature[node]] <= self.value[node]
-            node = np.where(left, node + 1, self.right[node])
-            at[walking] = node
-            walking = walking[self.right[node] > 0]
-        return at.reshape(count, -1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -187,7 +89,7 @@ class BoostedTrees:
         shown = features.in_every_order(vectors)
         folds = _folds(vectors, unsafe, rng)
         forest, unseen = _grown(shown, unsafe, folds)
-        calibration, covariance = _calibrated(unseen, unsafe)
+        calibration, covariance = calibrated(unseen, unsafe)
         return cls(features=features, forest=forest, calibration=calibration, covariance=covariance)
 
     @classmethod
@@ -305,14 +207,14 @@ def _grown(shown: FeatureArray, unsafe: BoolArray, folds: IntArray) -> tuple[For
             models.append(model)
             left_out = shown[:, ~kept]
             expected[~kept] = np.mean([model.decision_function(part) for part in left_out], axis=0)
-    forest = _forest(models, shown.shape[2])
+    forest = forest_of(models, shown.shape[2])
     unseen = np.mean([forest.scores(part)[np.arange(len(unsafe)), folds] for part in shown], axis=0)
     if not np.allclose(unseen, expected, atol=_TOLERANCE):
         raise RuntimeError("this version of scikit-learn stores its trees in a way that Brink cannot read")
     return forest, unseen
 
 
-def _forest(models: Sequence[Any], features: int) -> Forest:
+def forest_of(models: Sequence[Any], features: int) -> Forest:
     """Return the trees of scikit-learn's models as arrays."""
     # scikit-learn has no public access to these trees; _grown compares what is read here with its own predictions.
     right, feature, value, roots, owners = [], [], [], [], []
@@ -339,7 +241,7 @@ def _forest(models: Sequence[Any], features: int) -> Forest:
     return Forest.of(document, features)
 
 
-def _calibrated(score: FloatArray, unsafe: BoolArray) -> tuple[FloatArray, FloatArray]:
+def calibrated(score: FloatArray, unsafe: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return intercept and slope of the log odds of being unsafe, and their covariance.
 
     Args:

@@ -8,12 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from brink.server.api.schemas import View
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
+from brink.sim.replay.guard import guard_words
 from brink.sim.replay.motion import plan_words
 from brink.sim.replay.pair import ended_words
 from brink.sim.replay.reference import comparison_of
@@ -52,6 +53,7 @@ from brink.sim.trace import (
     ActorTrack,
     Film,
     FloatArray,
+    GuardTrack,
     Ragged,
     Surface,
     Trace,
@@ -213,6 +215,24 @@ class ViolatedHereView(View):
     words: Annotated[str, Field(description="Such as `hit a pedestrian at 12.8 s`.")]
 
 
+class GuardView(View):
+    """What a guard and the fallback that it triggers did."""
+
+    fallback: Annotated[str, Field(description="Id of the fallback.")]
+    horizons_s: Annotated[list[float], Field(description="Horizons of the probabilities.")]
+    probabilities: Annotated[
+        list[Column],
+        Field(description="Probability of a violation within each horizon: one value per sample each."),
+    ]
+    state: Annotated[
+        list[str],
+        Field(
+            description="At each sample: `fallback` while the fallback intervenes, otherwise `alarm` during an "
+            "alarm; else empty."
+        ),
+    ]
+
+
 class StoryView(View):
     """The requirement that the episode is about, its decisive sample, and all violations."""
 
@@ -285,6 +305,7 @@ class EpisodeView(View):
     words: EpisodeWords
     camera: PictureCamera
     film: FilmView | None
+    guard: Annotated[GuardView | None, Field(description="Null for a car without a guard.")] = None
     reference: Annotated[
         "ReferenceView | None",
         Field(
@@ -381,7 +402,17 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
         ),
         camera=_camera(),
         film=None if trace.film is None else _film(trace, trace.film),
+        guard=None if trace.guard is None else _guard(trace, trace.guard),
         reference=_reference(trace, judged),
+    )
+
+
+def _guard(trace: Trace, guard: GuardTrack) -> GuardView:
+    return GuardView.model_construct(
+        fallback=guard.fallback,
+        horizons_s=[_length(horizon_s) for horizon_s in guard.horizons_s],
+        probabilities=[_column(guard.probabilities[:, place], 3) for place in range(len(guard.horizons_s))],
+        state=guard_words(trace),
     )
 
 
@@ -418,12 +449,15 @@ def _check(trace: Trace) -> None:
     _expect(bool(ascends), "time_s: expected ascending times")
     span_s = float(trace.time_s[-1]) - float(trace.time_s[0])
     _expect(span_s <= LONGEST_S, f"time_s: expected at most {LONGEST_S:g} s, got {span_s:g}")
-    shapes = {
+    shapes: dict[str, tuple[NDArray[Any], tuple[int, ...]]] = {
         "ego": (trace.ego, (samples, 5)),
         "target_speed_mps": (trace.target_speed_mps, (samples,)),
         **{f"actor {i}": (actor.motion, (samples, 4)) for i, actor in enumerate(trace.actors)},
         **{f"robustness of {name}": (series, (samples,)) for name, series in trace.robustness.items()},
     }
+    if trace.guard is not None:
+        probabilities = trace.guard.probabilities
+        shapes["probabilities of the guard"] = (probabilities, (samples, len(trace.guard.horizons_s)))
     for name, (array, shape) in shapes.items():
         _expect(array.shape == shape, f"{name}: expected shape {shape}, got {array.shape}")
     for name, words in (("plan_mode", trace.plan_mode), ("lights", trace.lights)):

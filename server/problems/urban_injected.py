@@ -1,9 +1,9 @@
 """The problem `urban-injected@1`: an urban scenario with injected obstacle detections.
 
 The scenario has seven categorical parameters, the behaviour one to six injected trajectories, two by default, with
-eleven parameters each. Sources: Sharifi et al. 2023, sections 5.1 (encoding) and 6.1 (requirement). Not in the paper
-but in the authors' code are the label ``null``, the smallest box, the shortest trajectory, the sigmas and the order of
-repairs; see docs/explanation/hazard-boundary.md.
+eleven parameters each. Sources: Sharifi et al. 2023, sections 5.1 (encoding) and 6.1 (requirement). Not in the
+paper but in the authors' code are the label ``null``, the smallest box, the shortest trajectory, the sigmas and the
+order of repairs; see docs/explanation/hazard-boundary.md.
 """
 
 from collections.abc import Collection, Mapping

@@ -319,7 +319,7 @@ class AlphaBetaTracker:
                 squared = dx * dx + dy * dy
                 if squared <= gate_squared:
                     pairs.append((squared / gate_squared, row, column))
-                elif _overlap(box, track.box) >= settings.min_overlap:
+                elif overlap(box, track.box) >= settings.min_overlap:
                     pairs.append((1.0 + squared / gate_squared, row, column))
         if len(pairs) > 1:
             pairs.sort(key=itemgetter(0, 1, 2))
@@ -379,7 +379,7 @@ def _gains(hits: int, elapsed_s: float, sigma_m: float, settings: TrackingSettin
     return min(alpha, 1.0), min(beta, 1.0)
 
 
-def _overlap(a: Box, b: Box) -> float:
+def overlap(a: Box, b: Box) -> float:
     """Return the intersection over union of two boxes."""
     _, a_left, a_right, a_top, a_bottom = a
     _, b_left, b_right, b_top, b_bottom = b

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from brink.sim.replay.camera_view import camera_view, draw_film_legend
+from brink.sim.replay.guard import guard_words
 from brink.sim.replay.map_view import MapView
 from brink.sim.replay.reference import avoidable_words
 from brink.sim.replay.scene import PERSON, EpisodeScene, ReplayError, count_wrong, has_errors
@@ -29,6 +30,7 @@ from brink.sim.replay.style import (
     EGO,
     EGO_TRAIL,
     GHOST,
+    GUARD_DOES,
     HAIRLINE,
     INK,
     LAMP_OFF,
@@ -66,6 +68,8 @@ LOOK_AHEAD_M: Final = 9.0
 SCALE_BAR_M: Final = 10.0
 SPEED_BAR_TO_MPS: Final = 14.0
 LAMPS: Final = ("red", "amber", "green")
+_ROW: Final = 13
+"""Height of a row of the time bar, in units."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,12 +85,13 @@ class Layout:
     time_bar: Rectangle
 
     @classmethod
-    def of(cls, size: Size, *, filmed: bool = False) -> Self:
+    def of(cls, size: Size, *, filmed: bool = False, guarded: bool = False) -> Self:
         """Return the layout of a frame.
 
         Args:
             size: Width and height of the frame.
             filmed: Whether the recorded camera image (16:9) takes the large area and the map the small one.
+            guarded: Whether the time bar has a row for a guard.
 
         Raises:
             ReplayError: The size is out of bounds, or odd (H.264 stores colours at half resolution).
@@ -100,7 +105,7 @@ class Layout:
                 f"{most_width}x{most_height}, got {width}x{height}"
             )
         unit = min(width / DEFAULT_SIZE[0], height / DEFAULT_SIZE[1])
-        top, bottom = round(32 * unit), height - round(58 * unit)
+        top, bottom = round(32 * unit), height - round((58 + (_ROW if guarded else 0)) * unit)
         side = width - round(300 * unit)
         gap = round(10 * unit)
         camera_right, camera_top = width - gap, top + gap
@@ -139,7 +144,7 @@ class FramePainter:
     def __init__(self, trace: Trace, *, requirement: Judged = None, size: Size = DEFAULT_SIZE) -> None:
         self.trace = trace
         self.story: Story = story_of(trace, requirement)
-        self.layout = Layout.of(size, filmed=self.filmed)
+        self.layout = Layout.of(size, filmed=self.filmed, guarded=trace.guard is not None)
         self.px_per_m = extent(self.layout.map)[0] / (SMALL_MAP_WIDTH_M if self.filmed else MAP_WIDTH_M)
         self.scene = EpisodeScene.of(trace)
         self._map = MapView(
@@ -398,7 +403,7 @@ class _Panel:
 
 
 class _TimeBar:
-    """Draws plan modes, reported boxes and violations over time onto a frame, and a pointer at the sample."""
+    """Draws plan, reported boxes, violations and the guard over time onto a frame, and a pointer at the sample."""
 
     def __init__(self, trace: Trace, story: Story, layout: Layout) -> None:
         self._trace = trace
@@ -411,18 +416,20 @@ class _TimeBar:
         self._time_s = np.asarray(trace.time_s, dtype=np.float64)
         self._start_s = float(self._time_s[0])
         self._span_s = max(1e-6, float(self._time_s[-1] - self._time_s[0]))
+        self._axis_y = self._top + (46 + (_ROW if trace.guard is not None else 0)) * layout.unit
 
     def draw_still(self, frame: Image.Image) -> None:
         """Draw the rows and the time axis."""
         draw = ImageDraw.Draw(frame)
         unit = self._unit
-        rows = [self._top + (6 + 13 * row) * unit for row in range(3)]
         reports = report_word(self._trace) if self._trace.film is None else "person seen"
-        for name, y in zip(("plan", reports, "violated"), rows, strict=True):
+        names = ["plan", reports, "violated", *(["guard"] if self._trace.guard is not None else [])]
+        rows = [self._top + (6 + _ROW * row) * unit for row in range(len(names))]
+        for name, y in zip(names, rows, strict=True):
             draw.text((self._left - 6 * unit, y + 5 * unit), name, fill=MUTED, font=self._font, anchor="rm")
             draw.rectangle((self._left, y, self._right, y + 10 * unit), fill=(238, 240, 242))
         for mode, first, last in runs(self._trace.plan_mode):
-            self._draw_mode(draw, mode, first, last, rows[0])
+            self._draw_word(draw, mode, first, last, rows[0], PLAN_MODES.get(mode, UNKNOWN_MODE))
         for count, first, last in runs(self._reported().tolist()):
             if count:
                 self._draw_run(draw, first, last, rows[1], GHOST)
@@ -430,7 +437,10 @@ class _TimeBar:
         for violated, first, last in runs(below.tolist()):
             if violated:
                 self._draw_run(draw, self._shown_from(first), last, rows[2], VIOLATION)
-        self._draw_axis(draw, self._top + 46 * unit)
+        for word, first, last in runs(guard_words(self._trace)):
+            if word:
+                self._draw_word(draw, word, first, last, rows[-1], GUARD_DOES[word])
+        self._draw_axis(draw, self._axis_y)
 
     def draw(self, frame: Image.Image, sample: int) -> None:
         """Draw the pointer at a sample."""
@@ -438,7 +448,7 @@ class _TimeBar:
         unit = self._unit
         x = self._x_px(float(self._time_s[sample]))
         tip = self._top + 2 * unit
-        draw.line((x, tip, x, self._top + 44 * unit), fill=INK, width=max(2, round(2 * unit)))
+        draw.line((x, tip, x, self._axis_y - 2 * unit), fill=INK, width=max(2, round(2 * unit)))
         draw.polygon(
             (x - 5 * unit, tip - 3 * unit, x + 5 * unit, tip - 3 * unit, x, tip + 4 * unit), fill=INK
         )
@@ -470,13 +480,14 @@ class _TimeBar:
         left, right = self._edges(first, last)
         draw.rectangle((left, y, right, y + 10 * self._unit), fill=colour)
 
-    def _draw_mode(self, draw: ImageDraw.ImageDraw, mode: str, first: int, last: int, y: float) -> None:
-        colour = PLAN_MODES.get(mode, UNKNOWN_MODE)
+    def _draw_word(
+        self, draw: ImageDraw.ImageDraw, word: str, first: int, last: int, y: float, colour: Rgb
+    ) -> None:
         self._draw_run(draw, first, last, y, colour)
         left, right = self._edges(first, last)
-        if draw.textlength(mode, font=self._font) + 6 < right - left:
+        if draw.textlength(word, font=self._font) + 6 < right - left:
             middle = (left + right) / 2, y + 5 * self._unit
-            draw.text(middle, mode, fill=readable_on(colour), font=self._font, anchor="mm")
+            draw.text(middle, word, fill=readable_on(colour), font=self._font, anchor="mm")
 
     def _draw_axis(self, draw: ImageDraw.ImageDraw, y: float) -> None:
         step_s = next(step for step in (1, 2, 5, 10, 30, 60, 600) if self._span_s / step <= 12 or step == 600)

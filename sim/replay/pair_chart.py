@@ -18,11 +18,13 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
+from brink.sim.replay.guard import guard_words
 from brink.sim.replay.motion import distances, plan_words, scripts_of
 from brink.sim.replay.pair import Interval, Mark, Nearest, PairStory, ended_words
 from brink.sim.replay.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
 from brink.sim.replay.story import margin_name, report_word, reported, runs, unit_of
 from brink.sim.replay.style import (
+    GUARD_DOES,
     INK,
     MUTED,
     PAPER,
@@ -201,6 +203,9 @@ def _rows(story: PairStory, window: Interval) -> list[_Row]:
             rows.append(_Row(name="vehicle\nahead", lanes=(ahead[0], ahead[1]), colour=_ahead_colour))
     plans = [_words(plan_words(trace)) for trace in traces]
     rows.append(_Row(name="plan", lanes=(plans[0], plans[1]), colour=_plan_colour))
+    if any(trace.guard is not None for trace in traces):
+        guards = [_words(guard_words(trace)) for trace in traces]
+        rows.append(_Row(name="guard", lanes=(guards[0], guards[1]), colour=GUARD_DOES.__getitem__))
     return rows
 
 

@@ -76,6 +76,8 @@ PLAN_MODES: Final[dict[str, Rgb]] = {
     "overtake": (204, 121, 167),
 }
 UNKNOWN_MODE: Final[Rgb] = (150, 150, 150)
+GUARD_DOES: Final[dict[str, Rgb]] = {"alarm": (176, 162, 246), "fallback": (92, 66, 190)}
+"""What a guard and its fallback do."""
 REFERENCE_DOES: Final[dict[str, Rgb]] = {
     "brakes": (70, 82, 94), "waits": (134, 145, 156), "drives": (203, 212, 219),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Plots of an episode over time: speed, robustness, and bands of plan modes, lights, reports and scripted actions."""
+"""Plots of an episode over time: speed, robustness, and bands of plan, lights, reports, scripts and guard."""
 
 from typing import Final
 
@@ -8,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from brink.sim.replay.guard import guard_probability, guard_words
 from brink.sim.replay.motion import scripts_of
 from brink.sim.replay.scene import LABELS, PERSON, count_wrong, has_errors
 from brink.sim.replay.story import (
@@ -24,6 +25,7 @@ from brink.sim.replay.story import (
 from brink.sim.replay.style import (
     EGO,
     GHOST,
+    GUARD_DOES,
     HAIRLINE,
     INK,
     LIGHTS,
@@ -148,7 +150,8 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
     reports = {} if scripts else {f"{report_word(trace)} {LABELS[i]}": i for i in range(PERSON + 1)}
     if has_errors(trace):
         reports = {"wrong or missing": -1}
-    names = ["plan", *(["light"] if any(trace.lights) else []), *reports, *scripts]
+    guard = ["guard"] if trace.guard is not None else []
+    names = ["plan", *(["light"] if any(trace.lights) else []), *reports, *scripts, *guard]
     for row, name in enumerate(names):
         axes.axhspan(row - 0.36, row + 0.36, color="#f0f2f4", linewidth=0)
         if name == "plan":
@@ -158,6 +161,8 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
             for state, first, last in runs(trace.lights):
                 if state:
                     _band(axes, trace, row, first, last, LIGHTS.get(state, UNKNOWN_MODE), state)
+        elif name == "guard":
+            _plot_guard(axes, trace, row)
         elif name in scripts:
             for words, first, last in runs(scripts[name]):
                 _band(axes, trace, row, first, last, action_colour(words), words)
@@ -172,6 +177,17 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
     axes.grid(visible=False)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
+
+
+def _plot_guard(axes: Axes, trace: Trace, row: int) -> None:
+    """Draw when the guard raised the alarm and the fallback intervened, under the probability from 0 to 1."""
+    for word, first, last in runs(guard_words(trace)):
+        if word:
+            _band(axes, trace, row, first, last, GUARD_DOES[word], word)
+    probability = guard_probability(trace)
+    if probability is not None:
+        shown = row + 0.36 - 0.72 * np.clip(probability, 0.0, 1.0)
+        axes.step(trace.time_s, shown, where="post", color=hexadecimal(INK), linewidth=1.0)
 
 
 def _band(axes: Axes, trace: Trace, row: int, first: int, last: int, colour: Rgb, text: str) -> None:

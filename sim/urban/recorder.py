@@ -7,8 +7,9 @@ import numpy as np
 
 from brink.sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
 from brink.sim.episode import Json
+from brink.sim.guard.guarded import Guarded
 from brink.sim.requirements import WorldSample
-from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, GuardTrack, Ragged, Trace
 from brink.sim.world.scenery import scene_surfaces
 from brink.sim.world.world import RoadUser, World
 
@@ -59,6 +60,7 @@ class Recorder:
         self._robustness: dict[str, list[float]] = {name: [] for name in requirements}
         self._least: dict[str, float] = dict.fromkeys(requirements, math.inf)
         self._events: list[Event] = []
+        self._readings: list[tuple[tuple[float, ...], bool, bool]] = []
         self._shown: tuple[Sequence[Box], Sequence[Box]] = ((), ())
         self._mode: PlanMode | None = None
 
@@ -107,6 +109,9 @@ class Recorder:
         self._speeds.append(plan.target_speed_mps)
         self._offsets.append(plan.target_offset_m)
         self._lights.append(light)
+        if isinstance(driving, Guarded):
+            reading = driving.reading
+            self._readings.append((reading.probabilities, reading.alarm, driving.intervenes))
 
     def end(self, time_s: float, driving: DrivingSystem, light: str) -> None:
         """Record the end of the episode, with the boxes of the last perception step.
@@ -153,8 +158,13 @@ class Recorder:
         if sample.goal_reached:
             self.event(sample.time_s, "goal", "the ego reaches the end of its route")
 
-    def trace(self, about: Mapping[str, Json]) -> Trace:
-        """Return the trace of the whole episode."""
+    def trace(self, about: Mapping[str, Json], guarded: Guarded | None = None) -> Trace:
+        """Return the trace of the whole episode.
+
+        Args:
+            about: What the trace says about itself.
+            guarded: The driving system, if it has a guard.
+        """
         self._close_sample()
         world = self._world
         line = world.route.line
@@ -189,6 +199,19 @@ class Recorder:
             events=tuple(sorted(self._events, key=lambda event: event.time_s)),
             scene=scene_surfaces(world.road),
             about=about,
+            guard=None if guarded is None else self._guard_track(guarded),
+        )
+
+    def _guard_track(self, guarded: Guarded) -> GuardTrack:
+        """Return what the guard of an episode said at each sample."""
+        horizons_s = guarded.horizons_s
+        rows = [probabilities for probabilities, _, _ in self._readings]
+        return GuardTrack(
+            fallback=guarded.fallback_id,
+            horizons_s=horizons_s,
+            probabilities=np.array(rows, dtype=np.float32).reshape(-1, len(horizons_s)),
+            alarm=np.array([alarm for _, alarm, _ in self._readings], dtype=np.uint8),
+            intervenes=np.array([intervenes for _, _, intervenes in self._readings], dtype=np.uint8),
         )
 
 

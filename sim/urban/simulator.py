@@ -14,15 +14,26 @@ from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discar
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import DrivingSystem
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.guard.guarded import Guarded
+from brink.sim.guard.option import OPTION as GUARD
+from brink.sim.guard.option import GuardOption, option_of
 from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, steps_to_json
+from brink.sim.urban.behaviour import (
+    DELIVERED,
+    PERCEPTION_STEP_S,
+    BehaviourMode,
+    DetectorBehaviour,
+    steps_to_json,
+)
 from brink.sim.urban.detection_errors import ERROR_STEPS, DetectionError, errors_from_json
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.erroneous_detector import ErroneousDetector
+from brink.sim.urban.range_sensor import known_conditions, range_sensor
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.ego import EgoCar, MakeEgo
 from brink.sim.world.scenario import UrbanScenario
@@ -34,6 +45,8 @@ MAX_DURATION_S = 600.0
 BICYCLE, WHEELS = "bicycle", "wheels"
 FIDELITIES = (BICYCLE, WHEELS)
 """Motion model of the ego: single-track, or four wheels in the physics engine (about ten times slower)."""
+OPTIONS = ("fidelity", GUARD)
+"""The options of an episode; see `GuardOption` for the second one."""
 
 
 class BrinkDrive:
@@ -43,6 +56,10 @@ class BrinkDrive:
 
     def __init__(self) -> None:
         self._camera = Camera()
+
+    def _driving(self, world: World, scenario: UrbanScenario, spec: EpisodeSpec) -> DrivingSystem:
+        """Return the driving system under test, new."""
+        return ModularDriving(world.route, camera=self._camera)
 
     def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
         """Return the obstacle detector of an episode.
@@ -64,10 +81,11 @@ class BrinkDrive:
             SimulationCrashed: The physics engine failed.
         """
         scenario = _read_scenario(spec, self.id)
+        guard = option_of(spec.options)
         detector = self._detector(spec)
         requirements = make_requirements(spec.requirements)
         try:
-            return self._run(spec, scenario, detector, requirements, record=record)
+            return self._run(spec, scenario, detector, requirements, guard=guard, record=record)
         except EngineError as error:
             discard_engine()
             raise SimulationCrashed(f"the physics engine failed: {error}") from error
@@ -79,6 +97,7 @@ class BrinkDrive:
         detector: "UrbanDetector",
         requirements: Mapping[str, Requirement],
         *,
+        guard: GuardOption | None,
         record: bool,
     ) -> EpisodeResult:
         cpu_s = time.process_time()
@@ -86,9 +105,11 @@ class BrinkDrive:
         engine.reset()
         world = make_world(scenario, spec.seed, _ego_maker(spec, engine))
         recorder = Recorder(world, spec.requirements) if record else None
+        system = self._driving(world, scenario, spec)
+        guarded = None if guard is None else _with_guard(system, guard, world, scenario, spec)
         outcome = run_loop(
             world,
-            ModularDriving(world.route, camera=self._camera),
+            system if guarded is None else guarded,
             detector.behaviour,
             requirements,
             engine=engine,
@@ -103,11 +124,16 @@ class BrinkDrive:
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
-            features={**outcome_features(outcome), **detector.features(outcome), **features_of(requirements)},
+            features={
+                **outcome_features(outcome),
+                **detector.features(outcome),
+                **features_of(requirements),
+                **({} if guarded is None else guarded.account.features()),
+            },
             provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
             trace=None
             if recorder is None
-            else recorder.trace(trace_header(spec, verdicts, versions)).to_bytes(),
+            else recorder.trace(trace_header(spec, verdicts, versions), guarded).to_bytes(),
         )
 
 
@@ -181,13 +207,27 @@ def _read_scenario(spec: EpisodeSpec, simulator: str) -> UrbanScenario:
     """
     spec.check_for(simulator, MAX_DURATION_S)
     for name, value in spec.options.items():
-        if name != "fidelity":
+        if name not in OPTIONS:
             raise InvalidEpisode(
-                f"options: unknown field {name!r}{nearest(name, ('fidelity',))}; expected fidelity"
+                f"options: unknown field {name!r}{nearest(name, OPTIONS)}; expected {', '.join(OPTIONS)}"
             )
-        if not isinstance(value, str) or value not in FIDELITIES:
+        if name == "fidelity" and (not isinstance(value, str) or value not in FIDELITIES):
             raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
     return UrbanScenario.from_json(spec.scenario)
+
+
+def _with_guard(
+    system: DrivingSystem, guard: GuardOption, world: World, scenario: UrbanScenario, spec: EpisodeSpec
+) -> Guarded:
+    """Return the driving system of an episode with its guard and, if the guard needs one, a range sensor."""
+    conditions = known_conditions(scenario)
+    sensor = range_sensor(world, scenario, spec) if guard.needs_scan else None
+    return guard.around(
+        system,
+        world.route,
+        conditions,
+        scan=None if sensor is None else lambda time_s: sensor.scan(round(time_s / PERCEPTION_STEP_S)),
+    )
 
 
 def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:

@@ -18,6 +18,7 @@ class Stream(IntEnum):
     VEHICLE = 4
     PEDESTRIAN = 5
     DRIVING_SYSTEM = 6
+    RANGE_SENSOR = 7
     LOOKS = 100
     STREET = 101
     STROLLERS = 102

@@ -82,3 +82,9 @@ def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
         walking_mps=1.25 + 0.35 * sky.rain + 0.1 * sky.wet,
         patience_s=2.0 - 1.0 * sky.rain,
     )
+
+
+def rain_wet_dark(time_of_day: TimeOfDay, weather: Weather) -> tuple[float, float, float]:
+    """Return how hard it rains, how wet the road is and how dark it is, as shares: what anybody can tell."""
+    sky = _SKIES[weather]
+    return sky.rain, sky.wet, min(_DARKNESS[time_of_day] + 0.1 * sky.overcast, 1.0)

@@ -13,7 +13,7 @@ from playwright.sync_api import Locator, Page
 from playwright.sync_api import expect as shown
 from sqlalchemy import update
 from support.api import FakeWorker, ball, completes, expect, progress, submit
-from support.traces import make_trace
+from support.traces import guarded, make_trace
 
 from brink.server.db.engine import open_engines
 from brink.server.db.models import WorkerRow
@@ -23,7 +23,9 @@ from browser.console import Console
 from browser.served import API, Served, loose, origin, unsafe_one
 from browser.visits import Browse, Visits
 
-TRACE = base64.b64encode(make_trace().to_bytes()).decode()
+TRACE, GUARDED = (
+    base64.b64encode(trace.to_bytes()).decode() for trace in (make_trace(), guarded(make_trace()))
+)
 
 
 @pytest.fixture
@@ -124,6 +126,26 @@ def test_episode_without_a_capable_worker_is_made_when_one_appears(
     shown(page.locator("output.clock")).to_have_text("0.0 / 19.9 s")
 
 
+def test_a_car_with_a_guard_shows_its_alarms_on_the_time_bar_and_in_a_chart(
+    own: httpx.Client, visit: Visits
+) -> None:
+    worker = FakeWorker(own, judge=with_guard)
+    campaign = submit(own, ball(execution={"keep_traces": 0}))
+    worker.work(campaign)
+    page = visit(origin(own), f"#/campaigns/{campaign}/solutions/3")
+    worker.report(worker.lease(wait_s=20))
+    chart = page.get_by_role("region", name="Guard over time")
+    shown(chart).to_contain_text("fallback safe-stop@1 intervenes")
+    shown(chart.get_by_role("img", name="The guard's probability of a violation over time")).to_be_visible()
+    bar = page.locator(".scrub .marks")
+    shown(bar.locator("i.guard.alarm")).to_have_count(1)
+    shown(bar.locator("i.guard.fallback")).to_have_attribute("title", "4.5 s–8.0 s: fallback")
+    page.get_by_label("Time in the episode").fill("42")
+    shown(page.locator(".replay-state")).to_contain_text("alarm")
+    page.get_by_label("Time in the episode").fill("60")
+    shown(page.locator(".replay-state")).to_contain_text("fallback")
+
+
 @pytest.mark.long("simulates with real workers")
 def test_solution_can_be_simulated_again_after_its_campaign_ended(own: httpx.Client, visit: Visits) -> None:
     campaign, worker = submit(own, ball()), FakeWorker(own, judge=with_trace)
@@ -139,6 +161,11 @@ def test_solution_can_be_simulated_again_after_its_campaign_ended(own: httpx.Cli
 def with_trace(job: LeasedJob) -> Completed | JobFailed:
     outcome = completes(job)
     return outcome.model_copy(update={"trace": TRACE}) if job.record else outcome
+
+
+def with_guard(job: LeasedJob) -> Completed | JobFailed:
+    outcome = completes(job)
+    return outcome.model_copy(update={"trace": GUARDED}) if job.record else outcome
 
 
 def _forget_workers(database: str) -> None:

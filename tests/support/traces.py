@@ -16,6 +16,7 @@ from brink.sim.trace import (
     ActorTrack,
     Event,
     Film,
+    GuardTrack,
     Ragged,
     Surface,
     Trace,
@@ -174,6 +175,19 @@ def filmed(trace: Trace, pictures: int = 3) -> Trace:
         regions={"warning": np.array([(130, 150), (190, 150), (250, 240), (70, 240)], np.float32)},
     )
     return replace(trace, film=film)
+
+
+def guarded(trace: Trace) -> Trace:
+    """Return a drive of at least 8 s with an alarm from 4 to 6 s, on which a fallback intervenes from 4.5 to 8 s."""
+    samples = len(trace.time_s)
+    alarm, intervenes = (np.zeros(samples, np.uint8) for _ in range(2))
+    alarm[40:60], intervenes[45:80] = 1, 1
+    rising = np.linspace(0.0, 0.9, samples, dtype=np.float32)
+    track = GuardTrack(
+        fallback="safe-stop@1", horizons_s=(1.0, 3.0), probabilities=np.column_stack([rising / 2, rising]),
+        alarm=alarm, intervenes=intervenes,
+    )  # fmt: skip
+    return replace(trace, guard=track)
 
 
 def grey_jpeg(level: int) -> bytes:

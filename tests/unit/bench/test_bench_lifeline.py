@@ -15,7 +15,7 @@ PROGRAM = """
 import multiprocessing, os, signal, sys, time
 from pathlib import Path
 from brink.bench.processes import Process
-from brink.bench.trials import process_pool
+from brink.worker.pool import process_pool
 
 idle, stopped = (Process(["sleep", "1000"], Path(name), {}) for name in ("idle", "stopped"))
 for one in (idle, stopped):

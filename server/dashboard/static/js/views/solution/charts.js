@@ -1,4 +1,4 @@
-/** Charts of an episode over time: the boxes in the camera's picture, and the robustness of each requirement. */
+/** Charts of an episode over time: the boxes in the camera's picture, the robustness of each requirement, and the guard. */
 
 import { h, text } from "../../dom.js";
 import { figure, plainId, spaced } from "../../format.js";
@@ -6,7 +6,7 @@ import { colour } from "../../theme.js";
 import { canvas, chart } from "../../parts/charts.js";
 import { segments } from "../../parts/elements.js";
 import { BOLD, drawLine, FONT, palette, writeHaloed } from "./drawing.js";
-import { eachRow, rowCount } from "./episode.js";
+import { eachRow, guardSpans, rowCount } from "./episode.js";
 
 const PERSON = 1;
 const [LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX] = [52, 10, 8, 38];
@@ -228,7 +228,7 @@ function overlap(a, b) {
 
 /** Return the chart of robustness over time, a line per requirement; null if no requirement is recorded. */
 export function robustness(player) {
-  const { episode, signal } = player;
+  const { episode } = player;
   const { robustness: recorded, units } = episode.data;
   const judged = episode.story?.requirement;
   const names = Object.keys(recorded).sort((a, b) => (b === judged) - (a === judged));
@@ -237,30 +237,90 @@ export function robustness(player) {
   const far = names.filter((name) => !near.includes(name));
   const least = Math.min(0, ...near.map((name) => recorded[name].reduce((low, value) => (value === null ? low : Math.min(low, value)), 0)));
   const floor = Math.max(-EDGE, Math.min(-1, 1.1 * least));
-  const cursor = h("i.time-cursor", { "aria-hidden": "true" });
   const clipped = (value) => (value === null ? null : Math.max(floor, Math.min(EDGE, value)));
 
-  const node = chart({
-    label: "Robustness of each requirement over time", x: "time, s", signal, height: 260,
-    series: near.map((name, index) => ({
+  const node = overTime(player, {
+    label: "Robustness of each requirement over time", axis: "robustness", range: [floor, EDGE], height: 260,
+    lines: near.map((name, index) => ({
       label: withUnit(name, units[name]), colour: SERIES[index % SERIES.length], width: name === judged ? 2.5 : 1.5,
       dash: DASHES[Math.floor(index / SERIES.length) % DASHES.length] ?? (index ? DASHES[index % DASHES.length] : undefined),
-      more: { value: (_, __, ___, at) => (at === null || at === undefined ? "–" : figure(recorded[name][at])) },
+      values: recorded[name].map(clipped), exact: recorded[name],
+    })),
+    ground(plot) {
+      const { ctx, bbox } = plot;
+      const zero = plot.valToPos(0, "y", true);
+      ctx.fillStyle = colour("--bad-ground");
+      ctx.fillRect(bbox.left, zero, bbox.width, bbox.top + bbox.height - zero);
+      ctx.fillStyle = colour("--bad");
+      ctx.fillRect(bbox.left, zero - 1, bbox.width, 2);
+    },
+  });
+  const note = h("p.hint");
+  text(note, [
+    "Distance to violation, in the unit of each requirement; below zero the requirement is violated.",
+    `Values beyond ±${EDGE} are drawn at the edge.`,
+    far.length > 0 && `Always above ${EDGE}: ${far.map((name) => spaced(plainId(name))).join(", ")}.`,
+    "Click to jump to a time.",
+  ].filter(Boolean).join(" "));
+  return h("section.card", { "aria-label": "Robustness over time" }, h("h2", null, "Robustness over time"), node, note);
+}
+
+/** Return the chart of a guard's probabilities over time, with its alarms; null for a car without a guard. */
+export function guard(player) {
+  const { episode } = player;
+  const { guard: recorded } = episode.data;
+  if (!recorded) return null;
+  const spans = guardSpans(episode);
+  const node = overTime(player, {
+    label: "The guard's probability of a violation over time", axis: "probability", range: [0, 1], height: 200,
+    lines: recorded.horizons_s.map((horizon_s, index) => ({
+      label: `within ${horizon_s} s`, colour: SERIES[index % SERIES.length], width: 1.5, dash: DASHES[index % DASHES.length],
+      values: recorded.probabilities[index], exact: recorded.probabilities[index],
+    })),
+    ground(plot) {
+      const { ctx, bbox } = plot;
+      ctx.globalAlpha = 0.35;
+      for (const { state, first, last } of spans) {
+        const left = plot.valToPos(episode.times[first], "x", true);
+        ctx.fillStyle = colour(`--guard-${state}`);
+        ctx.fillRect(left, bbox.top, plot.valToPos(episode.times[last], "x", true) - left, bbox.height);
+      }
+    },
+  });
+  return h("section.card", { "aria-label": "Guard over time" }, h("h2", null, "Guard over time"), node,
+    h("ul.legend", null, h("li", null, h("i.key.alarm"), "alarm"), h("li", null, h("i.key.fallback"), `fallback ${recorded.fallback} intervenes`)),
+    h("p.hint", null, "How likely the guard takes a violation to be within each of its horizons. Click to jump to a time."));
+}
+
+/**
+ * Return a line chart over the time of an episode, with a cursor at the time that is shown; a click jumps to a time.
+ *
+ * @param {Player} player
+ * @param {object} given
+ * @param {string} given.label Description for screen readers.
+ * @param {string} given.axis Name of the vertical axis.
+ * @param {[number, number]} given.range Of the vertical axis.
+ * @param {number} given.height In px.
+ * @param {object[]} given.lines As series of `chart`, with ``values`` to draw and ``exact`` ones for the legend.
+ * @param {(plot: object) => void} given.ground Draws what lies behind the lines.
+ */
+function overTime(player, { label, axis, range, height, lines, ground }) {
+  const { episode, signal } = player;
+  const cursor = h("i.time-cursor", { "aria-hidden": "true" });
+  const node = chart({
+    label, x: "time, s", signal, height,
+    series: lines.map(({ values, exact, ...line }) => ({
+      ...line, more: { value: (_, __, ___, at) => (at === null || at === undefined ? "–" : figure(exact[at])) },
     })),
     options: {
-      scales: { x: { time: false }, y: { range: [floor, EDGE] } },
-      axes: [{}, { label: "robustness" }],
+      scales: { x: { time: false }, y: { range } },
+      axes: [{}, { label: axis }],
       cursor: { drag: { x: false, y: false }, y: false },
       hooks: {
         drawClear: [(plot) => {
-          const { ctx, bbox } = plot;
-          const zero = plot.valToPos(0, "y", true);
-          ctx.save();
-          ctx.fillStyle = colour("--bad-ground");
-          ctx.fillRect(bbox.left, zero, bbox.width, bbox.top + bbox.height - zero);
-          ctx.fillStyle = colour("--bad");
-          ctx.fillRect(bbox.left, zero - 1, bbox.width, 2);
-          ctx.restore();
+          plot.ctx.save();
+          ground(plot);
+          plot.ctx.restore();
         }],
         ready: [(plot) => {
           plot.over.append(cursor);
@@ -287,15 +347,8 @@ export function robustness(player) {
   }
 
   player.listen((_, changed) => changed.time && follow(node.plot, changed.sample));
-  node.update([episode.times, ...near.map((name) => recorded[name].map(clipped))]);
-  const note = h("p.hint");
-  text(note, [
-    "Distance to violation, in the unit of each requirement; below zero the requirement is violated.",
-    `Values beyond ±${EDGE} are drawn at the edge.`,
-    far.length > 0 && `Always above ${EDGE}: ${far.map((name) => spaced(plainId(name))).join(", ")}.`,
-    "Click to jump to a time.",
-  ].filter(Boolean).join(" "));
-  return h("section.card", { "aria-label": "Robustness over time" }, h("h2", null, "Robustness over time"), node, note);
+  node.update([episode.times, ...lines.map(({ values }) => values)]);
+  return node;
 }
 
 function withUnit(requirement, unit) {

@@ -3,7 +3,7 @@
 import { attribute, h, text } from "../../dom.js";
 import { minus, plainId, spaced } from "../../format.js";
 import { facts, segments } from "../../parts/elements.js";
-import { seconds, tenths } from "./episode.js";
+import { guardSpans, seconds, tenths } from "./episode.js";
 
 const SPEEDS = [["0.5", "0.5×"], ["1", "1×"], ["2", "2×"], ["4", "4×"]];
 const TAKES_SPACE = "input:not([type=range]), textarea, select, button, a, summary, [role=region]";
@@ -22,9 +22,15 @@ export function controls(player, marks, stage) {
     type: "range", min: 0, max: episode.last, step: 1, value: 0, "aria-label": "Time in the episode",
     oninput: () => player.show(Number(scrubber.value)),
   });
-  const track = h("div.marks", { "aria-hidden": "true" }, marks.map(({ time_s, words, bad }) => {
+  const percent = (sample) => `${(100 * sample) / Math.max(1, episode.last)}%`;
+  const track = h("div.marks", { "aria-hidden": "true" }, guardSpans(episode).map(({ state, first, last }) => {
+    const span = h(`i.guard.${state}`, { title: `${seconds(episode.times[first])}–${seconds(episode.times[last])}: ${state}` });
+    span.style.left = percent(first);
+    span.style.width = percent(last - first);
+    return span;
+  }), marks.map(({ time_s, words, bad }) => {
     const mark = h(bad ? "i.bad" : "i", { title: `${seconds(time_s)}: ${words}` });
-    mark.style.left = `${(100 * episode.sampleAt(time_s)) / Math.max(1, episode.last)}%`;
+    mark.style.left = percent(episode.sampleAt(time_s));
     return mark;
   }));
   const clock = h("output.clock.figure");
@@ -57,7 +63,7 @@ export function controls(player, marks, stage) {
     button, h("div.scrub", null, track, scrubber), clock, speeds, jump);
 }
 
-/** Return the state of a player's episode in words: speed, plan, traffic light and robustness. */
+/** Return the state of a player's episode in words: speed, plan, traffic light, guard and robustness. */
 export function state(player) {
   const { data, story } = player.episode;
   const node = facts();
@@ -71,6 +77,7 @@ export function state(player) {
       Plan: spaced(data.plan_mode[sample] || "–"),
     };
     if (hasLight) shown["Traffic light"] = data.lights[sample] || "none";
+    if (data.guard) shown.Guard = data.guard.state[sample] || "no alarm";
     const value = story && data.robustness[story.requirement][sample];
     if (story) shown[`${spaced(plainId(story.requirement))} margin`] = margin(value, data.units[story.requirement]);
     node.update(shown);

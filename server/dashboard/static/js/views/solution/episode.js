@@ -76,6 +76,17 @@ export function rowCount(rows) {
   return rows.first.at(-1);
 }
 
+/** Return the spans of an episode in which its guard raised the alarm or the fallback intervened: ``{state, first, last}``. */
+export function guardSpans({ data, last }) {
+  const spans = [];
+  for (const [sample, state] of (data.guard?.state ?? []).entries()) {
+    const before = spans.at(-1);
+    if (before && before.last === sample && before.state === state) before.last = Math.min(last, sample + 1);
+    else if (state) spans.push({ state, first: sample, last: Math.min(last, sample + 1) });
+  }
+  return spans;
+}
+
 /** Return a time in tenths of a second as text: ``3.2``. Halves are rounded up, as by the server. */
 export function tenths(time_s) {
   return (Math.floor(10 * time_s + 0.5 + 1e-4) / 10).toFixed(1);

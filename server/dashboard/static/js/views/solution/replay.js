@@ -6,7 +6,7 @@ import { capital, sentence } from "../../format.js";
 import { whenMade } from "../../polling.js";
 import { callout, workerCommand } from "../../parts/elements.js";
 import { camera } from "./camera.js";
-import { boxes, robustness } from "./charts.js";
+import { boxes, guard, robustness } from "./charts.js";
 import { controls, state } from "./controls.js";
 import { Episode, Player, seconds } from "./episode.js";
 import { map } from "./map.js";
@@ -100,7 +100,7 @@ export function replay(context, data, solution, path, actions) {
   const { scenario, perturbations } = episode.words;
   const about = scenario && h("p.hint", null, [scenario, perturbations].filter(Boolean).join("; camera pictures: "));
   const stage = h("section.card.replay", { "aria-label": "Replay" }, h("div.inline", null, h("h2", null, "Replay"), actions));
-  const charts = [boxes(player), robustness(player)];
+  const charts = [boxes(player), robustness(player), guard(player)];
   if (data.reference) {
     const lead = compared(stage, player, data.reference, solution, about);
     const system = h("section.card", { "aria-label": "The system's camera" }, h("h2", null, "What the system saw and did"),

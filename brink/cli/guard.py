@@ -1,0 +1,343 @@
+"""`brink guard fit | judge | drive`: a runtime monitor of what a car can observe, fitted to drives of campaigns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from brink.api.client import Api
+from brink.api.live import Steps
+from brink.api.results import FetchedArchive, fetch_archive
+from brink.cli.guard_drive import drive
+from brink.cli.options import (
+    AsJson,
+    Database,
+    Server,
+    check_ids,
+    check_picture,
+    console,
+    plain_table,
+    print_json,
+    with_api,
+)
+from brink.guard.drives import Drive, Recorders, check_problem, check_verdicts, random_specs, solution_specs
+from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, LEADS_S, GuardEvaluation, PredictorResult, evaluate
+from brink.guard.fitting import fit as fit_guard
+from brink.server.campaigns.body import PluginChoice
+from brink.server.errors import Conflict, InvalidInput
+from brink.server.problems.base import NamesRequirements, SimulatedProblem
+from brink.server.problems.catalogue import make_problem
+from brink.sim.catalogue import REQUIREMENTS, plugin_ids
+from brink.sim.guard.model import GuardModel, Sensor
+
+DEFAULT_PROBLEM = PluginChoice(id="urban-injected@1")
+FRESH_SEED = 2_001
+"""Seed of fresh drives; seeds of campaigns are usually small."""
+RANDOM_SEED = 1_001
+
+guard = typer.Typer(
+    name="guard",
+    help="Fit, judge and drive with a guard: a monitor in the car that warns of a violation.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+guard.command(name="drive")(drive)
+GuardFile = Annotated[
+    Path, typer.Argument(metavar="GUARD", help="Guard file written by `brink guard fit`.", show_default=False)
+]
+Campaigns = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="ID...", help="Ids of campaigns.", show_default=False, callback=check_ids),
+]
+Processes = Annotated[int, typer.Option(min=1, max=256, help="Processes that run drives again.")]
+
+
+@guard.command()
+def fit(
+    campaigns: Campaigns = None,
+    out: Annotated[Path, typer.Option(help="File to write.")] = Path("guard.json"),
+    random: Annotated[
+        int,
+        typer.Option(
+            "--random",
+            min=0,
+            help="Random drives of the same problem to add (default problem: urban-injected@1).",
+        ),
+    ] = 0,
+    sensor: Annotated[
+        Sensor,
+        typer.Option(
+            help="What the car has: the detector's boxes alone, or also a coarse forward range sensor."
+        ),
+    ] = Sensor.BOXES,
+    requirement: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            help="Requirement whose violation the guard predicts; may be repeated (default: those of the campaigns).",
+        ),
+    ] = None,
+    false_alarms: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=0.5, help="Share of safe drives that may have an alarm; sets its threshold."
+        ),
+    ] = FALSE_ALARMS,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the random drives and of the division into folds.")
+    ] = RANDOM_SEED,
+    processes: Processes = 2,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit a guard to the drives of campaigns, to random drives, or to both.
+
+    The drives run again on this machine to record what the car observes. Needs the extra `analysis`; the guard itself
+    needs only NumPy.
+
+    Example: brink guard fit 3f2a 91bc --random 500 --out guard.json
+    """
+    source = _source(campaigns, random, seed, database, server, sensor=sensor, requirement=requirement)
+    with Steps(console(stderr=True), "running drives again") as steps:
+        drives = source.recorded(processes, steps)
+        model = fit_guard(
+            drives, source.requirements, sensor=sensor, false_alarms=false_alarms, seed=seed, about=source.about,
+            on_progress=steps.of("fitting trees"),
+        )  # fmt: skip
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(model.to_json() + "\n", encoding="utf-8")
+    violations = model.about["violations"]
+    if as_json:
+        print_json({
+            "file": str(out), "drives": len(drives), "violations": violations, "sensor": str(sensor),
+            "requirements": list(source.requirements), "horizons_s": list(model.horizons_s),
+            "threshold": model.alarm.threshold,
+        })  # fmt: skip
+        return
+    console().print(
+        f"{out}: fitted to {len(drives):,} drives, {violations:,} of which violate "
+        f"{' or '.join(source.requirements)}; "
+        f"alarm at a probability of {model.alarm.threshold:.3f} within {model.alarm.horizon_s:g} s",
+        soft_wrap=True,
+    )
+
+
+@guard.command()
+def judge(
+    file: GuardFile,
+    campaigns: Campaigns = None,
+    drives: Annotated[
+        int, typer.Option("--drives", min=0, help="Fresh random drives of the guard's problem.")
+    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the fresh drives.")] = FRESH_SEED,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", help="PNG or SVG file for a plot of lead time and false alarms."),
+    ] = None,
+    processes: Processes = 2,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Judge a guard on campaigns or fresh random drives that it was not fitted to, beside two baselines.
+
+    Example: brink guard judge guard.json --drives 2000 --picture guard.png
+    """
+    check_picture(picture)
+    model = GuardModel.load(file)
+    if not campaigns and not drives:
+        raise InvalidInput.at("", "expected ids of campaigns, or a number of fresh drives with --drives")
+    source = _source(
+        campaigns, drives, seed, database, server, sensor=model.sensor, requirement=list(model.requirements),
+        default=_problem_of(model),
+    )  # fmt: skip
+    _check_fresh(file, model, source)
+    with Steps(console(stderr=True), "running drives again") as steps:
+        recorded = source.recorded(processes, steps)
+        steps.show("judging")
+        evaluation = evaluate(model, recorded)
+    if picture is not None:
+        from brink.plots.guard import figure_guard  # matplotlib takes half a second to load
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        figure_guard(evaluation).savefig(picture)
+    if as_json:
+        print_json(evaluation.to_json())
+        return
+    _print(evaluation)
+    if picture is not None:
+        console().print(f"picture: {picture}", soft_wrap=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Source:
+    """Where drives come from.
+
+    Attributes:
+        problem: Their problem.
+        choice: Its id and parameters.
+        requirements: Ids of the requirements that count.
+        fetched: The campaigns.
+        random: Number of random drives.
+        seed: Seed of the random drives.
+    """
+
+    problem: SimulatedProblem
+    choice: PluginChoice
+    requirements: tuple[str, ...]
+    fetched: Sequence[FetchedArchive]
+    random: int
+    seed: int
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Provenance of a guard."""
+        return {
+            "campaigns": [one.id for one in self.fetched],
+            "random": {"drives": self.random, "seed": self.seed} if self.random else None,
+            "problem": self.choice.model_dump(mode="json"),
+        }
+
+    def recorded(self, processes: int, steps: Steps) -> list[Drive]:
+        """Run all drives again.
+
+        Raises:
+            Conflict: The drives of a campaign end otherwise on this machine.
+        """
+        found: list[Drive] = []
+        with Recorders(processes) as recorders:
+            for one in self.fetched:
+                problem = check_problem(one.plan.problem)
+                specs = solution_specs(problem, one.archive, one.body.seed)
+                drives = recorders.record(
+                    specs, on_progress=steps.of(f"running the drives of {one.id} again")
+                )
+                if isinstance(problem, NamesRequirements):
+                    check_verdicts(drives, problem.requirements, one.archive.unsafe, f"campaign {one.id}")
+                found += drives
+            if self.random:
+                specs = random_specs(self.problem, self.random, self.seed)
+                found += recorders.record(specs, on_progress=steps.of("running random drives"))
+        return found
+
+
+def _source(
+    campaigns: Sequence[str] | None,
+    random: int,
+    seed: int,
+    database: str | None,
+    server: str | None,
+    *,
+    sensor: Sensor,
+    requirement: Sequence[str] | None,
+    default: PluginChoice = DEFAULT_PROBLEM,
+) -> _Source:
+    """Return where drives come from, and check it before anything slow begins.
+
+    Raises:
+        InvalidInput: There are no drives, or a guard cannot watch them.
+        Conflict: The campaigns have different problems.
+    """
+    if not campaigns and not random:
+        raise InvalidInput.at("", "expected ids of campaigns, or a number of random drives with --random")
+    for one in requirement or ():
+        if one not in plugin_ids(REQUIREMENTS):
+            raise InvalidInput.at(
+                "--requirement", f"expected one of {', '.join(plugin_ids(REQUIREMENTS))}, got {one!r}"
+            )
+    fetched = with_api(server, database, lambda api: _fetched(api, campaigns)) if campaigns else []
+    choice = fetched[0].body.problem if fetched else default
+    problem = check_problem(fetched[0].plan.problem if fetched else make_problem(choice.id, choice.params))
+    names = tuple(requirement) if requirement else _requirements(problem)
+    return _Source(
+        problem=problem, choice=choice, requirements=names, fetched=fetched, random=random, seed=seed
+    )
+
+
+def _requirements(problem: SimulatedProblem) -> tuple[str, ...]:
+    assert isinstance(problem, NamesRequirements), "all problems of urban drives name their requirements"
+    return problem.requirements
+
+
+async def _fetched(api: Api, campaigns: Sequence[str]) -> list[FetchedArchive]:
+    found = {one.id: one for one in [await fetch_archive(api, campaign) for campaign in campaigns]}
+    first, *others = found.values()
+    for other in others:
+        if other.body.problem != first.body.problem:
+            raise Conflict(
+                f"campaigns {first.id} and {other.id} have different problems; a guard covers only one"
+            )
+    return [first, *others]
+
+
+def _problem_of(model: GuardModel) -> PluginChoice:
+    stored = model.about.get("problem")
+    if not isinstance(stored, dict):
+        return DEFAULT_PROBLEM
+    try:
+        return PluginChoice.model_validate(stored)
+    except ValueError:
+        return DEFAULT_PROBLEM
+
+
+def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
+    """Check that a guard was not fitted to the drives on which it is to be judged.
+
+    Raises:
+        Conflict: It was.
+    """
+    learned = model.about.get("campaigns")
+    own = [one.id for one in source.fetched if isinstance(learned, list) and one.id in learned]
+    if own:
+        raise Conflict(
+            f"{file} was fitted to {'campaign' if len(own) == 1 else 'campaigns'} {', '.join(own)}: judge it on "
+            "other drives, best on fresh ones (--drives 2000)"
+        )
+    drawn = model.about.get("random")
+    if source.random and isinstance(drawn, dict) and drawn.get("seed") == source.seed:
+        raise Conflict(f"{file} was fitted to random drives of seed {source.seed}: choose another --seed")
+
+
+def _print(evaluation: GuardEvaluation) -> None:
+    screen = console()
+    share = evaluation.violations / evaluation.drives
+    screen.print(
+        f"{evaluation.drives:,} drives, {evaluation.violations:,} of which ({share:.0%}) violate "
+        f"{' or '.join(evaluation.requirements)}; {evaluation.too_early:,} within the first {LEAD_S:g} s",
+        soft_wrap=True,
+    )
+    leads = [f"{lead_s:g} s" for lead_s in LEADS_S if lead_s]
+    table = plain_table(
+        "violations warned at least this long ahead,", "false alarms", *leads, f"interval at {LEAD_S:g} s",
+        right=("false alarms", *leads),
+    )  # fmt: skip
+    for one in evaluation.predictors:
+        table.add_row(*_row(one))
+    screen.print(table)
+    own = evaluation.own
+    lead = "none" if own.median_lead_s is None else f"{own.median_lead_s:.1f} s"
+    screen.print(
+        f"with its own threshold ({own.point.threshold:.3f}): {own.point.recall:.0%} of violations warned at least "
+        f"{LEAD_S:g} s ahead, {own.recent:.0%} by an alarm of the last seconds; alarms in "
+        f"{own.point.false_alarms:.1%} of safe drives, {own.false_per_hour:.1f} an hour; median lead {lead}",
+        soft_wrap=True,
+    )
+    table = plain_table(
+        "horizon", "AUROC", "Brier", "calibration error", right=("AUROC", "Brier", "calibration error")
+    )
+    for horizon in evaluation.horizons:
+        table.add_row(
+            f"{horizon.horizon_s:g} s", f"{horizon.auroc:.3f}", f"{horizon.brier:.4f}",
+            f"{horizon.calibration_error:.4f}",
+        )  # fmt: skip
+    screen.print("", table)
+
+
+def _row(one: PredictorResult) -> list[str]:
+    low, high = one.interval
+    warned = [f"{share:.0%}" for lead_s, share in zip(LEADS_S, one.compared.warned, strict=True) if lead_s]
+    return [f"  {one.name}", f"{one.compared.false_alarms:.1%}", *warned, f"{low:.0%} to {high:.0%}"]

@@ -1,0 +1,370 @@
+"""`brink guard drive`: fresh drives without and with a guard and the fallback that it triggers."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+import typer
+
+from brink.api.live import Steps
+from brink.cli.options import AsJson, console, plain_table, print_json, write_json
+from brink.guard.drives import random_specs
+from brink.guard.loop import (
+    FIRST_SEED,
+    MOST_LOST,
+    Condition,
+    GuardedLoop,
+    drive_with_guard,
+    guarded_spec,
+    record_drive_trace,
+    thresholds_around,
+)
+from brink.guard.sight import LEAD_S, WINDOW_S, Reported
+from brink.search.analysis.guard_drives import CONFIDENCE, Estimate, GuardWorth
+from brink.search.space import BoolArray
+from brink.server.campaigns.body import PluginChoice
+from brink.server.errors import Conflict, InvalidInput
+from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.catalogue import make_problem
+from brink.sim.catalogue import plugin_ids
+from brink.sim.episode import Json
+from brink.sim.guard.fallback import DEFAULT_FALLBACK
+from brink.sim.guard.model import GuardModel
+from brink.sim.guard.option import FILE, GUARDS, GuardOption
+
+PROBLEM: Final = "urban-injected@1"
+MOST_PICTURES: Final = 20
+_WORDS: Final = {
+    Reported.COUNTERPART: "the other road user",
+    Reported.OTHERS: "something else only",
+    Reported.NOTHING: "nothing",
+    Reported.NO_ROAD_USER: "(not about a road user)",
+}
+
+
+def drive(
+    guard: Annotated[
+        str,
+        typer.Argument(
+            metavar="GUARD",
+            help="Guard file written by `brink guard fit`, or ttc@1 or range-ttc@1: a least time to collision.",
+            show_default=False,
+        ),
+    ],
+    fallback: Annotated[
+        str,
+        typer.Option(
+            help="What an alarm triggers: safe-stop@1, slow-down@1, ignore-boxes@1, or none@1 to count alarms only."
+        ),
+    ] = DEFAULT_FALLBACK,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            show_default=False,
+            help="Setting of the fallback, such as decel_mps2=3; may be repeated.",
+        ),
+    ] = None,
+    threshold: Annotated[
+        list[float] | None,
+        typer.Option(
+            min=0.001,
+            max=0.999,
+            show_default=False,
+            help="Probability from which the guard raises the alarm; may be repeated "
+            "(default: a quarter to four times the odds of the guard's own).",
+        ),
+    ] = None,
+    drives: Annotated[int, typer.Option(min=1, max=100_000, help="Drives of each seed.")] = 200,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Number of seeds.")] = 10,
+    first_seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = FIRST_SEED,
+    problem: Annotated[str, typer.Option(help="Problem from whose space drives are drawn.")] = PROBLEM,
+    requirement: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            help="Requirement that counts; may be repeated (default: what the guard predicts, or the problem's).",
+        ),
+    ] = None,
+    processes: Annotated[int, typer.Option(min=1, max=256, help="Number of processes.")] = 2,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the figures (drives.json), a plot of the trade-off, and prevented violations.",
+            show_default=False,
+        ),
+    ] = None,
+    pictures: Annotated[
+        int, typer.Option(min=0, max=MOST_PICTURES, help="Number of prevented violations to draw.")
+    ] = 3,
+    as_json: AsJson = False,
+) -> None:
+    """Run fresh drives without and with a guard, and report what its fallback prevents, costs and causes.
+
+    Each drive runs without the guard, and again with it at each threshold. Intervals are 95% bootstrap intervals over
+    the seeds.
+
+    Example: brink guard drive guard.json --drives 200 --seeds 10 --out guard-drives
+    """  # fmt: skip
+    option = _option(guard, fallback, setting or [])
+    model = _model(option)
+    own = option.own_threshold
+    chosen = sorted(set(threshold)) if threshold else thresholds_around(own)
+    used = [*range(first_seed, first_seed + seeds)]
+    if model is not None:
+        _check_fresh(model, used)
+    task = _problem(problem, requirement or _requirements(model))
+    with Steps(console(stderr=True), "starting") as steps:
+        loop = drive_with_guard(
+            task, option, chosen, drives=drives, seeds=used, processes=processes, on_progress=steps.show
+        )
+        parts = _parts(model, task, loop)
+        document = _document(loop, option, parts)
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            write_json(out / "drives.json", document)
+            steps.show("drawing the trade-off")
+            _draw(loop, out)
+            _draw_prevented(loop, out, pictures, steps)
+    if as_json:
+        print_json(document)
+        return
+    _print(loop, option, parts)
+    if out is not None:
+        console().print(f"figures and pictures: {out}", soft_wrap=True)
+
+
+def _option(guard: str, fallback: str, settings: Sequence[str]) -> GuardOption:
+    """Return the guard and the fallback that the command line names.
+
+    Raises:
+        InvalidInput: A setting has another form.
+        InvalidEpisode: The guard or the fallback is unknown, or a setting is out of range.
+    """
+    given: dict[str, Json] = {}
+    for one in settings:
+        name, equals, value = one.partition("=")
+        try:
+            given[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise InvalidInput.at("--setting", f"expected NAME=VALUE with a number, got {one!r}")
+    name = guard if guard in plugin_ids(GUARDS) else f"{FILE}{Path(guard).absolute()}"
+    return GuardOption.of(name, fallback=fallback, settings=given)
+
+
+def _model(option: GuardOption) -> GuardModel | None:
+    """Return the fitted model of a guard; None if it is a registered one."""
+    return GuardModel.load(option.guard.removeprefix(FILE)) if option.guard.startswith(FILE) else None
+
+
+def _requirements(model: GuardModel | None) -> Sequence[str]:
+    return () if model is None else model.requirements
+
+
+def _problem(problem_id: str, requirements: Sequence[str]) -> SimulatedProblem:
+    found = make_problem(problem_id, {"requirement": list(requirements)} if requirements else {})
+    if not isinstance(found, SimulatedProblem):
+        raise InvalidInput.at(
+            "--problem", f"expected a simulated problem such as {PROBLEM}, got {problem_id!r}"
+        )
+    return found
+
+
+def _check_fresh(model: GuardModel, seeds: Sequence[int]) -> None:
+    """Check that a guard was not fitted to the drives of these seeds.
+
+    Raises:
+        Conflict: It was.
+    """
+    drawn = model.about.get("random")
+    if isinstance(drawn, Mapping) and drawn.get("seed") in seeds:
+        raise Conflict(
+            f"the guard was fitted to random drives of seed {drawn['seed']}: choose another --first-seed"
+        )
+
+
+def _parts(model: GuardModel | None, task: SimulatedProblem, loop: GuardedLoop) -> dict[str, BoolArray]:
+    """Return masks of the drives by whether their scenario occurs among those that a guard was fitted to.
+
+    Empty unless the guard was fitted to random drives alone, which can be drawn again. No behaviour occurs twice.
+    """
+    about = {} if model is None else model.about
+    drawn, problem = about.get("random"), about.get("problem")
+    if not isinstance(drawn, Mapping) or about.get("campaigns") or not isinstance(problem, Mapping):
+        return {}
+    choice = PluginChoice.model_validate(problem)
+    learned = make_problem(choice.id, choice.params)
+    if not isinstance(learned, SimulatedProblem) or learned.space.column_names() != task.space.column_names():
+        return {}
+    scenarios = {_scenario(spec.scenario) for spec in random_specs(learned, drawn["drives"], drawn["seed"])}
+    seen = np.array([_scenario(spec.scenario) in scenarios for spec in loop.specs], bool)
+    masks = {"scenario seen, behaviour unseen": seen, "scenario and behaviour unseen": ~seen}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def _scenario(scenario: Mapping[str, Json]) -> str:
+    return json.dumps(dict(scenario), sort_keys=True)
+
+
+def _sights(loop: GuardedLoop, condition: Condition) -> list[dict[str, Any]]:
+    """Return violations without the guard by what was reported before them, and how many are prevented."""
+    rows = []
+    for reported in Reported:
+        places = [
+            i for i, sight in enumerate(loop.sights) if sight is not None and sight.reported is reported
+        ]
+        sights = [sight for i in places if (sight := loop.sights[i]) is not None]
+        rows.append(
+            {
+                "reported": str(reported),
+                "violations": len(places),
+                "never_reported": sum(not sight.ever for sight in sights),
+                "in_range": sum(sight.in_range for sight in sights),
+                "prevented": sum(not condition.outcomes[i].violates(loop.requirements) for i in places),
+            }
+        )
+    return rows
+
+
+def _by_requirement(loop: GuardedLoop, condition: Condition) -> dict[str, dict[str, int]]:
+    """Return how many drives violate each requirement, without and with the guard."""
+    without = Counter(name for one in loop.without for name in one.violated_at_s)
+    with_guard = Counter(name for one in condition.outcomes for name in one.violated_at_s)
+    names = loop.specs[0].requirements
+    return {name: {"without": without[name], "with": with_guard[name]} for name in names}
+
+
+def _document(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray]) -> dict[str, Any]:
+    best = loop.recommended()
+    return {
+        "guard": option.to_json(),
+        "requirements": list(loop.requirements),
+        "drives": len(loop.specs),
+        "seeds": sorted(set(loop.seed)),
+        "confidence": CONFIDENCE,
+        "conditions": [
+            {
+                "threshold": condition.threshold,
+                "worth": asdict(loop.worth(condition)),
+                "parts": {name: asdict(loop.worth(condition, mask)) for name, mask in parts.items()},
+                "by_requirement": _by_requirement(loop, condition),
+                "violations_by_report": _sights(loop, condition),
+            }
+            for condition in loop.conditions
+        ],
+        "recommended": {"most_lost": MOST_LOST, "threshold": best.threshold},
+    }
+
+
+def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray]) -> None:
+    screen = console()
+    count = len(loop.specs)
+    violating = sum(one.violates(loop.requirements) for one in loop.without)
+    screen.print(
+        f"{count:,} drives of {len(set(loop.seed))} seeds, {violating:,} of which ({violating / count:.0%}) violate "
+        f"{' or '.join(loop.requirements)} without a guard; with it, an alarm triggers {option.fallback}",
+        soft_wrap=True,
+    )  # fmt: skip
+    names = ("fall by", "prevented", "caused", "others", "distance lost", "when safe", "an hour", "drives")
+    table = plain_table("threshold", *names, right=("threshold", *names))
+    screen.print(
+        "violations prevented, caused, and of other requirements; mean distance lost, and that of drives that are "
+        "safe without; false alarms an hour, and safe drives with one:",
+        soft_wrap=True,
+    )
+    for condition in loop.conditions:
+        table.add_row(f"{condition.threshold:.3f}", *_row(loop.worth(condition)))
+    screen.print(table)
+    best = loop.recommended()
+    worth = loop.worth(best)
+    screen.print(
+        f"most prevented at a loss of at most {MOST_LOST:.0%} of the mean distance: threshold {best.threshold:.3f}, "
+        f"{worth.prevented:,} violations prevented, {worth.caused:,} caused"
+        if (worth.distance_lost.value or 0.0) <= MOST_LOST
+        else f"no threshold loses at most {MOST_LOST:.0%} of the mean distance; least lost: {best.threshold:.3f}",
+        soft_wrap=True,
+    )
+    _print_parts(loop, best, parts)
+    _print_sights(loop, best)
+
+
+def _row(worth: GuardWorth) -> list[str]:
+    return [
+        _percent(worth.reduction), f"{worth.prevented:,}", f"{worth.caused:,}", _percent(worth.other_share, 1),
+        _percent(worth.distance_lost, 1), _percent(worth.distance_lost_when_safe, 1),
+        _number(worth.false_alarms_per_h), _percent(worth.alarmed_when_safe),
+    ]  # fmt: skip
+
+
+def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArray]) -> None:
+    if not parts:
+        return
+    names = ("drives", "violations", "fall by", "distance lost", "false alarms an hour")
+    table = plain_table(f"at threshold {best.threshold:.3f}", *names, right=names)
+    for name, mask in parts.items():
+        worth = loop.worth(best, mask)
+        table.add_row(
+            name, f"{worth.drives:,}", f"{worth.violations_without:,}", _percent(worth.reduction),
+            _percent(worth.distance_lost, 1), _number(worth.false_alarms_per_h),
+        )  # fmt: skip
+    console().print("", table)
+
+
+def _print_sights(loop: GuardedLoop, best: Condition) -> None:
+    names = ("violations", "never reported", "in view of a range sensor", "prevented")
+    table = plain_table(f"reported in the {WINDOW_S:g} s before", *names, right=names)
+    for row in _sights(loop, best):
+        if row["violations"]:
+            counts = (row["violations"], row["never_reported"], row["in_range"], row["prevented"])
+            table.add_row(_WORDS[Reported(row["reported"])], *(f"{number:,}" for number in counts))
+    screen = console()
+    screen.print("", table)
+    screen.print(
+        f"(never: of the whole drive so far; in view: {LEAD_S:g} s before the violation)", style="dim"
+    )
+
+
+def _percent(estimate: Estimate, decimals: int = 0) -> str:
+    """Return a share with its interval, such as ``42% (37 to 47)``."""
+    if estimate.value is None:
+        return "–"
+    shown = f"{estimate.value:.{decimals}%}"
+    if estimate.low is None or estimate.high is None:
+        return shown
+    return f"{shown} ({100 * estimate.low:.{decimals}f} to {100 * estimate.high:.{decimals}f})"
+
+
+def _number(estimate: Estimate) -> str:
+    if estimate.value is None:
+        return "–"
+    shown = f"{estimate.value:.1f}"
+    return shown if estimate.low is None else f"{shown} ({estimate.low:.1f} to {estimate.high:.1f})"
+
+
+def _draw(loop: GuardedLoop, out: Path) -> None:
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots.guard_drives import figure_guard_tradeoff
+
+    points = [(condition.threshold or 0.0, loop.worth(condition)) for condition in loop.conditions]
+    figure = figure_guard_tradeoff(points, fallback=loop.conditions[0].option.fallback)
+    figure.savefig(out / "trade-off.png")
+
+
+def _draw_prevented(loop: GuardedLoop, out: Path, count: int, steps: Steps) -> None:
+    from brink.sim.replay.guard import prevented_pair
+    from brink.sim.replay.render import render_pair
+
+    best = loop.recommended()
+    chosen = loop.prevented(best)[:count]
+    for number, drive_number in enumerate(chosen, start=1):
+        steps.show("drawing prevented violations", number, len(chosen))
+        spec = loop.specs[drive_number]
+        alone, guarded = record_drive_trace(spec), record_drive_trace(guarded_spec(spec, best.option))
+        render_pair(prevented_pair(alone, guarded, loop.requirements), out / f"prevented-{number}.png")

@@ -1,0 +1,296 @@
+"""Recorded drives: what a guard would observe in the episodes of campaigns or in random ones, and when they fail.
+
+Features are not stored with the results of campaigns. Episodes are deterministic, so they are run again here, in
+parallel processes (docs/adr/0055).
+"""
+
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brink.search.analysis.guard_training import DriveSeries
+from brink.search.archive import Archive
+from brink.search.space import BoolArray, FloatArray
+from brink.search.streams import Stream, episode_seed, generator
+from brink.server.errors import Conflict, InvalidInput
+from brink.server.problems.base import SimulatedProblem
+from brink.sim.episode import EpisodeSpec, Verdict
+from brink.sim.guard.features import ALL_FEATURES, FEATURES_ID
+from brink.sim.guard.features import STEP_S as STEP_S
+from brink.worker.pool import process_pool, single_threaded
+
+OnProgress: TypeAlias = Callable[[int, int], None]
+"""Called with the number of completed drives and their total."""
+HalfArray: TypeAlias = NDArray[np.float16]
+
+SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
+"""Ids of the simulators whose drives can be recorded."""
+MOST_DIFFERENT: Final = 0.02
+"""Share of the drives of a campaign that may end otherwise: on another class of processor, a few do."""
+_STORED: Final = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drive:
+    """One recorded drive.
+
+    Attributes:
+        digest: Digest of its episode's specification.
+        scenario: Its scenario, as canonical JSON.
+        features: Features at the perception steps, in the order of `ALL_FEATURES`, shape ``(steps, features)``.
+        violated_at_s: Time of the first violation of each requirement that was evaluated; None if it held.
+        robustness: Robustness of each of these requirements.
+        ended_at_s: When the drive ended.
+    """
+
+    digest: str
+    scenario: str
+    features: HalfArray
+    violated_at_s: Mapping[str, float | None]
+    robustness: Mapping[str, float]
+    ended_at_s: float
+
+    def first_violation_s(self, requirements: Sequence[str]) -> float | None:
+        """Return when the first of some requirements was violated; None if all held.
+
+        Raises:
+            Conflict: A requirement was not evaluated.
+        """
+        for name in requirements:
+            if name not in self.violated_at_s:
+                known = ", ".join(self.violated_at_s)
+                raise Conflict(f"{name} was not evaluated in these drives, only {known}")
+        times = [self.violated_at_s[name] for name in requirements]
+        return min((one for one in times if one is not None), default=None)
+
+    def series(self, requirements: Sequence[str], features: int) -> DriveSeries:
+        """Return the training series of the drive, until its first violation.
+
+        Args:
+            requirements: Ids of the requirements.
+            features: Number of features, from the first.
+        """
+        at_s = self.first_violation_s(requirements)
+        times_s: FloatArray = STEP_S * np.arange(len(self.features), dtype=np.float64)
+        kept = np.ones(times_s.size, np.bool_) if at_s is None else times_s < at_s
+        return DriveSeries(
+            features=self.features[kept, :features],
+            until_s=(np.inf if at_s is None else at_s) - times_s[kept],
+            group=self.scenario,
+        )
+
+
+def check_problem(problem: object) -> SimulatedProblem:
+    """Return a problem whose drives a guard can watch.
+
+    Raises:
+        InvalidInput: It is another one.
+    """
+    if isinstance(problem, SimulatedProblem) and problem.needs in SIMULATORS:
+        return problem
+    raise InvalidInput.at(
+        "/problem/id",
+        "a guard watches urban drives with an obstacle detector: expected urban-injected@1 or urban-errors@1, "
+        f"got {getattr(problem, 'id', problem)}",
+    )
+
+
+def random_specs(problem: SimulatedProblem, count: int, seed: int) -> list[EpisodeSpec]:
+    """Return the episodes of random drives: independent draws from a problem's space, each with its own seed."""
+    space = problem.space
+    return [
+        problem.episode(space.sample(generator(seed, Stream.START, number)), episode_seed(seed, number))
+        for number in range(count)
+    ]
+
+
+def solution_specs(problem: SimulatedProblem, archive: Archive, seed: int) -> list[EpisodeSpec]:
+    """Return the episodes of the evaluated solutions of a campaign.
+
+    Args:
+        problem: The campaign's problem.
+        archive: Its solutions.
+        seed: The campaign's seed.
+    """
+    return [
+        problem.episode(problem.space.split(row), episode_seed(seed, number))
+        for number, row in zip(archive.numbers.tolist(), archive.vectors, strict=True)
+    ]
+
+
+def check_verdicts(
+    drives: Sequence[Drive], requirements: Sequence[str], unsafe: BoolArray, whose: str
+) -> None:
+    """Check that drives that were run again ended as they did the first time.
+
+    Args:
+        drives: The recorded drives.
+        requirements: Ids of the requirements that decide.
+        unsafe: Their verdicts the first time, shape ``(len(drives),)``.
+        whose: Whose drives they are, for the error.
+
+    Raises:
+        Conflict: More than a few ended otherwise.
+    """
+    again = np.array([one.first_violation_s(requirements) is not None for one in drives], np.bool_)
+    differ = int((again != unsafe).sum())
+    if differ > MOST_DIFFERENT * len(drives):
+        raise Conflict(
+            f"{differ:,} of {len(drives):,} drives of {whose} end otherwise when they are run again: it is of "
+            "another version of Brink, or repeats the drives of another campaign"
+        )
+
+
+def record(
+    specs: Sequence[EpisodeSpec], *, processes: int = 1, on_progress: OnProgress | None = None
+) -> list[Drive]:
+    """Run episodes and return the recorded drives, in order; an episode that is given twice runs once.
+
+    Args:
+        specs: The episodes.
+        processes: Number of processes; 1 runs them in this process.
+        on_progress: Progress callback.
+
+    Raises:
+        InvalidEpisode: An episode cannot be recorded.
+        SimulationCrashed: The physics engine failed.
+    """
+    if processes <= 1:
+        return _recorded(specs, None, on_progress)
+    with Recorders(processes) as recorders:
+        return recorders.record(specs, on_progress=on_progress)
+
+
+class Recorders:
+    """Processes that record drives, for several calls. Use it as a context manager.
+
+    Args:
+        processes: Number of processes.
+    """
+
+    def __init__(self, processes: int) -> None:
+        self._processes = processes
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        """Return this object; processes start with the first episode."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop the processes."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+
+    def record(self, specs: Sequence[EpisodeSpec], *, on_progress: OnProgress | None = None) -> list[Drive]:
+        """Run episodes and return the recorded drives, in order; see `record`."""
+        if self._processes > 1 and self._pool is None:
+            with single_threaded():
+                self._pool = process_pool(self._processes)
+        with single_threaded():  # a pool starts its processes when they are first needed
+            return _recorded(specs, self._pool, on_progress)
+
+
+def _recorded(
+    specs: Sequence[EpisodeSpec], pool: ProcessPoolExecutor | None, on_progress: OnProgress | None
+) -> list[Drive]:
+    texts = [spec.canonical_json() for spec in specs]
+    places: dict[str, EpisodeSpec] = dict(zip(texts, specs, strict=True))
+    unique = list(places.values())
+    found: Iterator[Drive] = (
+        map(record_one, unique) if pool is None else pool.map(record_one, unique, chunksize=4)
+    )
+    known: dict[str, Drive] = {}
+    for done, (text, drive) in enumerate(zip(places, found, strict=True), start=1):
+        known[text] = drive
+        if on_progress is not None:
+            on_progress(done, len(unique))
+    return [known[text] for text in texts]
+
+
+def record_one(spec: EpisodeSpec) -> Drive:
+    """Run one episode in this process and return the recorded drive."""
+    from brink.sim.urban.guard_recorder import record_drive  # loads the physics engine
+
+    recorded = record_drive(spec)
+    return Drive(
+        digest=spec.digest(),
+        scenario=json.dumps(dict(spec.scenario), sort_keys=True, separators=(",", ":")),
+        features=recorded.features,
+        violated_at_s={name: _time(verdict) for name, verdict in recorded.verdicts.items()},
+        robustness={name: verdict.robustness for name, verdict in recorded.verdicts.items()},
+        ended_at_s=recorded.ended_at_s,
+    )
+
+
+def _time(verdict: Verdict) -> float | None:
+    return verdict.violated_at_s if verdict.violated else None
+
+
+def save_drives(file: Path, drives: Sequence[Drive]) -> None:
+    """Write drives to a compressed npz file that holds numbers and text alone."""
+    requirements = list(drives[0].violated_at_s) if drives else []
+    header = {
+        "version": _STORED,
+        "features": FEATURES_ID,
+        "requirements": requirements,
+        "digests": [one.digest for one in drives],
+        "scenarios": [one.scenario for one in drives],
+    }
+    times = [
+        [np.nan if (t := one.violated_at_s[name]) is None else t for name in requirements] for one in drives
+    ]
+    temporary = file.with_suffix(".part.npz")
+    np.savez_compressed(
+        temporary,
+        allow_pickle=False,
+        header=np.frombuffer(json.dumps(header).encode(), np.uint8),
+        features=np.concatenate([one.features for one in drives])
+        if drives
+        else np.zeros((0, len(ALL_FEATURES)), np.float16),
+        steps=np.array([len(one.features) for one in drives], np.int64),
+        violated_at_s=np.array(times, np.float64).reshape(len(drives), -1),
+        robustness=np.array([[one.robustness[name] for name in requirements] for one in drives], np.float64),
+        ended_at_s=np.array([one.ended_at_s for one in drives], np.float64),
+    )
+    temporary.replace(file)
+
+
+def load_drives(file: Path) -> list[Drive] | None:
+    """Return the drives in a file; None if it is missing, damaged, or of another version."""
+    try:
+        # From memory: numpy leaves the file of a damaged archive open.
+        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as npz:
+            arrays = {name: npz[name] for name in npz.files}
+        header = json.loads(arrays["header"].tobytes())
+        if header["version"] != _STORED or header["features"] != FEATURES_ID:
+            return None
+        ends = np.cumsum(arrays["steps"]).tolist()
+        return [
+            Drive(
+                digest=digest,
+                scenario=scenario,
+                features=arrays["features"][first:end],
+                violated_at_s={
+                    name: None if np.isnan(at) else float(at)
+                    for name, at in zip(header["requirements"], times, strict=True)
+                },
+                robustness=dict(zip(header["requirements"], robustness.tolist(), strict=True)),
+                ended_at_s=float(ended),
+            )
+            for digest, scenario, first, end, times, robustness, ended in zip(
+                header["digests"], header["scenarios"], [0, *ends[:-1]], ends, arrays["violated_at_s"],
+                arrays["robustness"], arrays["ended_at_s"], strict=True,
+            )
+        ]  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None

@@ -1,0 +1,366 @@
+"""Evaluation of a guard on recorded drives: warned violations against false alarms, beside baselines.
+
+The unit is the drive. A *false alarm* is an alarm at any time in a drive without a violation. A violation is *warned*
+with a lead if the first alarm of its drive came at least that long before it. Violations that happen sooner after the
+start than the lead cannot be warned, and count as missed.
+
+The baselines are the time to collision on reported boxes, the same on the range sensor if the car has one, an alarm
+in every drive from its start, and none at all.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brink.guard.drives import STEP_S, Drive
+from brink.search.analysis.monitor_evaluation import classification_metrics
+from brink.search.fitness import wilson_interval
+from brink.search.space import BoolArray, FloatArray
+from brink.server.errors import Conflict
+from brink.sim.guard.features import FEATURES, TTC
+from brink.sim.guard.model import GuardModel, Sensor
+from brink.sim.guard.monitor import Alarm
+from brink.sim.guard.range_features import RANGE_TTC
+
+LEADS_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
+LEAD_S: Final = 1.5
+"""The lead that counts."""
+FALSE_ALARMS: Final = 0.05
+"""The share of safe drives with an alarm at which predictors are compared."""
+RECENT_S: Final = 6.0
+"""An alarm raised longer than this before a violation may have had another reason."""
+POINTS: Final = 200
+STEPS_APART: Final = 5
+"""Every fifth step counts for the accuracy of probabilities: neighbouring ones are almost equal."""
+
+GUARD, BOX_TTC, RANGE_TTC_NAME = "guard", "time to collision on boxes", "time to collision on ranges"
+ALWAYS, NEVER = "always", "never"
+
+Score: TypeAlias = Callable[[NDArray[np.float16]], FloatArray]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarningPoint:
+    """Warned violations and false alarms at one threshold.
+
+    Attributes:
+        threshold: The alarm is raised at this score or a higher one.
+        false_alarms: Share of safe drives with an alarm.
+        warned: Share of violations warned at least each of `LEADS_S` ahead.
+    """
+
+    threshold: float
+    false_alarms: float
+    warned: tuple[float, ...]
+
+    @property
+    def recall(self) -> float:
+        """Share of violations warned at least `LEAD_S` ahead."""
+        return self.warned[LEADS_S.index(LEAD_S)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictorResult:
+    """How well a predictor warns.
+
+    Attributes:
+        name: Name of the predictor.
+        points: Points at all thresholds, ascending by false alarms.
+        compared: The point with the most warned violations at false alarms in at most `FALSE_ALARMS` of safe drives.
+        interval: Its recall's 95% Wilson interval.
+    """
+
+    name: str
+    points: tuple[WarningPoint, ...]
+    compared: WarningPoint
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnAlarms:
+    """What a guard's own alarms did, at its own threshold.
+
+    Attributes:
+        point: Warned violations and false alarms.
+        recent: Share of violations before which an alarm was raised between `LEAD_S` and `RECENT_S` ahead, or was
+            still on `LEAD_S` ahead.
+        median_lead_s: Median time from the first alarm to the violation, of violations with an alarm; None if there
+            is none.
+        false_per_hour: Number of alarms an hour of safe drives.
+        on_share: Share of the time in safe drives in which an alarm is on.
+    """
+
+    point: WarningPoint
+    recent: float
+    median_lead_s: float | None
+    false_per_hour: float
+    on_share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HorizonAccuracy:
+    """How accurate the probabilities of one horizon are, over steps.
+
+    Attributes:
+        horizon_s: The horizon.
+        positive: Share of steps with a violation within it.
+        auroc: Probability that a step with a violation ahead was given a higher probability than one without.
+        brier: Mean squared error.
+        calibration_error: Mean difference between predicted probability and observed share over ten bins.
+    """
+
+    horizon_s: float
+    positive: float
+    auroc: float
+    brier: float
+    calibration_error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardEvaluation:
+    """A guard and its baselines on recorded drives.
+
+    Attributes:
+        sensor: What the car has.
+        requirements: Ids of the requirements.
+        drives: Number of drives.
+        violations: Number of drives with a violation.
+        too_early: Number of violations earlier after the start than `LEAD_S`.
+        predictors: The guard, then its baselines.
+        own: The guard's own alarms.
+        horizons: Accuracy of its probabilities.
+    """
+
+    sensor: Sensor
+    requirements: tuple[str, ...]
+    drives: int
+    violations: int
+    too_early: int
+    predictors: tuple[PredictorResult, ...]
+    own: OwnAlarms
+    horizons: tuple[HorizonAccuracy, ...]
+
+    @property
+    def guard(self) -> PredictorResult:
+        """How well the guard warns."""
+        return self.predictors[0]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the evaluation as the JSON object of ``brink guard judge --json``."""
+        return {
+            "sensor": str(self.sensor),
+            "requirements": list(self.requirements),
+            "drives": self.drives,
+            "violations": self.violations,
+            "too_early": self.too_early,
+            "lead_s": LEAD_S,
+            "leads_s": list(LEADS_S),
+            "predictors": [asdict(one) for one in self.predictors],
+            "own": asdict(self.own),
+            "horizons": [asdict(one) for one in self.horizons],
+        }
+
+
+def evaluate(model: GuardModel, drives: Sequence[Drive]) -> GuardEvaluation:
+    """Evaluate a guard and its baselines on drives that it was not fitted to.
+
+    Args:
+        model: The guard.
+        drives: Recorded drives.
+
+    Raises:
+        Conflict: The drives lack a requirement of the guard, or do not both violate and hold it.
+    """
+    watched = [_Watched.of(drive, model) for drive in drives]
+    violations = sum(one.violated_at_s is not None for one in watched)
+    if violations in (0, len(watched)):
+        raise Conflict(
+            f"expected drives with and without a violation, got {violations} of {len(watched)} with one"
+        )
+    probabilities = predict(model, [one.features for one in watched])
+    deciding = [one[:, model.deciding] for one in probabilities]
+    confirm = model.alarm.confirm_steps
+    predictors = [_warnings(GUARD, watched, deciding, confirm)]
+    predictors += [
+        _warnings(name, watched, [score(one.features) for one in watched], steps)
+        for name, score, steps in _baselines(model.sensor)
+    ]
+    return GuardEvaluation(
+        sensor=model.sensor,
+        requirements=model.requirements,
+        drives=len(watched),
+        violations=violations,
+        too_early=sum(one.violated_at_s is not None and one.violated_at_s <= LEAD_S for one in watched),
+        predictors=tuple(predictors),
+        own=_own_alarms(model, watched, deciding),
+        horizons=tuple(_accuracies(model, watched, probabilities)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Watched:
+    """A drive until its first violation.
+
+    Attributes:
+        features: Features of the guard, shape ``(steps, features)``.
+        violated_at_s: When it was violated; None if it was not.
+    """
+
+    features: NDArray[np.float16]
+    violated_at_s: float | None
+
+    @classmethod
+    def of(cls, drive: Drive, model: GuardModel) -> "_Watched":
+        series = drive.series(model.requirements, len(model.sensor.features))
+        return cls(features=series.features, violated_at_s=drive.first_violation_s(model.requirements))
+
+
+def predict(model: GuardModel, features: Sequence[NDArray[np.float16]]) -> list[FloatArray]:
+    """Return the probabilities at each step of several drives, each of shape ``(steps, horizons)``."""
+    if not features:
+        return []
+    ends = np.cumsum([len(one) for one in features])[:-1]
+    found = model.probabilities(np.concatenate(features).astype(np.float32))
+    return np.split(found, ends)
+
+
+def confirmed(scores: FloatArray, steps: int) -> FloatArray:
+    """Return the highest threshold that scores have met for some steps in a row, at each step.
+
+    Args:
+        scores: Scores, shape ``(n,)``.
+        steps: Number of steps, at least 1.
+
+    Returns:
+        The running minimum of the last `steps` scores, shape ``(n,)``; -inf before there are so many.
+    """
+    found = np.full(scores.size, -np.inf)
+    if scores.size >= steps:
+        windows = np.lib.stride_tricks.sliding_window_view(scores, steps)
+        found[steps - 1 :] = windows.min(axis=1)
+    return found
+
+
+def peak(strengths: FloatArray, before_s: float = np.inf) -> float:
+    """Return the highest confirmed score at or before a time; -inf if there is none."""
+    last = strengths.size if np.isinf(before_s) else int(np.floor(before_s / STEP_S + 1e-6)) + 1
+    return float(strengths[: max(last, 0)].max(initial=-np.inf))
+
+
+def _baselines(sensor: Sensor) -> Iterator[tuple[str, Score, int]]:
+    """Yield the name and score of each baseline, and the steps that confirm its alarm."""
+    yield BOX_TTC, lambda features: -features[:, TTC].astype(np.float64), 1
+    if sensor is Sensor.RANGE:
+        yield RANGE_TTC_NAME, lambda features: -features[:, len(FEATURES) + RANGE_TTC].astype(np.float64), 1
+    yield ALWAYS, lambda features: np.ones(len(features)), 1
+    yield NEVER, lambda features: np.full(len(features), -np.inf), 1
+
+
+def _warnings(
+    name: str, watched: Sequence[_Watched], scores: Sequence[FloatArray], confirm: int
+) -> PredictorResult:
+    safe, unsafe = [], []
+    for one, score in zip(watched, scores, strict=True):
+        strengths = confirmed(score, confirm)
+        if one.violated_at_s is None:
+            safe.append(peak(strengths))
+        else:
+            unsafe.append([peak(strengths, one.violated_at_s - lead_s) for lead_s in LEADS_S])
+    harmless, hazards = np.sort(safe), np.sort(np.array(unsafe), axis=0)
+    points = [_point(threshold, harmless, hazards) for threshold in _thresholds(harmless, hazards)]
+    compared = max(
+        (point for point in points if point.false_alarms <= FALSE_ALARMS),
+        key=lambda point: (point.recall, -point.false_alarms),
+    )
+    low, high = wilson_interval(round(compared.recall * len(hazards)), len(hazards))
+    return PredictorResult(
+        name=name, points=tuple(points), compared=compared, interval=(float(low), float(high))
+    )
+
+
+def _thresholds(harmless: FloatArray, hazards: FloatArray) -> list[float]:
+    """Return thresholds, descending, from above all scores to the lowest score."""
+    finite = np.concatenate([harmless, hazards.ravel()])
+    finite = np.unique(finite[np.isfinite(finite)])[::-1]
+    if not finite.size:
+        return [1.0]
+    # Close together where there are few false alarms: that is where a guard works.
+    rare = np.unique(harmless[np.isfinite(harmless)])[::-1][:POINTS]
+    spread = finite[np.linspace(0, finite.size - 1, POINTS).astype(int)]
+    # Just above each of the rare ones, too: there, a false alarm less costs nothing.
+    kept = np.concatenate([np.nextafter(finite[:1], np.inf), np.nextafter(rare, np.inf), rare, spread])
+    found: list[float] = np.unique(kept)[::-1].tolist()
+    return found
+
+
+def _point(threshold: float, harmless: FloatArray, hazards: FloatArray) -> WarningPoint:
+    return WarningPoint(
+        threshold=threshold,
+        false_alarms=float(1 - np.searchsorted(harmless, threshold, side="left") / harmless.size),
+        warned=tuple(
+            float(1 - np.searchsorted(hazards[:, place], threshold, side="left") / len(hazards))
+            for place in range(len(LEADS_S))
+        ),
+    )
+
+
+def _own_alarms(model: GuardModel, watched: Sequence[_Watched], deciding: Sequence[FloatArray]) -> OwnAlarms:
+    leads: list[float] = []
+    recent = alarms = steps = on = with_alarm = safe = hazards = 0
+    warned = np.zeros(len(LEADS_S))
+    for one, scores in zip(watched, deciding, strict=True):
+        alarm = Alarm(model.alarm)
+        states = np.array([alarm.step(score) for score in scores.tolist()], np.bool_)
+        starts = np.flatnonzero(states & ~np.concatenate([[False], states[:-1]])) * STEP_S
+        if one.violated_at_s is None:
+            safe += 1
+            with_alarm += bool(starts.size)
+            alarms += starts.size
+            steps += states.size
+            on += int(states.sum())
+            continue
+        hazards += 1
+        if starts.size:
+            leads.append(one.violated_at_s - float(starts[0]))
+            warned += np.array([leads[-1] >= lead_s - 1e-9 for lead_s in LEADS_S])
+        recent += _is_recent(one.violated_at_s, starts, states)
+    return OwnAlarms(
+        point=WarningPoint(
+            threshold=model.alarm.threshold, false_alarms=with_alarm / safe, warned=tuple((warned / hazards).tolist())
+        ),
+        recent=recent / hazards,
+        median_lead_s=float(np.median(leads)) if leads else None,
+        false_per_hour=alarms / (steps * STEP_S / 3600.0),
+        on_share=on / steps,
+    )  # fmt: skip
+
+
+def _is_recent(violated_at_s: float, starts_s: NDArray[np.floating[Any]], states: BoolArray) -> bool:
+    """Return whether an alarm was raised shortly before a violation, or was on `LEAD_S` before it."""
+    ahead_s = violated_at_s - starts_s
+    if ((ahead_s >= LEAD_S - 1e-9) & (ahead_s <= RECENT_S)).any():
+        return True
+    step = int(np.floor((violated_at_s - LEAD_S) / STEP_S + 1e-6))
+    return 0 <= step < states.size and bool(states[step])
+
+
+def _accuracies(
+    model: GuardModel, watched: Sequence[_Watched], probabilities: Sequence[FloatArray]
+) -> Iterator[HorizonAccuracy]:
+    until_s = np.concatenate([
+        (np.inf if one.violated_at_s is None else one.violated_at_s) - STEP_S * np.arange(len(one.features))
+        for one in watched
+    ])[::STEPS_APART]  # fmt: skip
+    predicted = np.concatenate(probabilities)[::STEPS_APART]
+    for place, horizon_s in enumerate(model.horizons_s):
+        labels = until_s <= horizon_s
+        if labels.all() or not labels.any():
+            continue
+        metrics = classification_metrics(predicted[:, place], labels)
+        yield HorizonAccuracy(
+            horizon_s=horizon_s, positive=float(labels.mean()), auroc=metrics.auroc, brier=metrics.brier,
+            calibration_error=metrics.calibration_error,
+        )  # fmt: skip

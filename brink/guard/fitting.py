@@ -1,0 +1,95 @@
+"""Fitting a guard to recorded drives."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from brink import __version__
+from brink.guard.drives import Drive
+from brink.guard.evaluation import FALSE_ALARMS, confirmed, peak
+from brink.search.analysis.guard_training import fit_horizons
+from brink.search.space import FloatArray
+from brink.search.streams import Stream, generator
+from brink.server.errors import Conflict
+from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
+
+HORIZONS_S: Final = (1.0, 2.0, 3.0)
+CONFIRM_STEPS: Final = 2
+HOLD_S: Final = 1.0
+RELEASE_SHARE: Final = 0.5
+"""The alarm ends below this share of its threshold."""
+
+
+def fit(
+    drives: Sequence[Drive],
+    requirements: Sequence[str],
+    *,
+    sensor: Sensor = Sensor.BOXES,
+    horizons_s: Sequence[float] = HORIZONS_S,
+    false_alarms: float = FALSE_ALARMS,
+    seed: int = 1,
+    about: Mapping[str, Any] | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> GuardModel:
+    """Fit a guard.
+
+    The alarm goes by the longest horizon. Its threshold is the lowest at which models that did not see a drive raise
+    an alarm in at most the wanted share of the safe drives.
+
+    Args:
+        drives: Recorded drives.
+        requirements: Ids of the requirements whose violation it predicts.
+        sensor: What the car has.
+        horizons_s: Horizons in seconds, ascending.
+        false_alarms: Share of safe drives that may have an alarm.
+        seed: Divides the drives.
+        about: Provenance to store.
+        on_progress: Called with the number of fitted models and their total.
+
+    Raises:
+        MissingExtra: scikit-learn is not installed.
+        Conflict: There are too few drives with or without a violation.
+    """
+    series = [drive.series(requirements, len(sensor.features)) for drive in drives]
+    try:
+        fitted = fit_horizons(series, horizons_s, generator(seed, Stream.GUARD), on_progress)
+    except ValueError as error:
+        raise Conflict(str(error)) from None
+    intercept, slope = fitted.calibration[-1].tolist()
+    peaks = [
+        peak(confirmed(0.5 * (1.0 + np.tanh(0.5 * (intercept + slope * scores[:, -1]))), CONFIRM_STEPS))
+        for scores, drive in zip(fitted.unseen, series, strict=True)
+        if not drive.violated
+    ]
+    threshold = threshold_for(np.array(peaks), false_alarms)
+    return GuardModel(
+        sensor=sensor,
+        requirements=tuple(requirements),
+        horizons_s=tuple(horizons_s),
+        forest=fitted.forest,
+        calibration=fitted.calibration,
+        alarm=AlarmRule(
+            horizon_s=horizons_s[-1], threshold=threshold, release=RELEASE_SHARE * threshold,
+            confirm_steps=CONFIRM_STEPS, hold_s=HOLD_S,
+        ),
+        about={
+            "brink": __version__,
+            "drives": len(drives),
+            "violations": sum(one.violated for one in series),
+            "false_alarms": false_alarms,
+            **(about or {}),
+        },
+    )  # fmt: skip
+
+
+def threshold_for(peaks: FloatArray, false_alarms: float) -> float:
+    """Return the lowest threshold that at most a share of the safe drives reach.
+
+    Args:
+        peaks: Highest confirmed probability in each safe drive, shape ``(n,)``, n >= 1.
+        false_alarms: The share, in [0, 1).
+    """
+    allowed = int(np.floor(false_alarms * peaks.size + 1e-9))
+    highest = float(np.sort(peaks)[::-1][allowed])
+    return float(min(np.nextafter(max(highest, 0.0), np.inf), 1.0))

@@ -1,0 +1,115 @@
+"""Figures of guards: how long ahead violations are warned, and at what cost in false alarms."""
+
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from brink.guard.evaluation import (
+    ALWAYS,
+    BOX_TTC,
+    FALSE_ALARMS,
+    GUARD,
+    LEAD_S,
+    LEADS_S,
+    NEVER,
+    GuardEvaluation,
+    PredictorResult,
+)
+from brink.plots.style import (
+    HAIRLINE,
+    INK,
+    MUTED,
+    OTHER,
+    SAFE,
+    UNSAFE,
+    WIDTH_PX,
+    add_legend,
+    new_figure,
+    set_panel_title,
+    show_percent,
+    style_axes,
+)
+
+HEIGHT_PX: Final = 760
+_COLOURS: Final = {GUARD: SAFE, BOX_TTC: UNSAFE}
+_SHOWN_LEADS_S: Final = (0.5, 1.5, 3.0)
+_STYLES: Final = ("--", "-", ":")
+
+
+def figure_guard(evaluation: GuardEvaluation) -> Figure:
+    """Plot warned violations against false alarms, and how long ahead they are warned, beside the baselines."""
+    figure = new_figure(
+        HEIGHT_PX,
+        f"Guard on {evaluation.drives:,} drives ({evaluation.sensor})",
+        f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}.\nLeft: each point "
+        f"is an alarm threshold; solid, violations warned at least {LEAD_S:g} s ahead, dashed 0.5 s, dotted 3 s. "
+        f"Right: with alarms in at most {FALSE_ALARMS:.0%} of the safe drives.",
+    )
+    grid = figure.add_gridspec(
+        1,
+        2,
+        left=96 / WIDTH_PX,
+        right=1 - 40 / WIDTH_PX,
+        top=1 - 190 / HEIGHT_PX,
+        bottom=70 / HEIGHT_PX,
+        wspace=0.2,
+    )
+    drawn = [one for one in evaluation.predictors if one.name not in (ALWAYS, NEVER)]
+    _plot_alarms(figure.add_subplot(grid[0]), evaluation, drawn)
+    _plot_leads(figure.add_subplot(grid[1]), drawn)
+    keys = [
+        Line2D([], [], color=_colour(one), linewidth=2.2, label=f"{one.name}: {one.compared.recall:.0%}")
+        for one in drawn
+    ]
+    keys.append(Line2D([], [], color=HAIRLINE, linewidth=1.2, label="an alarm at random"))
+    add_legend(figure, keys, 122, handlelength=2.2)
+    return figure
+
+
+def _colour(one: PredictorResult) -> str:
+    return _COLOURS.get(one.name, OTHER)
+
+
+def _plot_alarms(axes: Axes, evaluation: GuardEvaluation, drawn: list[PredictorResult]) -> None:
+    axes.plot([0, 1], [0, 1], color=HAIRLINE, linewidth=1.2, zorder=0)
+    axes.axvline(FALSE_ALARMS, color=MUTED, linewidth=1.0, linestyle=":")
+    for one in drawn:
+        for lead_s, style in zip(_SHOWN_LEADS_S, _STYLES, strict=True):
+            if one.name != GUARD and lead_s != LEAD_S:
+                continue
+            place = LEADS_S.index(lead_s)
+            axes.plot(
+                [point.false_alarms for point in one.points], [point.warned[place] for point in one.points],
+                color=_colour(one), linewidth=2.2 if lead_s == LEAD_S else 1.4, linestyle=style,
+            )  # fmt: skip
+    own = evaluation.own.point
+    axes.plot([own.false_alarms], [own.recall], marker="o", markersize=9, color=INK, linestyle="")
+    axes.annotate(
+        "its own threshold",
+        (own.false_alarms, own.recall),
+        xytext=(12, -14),
+        textcoords="offset points",
+        color=INK,
+    )
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    show_percent(axes.xaxis, axes.yaxis)
+    set_panel_title(axes, "Warned violations and false alarms")
+    axes.set_xlabel("safe drives with an alarm")
+    axes.set_ylabel("warned violations")
+    style_axes(axes, grid="both")
+
+
+def _plot_leads(axes: Axes, drawn: list[PredictorResult]) -> None:
+    axes.axvline(LEAD_S, color=MUTED, linewidth=1.0, linestyle=":")
+    for one in drawn:
+        axes.plot(LEADS_S, one.compared.warned, color=_colour(one), linewidth=2.2, marker="o", markersize=5)
+    axes.set_xlim(0, LEADS_S[-1])
+    axes.set_ylim(0, 1)
+    show_percent(axes.yaxis)
+    set_panel_title(axes, f"Lead time, alarms in at most {FALSE_ALARMS:.0%} of safe drives")
+    axes.set_xlabel("warned at least this many seconds ahead")
+    axes.set_ylabel("warned violations")
+    style_axes(axes, grid="both")

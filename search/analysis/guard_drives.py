@@ -1,0 +1,183 @@
+"""What a guard and its fallback are worth: the same drives without and with them, compared with intervals.
+
+Every figure is a ratio of two sums over drives. Its interval is that of a bootstrap over seeds (Efron 1979,
+percentiles): drives of one seed share their random candidates, so seeds are resampled whole.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from brink.search.space import BoolArray, FloatArray, IntArray
+
+RESAMPLES: Final = 2000
+CONFIDENCE: Final = 0.95
+_HOUR_S: Final = 3600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GuardedDrives:
+    """Drives without and with a guard; arrays have one entry for each drive, shape ``(n,)``.
+
+    Attributes:
+        seed: Seed that the drive's scenario, behaviour and chance were drawn with.
+        violated_without: Whether a requirement that counts is violated without the guard.
+        violated_with: The same with the guard.
+        other_with: Whether another requirement is violated with the guard that is not violated without it.
+        way_without_m: Distance driven without the guard.
+        way_with_m: The same with it.
+        time_with_s: Duration of the drive with the guard.
+        alarms: Number of alarms.
+        intervention_s: How long the fallback intervened.
+    """
+
+    seed: IntArray
+    violated_without: BoolArray
+    violated_with: BoolArray
+    other_with: BoolArray
+    way_without_m: FloatArray
+    way_with_m: FloatArray
+    time_with_s: FloatArray
+    alarms: IntArray
+    intervention_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.seed)
+
+    def of(self, chosen: BoolArray) -> "GuardedDrives":
+        """Return some of the drives, by a mask of shape ``(n,)``."""
+        return GuardedDrives(**{name: getattr(self, name)[chosen] for name in self.__slots__})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A figure with its interval.
+
+    Attributes:
+        value: The figure; None if there is nothing to divide by.
+        low: Lower limit of the interval; None with a single seed.
+        high: Upper limit of the interval; None with a single seed.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardWorth:
+    """What a guard and its fallback did in drives; shares are in [0, 1].
+
+    Attributes:
+        drives: Number of drives.
+        seeds: Number of seeds.
+        violations_without: Number of drives with a violation without the guard.
+        violations_with: The same with the guard.
+        prevented: Number of drives with a violation without the guard alone.
+        caused: Number of drives with a violation with the guard alone.
+        share_without: Share of drives with a violation without the guard.
+        share_with: The same with the guard.
+        reduction: By what share the violations fall, prevented minus caused; negative if there are more.
+        prevented_share: Share of the violations without the guard that are prevented.
+        caused_share: Share of the safe drives that violate a requirement because of the fallback.
+        other_share: Share of the safe drives that violate a requirement that does not count because of the fallback.
+        distance_lost: By what share the mean distance falls; negative if it grows.
+        distance_lost_when_safe: The same over the drives that are safe without the guard.
+        false_alarms_per_h: Alarms in an hour of driving, over the drives that are safe without the guard.
+        alarmed_when_safe: Share of those drives with an alarm.
+        intervention_share: Share of the time during which the fallback intervenes.
+    """
+
+    drives: int
+    seeds: int
+    violations_without: int
+    violations_with: int
+    prevented: int
+    caused: int
+    share_without: Estimate
+    share_with: Estimate
+    reduction: Estimate
+    prevented_share: Estimate
+    caused_share: Estimate
+    other_share: Estimate
+    distance_lost: Estimate
+    distance_lost_when_safe: Estimate
+    false_alarms_per_h: Estimate
+    alarmed_when_safe: Estimate
+    intervention_share: Estimate
+
+
+def guard_worth(
+    drives: GuardedDrives,
+    rng: np.random.Generator,
+    *,
+    resamples: int = RESAMPLES,
+    confidence: float = CONFIDENCE,
+) -> GuardWorth:
+    """Return what a guard and its fallback did in some drives.
+
+    Args:
+        drives: The drives, at least one.
+        rng: Source of randomness of the bootstrap.
+        resamples: Number of resamples.
+        confidence: Level of the intervals, in (0, 1).
+
+    Raises:
+        ValueError: There are no drives.
+    """
+    if not len(drives):
+        raise ValueError("expected at least one drive, got none")
+    seeds, place = np.unique(drives.seed, return_inverse=True)
+    weights = rng.multinomial(seeds.size, np.full(seeds.size, 1.0 / seeds.size), size=resamples)
+    tails = [50.0 * (1.0 - confidence), 50.0 * (1.0 + confidence)]
+
+    def estimate(above: FloatArray, below: FloatArray, complement: bool) -> Estimate:
+        sums = np.array([np.bincount(place, weights=one, minlength=seeds.size) for one in (above, below)])
+        total, denominator = sums.sum(axis=1)
+        if denominator == 0.0:
+            return Estimate(value=None, low=None, high=None)
+        sign, offset = (-1.0, 1.0) if complement else (1.0, 0.0)
+        value = offset + sign * float(total / denominator)
+        if seeds.size == 1:
+            return Estimate(value=value, low=None, high=None)
+        again, dividing = (weights @ one for one in sums)
+        ratios = offset + sign * again[dividing > 0.0] / dividing[dividing > 0.0]
+        low, high = np.percentile(ratios, tails)
+        return Estimate(value=value, low=float(low), high=float(high))
+
+    before, after = drives.violated_without, drives.violated_with
+    return GuardWorth(
+        drives=len(drives),
+        seeds=int(seeds.size),
+        violations_without=int(before.sum()),
+        violations_with=int(after.sum()),
+        prevented=int((before & ~after).sum()),
+        caused=int((~before & after).sum()),
+        **{name: estimate(above, below, name in _FALLS) for name, (above, below) in _ratios(drives).items()},
+    )
+
+
+_FALLS: Final = frozenset({"reduction", "distance_lost", "distance_lost_when_safe"})
+"""Figures that are one minus their ratio: by how much something falls."""
+
+
+def _ratios(drives: GuardedDrives) -> Mapping[str, tuple[FloatArray, FloatArray]]:
+    """Return the terms of both sums of each figure, by its name, shape ``(n,)`` each."""
+    one = np.ones(len(drives))
+    before, after = drives.violated_without.astype(float), drives.violated_with.astype(float)
+    safe = 1.0 - before
+    return {
+        "share_without": (before, one),
+        "share_with": (after, one),
+        "reduction": (after, before),
+        "prevented_share": (before * (1.0 - after), before),
+        "caused_share": (safe * after, safe),
+        "other_share": (safe * drives.other_with, safe),
+        "distance_lost": (drives.way_with_m, drives.way_without_m),
+        "distance_lost_when_safe": (safe * drives.way_with_m, safe * drives.way_without_m),
+        "false_alarms_per_h": (safe * drives.alarms, safe * drives.time_with_s / _HOUR_S),
+        "alarmed_when_safe": (safe * (drives.alarms > 0), safe),
+        "intervention_share": (drives.intervention_s, drives.time_with_s),
+    }

@@ -1,0 +1,78 @@
+"""The stepwise guard: features, model and alarm of one drive."""
+
+from brink.sim.driving.interface import Command, Observation, PlanState, Route
+from brink.sim.guard.features import STEP_S, UNKNOWN, FeatureExtractor, KnownConditions
+from brink.sim.guard.interface import GuardReading, RangeScan
+from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
+
+
+class Alarm:
+    """The alarm of one drive: raised if a probability stays high, and kept until it has stayed low for a while.
+
+    Args:
+        rule: The rule of the alarm.
+    """
+
+    __slots__ = ("_above", "_below", "_hold_steps", "_rule", "is_on")
+
+    def __init__(self, rule: AlarmRule) -> None:
+        self._rule = rule
+        self._above = self._below = 0
+        self._hold_steps = round(rule.hold_s / STEP_S)
+        self.is_on = False
+
+    def step(self, probability: float) -> bool:
+        """Process the probability of one perception step and return whether the alarm is on."""
+        rule = self._rule
+        self._above = self._above + 1 if probability >= rule.threshold else 0
+        self._below = self._below + 1 if probability < rule.release else 0
+        if self._above >= rule.confirm_steps:
+            self.is_on = True
+        elif self.is_on and self._below > self._hold_steps:
+            self.is_on = False
+        return self.is_on
+
+
+class ModelGuard:
+    """Implements `brink.sim.guard.interface.Guard` with a fitted model. Create a new one for each drive.
+
+    Args:
+        model: The model.
+        route: The route of the drive.
+        conditions: What the car knows of time of day and weather.
+    """
+
+    def __init__(self, model: GuardModel, route: Route, conditions: KnownConditions = UNKNOWN) -> None:
+        self._model = model
+        self._extractor = FeatureExtractor(route, conditions, ranges=model.sensor is Sensor.RANGE)
+        self._alarm = Alarm(model.alarm)
+        self._reading = GuardReading(probabilities=(0.0,) * len(model.horizons_s), alarm=False)
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        """The horizons of the probabilities in seconds, ascending."""
+        return self._model.horizons_s
+
+    def step(
+        self,
+        observation: Observation,
+        command: Command,
+        plan: PlanState | None = None,
+        scan: RangeScan | None = None,
+    ) -> GuardReading:
+        """Process one control step and return the current reading, which changes at perception steps.
+
+        Args:
+            observation: What the driving system received in this step.
+            command: What it commanded, before any fallback changed it.
+            plan: The planner's decision in this step, if known.
+            scan: The range sensor's scan, at perception steps of a car that has one.
+        """
+        if observation.boxes is not None:
+            features = self._extractor.step(observation, command, plan, scan)
+            probabilities = self._model.probabilities(features[None])[0].tolist()
+            self._reading = GuardReading(
+                probabilities=tuple(probabilities),
+                alarm=self._alarm.step(probabilities[self._model.deciding]),
+            )
+        return self._reading

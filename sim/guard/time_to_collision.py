@@ -1,0 +1,86 @@
+"""`ttc@1` and `range-ttc@1`: thresholds on the time to collision, with which every fitted guard is compared.
+
+They learn nothing. The probability of a violation within h seconds is h / (h + t), where t is the shortest time to
+collision in the ego's path: 1 on contact, and 0.5 at t = h. `ttc@1` takes it from the reported boxes. `range-ttc@1`
+takes it from the range sensor, and to a distance of two metres instead of contact: nearer than that, a car that goes
+on would soon be nearer than the front gap allows.
+"""
+
+from typing import ClassVar, Final
+
+from brink.sim.driving.interface import Command, Observation, PlanState, Route
+from brink.sim.guard.features import (
+    FEATURES,
+    MAX_TTC_S,
+    TTC,
+    FeatureExtractor,
+    FeatureVector,
+    KnownConditions,
+)
+from brink.sim.guard.interface import GuardReading, RangeScan
+from brink.sim.guard.range_features import MIN_CLOSING_MPS, RANGE_FEATURES
+
+HORIZONS_S: Final = (1.0, 2.0, 3.0)
+DECIDING: Final = 1
+"""Index of the horizon whose probability decides about the alarm."""
+KEPT_M: Final = 2.0
+_PATH, _CLOSING = (
+    len(FEATURES) + RANGE_FEATURES.index(name) for name in ("range_path_m", "range_path_closing_mps")
+)
+
+
+class TimeToCollision:
+    """`ttc@1`: by the reported boxes. Create a new one for each drive.
+
+    Args:
+        route: The route of the drive.
+        conditions: What the car knows of time of day and weather.
+        threshold: The alarm is raised from this probability of a violation within two seconds on; by default 0.5,
+            which is a time to collision of two seconds.
+    """
+
+    needs_scan: ClassVar[bool] = False
+    own_threshold: ClassVar[float] = 0.5
+
+    def __init__(self, route: Route, conditions: KnownConditions, threshold: float | None = None) -> None:
+        self._extractor = FeatureExtractor(route, conditions, ranges=self.needs_scan)
+        self._threshold = self.own_threshold if threshold is None else threshold
+        self._reading = GuardReading(probabilities=(0.0,) * len(HORIZONS_S), alarm=False)
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        """The horizons of the probabilities in seconds, ascending."""
+        return HORIZONS_S
+
+    def step(
+        self,
+        observation: Observation,
+        command: Command,
+        plan: PlanState | None = None,
+        scan: RangeScan | None = None,
+    ) -> GuardReading:
+        """Process one control step and return the current reading, which changes at perception steps."""
+        if observation.boxes is not None:
+            time_s = max(self._time_s(self._extractor.step(observation, command, plan, scan)), 0.0)
+            probabilities = tuple(
+                0.0 if time_s >= MAX_TTC_S else horizon_s / (horizon_s + time_s) for horizon_s in HORIZONS_S
+            )
+            alarm = probabilities[DECIDING] >= self._threshold
+            self._reading = GuardReading(probabilities=probabilities, alarm=alarm)
+        return self._reading
+
+    def _time_s(self, features: FeatureVector) -> float:
+        """Return the time to collision, at least `MAX_TTC_S` if there is none."""
+        return float(features[TTC])
+
+
+class RangeTimeToCollision(TimeToCollision):
+    """`range-ttc@1`: by the range sensor. Create a new one for each drive."""
+
+    needs_scan: ClassVar[bool] = True
+
+    def _time_s(self, features: FeatureVector) -> float:
+        room_m, closing_mps = float(features[_PATH]) - KEPT_M, float(features[_CLOSING])
+        if room_m <= 0.0:
+            return 0.0
+        return room_m / closing_mps if closing_mps > MIN_CLOSING_MPS else MAX_TTC_S

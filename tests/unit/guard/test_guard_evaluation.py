@@ -1,0 +1,155 @@
+"""Evaluation of a guard, with figures counted by hand, and the storage of recorded drives."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.guards import REQUIREMENT, drive_with, stump_guard
+
+from brink.guard.drives import Drive, check_verdicts, load_drives, save_drives
+from brink.guard.evaluation import ALWAYS, BOX_TTC, LEADS_S, NEVER, RANGE_TTC_NAME, confirmed, evaluate, peak
+from brink.guard.fitting import threshold_for
+from brink.plots.guard import figure_guard
+from brink.server.errors import Conflict
+from brink.sim.guard.model import Sensor
+
+HIGH, LOW = 8.0, 0.0
+"""Speeds for which the stump's probability is above and below its threshold."""
+
+
+def spell(steps: int, *spans: tuple[int, int]) -> list[float]:
+    """Return speeds that are high in some spans of steps."""
+    return [HIGH if any(first <= step < end for first, end in spans) else LOW for step in range(steps)]
+
+
+def safe_and_unsafe() -> list[Drive]:
+    return [
+        drive_with(spell(100, (30, 60)), violated_at_s=6.0),  # from step 31 on: 2.9 s ahead
+        drive_with(spell(100, (48, 60)), violated_at_s=6.0),  # from step 49 on: 1.1 s ahead
+        drive_with(spell(100, (60, 100)), violated_at_s=6.0),  # only after the violation
+        drive_with(spell(100, (0, 10)), violated_at_s=1.0),  # too early for 1.5 s
+        *[drive_with(spell(100, (50, 53))) for _ in range(1)],  # a false alarm
+        *[drive_with(spell(100, (50, 51))) for _ in range(5)],  # one step is not confirmed
+        *[drive_with(spell(100)) for _ in range(24)],
+    ]
+
+
+def test_warned_violations_and_false_alarms_are_counted_by_drive() -> None:
+    found = evaluate(stump_guard(), safe_and_unsafe())
+    assert (found.drives, found.violations, found.too_early) == (34, 4, 1)
+    own = found.own
+    assert own.point.false_alarms == pytest.approx(1 / 30)
+    assert dict(zip(LEADS_S, own.point.warned, strict=True)) == pytest.approx(
+        {0.0: 0.75, 0.5: 0.75, 1.0: 0.5, 1.5: 0.25, 2.0: 0.25, 3.0: 0.0}
+    )
+    assert own.recent == 0.25
+    assert own.median_lead_s == pytest.approx(1.1)
+    assert own.false_per_hour == pytest.approx(1 / (30 * 10 / 3600))
+    compared = found.guard.compared
+    assert (compared.recall, compared.warned) == (0.25, own.point.warned)
+    assert compared.false_alarms == pytest.approx(1 / 30)
+    assert found.guard.interval[0] < 0.25 < found.guard.interval[1]
+
+
+def test_points_run_from_no_alarms_to_alarms_everywhere() -> None:
+    points = evaluate(stump_guard(), safe_and_unsafe()).guard.points
+    assert (points[0].false_alarms, points[0].recall) == (0.0, 0.0)
+    assert (points[-1].false_alarms, points[-1].warned[0]) == (1.0, 1.0)
+    assert points[-1].recall == 0.75, "the early violation cannot be warned"
+    for old, new in pairwise(points):
+        assert old.threshold > new.threshold
+        assert old.false_alarms <= new.false_alarms
+        assert old.recall <= new.recall
+
+
+def test_baselines_are_the_time_to_collision_always_and_never() -> None:
+    def drive(values: list[float], violated_at_s: float | None = None) -> Drive:
+        return drive_with(values, feature="ttc_s", violated_at_s=violated_at_s)
+
+    found = evaluate(
+        stump_guard(),
+        [
+            drive([10.0] * 20 + [1.0] * 20, 4.0),
+            drive([10.0] * 40, 4.0),
+            *[drive([5.0] * 40) for _ in range(20)],
+        ],
+    )
+    assert [one.name for one in found.predictors[1:]] == [BOX_TTC, ALWAYS, NEVER]
+    box, always, never = found.predictors[1:]
+    assert (box.compared.recall, box.compared.false_alarms) == (0.5, 0.0)
+    assert (always.points[-1].recall, always.points[-1].false_alarms) == (1.0, 1.0)
+    assert always.compared.recall == never.compared.recall == 0.0
+    assert never.points[0].false_alarms == 0.0
+    ranges = evaluate(stump_guard(sensor=Sensor.RANGE), safe_and_unsafe())
+    assert RANGE_TTC_NAME in [one.name for one in ranges.predictors]
+
+
+def test_confirmed_scores_and_their_peaks() -> None:
+    scores = np.array([0.9, 0.1, 0.5, 0.7, 0.6])
+    assert confirmed(scores, 1).tolist() == scores.tolist()
+    assert confirmed(scores, 2).tolist() == [-np.inf, 0.1, 0.1, 0.5, 0.6]
+    assert confirmed(scores[:1], 2).tolist() == [-np.inf]
+    assert peak(confirmed(scores, 2)) == 0.6
+    assert peak(confirmed(scores, 2), 0.3) == 0.5
+    assert peak(scores, -0.2) == -np.inf
+
+
+def test_a_threshold_is_the_lowest_that_few_safe_drives_reach() -> None:
+    peaks = np.arange(100) / 100.0
+    threshold = threshold_for(peaks, 0.05)
+    assert (peaks >= threshold).sum() == 5
+    assert (peaks >= np.nextafter(threshold, 0.0)).sum() == 6
+    assert threshold_for(peaks, 0.0) > 0.99
+    assert threshold_for(np.ones(10), 0.05) == 1.0
+
+
+def test_drives_of_one_verdict_or_without_the_requirement_are_refused() -> None:
+    with pytest.raises(Conflict, match="got 0 of 3"):
+        evaluate(stump_guard(), [drive_with([0.0] * 10) for _ in range(3)])
+    model = stump_guard()
+    object.__setattr__(model, "requirements", ("no-collision@1",))
+    with pytest.raises(Conflict, match=r"no-collision@1 was not evaluated.*front-gap@1"):
+        evaluate(model, safe_and_unsafe())
+
+
+def test_a_series_ends_before_the_first_violation() -> None:
+    series = drive_with([1.0] * 50, violated_at_s=2.05).series((REQUIREMENT,), 4)
+    assert series.features.shape == (21, 4)
+    assert series.until_s[[0, -1]] == pytest.approx([2.05, 0.05])
+    assert series.violated
+    held = drive_with([1.0] * 50).series((REQUIREMENT,), 4)
+    assert (len(held.until_s), held.violated) == (50, False)
+
+
+def test_stored_drives_are_read_again_and_damaged_files_are_not(tmp_path: Path) -> None:
+    file, given = tmp_path / "drives.npz", safe_and_unsafe()[:5]
+    save_drives(file, given)
+    for old, new in zip(given, load_drives(file) or [], strict=True):
+        assert (old.digest, old.scenario, old.ended_at_s) == (new.digest, new.scenario, new.ended_at_s)
+        assert (dict(old.violated_at_s), dict(old.robustness)) == (
+            dict(new.violated_at_s),
+            dict(new.robustness),
+        )
+        assert (old.features == new.features).all()
+        assert new.features.dtype == np.float16
+    assert load_drives(tmp_path / "missing.npz") is None
+    file.write_bytes(file.read_bytes()[:200])
+    assert load_drives(file) is None
+
+
+def test_drives_that_end_otherwise_are_reported() -> None:
+    drives = [drive_with([0.0], violated_at_s=None) for _ in range(100)]
+    unsafe = np.zeros(100, np.bool_)
+    unsafe[:2] = True
+    check_verdicts(drives, (REQUIREMENT,), unsafe, "campaign x")
+    unsafe[2] = True
+    with pytest.raises(Conflict, match="3 of 100 drives of campaign x end otherwise"):
+        check_verdicts(drives, (REQUIREMENT,), unsafe, "campaign x")
+
+
+def test_the_figure_shows_both_panels() -> None:
+    figure = figure_guard(evaluate(stump_guard(), safe_and_unsafe()))
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [
+        "Warned violations and false alarms", "Lead time, alarms in at most 5% of safe drives",
+    ]  # fmt: skip
