@@ -2,13 +2,16 @@
 
 import base64
 import re
+import shutil
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from playwright.sync_api import Locator, Page, Route
 from playwright.sync_api import expect as shown
-from support.api import FakeWorker, ball, eventually, expect, submit
+from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, submit
+from support.problems import small_problems
 from support.traces import make_trace
 from support.urban_pairs import SAFE, UNSAFE, judged
 
@@ -25,12 +28,25 @@ BESIDE_CARDS = """() => [...document.querySelectorAll("main section.card")]
   .filter(card => card.checkVisibility()).map(card => card.getAttribute("aria-label"))"""
 
 
+@pytest.fixture(scope="module")
+def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A database with a finished search for pairs on the ball, to be copied, and the campaign's id."""
+    file = Path(shutil.copy(sqlite_file, tmp_path_factory.mktemp("searched") / "brink.db"))
+    with small_problems(), coordinator(f"sqlite:///{file}") as client:
+        return file, finish(client, PAIRS)
+
+
 @pytest.fixture
-def edge(own: httpx.Client) -> str:
+def own_database(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Path) -> str:
+    """The URL of a database of the test's own, with a finished search for pairs if the test uses `edge`."""
+    made = request.getfixturevalue("searched")[0] if "edge" in request.fixturenames else sqlite_file
+    return f"sqlite:///{shutil.copyfile(made, tmp_path / 'own.db')}"
+
+
+@pytest.fixture
+def edge(searched: tuple[Path, str]) -> str:
     """A finished search for pairs on the ball, in the test's own coordinator."""
-    campaign = submit(own, PAIRS)
-    FakeWorker(own).work(campaign)
-    return campaign
+    return searched[1]
 
 
 def finding_of(client: httpx.Client, campaign: str) -> dict[str, Any]:

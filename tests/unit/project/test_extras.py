@@ -29,7 +29,11 @@ LARGE = ("torch", "onnx", "ray", "libsumo")
 IMPORT_ALL = """
 import importlib, pkgutil, sys
 absent = sys.argv[1].split(",")
-sys.modules.update(dict.fromkeys(absent))
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in absent:
+            raise ModuleNotFoundError(name, name=name)
+sys.meta_path.insert(0, Missing())
 import brink
 for module in pkgutil.walk_packages(brink.__path__, "brink."):
     if module.name.startswith("brink.migrations") or module.name.endswith("__main__"):
@@ -37,15 +41,19 @@ for module in pkgutil.walk_packages(brink.__path__, "brink."):
     try:
         importlib.import_module(module.name)
     except ModuleNotFoundError as error:
-        if error.name in absent:
+        if str(error.name).split(".")[0] in absent:
             print(module.name)
 """
 
 
-def test_only_the_training_of_networks_needs_a_large_extra_to_be_imported() -> None:
+@pytest.mark.long("shows itself in the other tests where these extras are not installed")
+def test_a_large_extra_is_needed_by_nothing_but_what_it_is_for() -> None:
     command = [sys.executable, "-c", IMPORT_ALL, ",".join(LARGE)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.split() == ["brink.sim.perception.network", "brink.sim.perception.training"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=240)
+    failed = {name for name in done.stdout.split() if not name.startswith("brink.sim.adapters.sumo.")}
+    assert failed == {
+        "brink.sim.perception.network", "brink.sim.perception.training", "brink.worker.ray_pool",
+    }  # fmt: skip
 
 
 def test_tests_outside_files_for_torch_import_no_large_extra_when_they_are_collected() -> None:
