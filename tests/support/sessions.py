@@ -46,7 +46,9 @@ class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
 
     TOGETHER = "tests/browser"
     FIRST = (
-        TOGETHER, "tests/integration/database/test_queue_machine.py", "tests/acceptance", "tests/integration",
+        TOGETHER, "tests/integration/database/test_queue_machine.py", "tests/acceptance",
+        "tests/integration/server/test_chaos.py", "tests/unit/sim/perception", "tests/integration", "tests/unit/sim",
+        "tests/unit/plots", "tests/contract",
     )  # fmt: skip
 
     def _split_scope(self, nodeid: str) -> str:
