@@ -19,8 +19,8 @@ from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.canvas import picture
 from browser.console import Console
-from browser.served import API, NOBODYS, Served, origin
-from browser.visits import Browse, Visits
+from browser.served import API, NOBODYS, origin
+from browser.visits import Visits
 
 PHONE_WIDTH, PHONE_HEIGHT = 390, 844
 PAIRS = ball(name="edge", algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}})
@@ -44,8 +44,9 @@ def own_database(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Pa
 
 
 @pytest.fixture
-def edge(searched: tuple[Path, str]) -> str:
-    """A finished search for pairs on the ball, in the test's own coordinator."""
+def edge(own: httpx.Client, searched: tuple[Path, str]) -> str:
+    """A finished search for pairs on the ball, in the test's own coordinator, which has heard of a worker."""
+    FakeWorker(own).lease()
     return searched[1]
 
 
@@ -250,9 +251,9 @@ def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something
     shown(points).to_have_attribute("data-points", "10", timeout=20_000)
 
 
-def test_what_nobody_can_simulate_shows_no_empty_map(site: Served, browse: Browse) -> None:
-    campaign = submit(site.client, ball(name="idle", problem=NOBODYS))
-    page = browse(f"#/campaigns/{campaign}")
+def test_what_nobody_can_simulate_shows_no_empty_map(own: httpx.Client, visit: Visits) -> None:
+    campaign = submit(own, ball(name="idle", problem=NOBODYS))
+    page = visit(origin(own), f"#/campaigns/{campaign}")
     shown(page.get_by_text("a worker with the plug-in that provides nobody-has-it@1")).to_be_visible()
     shown(page.get_by_role("region", name="Map")).to_be_hidden()
     shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()
