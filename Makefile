@@ -24,12 +24,13 @@ $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) install --quiet -c constraints.txt -e '.[analysis]'
 	touch $@
 
+# Each module is compiled when it is first imported; compiling all that is installed takes longer than many tests do.
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision]'
+	$(PIP) install --quiet --no-compile -c constraints.txt -e '.[dev,analysis,postgres,vision]'
 	touch $@ $(VENV)/.base
 
 $(VENV)/.all: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray,sumo]'
+	$(PIP) install --quiet --no-compile -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray,sumo]'
 	touch $@ $(VENV)/.dev $(VENV)/.base
 
 install: $(VENV)/.base  ## create .venv with everything that the quickstart needs
@@ -46,14 +47,15 @@ check: $(VENV)/.dev  ## run the linter, the type checker and the layer check
 	$(BIN)/lint-imports
 
 test: chromium $(VENV)/.dev  ## run `check` and, beside it, the tests
+
+test-all: chromium $(VENV)/.all  ## as `test`, with the tests that take longer, or need PyTorch, Ray or SUMO
+test-all: PYTEST += -m ''
+
+test test-all:
 	@$(MAKE) --no-print-directory check >$(VENV)/check.log 2>&1 & checks=$$!; \
 	$(PYTEST); tests=$$?; \
 	wait $$checks; checked=$$?; cat $(VENV)/check.log; \
 	test $$tests -eq 0 && test $$checked -eq 0
-
-test-all: test $(VENV)/.all  ## run `test`, then the tests that take longer, which need PyTorch and Ray
-	$(BIN)/mypy
-	$(PYTEST) -m long
 
 screenshots: $(VENV)/.dev  ## retake the documentation's pictures of the dashboard in Chromium
 	PYTHONPATH=tests:tests/plugins $(BIN)/python -m browser.screenshots

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 from support.api import ball
-from support.databases import Databases
+from support.databases import Databases, on_sqlite
 from support.processes import BRINK, TOY, Program, brink
 from typer.testing import CliRunner
 
@@ -39,6 +39,7 @@ def found(output: str) -> list[dict[str, Any]]:
     return [{**repeat, "campaign": ""} for repeat in results["repeats"]]
 
 
+@on_sqlite  # tests of determinism kill and restart campaigns on both databases
 @pytest.mark.long("runs an experiment twice")
 def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_problems: None) -> None:
     file = written(tmp_path)

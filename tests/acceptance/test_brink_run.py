@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 from support.api import ball, undisturbed_digest
-from support.databases import Databases
+from support.databases import Databases, on_sqlite
 from support.processes import BRINK, TOY, Program, brink, site
 from typer.testing import CliRunner
 
@@ -81,6 +81,7 @@ def test_a_run_beside_a_coordinator_on_the_same_file_changes_neither(tmp_path: P
     assert checked.returncode == 0, checked.stdout
 
 
+@on_sqlite
 @pytest.mark.long("runs a campaign twice")
 def test_a_second_run_is_a_campaign_with_the_same_digest(databases: Databases, tmp_path: Path) -> None:
     file = written(tmp_path, KNOWN_BOUNDARY)

@@ -11,7 +11,7 @@ from support.api import FakeWorker, ball, expect, finish, submit
 
 from brink.server.states import Scope
 from browser.console import Console
-from browser.served import API, NOBODYS, Served, origin
+from browser.served import API, NOBODYS, origin
 from browser.test_browser_accessibility import RULES, faults
 from browser.test_browser_layout import OVERHANGING, PHONE_PX
 from browser.test_browser_tokens import token_of
@@ -176,9 +176,10 @@ def test_follow_ups_are_folded_below_their_campaign(own: httpx.Client, visit: Vi
     shown(nested).to_have_count(0)
 
 
-def test_a_campaign_compares_with_campaigns_not_with_follow_ups(site: Served, visit: Visits) -> None:
-    number = expect(site.client.get(f"{API}/campaigns/{site.ball}/solutions"))["solutions"][0]["number"]
-    expect(site.client.post(f"{API}/campaigns/{site.ball}/repeats", json={"numbers": [number]}), 201)
-    page = visit(site.url, f"#/compare?ids={site.urban}")
+def test_a_campaign_compares_with_campaigns_not_with_follow_ups(own: httpx.Client, visit: Visits) -> None:
+    campaign, other = finish(own, ball(name="ball")), finish(own, ball(name="other", seed=2))
+    number = expect(own.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"][0]["number"]
+    expect(own.post(f"{API}/campaigns/{campaign}/repeats", json={"numbers": [number]}), 201)
+    page = visit(origin(own), f"#/compare?ids={other}")
     shown(page.get_by_role("checkbox", name=re.compile("^ball "))).to_be_visible()
     shown(page.get_by_role("checkbox", name=re.compile("again "))).to_have_count(0)

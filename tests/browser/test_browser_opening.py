@@ -2,13 +2,16 @@
 
 import base64
 import re
+import shutil
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from playwright.sync_api import Locator, Page, Route
 from playwright.sync_api import expect as shown
-from support.api import FakeWorker, ball, eventually, expect, submit
+from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, submit
+from support.problems import small_problems
 from support.traces import make_trace
 from support.urban_pairs import SAFE, UNSAFE, judged
 
@@ -16,8 +19,8 @@ from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.canvas import picture
 from browser.console import Console
-from browser.served import API, NOBODYS, Served, origin
-from browser.visits import Browse, Visits
+from browser.served import API, NOBODYS, origin
+from browser.visits import Visits
 
 PHONE_WIDTH, PHONE_HEIGHT = 390, 844
 PAIRS = ball(name="edge", algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}})
@@ -25,12 +28,26 @@ BESIDE_CARDS = """() => [...document.querySelectorAll("main section.card")]
   .filter(card => card.checkVisibility()).map(card => card.getAttribute("aria-label"))"""
 
 
+@pytest.fixture(scope="module")
+def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A database with a finished search for pairs on the ball, to be copied, and the campaign's id."""
+    file = Path(shutil.copy(sqlite_file, tmp_path_factory.mktemp("searched") / "brink.db"))
+    with small_problems(), coordinator(f"sqlite:///{file}") as client:
+        return file, finish(client, PAIRS)
+
+
 @pytest.fixture
-def edge(own: httpx.Client) -> str:
-    """A finished search for pairs on the ball, in the test's own coordinator."""
-    campaign = submit(own, PAIRS)
-    FakeWorker(own).work(campaign)
-    return campaign
+def own_database(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Path) -> str:
+    """The URL of a database of the test's own, with a finished search for pairs if the test uses `edge`."""
+    made = request.getfixturevalue("searched")[0] if "edge" in request.fixturenames else sqlite_file
+    return f"sqlite:///{shutil.copyfile(made, tmp_path / 'own.db')}"
+
+
+@pytest.fixture
+def edge(own: httpx.Client, searched: tuple[Path, str]) -> str:
+    """A finished search for pairs on the ball, in the test's own coordinator, which has heard of a worker."""
+    FakeWorker(own).lease()
+    return searched[1]
 
 
 def finding_of(client: httpx.Client, campaign: str) -> dict[str, Any]:
@@ -234,9 +251,9 @@ def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something
     shown(points).to_have_attribute("data-points", "10", timeout=20_000)
 
 
-def test_what_nobody_can_simulate_shows_no_empty_map(site: Served, browse: Browse) -> None:
-    campaign = submit(site.client, ball(name="idle", problem=NOBODYS))
-    page = browse(f"#/campaigns/{campaign}")
+def test_what_nobody_can_simulate_shows_no_empty_map(own: httpx.Client, visit: Visits) -> None:
+    campaign = submit(own, ball(name="idle", problem=NOBODYS))
+    page = visit(origin(own), f"#/campaigns/{campaign}")
     shown(page.get_by_text("a worker with the plug-in that provides nobody-has-it@1")).to_be_visible()
     shown(page.get_by_role("region", name="Map")).to_be_hidden()
     shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()

@@ -26,7 +26,7 @@ from brink.server.settings import Settings
 from brink.worker.wire import Completed, JobFailed, LeasedJob, LeaseReply
 from support.problems import SIMULATOR, Ball, simulated
 
-PATIENCE_S = 30.0
+PATIENCE_S = 90.0
 Judge = Callable[[LeasedJob], Completed | JobFailed]
 
 

@@ -25,8 +25,16 @@ RECORDED: Final = Path(__file__).resolve().parents[1] / "data" / "queue_faults.j
 """A history for each fault, by its name, that tells the queue with the fault from its model."""
 HISTORIES: Final = 500
 """Histories that a search tries at most for one fault."""
-RARE: Final = ("who comes second finds the same turn",)
-"""Faults that a search of so many histories reveals by luck alone, so that their recorded histories have to do."""
+RARE: Final = (
+    "who comes second finds the same turn", "paused campaigns hand out retries", "priorities are ignored",
+    "retries overtake work of a higher priority", "campaigns do not take turns",
+    "turns begin anew with each grant", "a retry goes back to the worker that failed it",
+    "equal simulations without a cache are dealt out to one", "who comes second sees the queue as it was",
+    "a job that can never run is tried again", "a result is not shared", "a retry by hand has no attempts",
+    "a retry by hand has no losses",
+)  # fmt: skip
+"""Faults that a search of so many histories reveals late, or by luck alone, so that their recorded histories have to
+do. A search for one of these takes 5 to 60 seconds, for one of the others 1 to 4."""
 NOTICED: Final = (AssertionError, IntegrityError)
 """What it raises when the model notices a fault; any other error means that the fault does not run."""
 

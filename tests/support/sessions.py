@@ -41,16 +41,24 @@ def _roomy(folder: Path) -> bool:
 class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
     """Distributes whole files, whose tests share fixtures; what takes longest comes first.
 
-    The tests of the dashboard in a browser share one site, so they all go to one process.
+    The tests of the dashboard in a browser share one site, so they go to one process, unless they do without it.
     """
 
     TOGETHER = "tests/browser"
+    ALONE = (
+        "tests/browser/test_browser_labels.py", "tests/browser/test_browser_opening.py",
+        "tests/browser/test_browser_tokens.py",
+    )  # fmt: skip
+    """Files whose tests have coordinators of their own."""
     FIRST = (
-        TOGETHER, "tests/integration/database/test_queue_machine.py", "tests/acceptance", "tests/integration",
+        TOGETHER, "tests/integration/database/test_queue_machine.py", "tests/acceptance",
+        "tests/integration/server/test_chaos.py", "tests/unit/sim/perception", "tests/integration", "tests/unit/sim",
+        "tests/unit/plots", "tests/contract",
     )  # fmt: skip
 
     def _split_scope(self, nodeid: str) -> str:
-        return self.TOGETHER if nodeid.startswith(self.TOGETHER) else str(super()._split_scope(nodeid))
+        shares_site = nodeid.startswith(self.TOGETHER) and not nodeid.startswith(self.ALONE)
+        return self.TOGETHER if shares_site else str(super()._split_scope(nodeid))
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         for folder in self.FIRST:

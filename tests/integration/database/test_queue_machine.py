@@ -42,6 +42,6 @@ def test_recorded_history_reveals_its_fault(sqlite_engines: Engines, name: str) 
 
 @pytest.mark.long("searches for a history that reveals each fault")
 @pytest.mark.parametrize("name", [name for name in FAULTS if name not in RARE])
-def test_search_reveals_every_fault(sqlite_engines: Engines, name: str) -> None:
+def test_search_reveals_every_fault_that_is_not_rare(sqlite_engines: Engines, name: str) -> None:
     with injected(FAULTS[name]), pytest.raises(NOTICED):
         search(sqlite_engines, histories=HISTORIES, shrink=False)

@@ -4,12 +4,12 @@ import base64
 import io
 import json
 import re
+import shutil
 from collections.abc import Mapping
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, Final
 
-import httpx
 import pytest
 import yaml
 from PIL import Image
@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 from brink.cli.commands import app
 from brink.cli.options import with_api
 from brink.report.campaign import campaign_report
-from brink.search import curves
+from brink.search import curves, surrogate
 from brink.server.campaigns.body import parse_body
 from brink.server.problems.urban_injected import SIMULATOR
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
@@ -35,7 +35,7 @@ VOID: Final = {"meta", "img", "br", "link", "input"}
 NO_PICTURES: Mapping[str, Path] = {}
 MTQ: dict[str, Any] = {
     "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": {"id": "edge@1", "params": {"eps": 0.02}},
-    "budget": {"simulations": 150}, "seed": 1,
+    "budget": {"simulations": 150}, "seed": 1, "tags": ["disc", "demo"], "notes": "First line.\nSecond line.",
 }  # fmt: skip
 
 pytestmark = pytest.mark.usefixtures("few_trees")
@@ -109,9 +109,24 @@ def computed(database: str, document: Mapping[str, Any]) -> str:
     return campaign
 
 
-@on_sqlite
-def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(database_url: str) -> None:
-    campaign = computed(database_url, {**MTQ, "tags": ["disc", "demo"], "notes": "First line.\nSecond line."})
+@pytest.fixture(scope="module")
+def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A database with a finished search for pairs, to be copied, and the campaign's id."""
+    file = Path(shutil.copy(sqlite_file, tmp_path_factory.mktemp("searched") / "brink.db"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surrogate, "TREES", 6)
+        return file, computed(f"sqlite:///{file}", MTQ)
+
+
+@pytest.fixture
+def disc(searched: tuple[Path, str], tmp_path: Path) -> tuple[str, str]:
+    """The URL of the test's own database with a finished search for pairs, and the campaign's id."""
+    file, campaign = searched
+    return f"sqlite:///{shutil.copy(file, tmp_path / 'disc.db')}", campaign
+
+
+def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(disc: tuple[str, str]) -> None:
+    database_url, campaign = disc
     told: list[tuple[str, int, int]] = []
     page = written(database_url, campaign, most_pairs=2, show=lambda *step: told.append(step))
     found = Page(page)
@@ -145,24 +160,17 @@ def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(da
     )
 
 
-@on_sqlite
-def test_the_printed_file_and_digest_describe_the_campaign(database_url: str) -> None:
-    campaign = computed(database_url, {**MTQ, "tags": ["not", "part"], "notes": "of it"})
+def test_the_printed_file_and_digest_describe_the_campaign(disc: tuple[str, str]) -> None:
+    database_url, campaign = disc
     page = written(database_url, campaign)
     printed = re.search(r"<pre[^>]*>(.*?)</pre>", page, re.DOTALL)
     assert printed
     file = yaml.safe_load(printed[1])
     with coordinator(database_url) as client:
-        again = computed_with(client, file)
-        assert progress(client, again)["digest"] == progress(client, campaign)["digest"]
+        again = submit(client, file)
+        assert FakeWorker(client).work(again)["digest"] == progress(client, campaign)["digest"]
         assert str(progress(client, campaign)["digest"]) in page
     assert parse_body(file).tags == []
-
-
-def computed_with(client: httpx.Client, document: Mapping[str, Any]) -> str:
-    campaign = submit(client, document)
-    assert FakeWorker(client).work(campaign)["status"] == "finished"
-    return campaign
 
 
 @on_sqlite
@@ -178,9 +186,8 @@ def test_names_tags_and_notes_are_text_and_never_markup(database_url: str) -> No
     assert found.text.count(hostile) >= 3, "title, heading and notes"
 
 
-@on_sqlite
-def test_random_search_on_the_same_problem_is_found_and_compared(database_url: str) -> None:
-    campaign = computed(database_url, MTQ)
+def test_random_search_on_the_same_problem_is_found_and_compared(disc: tuple[str, str]) -> None:
+    database_url, campaign = disc
     baseline = computed(
         database_url, {**MTQ, "algorithm": {"id": "random@1"}, "budget": {"simulations": 200}}
     )
@@ -345,9 +352,10 @@ def test_chains_of_changes_to_the_image_are_shown(database_url: str) -> None:
     assert "chains are hazardous" in found.text
 
 
-@on_sqlite
-def test_the_command_writes_the_file_whole_or_says_what_is_wrong(database_url: str, tmp_path: Path) -> None:
-    campaign = computed(database_url, {**MTQ, "budget": {"simulations": 100}})
+def test_the_command_writes_the_file_whole_or_says_what_is_wrong(
+    disc: tuple[str, str], tmp_path: Path
+) -> None:
+    database_url, campaign = disc
 
     def run(*arguments: str) -> Any:
         return CliRunner().invoke(app, ["report", *arguments, "--database", database_url])

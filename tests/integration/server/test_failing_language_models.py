@@ -21,7 +21,8 @@ import brink.server.llm.calls
 from brink.cli.commands import app
 from brink.server.llm.settings import LlmSettings
 
-pytestmark = pytest.mark.timeout(60)
+# Calls of a model are stored on both databases by test_language_models.py.
+pytestmark = [pytest.mark.timeout(120), on_sqlite]
 
 STALLS = "stalls"
 SLACK_S = 1.5
@@ -103,7 +104,6 @@ def fails(endpoint: Endpoint, failure: Failure) -> None:
     endpoint.always = endpoint.stalls() if isinstance(failure.step, str) else failure.step
 
 
-@on_sqlite
 @pytest.mark.parametrize("name", mostly_long(FAILURES, EVERY_TIME, "runs a campaign"))
 def test_a_failing_endpoint_delays_a_campaign_a_little(
     client: httpx.Client, endpoint: Endpoint, caplog: pytest.LogCaptureFixture, name: str

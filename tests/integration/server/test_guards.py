@@ -12,6 +12,7 @@ import httpx
 import pytest
 from pydantic import SecretStr, ValidationError
 from support.api import ball, eventually, expect, listening_coordinator
+from support.databases import on_sqlite
 
 from brink.bench.processes import Process, free_port
 from brink.server.db.engine import parse_url
@@ -21,6 +22,9 @@ from brink.server.runtime.coordinator import CannotListen, listen
 from brink.server.settings import Settings
 
 SECRET = "correct-horse"
+
+# A request that a guard turns away reaches no database.
+pytestmark = [pytest.mark.usefixtures("databases"), on_sqlite]
 
 
 @pytest.fixture

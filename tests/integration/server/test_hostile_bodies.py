@@ -14,6 +14,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from support.api import eventually
 from support.processes import Site, site
 
 MIB = 1024 * 1024
@@ -110,7 +111,7 @@ class Healthz:
 def usual_s(url: str) -> float:
     """Return the usual time to an answer of an idle coordinator."""
     with Healthz(url) as idle:
-        time.sleep(0.5)
+        eventually(lambda: len(idle.taken_s) >= 20, "an idle coordinator answers")
     return statistics.median(idle.taken_s)
 
 

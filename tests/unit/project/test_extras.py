@@ -1,5 +1,6 @@
-"""What simulators need which extra, and the command that installs it."""
+"""What simulators need which extra, the command that installs it, and what does without the large extras."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -22,6 +23,44 @@ from brink.worker.child import import_simulators
 hello = import_simulators()
 print(sorted(hello.lacking.items()), hello.left_out)
 """
+
+LARGE = ("torch", "onnx", "ray", "libsumo")
+"""What the extras torch, ray and sumo install, which only `make test-all` needs."""
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+absent = sys.argv[1].split(",")
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in absent:
+            raise ModuleNotFoundError(name, name=name)
+sys.meta_path.insert(0, Missing())
+import brink
+for module in pkgutil.walk_packages(brink.__path__, "brink."):
+    if module.name.startswith("brink.migrations") or module.name.endswith("__main__"):
+        continue  # run when they are imported
+    try:
+        importlib.import_module(module.name)
+    except ModuleNotFoundError as error:
+        if str(error.name).split(".")[0] in absent:
+            print(module.name)
+"""
+
+
+@pytest.mark.long("shows itself in the other tests where these extras are not installed")
+def test_a_large_extra_is_needed_by_nothing_but_what_it_is_for() -> None:
+    command = [sys.executable, "-c", IMPORT_ALL, ",".join(LARGE)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=240)
+    failed = {name for name in done.stdout.split() if not name.startswith("brink.sim.adapters.sumo.")}
+    assert failed == {
+        "brink.sim.perception.network", "brink.sim.perception.training", "brink.worker.ray_pool",
+    }  # fmt: skip
+
+
+def test_tests_outside_files_for_torch_import_no_large_extra_when_they_are_collected() -> None:
+    imports = re.compile(rf"^(?:import|from) (?:{'|'.join(LARGE)})\b", re.MULTILINE)
+    files = {file for file in (ROOT / "tests").rglob("*.py") if not file.name.endswith("_torch.py")}
+    assert len(files) > 100
+    assert [file for file in files if imports.search(file.read_text(encoding="utf-8"))] == []
 
 
 def test_exactly_the_simulators_of_the_missing_extras_cannot_run() -> None:

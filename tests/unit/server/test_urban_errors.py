@@ -269,7 +269,7 @@ def _run() -> Callable[[Any, int], EpisodeResult]:
     return lambda vectors, seed: simulator.run(SHORT.episode(vectors, seed))
 
 
-@pytest.mark.parametrize("number", mostly_long(range(60), range(12), "further random candidates"))
+@pytest.mark.parametrize("number", mostly_long(range(30), range(12), "further random candidates"))
 def test_inactive_parameters_do_not_change_the_episode(
     run: Callable[[Any, int], EpisodeResult], number: int
 ) -> None:

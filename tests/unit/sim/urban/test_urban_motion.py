@@ -96,7 +96,9 @@ def watch(number: int) -> Motion:
 
 # Before brink-drive@2, people jumped to the kerb in most of these episodes, and the lead vehicle skidded in 0, 72
 # and 154.
-@pytest.mark.parametrize("number", mostly_long(range(200), [0, 2, 9, 72, 154], "further random candidates"))
+@pytest.mark.parametrize(
+    "number", mostly_long([*range(60), 72, 154], [0, 2, 9, 72, 154], "further random candidates")
+)
 def test_road_users_move_as_fast_as_they_can_at_most(number: int) -> None:
     motion = watch(number)
     assert motion.jumps == []
