@@ -217,7 +217,7 @@ def test_alpha_is_one_for_truth_and_zero_for_nothing(monkeypatch: pytest.MonkeyP
 
 
 def test_the_images_of_an_evaluation_have_the_width_asked_for(known: Known) -> None:
-    small = {"dataset": "simulator", "frames": FRAMES, "width_px": 320}
+    small: dict[str, Json] = {"dataset": "simulator", "frames": FRAMES, "width_px": 320}
     EVALUATOR.run(replace(evaluation(), scenario=small))
     assert {picture.shape for picture in known.shown} == {(180, 320, 3)}
 
