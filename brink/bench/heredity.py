@@ -16,8 +16,8 @@ from matplotlib.ticker import MaxNLocator
 
 from brink.plots.style import INK, MUTED, SAFE, SMALL_PT, WIDTH_PX, new_figure, set_panel_title, style_axes
 from brink.report.text import interval_text, p_text
-from brink.search.analysis.comparison import LEVEL, Line, Repeat, is_significant, lines_of
-from brink.search.analysis.paper import D_THS, PAPER_T_BS, Measure
+from brink.search.analysis.comparison import Line, Repeat, is_significant, lines_of
+from brink.search.analysis.paper import D_THS, LEVEL, PAPER_T_BS, Measure
 from brink.search.analysis.statistics import (
     Comparison,
     MeanInterval,

@@ -28,8 +28,8 @@ from brink.cli.options import (
     print_line,
     with_api,
 )
-from brink.search.analysis.comparison import LEVEL
 from brink.search.analysis.confirmation import LEAST_DRIVES
+from brink.search.analysis.paper import LEVEL
 from brink.server.api.schemas import ExperimentList, ExperimentProgress, ExperimentSummary, ExperimentView
 from brink.server.errors import Conflict
 from brink.server.experiments.body import read_experiment_file

@@ -22,9 +22,9 @@ from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
 from brink.cli.local import RunOptions, Session, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
 from brink.report.experiment import ReportedPairs, html_report, markdown_report, sentences
-from brink.search.analysis.comparison import LEVEL, Repeat, duels, standings
+from brink.search.analysis.comparison import Repeat, duels, standings
 from brink.search.analysis.pair_comparison import problems_of
-from brink.search.analysis.paper import Measure
+from brink.search.analysis.paper import LEVEL, Measure
 from brink.search.analysis.scores import Control, Figures, Scores
 from brink.server.api.experiment_pairs import ExperimentPairs
 from brink.server.api.experiments import Results

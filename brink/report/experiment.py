@@ -18,7 +18,6 @@ from brink import __version__
 from brink.report.experiment_pairs import pair_methods, pair_section
 from brink.report.text import interval_text, p_text, table_row
 from brink.search.analysis.comparison import (
-    LEVEL,
     Duel,
     Lead,
     Line,
@@ -34,7 +33,15 @@ from brink.search.analysis.comparison import (
     with_low_controls,
 )
 from brink.search.analysis.pair_comparison import PairRepeat
-from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_LEVEL, PAPER_T_BS, Measure
+from brink.search.analysis.paper import (
+    D_THS,
+    LEVEL,
+    PAPER_D_THS,
+    PAPER_FRACTIONS,
+    PAPER_LEVEL,
+    PAPER_T_BS,
+    Measure,
+)
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
 from brink.server.api.experiment_pairs import LeftOutView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from brink.report.text import interval_text, p_text, table_row
-from brink.search.analysis.comparison import LEVEL
 from brink.search.analysis.confirmation import LEAST_DRIVES, SAFE_AT_MOST, UNSAFE_AT_LEAST
 from brink.search.analysis.pair_comparison import (
     PairDuel,
@@ -19,6 +18,7 @@ from brink.search.analysis.pair_comparison import (
     pair_duels,
     pair_standings,
 )
+from brink.search.analysis.paper import LEVEL
 from brink.server.api.experiment_pairs import LeftOutView
 
 COLUMNS: Final = (

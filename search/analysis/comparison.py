@@ -17,7 +17,15 @@ from typing import Final
 
 import numpy as np
 
-from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_LEVEL, PAPER_T_BS, Measure
+from brink.search.analysis.paper import (
+    D_THS,
+    LEVEL,
+    PAPER_D_THS,
+    PAPER_FRACTIONS,
+    PAPER_LEVEL,
+    PAPER_T_BS,
+    Measure,
+)
 from brink.search.analysis.scores import ENOUGH_REPEATS, Figures, Scores, scored
 from brink.search.analysis.statistics import (
     Comparison,
@@ -34,8 +42,6 @@ SPREADS: Final = 2.0
 """A campaign shows an effect of behaviour if it exceeds its control by this many standard deviations of the draws."""
 CALIBRATION: Final = 0.15
 """Share by which a control can read low although behaviour has no effect (docs/explanation/mlcshe-results.md)."""
-LEVEL: Final = 0.05
-"""Adjusted p-value up to which a difference is significant, unless another level is chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Self
 
-from brink.search.analysis.comparison import LEVEL, difference, is_significant
+from brink.search.analysis.comparison import difference, is_significant
 from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
+from brink.search.analysis.paper import LEVEL
 from brink.search.analysis.statistics import (
     Comparison,
     MeanInterval,

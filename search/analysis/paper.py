@@ -1,4 +1,4 @@
-"""The paper's thresholds, shares of the budget and measures: plain values, cheap to import.
+"""The paper's thresholds, shares of the budget and measures, with ours beside them: plain values, cheap to import.
 
 Source: Sharifi et al. 2023, evaluation.
 """
@@ -17,6 +17,8 @@ PAPER_FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 PAPER_BUDGET = 1_300
 PAPER_LEVEL = 0.01
 """Level of the paper's tests, which are not corrected for their number."""
+LEVEL = 0.05
+"""Adjusted p-value up to which a difference is significant, unless another level is chosen."""
 
 
 class _BothMeasures(Protocol[T_co]):

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from pydantic import Field
 
-from brink.search.analysis.comparison import LEVEL
 from brink.search.analysis.pair_comparison import (
     PairCounts,
     PairMeasure,
@@ -17,6 +16,7 @@ from brink.search.analysis.pair_comparison import (
     pair_standings,
     problems_of,
 )
+from brink.search.analysis.paper import LEVEL
 from brink.search.analysis.statistics import MeanInterval
 from brink.server.api.context import Context, Services
 from brink.server.api.pair_views import ConfirmationRule

@@ -9,16 +9,8 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from sqlalchemy import Connection
 
-from brink.search.analysis.comparison import (
-    LEVEL,
-    Duel,
-    Repeat,
-    conclusion,
-    duels,
-    standings,
-    with_low_controls,
-)
-from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
+from brink.search.analysis.comparison import Duel, Repeat, conclusion, duels, standings, with_low_controls
+from brink.search.analysis.paper import D_THS, LEVEL, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control
 from brink.server.api.context import Context, Services
 from brink.server.api.experiment_pairs import ExperimentPairs, find_experiment_pairs
