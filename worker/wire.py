@@ -11,11 +11,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 WIRE_VERSION = 1
 MAX_DEPTH = 32
 """Deepest nesting of JSON values in a result."""
+
+MAX_NAMED = 64
+"""Most verdicts, and most objectives, of a result."""
 
 NO_NUL = r"^[^\x00]*$"
 """Pattern of text that every database can store."""
@@ -150,6 +153,17 @@ JsonValues = Annotated[dict[str, Any], AfterValidator(_plain_json)]
 ValueName = Annotated[str, Field(min_length=1, max_length=128, pattern=NO_NUL)]
 
 
+def _few(value: object) -> object:
+    """Reject a large object before each of its values is checked, which takes a hostile one half a second.
+
+    Raises:
+        ValueError: The object has more than `MAX_NAMED` entries.
+    """
+    if isinstance(value, dict) and len(value) > MAX_NAMED:
+        raise ValueError(f"expected at most {MAX_NAMED} entries, got {len(value)}")
+    return value
+
+
 class WireVerdict(Message):
     """The verdict of one requirement on an episode."""
 
@@ -162,9 +176,11 @@ class Completed(Message):
     """The outcome of an episode that ran to its end."""
 
     kind: Literal["completed"] = "completed"
-    verdicts: Annotated[dict[ValueName, WireVerdict], Field(max_length=64)]
+    verdicts: Annotated[dict[ValueName, WireVerdict], Field(max_length=MAX_NAMED), BeforeValidator(_few)]
     objectives: Annotated[
-        dict[ValueName, Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=64)
+        dict[ValueName, Annotated[float, Field(allow_inf_nan=False)]],
+        Field(max_length=MAX_NAMED),
+        BeforeValidator(_few),
     ] = Field(default_factory=dict)
     features: Annotated[JsonValues, Field(max_length=256)] = Field(default_factory=dict)
     provenance: Annotated[JsonValues, Field(max_length=64)] = Field(default_factory=dict)

@@ -19,7 +19,7 @@ from support.processes import Site, site
 
 MIB = 1024 * 1024
 JSON = {"Content-Type": "application/json"}
-SLOWER = 300.0
+SLOWER = 100.0
 """Bound on the slowest answer of `/healthz` beside a hostile body, as a multiple of the usual one of an idle
 coordinator. An event loop that parsed 60 MB itself took ten thousand times as long."""
 TRIES = 3
