@@ -59,7 +59,9 @@ def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_p
         name = json.loads(resumed.stdout)["id"]
         assert f", then open http://127.0.0.1:8700/#/experiments/{name}\n" in resumed.stderr
         folder = tmp_path / "brink-results" / f"two-methods-{name}"
-        assert (folder / "report.html").read_text().count("data:image/png;base64,") == 4
+        # Of either measure, a curve over the budget for each of three distances, and one over the distances.
+        pictures = len(list(folder.glob("figures/*.png")))
+        assert (folder / "report.html").read_text().count("data:image/png;base64,") == pictures == 8
         assert "**GA** and **RS**" in (folder / "report.md").read_text()
     with databases.database("undisturbed") as url:
         whole = brink(
