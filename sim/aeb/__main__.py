@@ -1,6 +1,8 @@
-"""Train `brink-det@2` on images of the emergency-braking street.
+"""Train and quantise `brink-det@2` on images of the emergency-braking street.
 
-python -m brink.sim.aeb train --out FOLDER      writes brink-det-2.onnx, and brink-det-2.json about the training
+python -m brink.sim.aeb train --out FOLDER              writes brink-det-2.onnx, brink-det-2-float.onnx in floating
+                                                        point, and brink-det-2.json about the training
+python -m brink.sim.aeb quantize FLOAT.onnx --out FOLDER  writes brink-det-2.onnx from the network in floating point
 
 A run that was interrupted goes on from its last complete epoch when it is started again. `brink bench detector`
 measures the result.
@@ -13,9 +15,15 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
-from brink.sim.aeb.dataset import Split, render_frames
+import numpy as np
+
+from brink.sim.aeb.dataset import Split, labelled_frames, render_frames
+from brink.sim.perception.boxes import mean_average_precision
+from brink.sim.perception.detector import NetworkDetector, fit_picture
 
 TRAINING_FRAMES: Final = 10_000
+CALIBRATION_FRAMES: Final = 200
+"""Training images that give the scales of the quantised network."""
 HELD_OUT_FRAMES: Final = 600
 EPOCHS: Final = (12, 8, 8)
 """Epochs in each cycle of the learning rate."""
@@ -43,7 +51,29 @@ def train(out: Path, *, frames: int, epochs: Sequence[int], seed: int) -> None:
         )  # fmt: skip
     settings = training.Settings(frames=frames, epochs=tuple(epochs), seed=seed)
     network, record = training.train(pictures, validation, settings, out)
-    training.write_results(network, test, out, record=record)
+    calibration = pictures[training.INPUT_PX].planes[:CALIBRATION_FRAMES]
+    training.write_results(network, test, calibration, out, record=record)
+
+
+def quantize_weights(weights: Path, out: Path) -> None:
+    """Quantise a trained network, and print its mAP on the test images before and after.
+
+    Args:
+        weights: ONNX file of the network in floating point.
+        out: Output folder.
+    """
+    from brink.sim.perception.quantization import quantize  # loads onnx
+
+    out.mkdir(parents=True, exist_ok=True)
+    size_px = NetworkDetector.from_file(weights).input_px
+    pictures = labelled_frames(Split.TRAIN, CALIBRATION_FRAMES)
+    canvases = np.stack([fit_picture(frame.picture, size_px)[0] for frame in pictures])
+    quantize(weights, canvases, out / "brink-det-2.onnx")
+    test = list(labelled_frames(Split.TEST, HELD_OUT_FRAMES))
+    for file in (weights, out / "brink-det-2.onnx"):
+        detector = NetworkDetector.from_file(file)
+        found = [detector.detect(frame.picture) for frame in test]
+        print(f"{file}: mAP {mean_average_precision([frame.truth for frame in test], found):.4f}")  # noqa: T201
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -74,7 +104,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=0,
         help="seed of the initial weights, image order and augmentation (%(default)s)",
     )
-    train(**vars(parser.parse_args(arguments)))
+    training.set_defaults(run=train)
+    quantization = commands.add_parser("quantize", help="quantise the weights of brink-det@2")
+    quantization.add_argument("weights", type=Path, help="ONNX file of the network in floating point")
+    quantization.add_argument("--out", type=Path, required=True, help="output folder")
+    quantization.set_defaults(run=quantize_weights)
+    options = vars(parser.parse_args(arguments))
+    options.pop("run")(**options)
 
 
 if __name__ == "__main__":

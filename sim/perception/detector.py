@@ -180,8 +180,8 @@ def _scale_to_fit(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, 
     return scaled.astype(np.uint8, copy=False), scale
 
 
-def _to_planes(canvas: Picture) -> NDArray[np.float32]:
-    """Return an RGB image as network input, shape ``(1, 3, h, w)``, in [0, 1]."""
+def to_planes(canvas: Picture) -> NDArray[np.float32]:
+    """Return an RGB image, shape ``(h, w, 3)``, as network input, shape ``(1, 3, h, w)``, in [0, 1]."""
     return np.ascontiguousarray(canvas.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255.0)
 
 
@@ -269,6 +269,8 @@ class NetworkDetector:
 
     Attributes:
         labels: The labels that it may give.
+        input_name: Name of the network's input.
+        input_px: Its width and height.
     """
 
     labels = frozenset(range(len(LABELS)))
@@ -281,10 +283,10 @@ class NetworkDetector:
                 f"(1, {len(LABELS)}, h / {STRIDE}, w / {STRIDE}) and (1, {len(LABELS)}, 4, h / {STRIDE}, "
                 f"w / {STRIDE}); got shapes {_shapes(session)}"
             )
-        self._size_px = size_px
+        self.input_px = size_px
         self._session = session
         self._source = source
-        self._input = session.get_inputs()[0].name
+        self.input_name = session.get_inputs()[0].name
 
     @classmethod
     def from_file(cls, weights: Path) -> Self:
@@ -297,12 +299,12 @@ class NetworkDetector:
 
     def infer(self, canvas: Picture) -> tuple[FloatArray, FloatArray]:
         """Return the heat map and the edges for a fitted image."""
-        heat, edges = self._session.run(None, {self._input: _to_planes(canvas)})
+        heat, edges = self._session.run(None, {self.input_name: to_planes(canvas)})
         return heat[0], edges[0]
 
     def detect(self, picture: Picture) -> Detections:
         """Return the detections in an image."""
-        canvas, scale = fit_picture(picture, self._size_px)
+        canvas, scale = fit_picture(picture, self.input_px)
         heat, edges = self.infer(canvas)
         _check_finite(self._source, edges, heat)
         found = decode(heat, edges)
@@ -375,7 +377,7 @@ class FileDetector:
         width_px, height_px = network.input_px
         grey = np.full((height_px, width_px, 3), _PADDING, np.uint8)
         try:
-            outputs = network.infer(_to_planes(grey))
+            outputs = network.infer(to_planes(grey))
         except Exception as error:  # neither onnxruntime's nor torch's errors have a common class
             raise DetectorError(
                 f"{source}: cannot process an image of {width_px} x {height_px} px: {_one_line(error)}. If it "
@@ -389,7 +391,7 @@ class FileDetector:
         """Return the detections in an image."""
         _check_picture(picture)
         canvas, scale, left, top = _letterbox(picture, self._network.input_px)
-        boxes, scores, classes, default_labels = self._parse(self._network.infer(_to_planes(canvas)))
+        boxes, scores, classes, default_labels = self._parse(self._network.infer(to_planes(canvas)))
         label_of = _labels_by_name(self._network.names) or default_labels
         labels = np.array([label_of.get(int(index), -1) for index in classes], np.int64)
         known = (labels >= 0) & (scores >= MIN_SCORE)

@@ -1,4 +1,4 @@
-"""Training of `brink-det@2`: augmented batches, the optimiser loop, checkpoints, and the export to ONNX.
+"""Training of `brink-det@2`: augmented batches, the optimiser loop, checkpoints, and the quantised network.
 
 Initial weights, the order of images and their augmentation come from a seed and the number of threads is fixed, so
 that a second run on the same kind of processor gives the same weights, bit for bit. The output folder keeps the state
@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from brink.sim.perception.augmentation import augment
 from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame, curves, mean_average_precision
-from brink.sim.perception.detector import LABELS, Picture, decode, fit_picture
+from brink.sim.perception.detector import LABELS, NetworkDetector, Picture, decode, fit_picture
 from brink.sim.perception.network import Network, detection_loss, make_target
+from brink.sim.perception.quantization import quantize
 
 BATCH: Final = 16
 THREADS: Final = 2
@@ -369,18 +370,29 @@ def export_onnx(network: Network, file: Path) -> None:
 
 
 def write_results(
-    network: Network, test: Mapping[SizePx, TrainingSet], out: Path, *, record: dict[str, Any]
+    network: Network,
+    test: Mapping[SizePx, TrainingSet],
+    calibration: Picture,
+    out: Path,
+    *,
+    record: dict[str, Any],
 ) -> None:
-    """Write the weights and a record of the training, and print the record.
+    """Write the weights, in floating point and quantised, and a record of the training; print the record.
 
     Args:
         network: The trained network.
         test: Test images by size, for the metrics in the record.
+        calibration: Training images in the network's input format, for the scales of its activations.
         out: Output folder.
         record: Settings and progress of the training.
     """
     seen = test[INPUT_PX]
     detections = detect_all(network, seen.planes)
+    in_float, quantised = out / "brink-det-2-float.onnx", out / "brink-det-2.onnx"
+    export_onnx(network, in_float)
+    quantize(in_float, calibration, quantised)
+    detector = NetworkDetector.from_file(quantised)
+    by_quantised = [decode(*detector.infer(canvas)) for canvas in seen.planes]
     record = {
         **record,
         "parameters": sum(weights.numel() for weights in network.parameters()),
@@ -388,7 +400,7 @@ def write_results(
         "test_average_precision": {
             LABELS[curve.label]: curve.average_precision for curve in curves(seen.truths, detections)
         },
+        "quantised_test_map": mean_average_precision(seen.truths, by_quantised),
     }
-    export_onnx(network, out / "brink-det-2.onnx")
     (out / "brink-det-2.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(record, indent=2))  # noqa: T201
