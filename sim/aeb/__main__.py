@@ -2,7 +2,7 @@
 
 python -m brink.sim.aeb train --out FOLDER              writes brink-det-2.onnx, brink-det-2-float.onnx in floating
                                                         point, and brink-det-2.json about the training
-python -m brink.sim.aeb quantize FLOAT.onnx --out FOLDER  writes brink-det-2.onnx from the network in floating point
+python -m brink.sim.aeb quantise FLOAT.onnx --out FOLDER  writes brink-det-2.onnx from the network in floating point
 
 A run that was interrupted goes on from its last complete epoch when it is started again. `brink bench detector`
 measures the result.
@@ -55,20 +55,20 @@ def train(out: Path, *, frames: int, epochs: Sequence[int], seed: int) -> None:
     training.write_results(network, test, calibration, out, record=record)
 
 
-def quantize_weights(weights: Path, out: Path) -> None:
+def quantise_weights(weights: Path, out: Path) -> None:
     """Quantise a trained network, and print its mAP on the test images before and after.
 
     Args:
         weights: ONNX file of the network in floating point.
         out: Output folder.
     """
-    from brink.sim.perception.quantization import quantize  # loads onnx
+    from brink.sim.perception.quantisation import quantise  # loads onnx
 
     out.mkdir(parents=True, exist_ok=True)
     size_px = NetworkDetector.from_file(weights).input_px
     pictures = labelled_frames(Split.TRAIN, CALIBRATION_FRAMES)
     canvases = np.stack([fit_picture(frame.picture, size_px)[0] for frame in pictures])
-    quantize(weights, canvases, out / "brink-det-2.onnx")
+    quantise(weights, canvases, out / "brink-det-2.onnx")
     test = list(labelled_frames(Split.TEST, HELD_OUT_FRAMES))
     for file in (weights, out / "brink-det-2.onnx"):
         detector = NetworkDetector.from_file(file)
@@ -105,10 +105,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="seed of the initial weights, image order and augmentation (%(default)s)",
     )
     training.set_defaults(run=train)
-    quantization = commands.add_parser("quantize", help="quantise the weights of brink-det@2")
-    quantization.add_argument("weights", type=Path, help="ONNX file of the network in floating point")
-    quantization.add_argument("--out", type=Path, required=True, help="output folder")
-    quantization.set_defaults(run=quantize_weights)
+    quantisation = commands.add_parser("quantise", help="quantise the weights of brink-det@2")
+    quantisation.add_argument("weights", type=Path, help="ONNX file of the network in floating point")
+    quantisation.add_argument("--out", type=Path, required=True, help="output folder")
+    quantisation.set_defaults(run=quantise_weights)
     options = vars(parser.parse_args(arguments))
     options.pop("run")(**options)
 

@@ -25,7 +25,7 @@ from brink.sim.perception.augmentation import augment
 from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame, curves, mean_average_precision
 from brink.sim.perception.detector import LABELS, NetworkDetector, Picture, decode, fit_picture
 from brink.sim.perception.network import Network, detection_loss, make_target
-from brink.sim.perception.quantization import quantize
+from brink.sim.perception.quantisation import quantise
 
 BATCH: Final = 16
 THREADS: Final = 2
@@ -390,7 +390,7 @@ def write_results(
     detections = detect_all(network, seen.planes)
     in_float, quantised = out / "brink-det-2-float.onnx", out / "brink-det-2.onnx"
     export_onnx(network, in_float)
-    quantize(in_float, calibration, quantised)
+    quantise(in_float, calibration, quantised)
     detector = NetworkDetector.from_file(quantised)
     by_quantised = [decode(*detector.infer(canvas)) for canvas in seen.planes]
     record = {

@@ -17,6 +17,7 @@ from brink.sim.perception import training
 from brink.sim.perception.boxes import GroundTruth, mean_average_precision
 from brink.sim.perception.detector import NetworkDetector, decode, find_detector, load_file_detector
 from brink.sim.perception.network import Network, detection_loss, make_target
+from brink.sim.perception.quantisation import quantise
 from brink.sim.perception.training import (
     CYCLES,
     INPUT_PX,
@@ -80,6 +81,22 @@ def test_onnxruntime_and_torch_give_the_same_output(network: Network, weights: P
             wanted_heat, wanted_edges = network(to_tensor(picture[None]))
         assert heat == pytest.approx(wanted_heat[0].numpy(), abs=1e-4)
         assert edges == pytest.approx(wanted_edges[0].numpy(), rel=1e-3)
+
+
+def test_the_quantised_network_gives_nearly_the_same_output(
+    network: Network, weights: Path, tmp_path: Path
+) -> None:
+    files = [tmp_path / f"{name}.onnx" for name in ("one", "two")]
+    for file in files:
+        quantise(weights, pictures(8), file)
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert files[0].stat().st_size < 0.35 * weights.stat().st_size
+    in_float, in_integers = NetworkDetector.from_file(weights), NetworkDetector.from_file(files[0])
+    for picture in pictures(3, seed=1):
+        wanted, found = in_float.infer(picture), in_integers.infer(picture)
+        for one, other in zip(wanted, found, strict=True):
+            assert np.abs(one - other).mean() < 0.1 * np.ptp(one)
+            assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.98
 
 
 def test_the_network_is_small(network: Network, weights: Path) -> None:

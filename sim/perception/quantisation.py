@@ -15,11 +15,11 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from brink.sim.perception.detector import NetworkDetector, Picture, to_planes
 
-_QUANTIZED: Final = ("Conv", "Relu", "Add", "Concat", "Resize")
+_QUANTISED: Final = ("Conv", "Relu", "Add", "Concat", "Resize")
 _LAYERS_IN_FLOAT: Final = ("/stem/", "/box/box.1/", "/heat/heat.1/")
 
 
-def quantize(weights: Path, canvases: Picture, out: Path) -> None:
+def quantise(weights: Path, canvases: Picture, out: Path) -> None:
     """Write a network of `brink-det` with 8-bit weights and activations.
 
     Args:
@@ -35,7 +35,7 @@ def quantize(weights: Path, canvases: Picture, out: Path) -> None:
             str(out),
             _Calibration(NetworkDetector.from_file(weights).input_name, canvases),
             quant_format=QuantFormat.QDQ,
-            op_types_to_quantize=list(_QUANTIZED),
+            op_types_to_quantize=list(_QUANTISED),
             per_channel=True,
             reduce_range=True,
             activation_type=QuantType.QUInt8,
