@@ -33,7 +33,8 @@ def seen(*users: JsonObject, duration_s: float = 4.0) -> EpisodeSpec:
 def test_the_ego_stops_for_detected_road_users() -> None:
     simulator = BrinkEncounterCamera()
     stands = user("car", stretch("keep", 0.0, 30.0, s_m=16.0))
-    result = simulator.run(seen(stands, duration_s=8.0), record=True)
+    drive = seen(stands, duration_s=8.0)
+    result = simulator.run(replace(drive, behaviour={**DETECTOR, "threshold": 0.4}), record=True)
     assert result.features["collision"] is None
     assert 0.0 < result.objectives["gap_1_m"] < 8.0
     assert result.trace is not None
