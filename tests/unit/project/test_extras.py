@@ -52,7 +52,8 @@ def test_a_large_extra_is_needed_by_nothing_but_what_it_is_for() -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=240)
     failed = {name for name in done.stdout.split() if not name.startswith("brink.sim.adapters.sumo.")}
     assert failed == {
-        "brink.sim.perception.network", "brink.sim.perception.training", "brink.worker.ray_pool",
+        "brink.sim.perception.network", "brink.sim.perception.quantisation", "brink.sim.perception.training",
+            "brink.worker.ray_pool",
     }  # fmt: skip
 
 
