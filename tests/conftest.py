@@ -24,7 +24,7 @@ from support.databases import (
 )
 from support.llm_endpoint import Endpoint, serving
 from support.queue import Queue
-from support.sessions import LongestFirst, SharedPostgres, use_memory
+from support.sessions import LongestFirst, SharedPostgres, slowest_files, use_memory
 from xdist.remote import Producer
 from xdist.workermanage import WorkerController
 
@@ -73,6 +73,15 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Longest
 def pytest_configure_node(node: WorkerController) -> None:
     """Have all processes of a run use one Postgres."""
     node.workerinput["postgres"] = shared_postgres.address()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List the files whose tests took longest, so that growth is seen."""
+    reports = (one for found in terminalreporter.stats.values() for one in found)
+    lines = slowest_files(one for one in reports if isinstance(one, pytest.TestReport))
+    if lines:
+        terminalreporter.section("slowest files")
+        terminalreporter.write_line("\n".join(lines))
 
 
 def pytest_unconfigure() -> None:

@@ -3,9 +3,13 @@
 import os
 import shutil
 import tempfile
+from collections import defaultdict
+from collections.abc import Iterable
 from contextlib import ExitStack
+from heapq import nlargest
 from pathlib import Path
 
+import pytest
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
@@ -13,6 +17,8 @@ from brink.bench.servers import NoPostgres
 from support.databases import running_postgres
 
 MEMORY = Path("/dev/shm")
+LISTED = 30
+LISTED_FROM_S = 300.0
 ENOUGH_BYTES = 4 * 2**30
 """A run leaves a few hundred MB behind it, and Postgres as much."""
 
@@ -66,6 +72,20 @@ class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
                 self.workqueue.move_to_end(found, last=False)
                 break
         super()._assign_work_unit(node)
+
+
+def slowest_files(reports: Iterable[pytest.TestReport]) -> list[str]:
+    """Return a line for each of the files with the longest tests, and one for all; none after a short run."""
+    by_file: dict[str, float] = defaultdict(float)
+    for report in reports:
+        by_file[report.nodeid.split("::")[0]] += report.duration
+    total_s = sum(by_file.values())
+    if total_s < LISTED_FROM_S:
+        return []
+    return [
+        *(f"{by_file[file]:6.0f} s  {file}" for file in nlargest(LISTED, by_file, key=by_file.__getitem__)),
+        f"{total_s:6.0f} s  all {len(by_file)} files, in all processes together",
+    ]
 
 
 class SharedPostgres:
