@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
+import numpy as np
 
+from brink.sim.aeb.dataset import example_picture
 from brink.sim.perturbations import CATALOGUE, Frame, Gene, Perturbation, apply, generator
-from brink.sim.perturbations.pictures import draw_street
 from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.sample import EGO, sample_street, sample_traffic
@@ -139,10 +140,11 @@ def measure_perturbations(heights_px: Sequence[int] = (360, 720), repeats: int =
         repeats: Number of calls at each level.
     """
     cv2.setNumThreads(1)
-    theirs = _albumentations()
+    theirs, street = _albumentations(), example_picture()
     found = []
     for height_px in heights_px:
-        frame = draw_street(height_px)
+        size_px = round(street.shape[1] * height_px / street.shape[0]), height_px
+        frame = cv2.resize(street, size_px, interpolation=cv2.INTER_AREA).astype(np.uint8)
         copy_ms = _copy_ms(frame, repeats)
         found += [
             _gene_time(gene, frame, theirs.get(gene.name), copy_ms, repeats) for gene in CATALOGUE.values()

@@ -4,9 +4,9 @@ import hashlib
 from functools import cache
 
 import numpy as np
+from drawn_street import draw_street
 
 from brink.sim.perturbations import CATALOGUE, Frame, Perturbation, apply, generator
-from brink.sim.perturbations.pictures import draw_street
 
 EFFECTIVE = [Perturbation(gene.name, level) for gene in CATALOGUE.values() for level in range(1, gene.levels)]
 

@@ -5,10 +5,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from drawn_street import draw_street
 from perturbed_pictures import blocks
 
 from brink.sim.perturbations import CATALOGUE, InvalidFrame
-from brink.sim.perturbations.pictures import contact_sheet, draw_street, read_picture, write_picture
+from brink.sim.perturbations.pictures import contact_sheet, read_picture, write_picture
 
 
 def test_the_street_is_reproducible_in_any_size() -> None:
