@@ -20,6 +20,7 @@ from brink.cli.options import (
     console,
     plain_table,
     print_json,
+    save_picture,
     with_api,
 )
 from brink.guard.drives import Drive, Recorders, check_problem, check_verdicts, random_specs, solution_specs
@@ -163,8 +164,7 @@ def judge(
     if picture is not None:
         from brink.plots.guard import figure_guard  # matplotlib takes half a second to load
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_guard(evaluation).savefig(picture)
+        save_picture(figure_guard(evaluation), picture)
     if as_json:
         print_json(evaluation.to_json())
         return

@@ -21,6 +21,7 @@ from brink.cli.options import (
     console,
     plain_table,
     print_json,
+    save_picture,
     with_api,
 )
 from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT
@@ -220,8 +221,7 @@ def judge(
         # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.evidence import figure_monitor
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_monitor(evaluation).savefig(picture)
+        save_picture(figure_monitor(evaluation), picture)
     if as_json:
         print_json(evaluation.to_json())
         return

@@ -29,6 +29,7 @@ from brink.cli.options import (
     file_name,
     plain_table,
     print_json,
+    save_picture,
     with_api,
     write_json,
 )
@@ -85,11 +86,11 @@ def rescore(
         # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.evidence import figure_rescored
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_rescored(
+        drawn = figure_rescored(
             found_radii, found_p_ths, own=(near.radius, near.p_th), t_b=t_b, d_th=d_th,
             title=f"How much the boundary depends on its settings: {fetched.body.name}",
-        ).savefig(picture)  # fmt: skip
+        )  # fmt: skip
+        save_picture(drawn, picture)
     if as_json:
         print_json(
             {

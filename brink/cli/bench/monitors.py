@@ -6,8 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from brink.cli.bench.output import Processes, conclude, conclude_times, met_text, show_progress, value_table
-from brink.cli.options import RESULTS, AsJson, check_picture, fields
+from brink.cli.bench.output import (
+    Processes,
+    any_missed,
+    conclude,
+    conclude_times,
+    rows_table,
+    show_progress,
+    value_table,
+)
+from brink.cli.options import RESULTS, AsJson, check_picture, fields, save_picture
 from brink.search.analysis.monitor import Answer
 from brink.server.errors import InvalidInput
 
@@ -51,7 +59,6 @@ def monitor_accuracy(
     from brink.bench.monitor_accuracy import MonitorAccuracy, mean_rows
 
     check_picture(picture)
-
     out.mkdir(parents=True, exist_ok=True)
     with show_progress() as progress:
         found, evaluation = MonitorAccuracy(
@@ -60,8 +67,7 @@ def monitor_accuracy(
     if picture is not None:
         from brink.plots.evidence import figure_monitor
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_monitor(evaluation).savefig(picture)
+        save_picture(figure_monitor(evaluation), picture)
     rows = mean_rows(found)
     each = value_table(
         ("model", "seed", "AUROC", "Brier", "calibration error", "bins within",
@@ -76,14 +82,8 @@ def monitor_accuracy(
             for one in found
         ),
     )  # fmt: skip
-    means = value_table(
-        ("what", "value", "target", "", "of"),
-        ((row.what, f"{row.value:.3f}", row.target, met_text(row.met), row.note) for row in rows),
-    )
-    conclude(
-        {"each": [asdict(one) for one in found], "means": [fields(row) for row in rows]}, each, means,
-        as_json=as_json, missed=any(row.met is False for row in rows),
-    )  # fmt: skip
+    document = {"each": [asdict(one) for one in found], "means": [fields(row) for row in rows]}
+    conclude(document, each, rows_table(rows, ".3f"), as_json=as_json, missed=any_missed(rows))
 
 
 def guard(
@@ -130,22 +130,15 @@ def guard(
     if picture is not None:
         from brink.plots.guard import figure_guard
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_guard(measured.judged[0].evaluation).savefig(picture)
+        save_picture(figure_guard(measured.judged[0].evaluation), picture)
     rows = list(measured.rows())
-    figures = value_table(
-        ("what", "value", "target", "", "of"),
-        ((row.what, f"{row.value:.3f}", row.target, met_text(row.met), row.note) for row in rows),
-    )
     each = value_table(_GUARD_COLUMNS, map(_guard_row, measured.judged))
     unseen = value_table(_GUARD_COLUMNS, map(_guard_row, measured.unseen))
     baselines = value_table(
         ("baseline", "warned", "false alarms"), baseline_rows(measured.judged[-1].evaluation)
     )
-    conclude(
-        measured.to_json(), figures, each, baselines, unseen, as_json=as_json,
-        missed=any(row.met is False for row in rows),
-    )  # fmt: skip
+    shown = (rows_table(rows, ".3f"), each, baselines, unseen)
+    conclude(measured.to_json(), *shown, as_json=as_json, missed=any_missed(rows))
 
 
 _GUARD_COLUMNS = (

@@ -61,12 +61,7 @@ def conclude(document: Any, *shown: RenderableType, as_json: bool, missed: bool 
 
 def conclude_rows(rows: list[Row], *, as_json: bool) -> None:
     """Print measured figures with their targets, and exit with 1 if a target is missed."""
-    table = value_table(
-        ("what", "value", "target", "", "of"),
-        ((row.what, f"{row.value:.4g}", row.target, met_text(row.met), row.note) for row in rows),
-    )
-    missed = any(row.met is False for row in rows)
-    conclude([fields(row) for row in rows], table, as_json=as_json, missed=missed)
+    conclude([fields(row) for row in rows], rows_table(rows), as_json=as_json, missed=any_missed(rows))
 
 
 def conclude_times(rows: Iterable[Any], columns: Mapping[str, str], *names: str, as_json: bool) -> None:
@@ -87,6 +82,24 @@ def conclude_times(rows: Iterable[Any], columns: Mapping[str, str], *names: str,
         ),
     )
     conclude([fields(row, *names) for row in found], table, as_json=as_json)
+
+
+def rows_table(rows: Iterable[Row], form: str = ".4g") -> Table:
+    """Return a table of measured figures with their targets.
+
+    Args:
+        rows: The figures.
+        form: Format of their values.
+    """
+    return value_table(
+        ("what", "value", "target", "", "of"),
+        ((row.what, format(row.value, form), row.target, met_text(row.met), row.note) for row in rows),
+    )
+
+
+def any_missed(rows: Iterable[Row]) -> bool:
+    """Return whether a figure misses its target."""
+    return any(row.met is False for row in rows)
 
 
 def value_table(columns: Sequence[str], rows: Iterable[Sequence[object]] = ()) -> Table:

@@ -9,15 +9,17 @@ from rich.console import RenderableType
 
 from brink.cli.bench.output import (
     Processes,
+    any_missed,
     bound_text,
     conclude,
     conclude_rows,
     conclude_times,
     met_text,
+    rows_table,
     show_progress,
     value_table,
 )
-from brink.cli.options import RESULTS, AsJson, check_picture, fields
+from brink.cli.options import RESULTS, AsJson, check_picture, fields, save_picture
 from brink.server.errors import InvalidInput
 from brink.sim.perception.user_files import DEFAULT_DETECTOR
 
@@ -57,11 +59,9 @@ def detector(
     """
     from brink.bench.detector import measure_detector
     from brink.server.problems.aeb_crossing import AebCrossingParams
-    from brink.server.problems.base import wrong_detector
 
     check_picture(picture)
-    if wrong := wrong_detector(detector_id):
-        raise InvalidInput.at("--detector", wrong[0][1])
+    _check_detector(detector_id)
     with show_progress() as progress:
         found = measure_detector(
             detector_id, images=images, seed=seed, threshold=threshold or AebCrossingParams().threshold,
@@ -70,18 +70,13 @@ def detector(
     if picture is not None:
         from brink.bench.detector_figure import figure_detector
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_detector(found).savefig(picture)
-    missed = any(row.met is False for row in found.rows)
-    conclude(found.to_json(), *_detector_tables(found), as_json=as_json, missed=missed)
+        save_picture(figure_detector(found), picture)
+    shown = _detector_tables(found)
+    conclude(found.to_json(), *shown, as_json=as_json, missed=any_missed(found.rows))
 
 
 def _detector_tables(found: "DetectorAccuracy") -> list[RenderableType]:
     """Return the figures with targets, then tables by perturbation, class, distance and visible share."""
-    targets = value_table(
-        ("what", "value", "target", "", "of"),
-        ((row.what, f"{row.value:.3f}", row.target, met_text(row.met), row.note) for row in found.rows),
-    )
     steps = {**found.genes, "mean": found.over_genes}
     genes = value_table(
         (
@@ -116,10 +111,22 @@ def _detector_tables(found: "DetectorAccuracy") -> list[RenderableType]:
         )
         for header, by_bin in (("distance", found.by_distance), ("visible share", found.by_visible_share))
     )  # fmt: skip
-    tables: list[RenderableType] = [targets]
+    tables: list[RenderableType] = [rows_table(found.rows, ".3f")]
     for table in (genes, classes, *bins):
         tables += ["", table]
     return tables
+
+
+def _check_detector(detector: str) -> None:
+    """Check the id or file of a detector, before any slow work starts.
+
+    Raises:
+        InvalidInput: There is no such detector.
+    """
+    from brink.server.problems.base import wrong_detector
+
+    if wrong := wrong_detector(detector):
+        raise InvalidInput.at("--detector", wrong[0][1])
 
 
 def _gene_cells(steps: "Sequence[StepAccuracy]") -> Iterator[str]:
@@ -167,14 +174,13 @@ def simood(
     Example: brink bench simood A0 A2 --detector brink-det@1 --threshold 0.5
     """
     from brink.bench.simood import CRITERIA, measure_simood
-    from brink.server.problems.base import wrong_detector
 
     wanted = [name.upper() for name in criteria or CRITERIA]
     for name in wanted:
         if name not in CRITERIA:
             raise InvalidInput.at("criteria", f"expected some of {', '.join(CRITERIA)}, got {name!r}")
-    if detector is not None and (wrong := wrong_detector(detector)):
-        raise InvalidInput.at("--detector", wrong[0][1])
+    if detector is not None:
+        _check_detector(detector)
     with show_progress() as progress:
         rows = measure_simood(
             wanted, out, processes=processes, progress=progress, detector=detector, threshold=threshold,
