@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from brink.plots.style import INK, MUTED, SAFE, SMALL_PT, WIDTH_PX, new_figure, set_panel_title, style_axes
+from brink.plots.experiment import interval_limits
+from brink.plots.style import INK, MUTED, SAFE, SMALL_PT, add_panels, new_figure, set_panel_title, style_axes
 from brink.report.text import interval_text, p_text
 from brink.search.analysis.comparison import Line, Repeat, is_significant, lines_of
 from brink.search.analysis.paper import D_THS, LEVEL, PAPER_T_BS, Measure
@@ -264,12 +265,8 @@ def figure_heredity(study: Heredity, measure: Measure, title: str) -> Figure:
         "seeds with 95% intervals. Blue: with selection; grey: without.\nCrosses: means of controls, whose verdicts "
         "ignore the component's behaviour.",
     )  # fmt: skip
-    grid = figure.add_gridspec(
-        1, len(T_BS), left=84 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - 150 / HEIGHT_PX,
-        bottom=80 / HEIGHT_PX, wspace=0.18,
-    )  # fmt: skip
-    for column, t_b in enumerate(T_BS):
-        axes = figure.add_subplot(grid[column])
+    panels = add_panels(figure, len(T_BS), top_px=150, bottom_px=80, wspace=0.18)
+    for axes, t_b in zip(panels, T_BS, strict=True):
         set_panel_title(axes, f"t_b {t_b:g}")
         for place, one in enumerate(study.twins):
             for name, shift, colour in ((one.method, -0.17, SAFE), (one.twin, 0.17, MUTED)):
@@ -303,8 +300,7 @@ def _plot_line(
             markersize=5,
             markeredgewidth=0,
         )
-        low, high = (span.mean, span.mean) if span.low is None or span.high is None else (span.low, span.high)
-        axes.plot([x + 0.02] * 2, [max(0.0, low), high], color=colour, linewidth=2.4)
+        axes.plot([x + 0.02] * 2, interval_limits(span), color=colour, linewidth=2.4)
         axes.plot([x + 0.02], [span.mean], "_", color=colour, markersize=13, markeredgewidth=2.4)
         axes.annotate(
             f"{span.mean:.1f}", (x, 1), xycoords=("data", "axes fraction"), xytext=(0, -2),
