@@ -167,8 +167,9 @@ def heredity(
 
 def _show_heredity(study: "Heredity", name: str, folder: Path, *, as_json: bool) -> None:
     """Print the study of heredity, and write it and its figures to the folder of the report."""
-    from brink.bench.heredity import NAMES, T_BS, figure_heredity
+    from brink.bench.heredity import T_BS, figure_heredity
     from brink.plots.style import DPI
+    from brink.report.experiment import NAMES
 
     columns = [f"t_b {t_b:g}" for t_b in T_BS]
     shown: list[RenderableType] = []
