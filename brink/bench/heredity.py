@@ -14,24 +14,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from brink.plots.style import INK, MUTED, SAFE, SMALL_PT, WIDTH_PX, new_figure, set_panel_title, style_axes
+from brink.plots.experiment import interval_limits
+from brink.plots.style import INK, MUTED, SAFE, SMALL_PT, add_panels, new_figure, set_panel_title, style_axes
+from brink.report.experiment import NAMES
 from brink.report.text import interval_text, p_text
-from brink.search.analysis.comparison import Line, Repeat, is_significant, lines_of
-from brink.search.analysis.paper import D_THS, LEVEL, PAPER_T_BS, Measure
-from brink.search.analysis.statistics import (
-    Comparison,
-    MeanInterval,
-    compared,
-    effect_size,
-    holm,
-    mean_interval,
-)
+from brink.search.analysis.comparison import Duel, Line, Repeat, compared_lines, lines_of, values_of
+from brink.search.analysis.paper import LEVEL, Measure
+from brink.search.analysis.statistics import MeanInterval, mean_interval
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody, Method, parse_experiment
 
 T_BS: Final = (0.05, 0.10, 0.15)
 D_TH: Final = 0.2
-NAMES: Final = {Measure.DBS: "DBS", Measure.STRICT: "strict DBS"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,34 +42,6 @@ class Twins:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Effect:
-    """Two methods compared at one t_b.
-
-    Attributes:
-        first: The method whose larger values give an A12 above one half.
-        second: Its twin without selection, or the method with the first of the mutation rates.
-        measure: The measure compared.
-        t_b: Maximum fitness of a boundary solution.
-        result: U, p-value and A12.
-        adjusted: The p-value, corrected for all comparisons of the measure; None if all values are equal.
-    """
-
-    first: str
-    second: str
-    measure: Measure
-    t_b: float
-    result: Comparison
-    adjusted: float | None
-
-    @property
-    def words(self) -> str:
-        """Effect size and corrected p-value."""
-        if self.adjusted is None:
-            return "equal"
-        return f"{self.result.a12:.2f} {effect_size(self.result.a12)}, p {p_text(self.adjusted)}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Heredity:
     """The study, from the campaigns that have finished.
 
@@ -87,7 +53,7 @@ class Heredity:
 
     twins: Sequence[Twins]
     values: dict[tuple[Line, Measure, float], list[float]]
-    effects: Sequence[Effect]
+    effects: Sequence[Duel]
 
     @property
     def lines(self) -> list[Line]:
@@ -108,8 +74,8 @@ class Heredity:
     def effect_rows(self, measure: Measure) -> Iterator[tuple[str, ...]]:
         """Yield the names of each two methods that are compared, and their comparisons at `T_BS`."""
         ours = [one for one in self.effects if one.measure is measure]
-        for first, second in dict.fromkeys((one.first, one.second) for one in ours):
-            cells = [one.words for one in ours if (one.first, one.second) == (first, second)]
+        for first, second in dict.fromkeys(map(_methods, ours)):
+            cells = [_effect_cell(one) for one in ours if _methods(one) == (first, second)]
             yield f"{first} : {second}", *cells
 
     def conclusions(self) -> Iterator[str]:
@@ -118,8 +84,8 @@ class Heredity:
         for measure in Measure:
             ours = [one for one in self.effects if one.measure is measure]
             for words, found in (
-                ("selection", [one for one in ours if (one.first, one.second) in alone]),
-                ("the mutation rate", [one for one in ours if (one.first, one.second) not in alone]),
+                ("selection", [one for one in ours if _methods(one) in alone]),
+                ("the mutation rate", [one for one in ours if _methods(one) not in alone]),
             ):
                 if found:
                     yield f"{NAMES[measure]}, {words}: {_effect_words(found)}"
@@ -138,7 +104,8 @@ class Heredity:
             ],
             "effects": [
                 {
-                    "first": one.first, "second": one.second, "measure": str(one.measure), "t_b": one.t_b,
+                    "first": one.first.method, "second": one.second.method,
+                    "measure": str(one.measure), "t_b": one.t_b,
                     "u": one.result.u, "a12": one.result.a12, "p": one.result.p_value, "p_holm": one.adjusted,
                 }
                 for one in self.effects
@@ -147,12 +114,23 @@ class Heredity:
         }  # fmt: skip
 
 
-def _effect_words(found: Sequence[Effect]) -> str:
+def _methods(one: Duel) -> tuple[str, str]:
+    """Return the names of the two methods that are compared."""
+    return one.first.method, one.second.method
+
+
+def _effect_cell(one: Duel) -> str:
+    """Return the effect size and the corrected p-value."""
+    return "equal" if one.adjusted is None else f"{one.result.a12:.2f} {one.size}, p {p_text(one.adjusted)}"
+
+
+def _effect_words(found: Sequence[Duel]) -> str:
     """Return which of several comparisons show a difference."""
     better: dict[tuple[str, str], list[str]] = {}
     for one in found:
-        if is_significant(one.adjusted, LEVEL):
-            names = (one.first, one.second) if one.result.a12 > 0.5 else (one.second, one.first)
+        if one.differs:
+            first, second = _methods(one)
+            names = (first, second) if one.result.a12 > 0.5 else (second, first)
             better.setdefault(names, []).append(f"{one.t_b:g}")
     if not better:
         return f"no difference is significant (corrected p at most {LEVEL:g}) at any t_b"
@@ -220,30 +198,17 @@ def heredity_of(repeats: Sequence[Repeat], twins: Sequence[Twins]) -> Heredity:
     """
     lines = lines_of(repeats)
     values = {
-        (line, measure, t_b): [
-            float(measure.of(figures)[-1, PAPER_T_BS.index(t_b), D_THS.index(D_TH)])
-            for _, figures in campaigns
-        ]
+        (line, measure, t_b): values_of(campaigns, measure, t_b, D_TH)
         for line, campaigns in lines.items()
         for measure in Measure
         for t_b in T_BS
     }
-    pairs = [(one.method, one.twin) for one in twins] + [(one.method, twins[0].method) for one in twins[1:]]
+    names = [(one.method, one.twin) for one in twins] + [(one.method, twins[0].method) for one in twins[1:]]
     methods = {line.method: line for line in lines if not line.control}
-    effects: list[Effect] = []
-    for measure in Measure:
-        places = [(first, second, t_b) for first, second in pairs for t_b in T_BS]
-        results = [
-            compared(values[methods[first], measure, t_b], values[methods[second], measure, t_b])
-            for first, second, t_b in places
-        ]
-        adjusted = holm([result.p_value for result in results])
-        effects += [
-            Effect(
-                first=first, second=second, measure=measure, t_b=t_b, result=result, adjusted=p_value
-            )
-            for (first, second, t_b), result, p_value in zip(places, results, adjusted, strict=True)
-        ]  # fmt: skip
+    pairs = [(methods[first], methods[second]) for first, second in names]
+    effects = [
+        duel for measure in Measure for duel in compared_lines(lines, pairs, measure, t_bs=T_BS, d_ths=[D_TH])
+    ]
     return Heredity(twins=twins, values=values, effects=effects)
 
 
@@ -264,12 +229,8 @@ def figure_heredity(study: Heredity, measure: Measure, title: str) -> Figure:
         "seeds with 95% intervals. Blue: with selection; grey: without.\nCrosses: means of controls, whose verdicts "
         "ignore the component's behaviour.",
     )  # fmt: skip
-    grid = figure.add_gridspec(
-        1, len(T_BS), left=84 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - 150 / HEIGHT_PX,
-        bottom=80 / HEIGHT_PX, wspace=0.18,
-    )  # fmt: skip
-    for column, t_b in enumerate(T_BS):
-        axes = figure.add_subplot(grid[column])
+    panels = add_panels(figure, len(T_BS), top_px=150, bottom_px=80, wspace=0.18)
+    for axes, t_b in zip(panels, T_BS, strict=True):
         set_panel_title(axes, f"t_b {t_b:g}")
         for place, one in enumerate(study.twins):
             for name, shift, colour in ((one.method, -0.17, SAFE), (one.twin, 0.17, MUTED)):
@@ -303,8 +264,7 @@ def _plot_line(
             markersize=5,
             markeredgewidth=0,
         )
-        low, high = (span.mean, span.mean) if span.low is None or span.high is None else (span.low, span.high)
-        axes.plot([x + 0.02] * 2, [max(0.0, low), high], color=colour, linewidth=2.4)
+        axes.plot([x + 0.02] * 2, interval_limits(span), color=colour, linewidth=2.4)
         axes.plot([x + 0.02], [span.mean], "_", color=colour, markersize=13, markeredgewidth=2.4)
         axes.annotate(
             f"{span.mean:.1f}", (x, 1), xycoords=("data", "axes fraction"), xytext=(0, -2),

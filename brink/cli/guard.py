@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from brink.api.client import Api
 from brink.api.live import Steps
-from brink.api.results import FetchedArchive, fetch_archive
+from brink.api.results import FetchedArchive
+from brink.cli.fitted import fetch_archives, fitted_among, fitted_words
 from brink.cli.guard_drive import drive
 from brink.cli.options import (
     AsJson,
@@ -20,7 +20,7 @@ from brink.cli.options import (
     console,
     plain_table,
     print_json,
-    with_api,
+    save_picture,
 )
 from brink.guard.drives import Drive, Recorders, check_problem, check_verdicts, random_specs, solution_specs
 from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, LEADS_S, GuardEvaluation, PredictorResult, evaluate
@@ -163,8 +163,7 @@ def judge(
     if picture is not None:
         from brink.plots.guard import figure_guard  # matplotlib takes half a second to load
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_guard(evaluation).savefig(picture)
+        save_picture(figure_guard(evaluation), picture)
     if as_json:
         print_json(evaluation.to_json())
         return
@@ -249,7 +248,7 @@ def _source(
             raise InvalidInput.at(
                 "--requirement", f"expected one of {', '.join(plugin_ids(REQUIREMENTS))}, got {one!r}"
             )
-    fetched = with_api(server, database, lambda api: _fetched(api, campaigns)) if campaigns else []
+    fetched = fetch_archives(campaigns, server=server, database=database) if campaigns else []
     choice = fetched[0].body.problem if fetched else default
     problem = check_problem(fetched[0].plan.problem if fetched else make_problem(choice.id, choice.params))
     names = tuple(requirement) if requirement else _requirements(problem)
@@ -261,17 +260,6 @@ def _source(
 def _requirements(problem: SimulatedProblem) -> tuple[str, ...]:
     assert isinstance(problem, NamesRequirements), "all problems of urban drives name their requirements"
     return problem.requirements
-
-
-async def _fetched(api: Api, campaigns: Sequence[str]) -> list[FetchedArchive]:
-    found = {one.id: one for one in [await fetch_archive(api, campaign) for campaign in campaigns]}
-    first, *others = found.values()
-    for other in others:
-        if other.body.problem != first.body.problem:
-            raise Conflict(
-                f"campaigns {first.id} and {other.id} have different problems; a guard covers only one"
-            )
-    return [first, *others]
 
 
 def _problem_of(model: GuardModel) -> PluginChoice:
@@ -290,12 +278,9 @@ def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
     Raises:
         Conflict: It was.
     """
-    learned = model.about.get("campaigns")
-    own = [one.id for one in source.fetched if isinstance(learned, list) and one.id in learned]
-    if own:
+    if own := fitted_among(model.about, source.fetched):
         raise Conflict(
-            f"{file} was fitted to {'campaign' if len(own) == 1 else 'campaigns'} {', '.join(own)}: judge it on "
-            "other drives, best on fresh ones (--drives 2000)"
+            f"{fitted_words(file, own)}: judge it on other drives, best on fresh ones (--drives 2000)"
         )
     drawn = model.about.get("random")
     if source.random and isinstance(drawn, dict) and drawn.get("seed") == source.seed:

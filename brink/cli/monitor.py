@@ -10,8 +10,8 @@ import numpy as np
 import typer
 
 from brink import __version__
-from brink.api.client import Api
-from brink.api.results import FetchedArchive, fetch_archive
+from brink.api.results import FetchedArchive
+from brink.cli.fitted import fetch_archives, fitted_among, fitted_words
 from brink.cli.options import (
     AsJson,
     Database,
@@ -21,7 +21,7 @@ from brink.cli.options import (
     console,
     plain_table,
     print_json,
-    with_api,
+    save_picture,
 )
 from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT
 from brink.search.analysis.monitor import Answer, Model, Monitor, default_model
@@ -87,7 +87,7 @@ def fit(
 
     Example: brink monitor fit 3f2a --out monitor.json
     """
-    fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
+    fetched = fetch_archives(campaigns, server=server, database=database)
     vectors, unsafe = _evaluated(fetched)
     if len(vectors) < 2:
         raise Conflict(f"a monitor needs at least two evaluated solutions, got {len(vectors)}")
@@ -205,8 +205,8 @@ def judge(
     check_picture(picture)
     fitted = _read(file)
     sides = None if pairs is None else _pairs(pairs, fitted.space.unlimited())
-    fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
-    _check_fresh(file, [one.id for one in fetched])
+    fetched = fetch_archives(campaigns, server=server, database=database)
+    _check_fresh(file, fetched)
     vectors, unsafe = _evaluated(fetched)
     if fetched[0].plan.problem.space.column_names() != fitted.space.column_names():
         raise Conflict(f"the search space of {file} differs from that of campaign {fetched[0].id}")
@@ -220,8 +220,7 @@ def judge(
         # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.evidence import figure_monitor
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_monitor(evaluation).savefig(picture)
+        save_picture(figure_monitor(evaluation), picture)
     if as_json:
         print_json(evaluation.to_json())
         return
@@ -237,18 +236,16 @@ def _read(file: Path) -> Monitor:
         raise InvalidInput.at("", f"{file}: {error}") from None
 
 
-def _check_fresh(file: Path, campaigns: Sequence[str]) -> None:
+def _check_fresh(file: Path, campaigns: Sequence[FetchedArchive]) -> None:
     """Check that a monitor was not fitted to the campaigns on which it is to be evaluated; warn if to some of them.
 
     Raises:
         Conflict: It was fitted to all of them.
     """
-    about = json.loads(file.read_text(encoding="utf-8")).get("about")
-    learned = about.get("campaigns") if isinstance(about, dict) else None
-    own = [one for one in campaigns if isinstance(learned, list) and one in learned]
+    own = fitted_among(json.loads(file.read_text(encoding="utf-8")).get("about"), campaigns)
     if not own:
         return
-    words = f"{file} was fitted to {'campaign' if len(own) == 1 else 'campaigns'} {', '.join(own)}"
+    words = fitted_words(file, own)
     if len(own) == len(campaigns):
         raise Conflict(
             f"{words}: how well it does on what it has learned from says nothing; judge it on another campaign on "
@@ -290,17 +287,6 @@ def _pairs(file: Path, space: SearchSpace) -> tuple[FloatArray, FloatArray]:
 
 def _wrong(place: int, message: str) -> InvalidInput:
     return InvalidInput.at(f"/{place}", message)
-
-
-async def _fetched(api: Api, campaigns: Sequence[str]) -> list[FetchedArchive]:
-    found = [await fetch_archive(api, campaign) for campaign in campaigns]
-    first = found[0]
-    for other in found[1:]:
-        if other.body.problem != first.body.problem:
-            raise Conflict(
-                f"campaigns {first.id} and {other.id} have different problems; a monitor covers only one"
-            )
-    return list({one.id: one for one in found}.values())
 
 
 def _evaluated(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:

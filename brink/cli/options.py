@@ -21,6 +21,7 @@ from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pydantic import ValidationError
 
     from brink.server.settings import Settings
@@ -381,6 +382,12 @@ def check_picture(file: Path | None) -> None:
     """
     if file is not None and file.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InvalidInput.at("--picture", f"{file}: expected a file name that ends in .png, .svg or .pdf")
+
+
+def save_picture(figure: "Figure", file: Path) -> None:
+    """Write a figure to a file, in the format of its ending; make the folder if there is none."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file)
 
 
 def file_name(name: str) -> str:

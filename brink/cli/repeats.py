@@ -24,6 +24,7 @@ from brink.cli.options import (
     place_option,
     plain_table,
     print_json,
+    save_picture,
     settings_with,
     with_api,
     write_json,
@@ -219,9 +220,8 @@ def _draw_repeats(view: RepeatsView, file: Path) -> None:
         for one in view.solutions
         if one.conclusion is not None
     ]  # fmt: skip
-    file.parent.mkdir(parents=True, exist_ok=True)
     title = f"Does the boundary hold up? {view.name}"
-    figure_repeats(points, p_th=view.p_th, times=_times(view), title=title).savefig(file)
+    save_picture(figure_repeats(points, p_th=view.p_th, times=_times(view), title=title), file)
 
 
 def _around(one: RepeatedSolution) -> tuple[float, float, float] | None:

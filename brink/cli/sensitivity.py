@@ -29,11 +29,12 @@ from brink.cli.options import (
     file_name,
     plain_table,
     print_json,
+    save_picture,
     with_api,
     write_json,
 )
 from brink.search.analysis.boundary import P_THS, RADII, Rescored, by_p_th, by_radius
-from brink.search.analysis.comparison import lines_of
+from brink.search.analysis.comparison import lines_of, values_of
 from brink.search.analysis.paper import D_THS, PAPER_T_BS, Measure
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.errors import Conflict, InvalidInput
@@ -85,11 +86,11 @@ def rescore(
         # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.evidence import figure_rescored
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_rescored(
+        drawn = figure_rescored(
             found_radii, found_p_ths, own=(near.radius, near.p_th), t_b=t_b, d_th=d_th,
             title=f"How much the boundary depends on its settings: {fetched.body.name}",
-        ).savefig(picture)  # fmt: skip
+        )  # fmt: skip
+        save_picture(drawn, picture)
     if as_json:
         print_json(
             {
@@ -150,13 +151,11 @@ def rerun(
     finished = run_experiment(body, options)
     if finished is None:
         raise typer.Exit(1)
-    i, j = PAPER_T_BS.index(t_b), D_THS.index(d_th)
-    found: dict[str, dict[str, list[float]]] = {}
-    for line, figures in lines_of(repeats_of(finished.results)).items():
-        if not line.control:
-            found[line.method] = {
-                str(measure): [float(measure.of(one)[-1, i, j]) for _, one in figures] for measure in Measure
-            }
+    found = {
+        line.method: {str(measure): values_of(campaigns, measure, t_b, d_th) for measure in Measure}
+        for line, campaigns in lines_of(repeats_of(finished.results)).items()
+        if not line.control
+    }
     # matplotlib takes half a second to load: only commands that draw wait for it.
     from brink.plots.evidence import figure_rerun
 

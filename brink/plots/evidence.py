@@ -21,10 +21,12 @@ from brink.plots.style import (
     UNSAFE,
     WIDTH_PX,
     add_legend,
+    add_panels,
     new_figure,
     set_panel_title,
     show_percent,
     style_axes,
+    style_shares,
 )
 from brink.search.algorithms.repeats import Conclusion
 from brink.search.analysis.boundary import Rescored
@@ -210,12 +212,8 @@ def figure_rerun(
     return figure
 
 
-def _two_panels(figure: Figure) -> tuple[Axes, Axes]:
-    top, bottom = 1 - 176 / SENSITIVITY_HEIGHT_PX, 70 / SENSITIVITY_HEIGHT_PX
-    grid = figure.add_gridspec(
-        1, 2, left=84 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=top, bottom=bottom, wspace=0.16
-    )
-    return figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+def _two_panels(figure: Figure) -> list[Axes]:
+    return add_panels(figure, 2, top_px=176, bottom_px=70, wspace=0.16)
 
 
 def _plot_counts(axes: Axes, x: Sequence[float], counts: Sequence[tuple[int, int]]) -> None:
@@ -243,12 +241,9 @@ def figure_monitor(evaluation: MonitorEvaluation) -> Figure:
         "Left: the unsafe share of solutions with similar predictions, with its 95% interval; shaded, the monitor's "
         "own interval. Right: each point is an alarm threshold.",
     )
-    grid = figure.add_gridspec(
-        1, 2, left=96 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - 190 / MONITOR_HEIGHT_PX,
-        bottom=70 / MONITOR_HEIGHT_PX, wspace=0.2,
-    )  # fmt: skip
-    _plot_calibration(figure.add_subplot(grid[0]), evaluation)
-    _plot_alarms(figure.add_subplot(grid[1]), evaluation)
+    left, right = add_panels(figure, 2, top_px=190, bottom_px=70, left_px=96)
+    _plot_calibration(left, evaluation)
+    _plot_alarms(right, evaluation)
     keys = [
         Line2D(
             [], [], color=_colour(predictor), linewidth=2.2, label=f"{predictor.name}: {_metrics(predictor)}"
@@ -300,10 +295,6 @@ def _plot_alarms(axes: Axes, evaluation: MonitorEvaluation) -> None:
             [alarm.false for alarm in predictor.operating_points],
             color=_colour(predictor), linewidth=2.2, linestyle="--" if predictor.name == MAJORITY else "-",
         )  # fmt: skip
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
-    show_percent(axes.xaxis, axes.yaxis)
-    set_panel_title(axes, "Missed hazards and false alarms")
-    axes.set_xlabel("missed hazards")
-    axes.set_ylabel("false alarms among safe solutions")
-    style_axes(axes, grid="both")
+    style_shares(
+        axes, "Missed hazards and false alarms", x="missed hazards", y="false alarms among safe solutions"
+    )

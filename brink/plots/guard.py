@@ -24,12 +24,13 @@ from brink.plots.style import (
     OTHER,
     SAFE,
     UNSAFE,
-    WIDTH_PX,
     add_legend,
+    add_panels,
     new_figure,
     set_panel_title,
     show_percent,
     style_axes,
+    style_shares,
 )
 
 HEIGHT_PX: Final = 760
@@ -47,18 +48,10 @@ def figure_guard(evaluation: GuardEvaluation) -> Figure:
         f"is an alarm threshold; solid, violations warned at least {LEAD_S:g} s ahead, dashed 0.5 s, dotted 3 s. "
         f"Right: with alarms in at most {FALSE_ALARMS:.0%} of the safe drives.",
     )
-    grid = figure.add_gridspec(
-        1,
-        2,
-        left=96 / WIDTH_PX,
-        right=1 - 40 / WIDTH_PX,
-        top=1 - 190 / HEIGHT_PX,
-        bottom=70 / HEIGHT_PX,
-        wspace=0.2,
-    )
+    left, right = add_panels(figure, 2, top_px=190, bottom_px=70, left_px=96)
     drawn = [one for one in evaluation.predictors if one.name not in (ALWAYS, NEVER)]
-    _plot_alarms(figure.add_subplot(grid[0]), evaluation, drawn)
-    _plot_leads(figure.add_subplot(grid[1]), drawn)
+    _plot_alarms(left, evaluation, drawn)
+    _plot_leads(right, drawn)
     keys = [
         Line2D([], [], color=_colour(one), linewidth=2.2, label=f"{one.name}: {one.compared.recall:.0%}")
         for one in drawn
@@ -93,13 +86,9 @@ def _plot_alarms(axes: Axes, evaluation: GuardEvaluation, drawn: list[PredictorR
         textcoords="offset points",
         color=INK,
     )
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
-    show_percent(axes.xaxis, axes.yaxis)
-    set_panel_title(axes, "Warned violations and false alarms")
-    axes.set_xlabel("safe drives with an alarm")
-    axes.set_ylabel("warned violations")
-    style_axes(axes, grid="both")
+    style_shares(
+        axes, "Warned violations and false alarms", x="safe drives with an alarm", y="warned violations"
+    )
 
 
 def _plot_leads(axes: Axes, drawn: list[PredictorResult]) -> None:

@@ -56,6 +56,27 @@ def new_figure(height_px: int, title: str, subtitle: str) -> Figure:
     return figure
 
 
+def add_panels(
+    figure: Figure, columns: int, *, top_px: float, bottom_px: float, left_px: float = 84, wspace: float = 0.2
+) -> list[Axes]:
+    """Add a row of panels of the same width to a figure.
+
+    Args:
+        figure: The figure.
+        columns: Number of panels.
+        top_px: Distance from the top of the figure.
+        bottom_px: Distance from its bottom.
+        left_px: Distance from its left side.
+        wspace: Gap between two panels as a share of a panel's width.
+    """
+    height_px = figure.get_figheight() * DPI
+    grid = figure.add_gridspec(
+        1, columns, left=left_px / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - top_px / height_px,
+        bottom=bottom_px / height_px, wspace=wspace,
+    )  # fmt: skip
+    return [figure.add_subplot(grid[column]) for column in range(columns)]
+
+
 def style_axes(axes: Axes, *, grid: str = "y") -> None:
     """Style axes: two thin spines, muted ticks, a faint grid along ``x``, ``y`` or ``both``."""
     for side in ("top", "right"):
@@ -126,6 +147,24 @@ def show_percent(*axes: Axis) -> None:
     """Format axis tick labels as whole percentages."""
     for axis in axes:
         axis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
+
+
+def style_shares(axes: Axes, title: str, *, x: str, y: str) -> None:
+    """Style a panel in which two shares, each in [0, 1], are plotted against each other.
+
+    Args:
+        axes: The axes.
+        title: Title of the panel.
+        x: Name of the share on the horizontal axis.
+        y: Name of the other.
+    """
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    show_percent(axes.xaxis, axes.yaxis)
+    set_panel_title(axes, title)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    style_axes(axes, grid="both")
 
 
 def add_legend(figure: Figure, lines: Sequence[Line2D], top_px: float, handlelength: float = 2.6) -> None:

@@ -267,12 +267,12 @@ def standings(repeats: Sequence[Repeat]) -> list[Standing]:
     return [
         Standing(
             line=line, measure=measure, t_b=t_b, d_th=d_th,
-            value=mean_interval([float(measure.of(figures)[-1, i, j]) for _, figures in values]),
+            value=mean_interval(values_of(campaigns, measure, t_b, d_th)),
         )
-        for line, values in lines_of(repeats).items()
+        for line, campaigns in lines_of(repeats).items()
         for measure in Measure
-        for i, t_b in enumerate(PAPER_T_BS)
-        for j, d_th in enumerate(D_THS)
+        for t_b in PAPER_T_BS
+        for d_th in D_THS
     ]  # fmt: skip
 
 
@@ -292,7 +292,8 @@ def duels(repeats: Sequence[Repeat], *, level: float = LEVEL) -> list[Duel]:
     found: list[Duel] = []
     for problem in dict.fromkeys(line.problem for line in lines):
         for measure in Measure:
-            found += _table(lines, list(_pairs(lines, problem)), measure, level)
+            pairs = list(_pairs(lines, problem))
+            found += compared_lines(lines, pairs, measure, t_bs=PAPER_T_BS, d_ths=PAPER_D_THS, level=level)
     return found
 
 
@@ -305,14 +306,27 @@ def _pairs(lines: Mapping[Line, object], problem: str) -> Iterator[tuple[Line, L
             yield line, control
 
 
-def _table(
-    lines: Mapping[Line, list[tuple[int, Figures]]],
+def compared_lines(
+    lines: Mapping[Line, Sequence[tuple[int, Figures]]],
     pairs: Sequence[tuple[Line, Line]],
     measure: Measure,
-    level: float,
+    *,
+    t_bs: Sequence[float],
+    d_ths: Sequence[float],
+    level: float = LEVEL,
 ) -> list[Duel]:
-    places = list(itertools.product(pairs, enumerate(PAPER_T_BS), enumerate(PAPER_D_THS)))
-    values = [[_values(lines[line], measure, -1, i, j) for line in pair] for pair, (i, _), (j, _) in places]
+    """Return a table of comparisons, whose p-values are corrected together: each pair at each t_b and d_th.
+
+    Args:
+        lines: Seeds and figures of each line, as `lines_of` returns them.
+        pairs: Lines to compare.
+        measure: The measure to compare.
+        t_bs: Some of `PAPER_T_BS`.
+        d_ths: Some of `D_THS`.
+        level: Adjusted p-value up to which a difference is significant, in (0, 1).
+    """
+    places = list(itertools.product(pairs, t_bs, d_ths))
+    values = [[values_of(lines[line], measure, t_b, d_th) for line in pair] for pair, t_b, d_th in places]
     results = [compared(first, second) for first, second in values]
     adjusted = holm([result.p_value for result in results])
     return [
@@ -320,17 +334,26 @@ def _table(
             first=first, second=second, measure=measure, t_b=t_b, d_th=d_th, result=result, adjusted=p_value,
             found_nothing=not all(map(any, found)), level=level,
         )
-        for ((first, second), (_, t_b), (_, d_th)), found, result, p_value in zip(
+        for ((first, second), t_b, d_th), found, result, p_value in zip(
             places, values, results, adjusted, strict=True
         )
     ]  # fmt: skip
 
 
-def _values(
-    campaigns: Sequence[tuple[int, Figures]], measure: Measure, share: int, t_b: int, d_th: int
+def values_of(
+    campaigns: Sequence[tuple[int, Figures]], measure: Measure, t_b: float, d_th: float, share: int = -1
 ) -> list[float]:
-    """Return the value of each campaign, given the positions of the share of the budget and of the thresholds."""
-    return [float(measure.of(figures)[share, t_b, d_th]) for _, figures in campaigns]
+    """Return the value of each campaign of a line.
+
+    Args:
+        campaigns: Seeds and figures of the campaigns.
+        measure: The measure.
+        t_b: One of `PAPER_T_BS`.
+        d_th: One of `D_THS`.
+        share: Position of the share of the budget in `PAPER_FRACTIONS`; by default, the whole budget.
+    """
+    i, j = PAPER_T_BS.index(t_b), D_THS.index(d_th)
+    return [float(measure.of(figures)[share, i, j]) for _, figures in campaigns]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -376,14 +399,13 @@ def leads(repeats: Sequence[Repeat], problem: str, measure: Measure, d_th: float
         for line, campaigns in lines_of(repeats).items()
         if line.problem == problem and not line.control
     }
-    j = D_THS.index(d_th)
     return [
-        _lead(pair, measure, (t_b, d_th), [
-            (_values(lines[pair[0]], measure, k, i, j), _values(lines[pair[1]], measure, k, i, j))
+        _lead((first, second), measure, (t_b, d_th), [
+            (values_of(lines[first], measure, t_b, d_th, k), values_of(lines[second], measure, t_b, d_th, k))
             for k in range(len(PAPER_FRACTIONS))
         ])
-        for pair in itertools.combinations(lines, 2)
-        for i, t_b in enumerate(PAPER_T_BS)
+        for first, second in itertools.combinations(lines, 2)
+        for t_b in PAPER_T_BS
     ]  # fmt: skip
 
 

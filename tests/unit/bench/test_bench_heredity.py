@@ -91,7 +91,7 @@ HEREDITY = heredity_of(make_repeats(FOUND), TWINS)
 
 def test_each_rate_is_compared_with_its_twin_and_with_the_first_rate() -> None:
     ours = [one for one in HEREDITY.effects if one.measure is Measure.DBS]
-    pairs = [(one.first, one.second) for one in ours]
+    pairs = [(one.first.method, one.second.method) for one in ours]
     assert list(dict.fromkeys(pairs)) == [
         ("rate 1", "rate 1, no selection"), ("rate .2", "rate .2, no selection"), ("rate .2", "rate 1"),
     ]  # fmt: skip

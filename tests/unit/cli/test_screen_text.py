@@ -15,7 +15,7 @@ from brink.cli.options import console, plain_table, print_line, print_sentence
 from brink.extras import install_command
 
 ROOT = Path(__file__).parents[3]
-CLI = sorted((ROOT / "brink" / "cli").glob("*.py"))
+CLI = sorted((ROOT / "brink" / "cli").rglob("*.py"))
 EXTRAS = sorted(
     tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 )
