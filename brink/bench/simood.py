@@ -43,6 +43,8 @@ MEASURES: Final = {"alpha": "mAP", "decision_accuracy": "decision accuracy"}
 """Objectives that are measured on the data set."""
 DEFAULT_REPEATS: Final = 3
 """Searches with each configuration of tables II and III, and campaigns of A9; the paper has 10."""
+DEFAULT_SEEDS: Final = 10
+"""Searches of each kind that A5 compares."""
 
 
 def measure_simood(
@@ -54,6 +56,7 @@ def measure_simood(
     detector: str | None = None,
     threshold: float | None = None,
     repeats: int = DEFAULT_REPEATS,
+    seeds: int = DEFAULT_SEEDS,
 ) -> list[Row]:
     """Measure the given criteria. Outcomes of episodes are stored in the folder and reused.
 
@@ -65,6 +68,7 @@ def measure_simood(
         detector: Id or file of the detector; None for the problem's default.
         threshold: Minimum score of a detection; None for the problem's default.
         repeats: Searches with each configuration in A6, and campaigns in A9.
+        seeds: Searches of each kind in A5.
     """
     params = AebCrossingParams()
     if detector is not None:
@@ -76,7 +80,7 @@ def measure_simood(
     file = folder / f"records-{code_fingerprint(CODE)}.jsonl"
     with contextlib.closing(Records(file, processes=processes)) as records:
         hazards = Hazards(records, tables, progress, params)
-        searches = Searches(records, tables, progress, params, repeats=repeats)
+        searches = Searches(records, tables, progress, params, repeats=repeats, seeds=seeds)
         costs = Costs(records, tables, progress, params, campaign=searches.default_campaign)
         measures: Mapping[str, Callable[[], list[Row]]] = {
             "A0": hazards.baseline,

@@ -36,7 +36,6 @@ from brink.search.space import FloatArray, SearchSpace
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
 
-SEEDS: Final = range(10)
 GENERATIONS: Final = (10, 20, 30, 50)
 POPULATIONS: Final = (10, 20, 30, 50)
 OMEGAS: Final = (0.01, 0.1, 0.25, 0.5, 0.66, 0.75, 0.99)
@@ -222,14 +221,23 @@ class Searches(Criteria):
         folder: Folder for tables and figures.
         progress: Progress callback.
         params: Parameters of the problem.
-        repeats: Searches with each configuration, and campaigns.
+        repeats: Searches with each configuration in A6, and campaigns in A9.
+        seeds: Searches of each kind in A5.
     """
 
     def __init__(
-        self, records: Records, folder: Path, progress: Progress, params: AebCrossingParams, *, repeats: int
+        self,
+        records: Records,
+        folder: Path,
+        progress: Progress,
+        params: AebCrossingParams,
+        *,
+        repeats: int,
+        seeds: int,
     ) -> None:
         super().__init__(records, folder, progress, params)
         self._repeats = range(repeats)
+        self._seeds = range(seeds)
         self._genome = ChainGenome.of(self._places.problem.space)
 
     def against_random(self) -> list[Row]:
@@ -247,7 +255,7 @@ class Searches(Criteria):
                     f"A5 {propose}, {which}",
                     [
                         Search(config=replace(config, propose=propose), seed=seed, evaluations=evaluations)
-                        for seed in SEEDS
+                        for seed in self._seeds
                     ],
                 )
                 for propose in ("ga", "random")
@@ -503,7 +511,7 @@ def _fitness_row(which: str, bred: Sequence[SimoodState], drawn: Sequence[Simood
     return Row(
         what=f"A5 mean f of the GA minus that of random search, {which}", value=means[0] - means[1],
         target="below 0, p < .05", met=means[0] < means[1] and is_significant(tested.p_value, SIGNIFICANCE_LEVEL),
-        note=f"{means[0]:.3f} and {means[1]:.3f}; Mann-Whitney p {p_text(tested.p_value)}, {len(SEEDS)} seeds, "
+        note=f"{means[0]:.3f} and {means[1]:.3f}; Mann-Whitney p {p_text(tested.p_value)}, {len(bred)} seeds, "
         f"{spent} evaluations a search, those of parts included",
     )  # fmt: skip
 

@@ -159,6 +159,7 @@ def simood(
             min=1, help="Searches with each configuration in A6, and campaigns in A9; the paper has 10."
         ),
     ] = 3,
+    seeds: Annotated[int, typer.Option(min=1, help="Searches of each kind in A5.")] = 10,
     processes: Processes = 2,
     out: Annotated[
         Path,
@@ -184,7 +185,7 @@ def simood(
     with show_progress() as progress:
         rows = measure_simood(
             wanted, out, processes=processes, progress=progress, detector=detector, threshold=threshold,
-            repeats=repeats,
+            repeats=repeats, seeds=seeds,
         )  # fmt: skip
     conclude_rows(rows, as_json=as_json)
 

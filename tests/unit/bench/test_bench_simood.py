@@ -78,8 +78,8 @@ class MadeUp(Records):
         return [outcome_of(spec) for spec in specs]
 
 
-def searches(folder: Path, repeats: int = 2) -> Searches:
-    return Searches(MadeUp(folder), folder, lambda *_: None, PARAMS, repeats=repeats)
+def searches(folder: Path, repeats: int = 2, seeds: int = 2) -> Searches:
+    return Searches(MadeUp(folder), folder, lambda *_: None, PARAMS, repeats=repeats, seeds=seeds)
 
 
 def rows_of(file: Path) -> list[dict[str, str]]:
@@ -184,10 +184,7 @@ def test_searches_that_are_compared_stop_at_the_same_number_of_evaluations(tmp_p
         assert 68 <= evaluations_of(state) <= 70
 
 
-def test_random_pairs_and_finalists_of_random_search_are_compared(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(simood_searches, "SEEDS", range(2))
+def test_random_pairs_and_finalists_of_random_search_are_compared(tmp_path: Path) -> None:
     found = searches(tmp_path)
     rows = by_name(found.against_random())
     assert len(rows) == 11
