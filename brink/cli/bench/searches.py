@@ -45,11 +45,7 @@ if TYPE_CHECKING:
     from brink.bench.heredity import Heredity
 
 HEREDITY_FILE = Path("examples") / "heredity.yaml"
-
-
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
-
-
 PAPER_TARGET_S = 180.0
 
 
