@@ -113,6 +113,9 @@ class Surface:
     width_m: float
 
 
+MAX_TRACE_BYTES = 6_000_000
+"""A worker refuses to send a larger trace (`trace` in `brink.worker.wire`, in base64)."""
+
 ACTION = "action"
 """Kind of the events at which a scripted road user changes its action; their text is ``name:action``."""
 

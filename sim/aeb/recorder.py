@@ -35,6 +35,9 @@ from brink.sim.world.ego import EgoCar
 TRACE_PX: Final = (800.0, 600.0)
 PICTURE_EVERY: Final = 2
 """Every second frame is kept as an image: ten per second, the frame rate of replay videos."""
+MAX_PICTURE_BYTES: Final = 4_500_000
+"""All images of a film; the rest of `MAX_TRACE_BYTES` is for boxes and positions. A film that would be larger, of a
+long or a noisy drive, has fewer images a second."""
 JPEG_QUALITY: Final = 70
 PICTURE_WIDTH_PX: Final = 480
 """Wider images are scaled down to this width, so that a ten-second film takes one or two megabytes."""
@@ -149,9 +152,13 @@ class AebRecorder:
 
 
 class _FilmRecorder:
-    """Records the true boxes and detections of every frame, and the image of every second frame."""
+    """Records the true boxes and detections of every frame, and images at even intervals.
+
+    The interval is `PICTURE_EVERY` and doubles whenever all images together would exceed `MAX_PICTURE_BYTES`.
+    """
 
     def __init__(self) -> None:
+        self._every = PICTURE_EVERY
         self._pictures: list[bytes] = []
         self._samples: list[int] = []
         self._judged: list[list[tuple[float, ...]]] = []
@@ -159,11 +166,20 @@ class _FilmRecorder:
 
     def append(self, sample: int, shot: CameraShot) -> None:
         """Record the image and boxes of a sample."""
-        if sample % PICTURE_EVERY == 0:
+        if sample % self._every == 0:
             self._samples.append(sample)
             self._pictures.append(_jpeg(shot.picture))
+            while sum(map(len, self._pictures)) > MAX_PICTURE_BYTES:
+                self._thin()
         self._judged.append(_rows(shot.truth.labels, shot.truth.boxes, shot.truth.ignored))
         self._found.append(_rows(shot.found.labels, shot.found.boxes, shot.found.scores))
+
+    def _thin(self) -> None:
+        """Double the interval, and drop the images in between."""
+        self._every *= 2
+        kept = [place for place, sample in enumerate(self._samples) if sample % self._every == 0]
+        self._samples = [self._samples[place] for place in kept]
+        self._pictures = [self._pictures[place] for place in kept]
 
     def film(self, samples: int, size_px: tuple[int, int]) -> Film | None:
         """Return the film of an episode with the given number of samples, or None if there was no camera."""

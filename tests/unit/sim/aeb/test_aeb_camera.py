@@ -21,12 +21,14 @@ from support.marks import mostly_long
 from brink.sim import catalogue
 from brink.sim.aeb import dataset
 from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames, render_frames
+from brink.sim.aeb.recorder import MAX_PICTURE_BYTES, _FilmRecorder
 from brink.sim.aeb.scores import rescore
+from brink.sim.aeb.sight import CameraShot
 from brink.sim.aeb.simulator import BrinkAeb
 from brink.sim.encounter.witness import Rectangle, signed_gap_m
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.boxes import Detections, LabelledFrame
+from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame
 from brink.sim.perception.detector import DETECTORS
 from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
@@ -35,8 +37,9 @@ from brink.sim.replay import ReplayError, render
 from brink.sim.replay.frame import FramePainter
 from brink.sim.replay.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
 from brink.sim.replay.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
-from brink.sim.trace import Film, Trace
+from brink.sim.trace import MAX_TRACE_BYTES, Film, Trace
 from brink.sim.world.ego import EGO_CAR
+from brink.worker.wire import Completed
 
 SIMULATOR, EVALUATOR = BrinkAeb(), DatasetEvaluator()
 NOTHING = Detections(
@@ -378,3 +381,22 @@ def test_episodes_side_by_side_show_the_same_moments(trace: Trace) -> None:
         side_by_side([Row(words="x", trace=replace(trace, film=None))])
     with pytest.raises(ReplayError, match="at least one episode to show"):
         side_by_side([])
+
+
+@pytest.mark.parametrize(("noise", "every"), [(0, 2), (255, 8)])
+def test_a_film_that_would_be_too_large_has_fewer_images_a_second(noise: int, every: int) -> None:
+    film = _FilmRecorder()
+    grains = np.random.default_rng(1).integers(0, noise + 1, (360, 640, 3), dtype=np.uint8)
+    truth = GroundTruth(labels=NOTHING.labels, boxes=NOTHING.boxes, ignored=np.zeros(0, np.bool_))
+    for sample in range(400):
+        film.append(sample, CameraShot(picture=grains, truth=truth, found=NOTHING))
+    made = film.film(401, (640, 360))
+    assert made is not None
+    assert sum(map(len, made.pictures)) <= MAX_PICTURE_BYTES
+    assert made.samples.tolist() == list(range(0, 400, every)), "at even intervals, no longer than necessary"
+    assert len(made.judged.first) == 402, "the boxes of all frames are kept"
+
+
+def test_a_worker_may_send_the_largest_trace() -> None:
+    (in_base64, _) = Completed.model_json_schema()["properties"]["trace"]["anyOf"]
+    assert in_base64["maxLength"] * 3 // 4 >= MAX_TRACE_BYTES > MAX_PICTURE_BYTES
