@@ -10,7 +10,14 @@ from typing import Final
 import numpy as np
 
 from brink.sim.aeb.braking import PERSON, EmergencyBrake, Region
-from brink.sim.perception.boxes import Detections, GroundTruth, mean_average_precision, precision_and_recall
+from brink.sim.perception.boxes import (
+    BoolArray,
+    Detections,
+    GroundTruth,
+    mean_average_precision,
+    precision_and_recall,
+    too_small,
+)
 from brink.sim.perception.detector import LABELS
 from brink.sim.trace import Film
 
@@ -42,6 +49,18 @@ class Scores:
     recall_inside: float
     precision_outside: float
     recall_outside: float
+
+
+def reported(found: Detections, threshold: float, width_px: int, height_px: int) -> BoolArray:
+    """Return which detections the brake receives: sure enough, and not too small to count, shape ``(n,)``.
+
+    Args:
+        found: All detections in an image.
+        threshold: Minimum score.
+        width_px: Width of the image.
+        height_px: Height of the image.
+    """
+    return (found.scores >= threshold) & ~too_small(found.boxes, width_px, height_px)
 
 
 def score_episode(
@@ -96,9 +115,9 @@ def decision_accuracy(
         there = (truth.labels == _PERSON) & warning.intersects_each(truth.boxes)
         if there.any() and truth.ignored[there].all():
             continue
-        reported = (found.labels == _PERSON) & (found.scores >= threshold)
+        people = (found.labels == _PERSON) & reported(found, threshold, warning.width_px, warning.height_px)
         calls = bool(there.any())
-        right[calls].append(bool(warning.intersects_each(found.boxes[reported]).any()) == calls)
+        right[calls].append(bool(warning.intersects_each(found.boxes[people]).any()) == calls)
     shares = [float(np.mean(answers)) for answers in right.values() if answers]
     return sum(shares) / len(shares) if shares else float("nan")
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from brink.sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
 from brink.sim.aeb.labels import MIN_VISIBLE, label_boxes
-from brink.sim.aeb.scores import Scores, score_episode
+from brink.sim.aeb.scores import Scores, reported, score_episode
 from brink.sim.aeb.street import Street
 from brink.sim.driving.camera import Body as Prism
 from brink.sim.driving.camera import Camera
@@ -193,8 +193,8 @@ class CameraSight:
         found = shot.found
         self._truths.append(shot.truth)
         self._found.append(found)
-        sure = np.flatnonzero(found.scores >= self._threshold).tolist()
-        detections = tuple(_detection(found, place) for place in sure)
+        passed = np.flatnonzero(reported(found, self._threshold, *shown.shape[1::-1])).tolist()
+        detections = tuple(_detection(found, place) for place in passed)
         counting = np.flatnonzero(~truth.ignored).tolist()
         return Observation(tuple(_true_box(truth, place) for place in counting), detections, shot)
 

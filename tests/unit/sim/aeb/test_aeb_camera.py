@@ -95,6 +95,20 @@ def test_a_confident_false_positive_causes_a_dangerous_stop(known: Known, score:
     assert result.verdicts["no-dangerous-stop@1"].violated is bool(stops)
 
 
+def test_boxes_too_small_to_count_do_not_reach_the_brake(known: Known) -> None:
+    """A detector is not trained or evaluated on them; under noise it reports some at the lower edge of the image."""
+    known.found = Detections(
+        labels=np.array([0], np.int64), boxes=np.array([[300, 350, 340, 360]], np.float32),
+        scores=np.array([0.9], np.float32),
+    )  # fmt: skip
+    result = SIMULATOR.run(replace(seen_by(1), duration_s=1.0), record=True)
+    assert result.features["braked_at_s"] is None
+    assert result.trace is not None
+    film = Trace.from_bytes(result.trace).film
+    assert film is not None
+    assert len(film.found.at(0)) == 1, "the film shows them"
+
+
 def test_the_detector_is_shown_the_perturbed_pictures_the_same_each_time(known: Known) -> None:
     clean = replace(seen_by(3), duration_s=0.15)
     perturbed = replace(seen_by(3, perturbations=FLARE), duration_s=0.15)
