@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.aeb.braking import PERSON, EmergencyBrake, Region
+from brink.sim.aeb.braking import PERSON, VEHICLE, EmergencyBrake, Region
 from brink.sim.perception.boxes import (
     BoolArray,
     Detections,
@@ -19,9 +19,12 @@ from brink.sim.perception.boxes import (
     too_small,
 )
 from brink.sim.perception.detector import LABELS
+from brink.sim.rendering.scene import PictureCamera
 from brink.sim.trace import Film
 
-_PERSON: Final = LABELS.index(PERSON)
+MIN_VEHICLE_HEIGHT_M: Final = 0.3
+"""Lower than any vehicle and than a fallen tree."""
+_PERSON, _VEHICLE = LABELS.index(PERSON), LABELS.index(VEHICLE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +55,10 @@ class Scores:
 
 
 def reported(found: Detections, threshold: float, width_px: int, height_px: int) -> BoolArray:
-    """Return which detections the brake receives: sure enough, and not too small to count, shape ``(n,)``.
+    """Return which detections the brake receives: sure, large enough to count, and no flat vehicle; shape ``(n,)``.
+
+    A vehicle's box touches the road with its lower edge, which says how far away it is and, with the camera's height,
+    how high. Under perturbations the detector finds vehicles a few centimetres high at the lower edge of the image.
 
     Args:
         found: All detections in an image.
@@ -60,7 +66,12 @@ def reported(found: Detections, threshold: float, width_px: int, height_px: int)
         width_px: Width of the image.
         height_px: Height of the image.
     """
-    return (found.scores >= threshold) & ~too_small(found.boxes, width_px, height_px)
+    heights_px = found.boxes[:, 3] - found.boxes[:, 1]
+    camera = PictureCamera(width_px=width_px, height_px=height_px)
+    lowest_px = MIN_VEHICLE_HEIGHT_M / camera.height_m * (found.boxes[:, 3] - 0.5 * height_px)
+    flat = (found.labels == _VEHICLE) & (heights_px < lowest_px)
+    too_little = too_small(found.boxes, width_px, height_px) | flat
+    return np.asarray((found.scores >= threshold) & ~too_little, np.bool_)
 
 
 def score_episode(

@@ -71,8 +71,6 @@ COCO_LABELS: Final[Mapping[int, int]] = {0: 1, 2: 0, 3: 0, 5: 0, 6: 0, 7: 0}
 COCO_CLASSES: Final = 80
 TORCHVISION_LABELS: Final[Mapping[int, int]] = {1: 1, 3: 0, 4: 0, 6: 0, 7: 0, 8: 0}
 """The same for torchvision's class numbers, which start at 1."""
-MAX_REPEATED_PX: Final = 8
-"""A wider padding by repetition shows streaks in which the network finds objects."""
 _OWN_PADDING: Final = 115
 _PADDING: Final = 114
 
@@ -202,29 +200,23 @@ def _load_onnx(file: Path) -> onnxruntime.InferenceSession:
         raise DetectorError(f"{file}: cannot be loaded as an ONNX network: {error}") from error
 
 
-def fit_picture(
-    picture: Picture, size_px: tuple[int, int], *, repeat_edge: bool = False
-) -> tuple[Picture, float]:
+def fit_picture(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, float]:
     """Return an image in the input format of `brink-det`, and its scale factor.
 
-    The image is scaled with its aspect ratio kept and padded on the right or below.
+    The image is scaled with its aspect ratio kept and padded with grey on the right or below.
 
     Args:
         picture: RGB, uint8, shape ``(h, w, 3)``.
         size_px: Width and height of the input.
-        repeat_edge: Whether to pad with the image's last column or row instead of grey, where no more than
-            `MAX_REPEATED_PX` are missing.
 
     Raises:
         DetectorError: It is not an RGB image.
     """
     _check_picture(picture)
     small, scale = _scale_to_fit(picture, size_px)
-    below, right = size_px[1] - small.shape[0], size_px[0] - small.shape[1]
-    repeated = repeat_edge and max(below, right) <= MAX_REPEATED_PX
-    kind = cv2.BORDER_REPLICATE if repeated else cv2.BORDER_CONSTANT
-    canvas = cv2.copyMakeBorder(small, 0, below, 0, right, kind, value=(_OWN_PADDING,) * 3)
-    return cast(Picture, canvas), scale
+    canvas = np.full((size_px[1], size_px[0], 3), _OWN_PADDING, np.uint8)
+    canvas[: small.shape[0], : small.shape[1]] = small
+    return canvas, scale
 
 
 def decode(heat: FloatArray, edges: FloatArray) -> Detections:
@@ -271,8 +263,6 @@ class NetworkDetector:
         session: A network with one input of shape ``(1, 3, h, w)``, h and w divisible by `SIDE_PX`, and the outputs
             described in `brink.sim.perception.network`.
         source: Its file, named in messages.
-        repeat_edge: Whether a narrow padding repeats the image's last column or row. Perturbations such as noise stop
-            at a padding of grey, and the network then finds vehicles along the seam.
 
     Raises:
         DetectorError: It is a different network.
@@ -285,9 +275,7 @@ class NetworkDetector:
 
     labels = frozenset(range(len(LABELS)))
 
-    def __init__(
-        self, session: onnxruntime.InferenceSession, source: str, *, repeat_edge: bool = True
-    ) -> None:
+    def __init__(self, session: onnxruntime.InferenceSession, source: str) -> None:
         size_px = _own_input_px(session)
         if size_px is None:
             raise DetectorError(
@@ -296,19 +284,18 @@ class NetworkDetector:
                 f"w / {STRIDE}); got shapes {_shapes(session)}"
             )
         self.input_px = size_px
-        self._repeat_edge = repeat_edge
         self._session = session
         self._source = source
         self.input_name = session.get_inputs()[0].name
 
     @classmethod
-    def from_file(cls, weights: Path, *, repeat_edge: bool = True) -> Self:
+    def from_file(cls, weights: Path) -> Self:
         """Load the network from an ONNX file.
 
         Raises:
             DetectorError: The file cannot be loaded, or is a different network.
         """
-        return cls(_load_onnx(weights), str(weights), repeat_edge=repeat_edge)
+        return cls(_load_onnx(weights), str(weights))
 
     def infer(self, canvas: Picture) -> tuple[FloatArray, FloatArray]:
         """Return the heat map and the edges for a fitted image."""
@@ -317,7 +304,7 @@ class NetworkDetector:
 
     def detect(self, picture: Picture) -> Detections:
         """Return the detections in an image."""
-        canvas, scale = fit_picture(picture, self.input_px, repeat_edge=self._repeat_edge)
+        canvas, scale = fit_picture(picture, self.input_px)
         heat, edges = self.infer(canvas)
         _check_finite(self._source, edges, heat)
         found = decode(heat, edges)
@@ -331,18 +318,18 @@ def _limits(picture: Picture) -> FloatArray:
 
 def load_brink_det_1() -> NetworkDetector:
     """Return `brink-det@1`, trained on earlier images with little augmentation; see `load_brink_det_2`."""
-    return _load_own(1, repeat_edge=False)
+    return _load_own(1)
 
 
 def load_brink_det_2() -> NetworkDetector:
     """Return `brink-det@2` with the weights that ship with the package."""
-    return _load_own(2, repeat_edge=True)
+    return _load_own(2)
 
 
 @cache
-def _load_own(version: int, *, repeat_edge: bool) -> NetworkDetector:
+def _load_own(version: int) -> NetworkDetector:
     weights = files("brink.sim.perception").joinpath(f"weights/brink-det-{version}.onnx")
-    return NetworkDetector.from_file(Path(str(weights)), repeat_edge=repeat_edge)
+    return NetworkDetector.from_file(Path(str(weights)))
 
 
 class LoadedNetwork(Protocol):

@@ -95,18 +95,27 @@ def test_a_confident_false_positive_causes_a_dangerous_stop(known: Known, score:
     assert result.verdicts["no-dangerous-stop@1"].violated is bool(stops)
 
 
-def test_boxes_too_small_to_count_do_not_reach_the_brake(known: Known) -> None:
-    """A detector is not trained or evaluated on them; under noise it reports some at the lower edge of the image."""
+@pytest.mark.parametrize(
+    ("box", "label", "brakes"),
+    [
+        ((300, 348, 340, 359), 0, False), ((300, 320, 340, 360), 0, True), ((300, 331, 340, 360), 0, False),
+        ((318, 300, 323, 340), 1, False), ((318, 300, 326, 340), 1, True), ((300, 349, 340, 360), 1, False),
+    ],
+)  # fmt: skip
+def test_the_brake_gets_no_box_that_is_too_small_or_a_vehicle_too_flat(
+    known: Known, box: tuple[int, ...], label: int, brakes: bool
+) -> None:
+    """Boxes of less than 12 x 6 px count nowhere; a vehicle of 29 px at the lower edge would be .27 m high."""
     known.found = Detections(
-        labels=np.array([0], np.int64), boxes=np.array([[300, 350, 340, 360]], np.float32),
+        labels=np.array([label], np.int64), boxes=np.array([box], np.float32),
         scores=np.array([0.9], np.float32),
     )  # fmt: skip
-    result = SIMULATOR.run(replace(seen_by(1), duration_s=1.0), record=True)
-    assert result.features["braked_at_s"] is None
+    result = SIMULATOR.run(replace(seen_by(1), duration_s=0.5), record=True)
+    assert (result.features["braked_at_s"] is not None) is brakes
     assert result.trace is not None
     film = Trace.from_bytes(result.trace).film
     assert film is not None
-    assert len(film.found.at(0)) == 1, "the film shows them"
+    assert len(film.found.at(0)) == 1, "the film shows all of them"
 
 
 def test_the_detector_is_shown_the_perturbed_pictures_the_same_each_time(known: Known) -> None:

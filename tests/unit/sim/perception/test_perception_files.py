@@ -265,14 +265,6 @@ def test_pictures_keep_their_aspect_ratio() -> None:
     assert (canvas[180:] != 200).all()
 
 
-def test_a_narrow_padding_can_repeat_the_edge() -> None:
-    picture = np.random.default_rng(0).integers(0, 256, (360, 640, 3), dtype=np.uint8)
-    canvas, _ = fit_picture(picture, (448, 256), repeat_edge=True)
-    assert (canvas[252:] == canvas[251]).all()
-    canvas, _ = fit_picture(np.full((600, 800, 3), 200, np.uint8), (448, 256), repeat_edge=True)
-    assert (canvas[:, 350:] != 200).all(), "a wide padding is grey"
-
-
 @pytest.mark.parametrize(
     "picture",
     [
