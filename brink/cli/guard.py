@@ -30,6 +30,7 @@ from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import NamesRequirements, SimulatedProblem
 from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import REQUIREMENTS, plugin_ids
+from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.model import GuardModel, Sensor
 
 DEFAULT_PROBLEM = PluginChoice(id="urban-injected@1")
@@ -212,17 +213,29 @@ class _Source:
         with Recorders(processes) as recorders:
             for one in self.fetched:
                 problem = check_problem(one.plan.problem)
-                specs = solution_specs(problem, one.archive, one.body.seed)
+                specs = _specs(problem, one)
                 drives = recorders.record(
                     specs, on_progress=steps.of(f"running the drives of {one.id} again")
                 )
                 if isinstance(problem, NamesRequirements):
-                    check_verdicts(drives, problem.requirements, one.archive.unsafe, f"campaign {one.id}")
+                    check_verdicts(drives, problem.requirements, one.archive, f"campaign {one.id}")
                 found += drives
             if self.random:
                 specs = random_specs(self.problem, self.random, self.seed)
                 found += recorders.record(specs, on_progress=steps.of("running random drives"))
         return found
+
+
+def _specs(problem: SimulatedProblem, fetched: FetchedArchive) -> list[EpisodeSpec]:
+    """Return the episodes of a campaign.
+
+    Raises:
+        Conflict: They differ from those that were simulated, or the coordinator does not send their seeds.
+    """
+    whose = f"campaign {fetched.id}"
+    if fetched.seeds is None or fetched.digests is None:
+        raise Conflict(f"{whose}: its coordinator does not send the seeds of episodes: update it")
+    return solution_specs(problem, fetched.archive, fetched.seeds, fetched.digests, whose)
 
 
 def _source(

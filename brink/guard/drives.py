@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from brink.search.analysis.guard_training import DriveSeries
 from brink.search.archive import Archive
-from brink.search.space import BoolArray, FloatArray
+from brink.search.space import FloatArray, IntArray
 from brink.search.streams import Stream, episode_seed, generator
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
@@ -35,7 +35,7 @@ HalfArray: TypeAlias = NDArray[np.float16]
 SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
 """Ids of the simulators whose drives can be recorded."""
 MOST_DIFFERENT: Final = 0.02
-"""Share of the drives of a campaign that may end otherwise: on another class of processor, a few do."""
+"""Share of the drives of a campaign that may end differently: on another class of processor, a few do."""
 _STORED: Final = 1
 
 
@@ -113,40 +113,72 @@ def random_specs(problem: SimulatedProblem, count: int, seed: int) -> list[Episo
     ]
 
 
-def solution_specs(problem: SimulatedProblem, archive: Archive, seed: int) -> list[EpisodeSpec]:
-    """Return the episodes of the evaluated solutions of a campaign.
+def solution_specs(
+    problem: SimulatedProblem, archive: Archive, seeds: IntArray, digests: Sequence[str], whose: str
+) -> list[EpisodeSpec]:
+    """Return the episodes of the evaluated solutions of a campaign: exactly those that were simulated.
+
+    A solution may share the episode seed of another one, as both sides of a pair do, so seeds are those that were
+    stored.
 
     Args:
         problem: The campaign's problem.
         archive: Its solutions.
-        seed: The campaign's seed.
+        seeds: Episode seed of each solution, shape ``(n,)``.
+        digests: Digest of each episode that was simulated.
+        whose: Whose solutions they are, for the error.
+
+    Raises:
+        Conflict: An episode differs from the one that was simulated.
     """
-    return [
-        problem.episode(problem.space.split(row), episode_seed(seed, number))
-        for number, row in zip(archive.numbers.tolist(), archive.vectors, strict=True)
+    specs = [
+        problem.episode(problem.space.split(row), seed)
+        for row, seed in zip(archive.vectors, seeds.tolist(), strict=True)
     ]
+    numbers = archive.numbers.tolist()
+    other = [
+        number
+        for number, spec, digest in zip(numbers, specs, digests, strict=True)
+        if spec.digest() != digest
+    ]
+    if other:
+        raise Conflict(
+            f"{len(other):,} of {len(specs):,} episodes of {whose} differ from those that were simulated "
+            f"({_named('solution', other)}): another version of Brink describes them differently"
+        )
+    return specs
+
+
+def _named(what: str, numbers: Sequence[int], most: int = 5) -> str:
+    """Return some numbers in words, such as "solutions 3, 8 and 12 others"."""
+    if len(numbers) == 1:
+        return f"{what} {numbers[0]}"
+    shown = ", ".join(str(one) for one in numbers[:most])
+    rest = len(numbers) - most
+    return f"{what}s {shown}" + (f" and {rest:,} others" if rest > 0 else "")
 
 
 def check_verdicts(
-    drives: Sequence[Drive], requirements: Sequence[str], unsafe: BoolArray, whose: str
+    drives: Sequence[Drive], requirements: Sequence[str], archive: Archive, whose: str
 ) -> None:
-    """Check that drives that were run again ended as they did the first time.
+    """Check that the drives of a campaign ended as they did the first time.
 
     Args:
-        drives: The recorded drives.
+        drives: The recorded drives, one for each solution.
         requirements: Ids of the requirements that decide.
-        unsafe: Their verdicts the first time, shape ``(len(drives),)``.
+        archive: The campaign's solutions, with their verdicts.
         whose: Whose drives they are, for the error.
 
     Raises:
-        Conflict: More than a few ended otherwise.
+        Conflict: More than a few ended differently.
     """
     again = np.array([one.first_violation_s(requirements) is not None for one in drives], np.bool_)
-    differ = int((again != unsafe).sum())
-    if differ > MOST_DIFFERENT * len(drives):
+    differ = archive.numbers[again != archive.unsafe].tolist()
+    if len(differ) > MOST_DIFFERENT * len(drives):
         raise Conflict(
-            f"{differ:,} of {len(drives):,} drives of {whose} end otherwise when they are run again: it is of "
-            "another version of Brink, or repeats the drives of another campaign"
+            f"{len(differ):,} of {len(drives):,} drives of {whose} end differently when re-run "
+            f"({_named('solution', differ)}), although their episodes are the same: they were simulated by another "
+            "version of Brink"
         )
 
 

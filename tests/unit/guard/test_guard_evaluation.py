@@ -2,6 +2,8 @@
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from brink.guard.drives import Drive, check_verdicts, load_drives, save_drives
 from brink.guard.evaluation import ALWAYS, BOX_TTC, LEADS_S, NEVER, RANGE_TTC_NAME, confirmed, evaluate, peak
 from brink.guard.fitting import threshold_for
 from brink.plots.guard import figure_guard
+from brink.search.archive import Archive
 from brink.server.errors import Conflict
 from brink.sim.guard.model import Sensor
 
@@ -138,14 +141,14 @@ def test_stored_drives_are_read_again_and_damaged_files_are_not(tmp_path: Path) 
     assert load_drives(file) is None
 
 
-def test_drives_that_end_otherwise_are_reported() -> None:
+def test_drives_that_end_differently_are_reported() -> None:
     drives = [drive_with([0.0], violated_at_s=None) for _ in range(100)]
-    unsafe = np.zeros(100, np.bool_)
-    unsafe[:2] = True
-    check_verdicts(drives, (REQUIREMENT,), unsafe, "campaign x")
-    unsafe[2] = True
-    with pytest.raises(Conflict, match="3 of 100 drives of campaign x end otherwise"):
-        check_verdicts(drives, (REQUIREMENT,), unsafe, "campaign x")
+    archive = SimpleNamespace(numbers=np.arange(100), unsafe=np.zeros(100, np.bool_))
+    archive.unsafe[:2] = True
+    check_verdicts(drives, (REQUIREMENT,), cast(Archive, archive), "campaign x")
+    archive.unsafe[7] = True
+    with pytest.raises(Conflict, match=r"3 of 100 drives of campaign x end differently.*solutions 0, 1, 7"):
+        check_verdicts(drives, (REQUIREMENT,), cast(Archive, archive), "campaign x")
 
 
 def test_the_figure_shows_both_panels() -> None:
