@@ -4,8 +4,9 @@ The unit is the drive. A *false alarm* is an alarm at any time in a drive withou
 with a lead if the first alarm of its drive came at least that long before it. Violations that happen sooner after the
 start than the lead cannot be warned, and count as missed.
 
-The baselines are the time to collision on reported boxes, the same on the range sensor if the car has one, an alarm
-in every drive from its start, and none at all.
+The baselines are the time to collision on reported boxes (`ttc@1`), the same on the range sensor if the car has one
+(`range-ttc@1`), an alarm in every drive from its start, and none at all. They compute what those guards compute in
+the car. All predictors confirm an alarm over as many steps as the guard does: a single noisy step is no alarm.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,10 +21,9 @@ from brink.search.analysis.monitor_evaluation import classification_metrics
 from brink.search.fitness import wilson_interval
 from brink.search.space import BoolArray, FloatArray
 from brink.server.errors import Conflict
-from brink.sim.guard.features import FEATURES, TTC
 from brink.sim.guard.model import GuardModel, Sensor
 from brink.sim.guard.monitor import Alarm
-from brink.sim.guard.range_features import RANGE_TTC
+from brink.sim.guard.time_to_collision import box_times_s, range_times_s
 
 LEADS_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
 LEAD_S: Final = 1.5
@@ -185,8 +185,8 @@ def evaluate(model: GuardModel, drives: Sequence[Drive]) -> GuardEvaluation:
     confirm = model.alarm.confirm_steps
     predictors = [_warnings(GUARD, watched, deciding, confirm)]
     predictors += [
-        _warnings(name, watched, [score(one.features) for one in watched], steps)
-        for name, score, steps in _baselines(model.sensor)
+        _warnings(name, watched, [score(one.features) for one in watched], confirm)
+        for name, score in _baselines(model.sensor)
     ]
     return GuardEvaluation(
         sensor=model.sensor,
@@ -250,13 +250,13 @@ def peak(strengths: FloatArray, before_s: float = np.inf) -> float:
     return float(strengths[: max(last, 0)].max(initial=-np.inf))
 
 
-def _baselines(sensor: Sensor) -> Iterator[tuple[str, Score, int]]:
-    """Yield the name and score of each baseline, and the steps that confirm its alarm."""
-    yield BOX_TTC, lambda features: -features[:, TTC].astype(np.float64), 1
+def _baselines(sensor: Sensor) -> Iterator[tuple[str, Score]]:
+    """Yield the name and score of each baseline."""
+    yield BOX_TTC, lambda features: -box_times_s(features)
     if sensor is Sensor.RANGE:
-        yield RANGE_TTC_NAME, lambda features: -features[:, len(FEATURES) + RANGE_TTC].astype(np.float64), 1
-    yield ALWAYS, lambda features: np.ones(len(features)), 1
-    yield NEVER, lambda features: np.full(len(features), -np.inf), 1
+        yield RANGE_TTC_NAME, lambda features: -range_times_s(features)
+    yield ALWAYS, lambda features: np.ones(len(features))
+    yield NEVER, lambda features: np.full(len(features), -np.inf)
 
 
 def _warnings(
