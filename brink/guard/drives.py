@@ -23,7 +23,7 @@ from brink.search.space import FloatArray, IntArray
 from brink.search.streams import Stream, episode_seed, generator
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
-from brink.sim.episode import EpisodeSpec, Verdict
+from brink.sim.episode import EpisodeSpec, Json, Verdict
 from brink.sim.guard.features import ALL_FEATURES, FEATURES_ID
 from brink.sim.guard.features import STEP_S as STEP_S
 from brink.worker.pool import process_pool, single_threaded
@@ -36,7 +36,7 @@ SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
 """Ids of the simulators whose drives can be recorded."""
 MOST_DIFFERENT: Final = 0.02
 """Share of the drives of a campaign that may end differently: on another class of processor, a few do."""
-_STORED: Final = 1
+_STORED: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +46,8 @@ class Drive:
     Attributes:
         digest: Digest of its episode's specification.
         scenario: Its scenario, as canonical JSON.
+        behaviour: Its behaviour, as canonical JSON.
+        seed: Its episode seed.
         features: Features at the perception steps, in the order of `ALL_FEATURES`, shape ``(steps, features)``.
         violated_at_s: Time of the first violation of each requirement that was evaluated; None if it held.
         robustness: Robustness of each of these requirements.
@@ -54,6 +56,8 @@ class Drive:
 
     digest: str
     scenario: str
+    behaviour: str
+    seed: int
     features: HalfArray
     violated_at_s: Mapping[str, float | None]
     robustness: Mapping[str, float]
@@ -85,7 +89,8 @@ class Drive:
         return DriveSeries(
             features=self.features[kept, :features],
             until_s=(np.inf if at_s is None else at_s) - times_s[kept],
-            group=self.scenario,
+            scenario=self.scenario,
+            behaviour=self.behaviour if reports_anything(self.behaviour) else None,
         )
 
 
@@ -256,12 +261,33 @@ def record_one(spec: EpisodeSpec) -> Drive:
     recorded = record_drive(spec)
     return Drive(
         digest=spec.digest(),
-        scenario=json.dumps(dict(spec.scenario), sort_keys=True, separators=(",", ":")),
+        scenario=scenario_of(spec),
+        behaviour=behaviour_of(spec),
+        seed=spec.seed,
         features=recorded.features,
         violated_at_s={name: _time(verdict) for name, verdict in recorded.verdicts.items()},
         robustness={name: verdict.robustness for name, verdict in recorded.verdicts.items()},
         ended_at_s=recorded.ended_at_s,
     )
+
+
+def reports_anything(behaviour: str) -> bool:
+    """Return whether a behaviour, as canonical JSON, has any trajectory or error."""
+    return any(isinstance(value, list) and value for value in json.loads(behaviour).values())
+
+
+def scenario_of(spec: EpisodeSpec) -> str:
+    """Return the scenario of an episode as canonical JSON."""
+    return _canonical(spec.scenario)
+
+
+def behaviour_of(spec: EpisodeSpec) -> str:
+    """Return the behaviour of an episode as canonical JSON."""
+    return _canonical(spec.behaviour)
+
+
+def _canonical(document: Mapping[str, Json]) -> str:
+    return json.dumps(dict(document), sort_keys=True, separators=(",", ":"))
 
 
 def _time(verdict: Verdict) -> float | None:
@@ -277,6 +303,8 @@ def save_drives(file: Path, drives: Sequence[Drive]) -> None:
         "requirements": requirements,
         "digests": [one.digest for one in drives],
         "scenarios": [one.scenario for one in drives],
+        "behaviours": [one.behaviour for one in drives],
+        "seeds": [one.seed for one in drives],
     }
     times = [
         [np.nan if (t := one.violated_at_s[name]) is None else t for name in requirements] for one in drives
@@ -311,6 +339,8 @@ def load_drives(file: Path) -> list[Drive] | None:
             Drive(
                 digest=digest,
                 scenario=scenario,
+                behaviour=behaviour,
+                seed=int(seed),
                 features=arrays["features"][first:end],
                 violated_at_s={
                     name: None if np.isnan(at) else float(at)
@@ -319,8 +349,9 @@ def load_drives(file: Path) -> list[Drive] | None:
                 robustness=dict(zip(header["requirements"], robustness.tolist(), strict=True)),
                 ended_at_s=float(ended),
             )
-            for digest, scenario, first, end, times, robustness, ended in zip(
-                header["digests"], header["scenarios"], [0, *ends[:-1]], ends, arrays["violated_at_s"],
+            for digest, scenario, behaviour, seed, first, end, times, robustness, ended in zip(
+                header["digests"], header["scenarios"], header["behaviours"], header["seeds"], [0, *ends[:-1]], ends,
+                arrays["violated_at_s"],
                 arrays["robustness"], arrays["ended_at_s"], strict=True,
             )
         ]  # fmt: skip

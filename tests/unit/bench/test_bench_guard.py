@@ -31,7 +31,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         values = np.where(np.arange(60) >= 30 if violated else np.zeros(60, np.bool_), 8.0, 2.0)
         found = drive_with(
             (values + rng.normal(0.0, 0.5, 60)).tolist(), violated_at_s=5.95 if violated else None,
-            scenario=json.dumps(dict(spec.scenario)),
+            spec=spec,
         )  # fmt: skip
         found.features[:, ALL_FEATURES.index("persons")] = rng.integers(2)
         return found
