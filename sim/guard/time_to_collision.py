@@ -57,7 +57,7 @@ def range_times_s(features: NDArray[np.floating]) -> NDArray[np.float64]:
     times_s = np.full(room_m.size, MAX_TTC_S)
     np.divide(room_m, closing_mps, out=times_s, where=closing_mps > MIN_CLOSING_MPS)
     times_s[room_m <= 0.0] = 0.0
-    return np.minimum(times_s, MAX_TTC_S)
+    return np.asarray(np.minimum(times_s, MAX_TTC_S), np.float64)
 
 
 class TimeToCollision:
@@ -78,6 +78,11 @@ class TimeToCollision:
         threshold = self.own_threshold if threshold is None else threshold
         self._alarm = Alarm(AlarmRule(horizon_s=HORIZONS_S[DECIDING], threshold=threshold, release=threshold))
         self._reading = GuardReading(probabilities=(0.0,) * len(HORIZONS_S), alarm=False)
+
+    @property
+    def peak(self) -> float:
+        """The highest threshold that would have raised an alarm so far; 0 if none would have."""
+        return self._alarm.peak
 
     @property
     def horizons_s(self) -> tuple[float, ...]:

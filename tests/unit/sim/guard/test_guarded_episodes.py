@@ -120,6 +120,7 @@ def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sen
     # The stump takes a violation within three seconds for 98% likely, whatever the feature is.
     assert slow.features["guard:alarms_s"] == [0.1]
     assert deaf.features["guard:alarms_s"] == []
+    assert 0.97 < float(str(deaf.features["guard:peak"])) < 0.99
     assert float(str(slow.features["way_m"])) < 0.7 * float(str(deaf.features["way_m"]))
     assert deaf.verdicts == drive(spec()).verdicts
 
@@ -132,6 +133,8 @@ def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sen
         ({"guard": "ttc@9", "fallback": "none@1"}, r"guard: expected one of .*ttc@1, file:FILE; got 'ttc@9'"),
         ({"guard": "ttc@1", "fallback": "none@1", "treshold": 1}, "did you mean 'threshold'"),
         ({"guard": "ttc@1", "fallback": "none@1", "threshold": 1.5}, r"threshold: expected a number in \[0, 1\]"),
+        ({"guard": "ttc@1", "fallback": "none@1", "threshold": 0}, r"threshold: expected a number in \(0, 1\]"),
+        ({"guard": "file:/dev/zero", "fallback": "none@1", "digest": "0"}, "/dev/zero: expected a file"),
         ({"guard": "ttc@1", "fallback": "slow-down@1", "settings": {"speed_mps": 99}}, r"settings\.speed_mps"),
         ({"guard": "file:/nowhere/guard.json", "fallback": "none@1", "digest": "0"}, "No such file"),
     ],
