@@ -4,12 +4,12 @@ The training data are the feature vectors of drives at their perception steps, u
 positive for a horizon if the violation follows within it. Negative steps far from a violation are thinned, and those
 that are kept count for those left out.
 
-Drives are divided, never steps: neighbouring steps of a drive are almost equal, and so are drives of the same scenario
-or behaviour in the campaign of a search. Out-of-fold scores, by models that saw neither the scenario nor the behaviour
-of a drive, calibrate the probabilities and choose the threshold of the alarm. The model itself is fitted to all
-drives. Where drives that share one or the other fall into many groups, these groups are divided into three folds.
-In a campaign of MLCSHE everything is connected: there, scenarios and behaviours are divided into three folds each, and
-every one of the nine combinations has its own model, fitted to the drives that share neither with it.
+Drives are divided, never steps: neighbouring steps of a drive are almost equal, and so are drives of the same
+scenario or behaviour in the campaign of a search. Out-of-fold scores, by models that saw neither the scenario nor the
+behaviour of a drive, calibrate the probabilities and choose the threshold of the alarm. The model itself is fitted to
+all drives. Where drives that share one or the other fall into many groups, these groups are divided into three folds.
+In a campaign of MLCSHE everything is connected: there, scenarios and behaviours are divided into three folds each,
+and every one of the nine combinations has its own model, fitted to the drives that share neither with it.
 
 Only fitting needs scikit-learn (extra `analysis`); the result is a `brink.forest.Forest`.
 
@@ -115,8 +115,10 @@ def fit_horizons(
     models: list[Any] = []
     unseen = [np.zeros((len(one.until_s), len(horizons_s))) for one in drives]
     done, total = 0, len(horizons_s) * len(divisions)
+    import sklearn.ensemble  # noqa: F401  (loads OpenMP: the limit below finds only libraries that are loaded)
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
+    # More threads cost more than they save at this size, and much more on a busy machine.
     with threadpool_limits(limits=1):
         for place, horizon_s in enumerate(horizons_s):
             for division in divisions:  # the last one is the model of all drives

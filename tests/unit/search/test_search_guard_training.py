@@ -1,6 +1,8 @@
 """Training of a guard: what is learned, division by group, and the trees that are exported."""
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -148,6 +150,21 @@ def test_steps_far_from_a_violation_are_thinned_and_stand_for_those_left_out() -
 def test_too_few_drives_are_refused(given: list[DriveSeries], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         fit_horizons(given, HORIZONS_S, np.random.default_rng(1))
+
+
+def test_trees_are_fitted_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit set before scikit-learn is imported does not reach its OpenMP, whose threads wait busily."""
+    loaded: list[bool] = []
+
+    @contextmanager
+    def limits(*, limits: int) -> Iterator[None]:
+        loaded.append("sklearn.ensemble" in sys.modules and limits == 1)
+        yield
+
+    monkeypatch.delitem(sys.modules, "sklearn.ensemble", raising=False)
+    monkeypatch.setattr("threadpoolctl.threadpool_limits", limits)
+    fit_horizons(drives(), HORIZONS_S, np.random.default_rng(1))
+    assert loaded == [True]
 
 
 def test_without_scikit_learn_the_command_that_installs_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
