@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from brink.search.analysis.guard_training import DriveSeries
 from brink.search.archive import Archive
 from brink.search.space import FloatArray, IntArray
 from brink.search.streams import Stream, episode_seed, generator
+from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
 from brink.sim.episode import EpisodeSpec, Json, Verdict
@@ -32,6 +33,7 @@ OnProgress: TypeAlias = Callable[[int, int], None]
 """Called with the number of completed drives and their total."""
 HalfArray: TypeAlias = NDArray[np.float16]
 
+DEFAULT_PROBLEM: Final = PluginChoice(id="urban-injected@1")
 SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
 """Ids of the simulators whose drives can be recorded."""
 MOST_DIFFERENT: Final = 0.02
@@ -107,6 +109,40 @@ def check_problem(problem: object) -> SimulatedProblem:
         "a guard watches urban drives with an obstacle detector: expected urban-injected@1 or urban-errors@1, "
         f"got {getattr(problem, 'id', problem)}",
     )
+
+
+def problem_of(about: Mapping[str, Any]) -> PluginChoice:
+    """Return the id and parameters of the problem whose drives a guard was fitted to.
+
+    Args:
+        about: Provenance of the guard.
+    """
+    stored = about.get("problem")
+    if not isinstance(stored, Mapping):
+        return DEFAULT_PROBLEM
+    try:
+        return PluginChoice.model_validate(stored)
+    except ValueError:
+        return DEFAULT_PROBLEM
+
+
+def with_requirements(choice: PluginChoice, requirements: Sequence[str]) -> PluginChoice:
+    """Return a problem of urban drives whose verdict is given by some requirements, if any are named."""
+    if not requirements:
+        return choice
+    return PluginChoice(id=choice.id, params={**choice.params, "requirement": list(requirements)})
+
+
+def check_requirements(problem: SimulatedProblem, requirements: Sequence[str]) -> None:
+    """Check that the drives of a problem are judged by some requirements.
+
+    Raises:
+        Conflict: They are not.
+    """
+    (spec,) = random_specs(problem, 1, 0)
+    for name in requirements:
+        if name not in spec.requirements:
+            raise Conflict(f"{name} was not evaluated in these drives, only {', '.join(spec.requirements)}")
 
 
 def random_specs(problem: SimulatedProblem, count: int, seed: int) -> list[EpisodeSpec]:

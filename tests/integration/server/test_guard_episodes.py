@@ -18,7 +18,7 @@ from brink.guard import drives as guard_drives
 from brink.guard.drives import Drive
 from brink.search.analysis import guard_training
 from brink.search.streams import episode_seed
-from brink.server.errors import Conflict
+from brink.server.errors import Conflict, InvalidInput
 from brink.sim.episode import EpisodeSpec
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
@@ -64,6 +64,7 @@ class Searched:
     database: str
     file: Path
     campaign: str
+    repeated: str
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,9 @@ def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Sea
         campaign = submit(client, EDGE)
         worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
         assert worker.work(campaign)["status"] == "finished"
-    return Searched(database=f"sqlite:///{file}", file=Path(file), campaign=campaign)
+        repeated = submit(client, {**EDGE, "name": "the same again"})
+        assert worker.work(repeated)["status"] == "finished"
+    return Searched(database=f"sqlite:///{file}", file=Path(file), campaign=campaign, repeated=repeated)
 
 
 @pytest.fixture(autouse=True)
@@ -99,7 +102,9 @@ def execute(database: str, statement: str) -> list[Any]:
 def test_a_guard_is_fitted_to_a_campaign_of_edge_whose_partners_share_a_seed(
     searched: Searched, tmp_path: Path
 ) -> None:
-    seeds = execute(searched.database, "SELECT number, seed FROM solutions")
+    seeds = execute(
+        searched.database, f"SELECT number, seed FROM solutions WHERE campaign_id = '{searched.campaign}'"
+    )
     assert any(seed != episode_seed(1, number) for number, seed in seeds), (
         "partners share the seed of a solution"
     )
@@ -125,3 +130,57 @@ def test_episodes_that_differ_from_those_that_were_simulated_are_named(
     assert isinstance(result.exception, Conflict)
     assert f"2 of {BUDGET} episodes of campaign {searched.campaign}" in str(result.exception)
     assert "solutions 3, 17" in str(result.exception)
+
+
+def test_a_guard_is_not_judged_on_a_campaign_that_repeats_the_one_it_was_fitted_to(
+    searched: Searched, tmp_path: Path
+) -> None:
+    file, place = tmp_path / "guard.json", ("--database", searched.database)
+    assert brink("fit", searched.campaign, "--out", file, *place).exit_code == 0
+
+    result = brink("judge", file, searched.repeated, *place)
+
+    assert isinstance(result.exception, Conflict)
+    expected = f"was fitted to {BUDGET} of the {BUDGET} solutions of campaign {searched.repeated}"
+    assert expected in str(result.exception)
+
+
+def test_a_drive_that_two_campaigns_share_counts_once(searched: Searched, tmp_path: Path) -> None:
+    result = brink(
+        "fit", searched.campaign, searched.repeated, "--database", searched.database, "--out", tmp_path / "g.json",
+        "--json",
+    )  # fmt: skip
+    assert result.exit_code == 0, (result.output, result.exception)
+    assert json.loads(result.stdout)["drives"] == BUDGET
+
+
+def test_what_cannot_be_fitted_is_refused_before_any_drive_runs(
+    searched: Searched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guard_drives, "record_one", lambda _: pytest.fail("a drive ran"))
+    place = ("--database", searched.database)
+
+    other = brink(
+        "fit", searched.campaign, "--requirement", "front-gap@2", "--out", tmp_path / "guard.json", *place
+    )
+    assert isinstance(other.exception, Conflict)
+    assert "front-gap@2 was not evaluated in these drives, only front-gap@1" in str(other.exception)
+
+    folder = brink("fit", searched.campaign, "--out", tmp_path, *place)
+    assert isinstance(folder.exception, InvalidInput)
+    assert "is a folder" in str(folder.exception.errors[0])
+
+
+def test_random_drives_are_judged_by_the_requirement_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[EpisodeSpec] = []
+
+    def noted(spec: EpisodeSpec) -> Drive:
+        asked.append(spec)
+        return record_one(spec)
+
+    monkeypatch.setattr(guard_drives, "record_one", noted)
+    brink("fit", "--random", 3, "--requirement", "front-gap@2", "--out", tmp_path / "guard.json")
+    assert asked
+    assert all("front-gap@2" in spec.requirements for spec in asked)
