@@ -18,7 +18,6 @@ from brink.sim.guard.monitor import Alarm, ModelGuard
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import LaneRoute
 
-
 DRY = KnownConditions(rain=0.0, wet=0.0, dark=0.0)
 
 

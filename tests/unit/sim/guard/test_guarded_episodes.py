@@ -12,6 +12,7 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.model import Sensor
 from brink.sim.guard.option import GuardOption, guard_digest
 from brink.sim.trace import Trace
+from brink.sim.urban.camera import BrinkDriveCamera
 from brink.sim.urban.simulator import BrinkDrive
 
 GHOST: dict[str, Json] = {
@@ -123,6 +124,18 @@ def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sen
     assert 0.97 < float(str(deaf.features["guard:peak"])) < 0.99
     assert float(str(slow.features["way_m"])) < 0.7 * float(str(deaf.features["way_m"]))
     assert deaf.verdicts == drive(spec()).verdicts
+
+
+def test_a_drive_with_a_camera_may_have_a_guard() -> None:
+    camera = replace(
+        spec(), simulator="brink-drive-camera@2", duration_s=1.5,
+        behaviour={"mode": "detector", "detector": "brink-det@2", "threshold": 0.5},
+    )  # fmt: skip
+    without, watched = (
+        BrinkDriveCamera().run(one) for one in (camera, guarded(camera, "range-ttc@1", fallback="none@1"))
+    )
+    assert watched.verdicts == without.verdicts
+    assert "guard:alarms_s" in watched.features
 
 
 @pytest.mark.parametrize(
