@@ -156,7 +156,7 @@ def test_drives_that_end_differently_are_reported() -> None:
 def test_the_figure_shows_both_panels() -> None:
     figure = figure_guard(evaluate(stump_guard(), safe_and_unsafe()))
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
-        "Warned violations and false alarms", "Lead time, alarms in at most 5% of safe drives",
+        "Predicted violations and false alarms", "Lead time, alarms in at most 5% of safe drives",
     ]  # fmt: skip
 
 
