@@ -17,7 +17,7 @@ Source: Friedman 2001 (gradient boosting), Platt 1999 (calibration).
 """
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -123,13 +123,13 @@ def fit_horizons(
         for place, horizon_s in enumerate(horizons_s):
             for division in divisions:  # the last one is the model of all drives
                 model = steps.fitted(division.fitted[steps.drive], horizon_s)
-                _score(model, drives, np.flatnonzero(division.scored), unseen, place)
+                _score(model, steps.bins, drives, np.flatnonzero(division.scored), unseen, place)
                 done += 1
                 if on_progress is not None:
                     on_progress(done, total)
             models.append(model)
-    forest = forest_of(models, steps.features.shape[1])
-    _check_forest(forest, models, steps.features[:200])
+    forest = steps.bins.unbinned(forest_of(models, len(steps.bins.edges)))
+    _check_forest(forest, models, steps)
     return FittedHorizons(
         forest=forest,
         calibration=np.array([
@@ -141,15 +141,68 @@ def fit_horizons(
 
 
 def _score(
-    model: Any, drives: Sequence[DriveSeries], which: IntArray, unseen: Sequence[FloatArray], place: int
+    model: Any,
+    bins: "_Bins",
+    drives: Sequence[DriveSeries],
+    which: IntArray,
+    unseen: Sequence[FloatArray],
+    place: int,
 ) -> None:
     """Write the scores of some drives by a model into a column of `unseen`."""
     if not which.size:
         return
-    rows = np.concatenate([drives[one].features for one in which.tolist()]).astype(np.float32)
+    rows = bins.indices(np.concatenate([drives[one].features for one in which.tolist()]))
     ends = np.cumsum([len(unseen[one]) for one in which.tolist()])[:-1]
     for one, scores in zip(which.tolist(), np.split(model.decision_function(rows), ends), strict=True):
         unseen[one][:, place] = scores
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Bins:
+    """The bins of each feature, into which values are sorted once for all models.
+
+    scikit-learn finds the same edges, weighted percentiles, but one at a time and again for each model, which takes
+    most of its time. Models are fitted to the numbers of the bins, and their thresholds turned into edges afterwards.
+
+    Attributes:
+        edges: For each feature, the upper edge of every bin but the last, ascending.
+    """
+
+    edges: tuple[FloatArray, ...]
+
+    @classmethod
+    def of(cls, features: SingleArray, weight: FloatArray) -> "_Bins":
+        columns = features.astype(np.float64).T
+        return cls(edges=tuple(_edges(column, weight) for column in columns))
+
+    def indices(self, features: HalfArray | SingleArray) -> SingleArray:
+        """Return the bin of each value, of the same shape."""
+        found = np.empty(features.shape, np.float32)
+        for place, edges in enumerate(self.edges):
+            found[:, place] = np.searchsorted(edges, features[:, place].astype(np.float64), side="left")
+        return found
+
+    def unbinned(self, forest: Forest) -> Forest:
+        """Return trees that were fitted to bins as trees that compare features."""
+        value, inner = forest.value.copy(), forest.right > 0
+        value[inner] = [
+            self.edges[feature][int(threshold)]
+            for feature, threshold in zip(forest.feature[inner].tolist(), value[inner].tolist(), strict=True)
+        ]
+        return replace(forest, value=value)
+
+
+def _edges(values: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the edges between the bins of one feature: weighted percentiles, averaged at steps, each once."""
+    distinct = np.unique(values)
+    if distinct.size <= BINS:
+        return np.asarray(0.5 * (distinct[:-1] + distinct[1:]), np.float64)
+    order = np.argsort(values, kind="stable")
+    ordered, below = values[order], np.cumsum(weight[order])
+    wanted = np.linspace(0.0, 1.0, BINS + 1)[1:-1] * below[-1]
+    place = np.minimum(np.searchsorted(below, wanted, side="left"), ordered.size - 1)
+    following = np.where(below[place] == wanted, np.minimum(place + 1, ordered.size - 1), place)
+    return np.unique(0.5 * (ordered[place] + ordered[following]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -157,12 +210,16 @@ class _Steps:
     """The steps of all drives, thinned.
 
     Attributes:
+        bins: Bins of the features.
+        binned: Bin of each value of the feature vectors, shape ``(n, features)``.
         features: Feature vectors, shape ``(n, features)``.
         until_s: Time to the violation, shape ``(n,)``.
         weight: Number of steps that each stands for, shape ``(n,)``.
         drive: Place of its drive, shape ``(n,)``.
     """
 
+    bins: _Bins
+    binned: SingleArray
     features: SingleArray
     until_s: FloatArray
     weight: FloatArray
@@ -180,8 +237,10 @@ class _Steps:
             until_s.append(drive.until_s[kept])
             weight.append(np.where(near[kept], 1.0, float(THIN)))
             places.append(np.full(int(kept.sum()), place, np.int64))
+        rows, weights = np.concatenate(features), np.concatenate(weight)
+        bins = _Bins.of(rows, weights)
         return cls(
-            features=np.concatenate(features), until_s=np.concatenate(until_s), weight=np.concatenate(weight),
+            bins=bins, binned=bins.indices(rows), features=rows, until_s=np.concatenate(until_s), weight=weights,
             drive=np.concatenate(places),
         )  # fmt: skip
 
@@ -193,7 +252,7 @@ class _Steps:
             max_iter=TREES, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=SHRINKAGE,
             min_samples_leaf=LEAST_STEPS_OF_A_LEAF, max_bins=BINS, early_stopping=False, random_state=0,
         )  # fmt: skip
-        model.fit(self.features[kept], self.until_s[kept] <= horizon_s, sample_weight=self.weight[kept])
+        model.fit(self.binned[kept], self.until_s[kept] <= horizon_s, sample_weight=self.weight[kept])
         return model
 
 
@@ -297,7 +356,7 @@ def _spread(groups: IntArray, violated: BoolArray, rng: np.random.Generator) -> 
     return folds
 
 
-def _check_forest(forest: Forest, models: Sequence[Any], features: SingleArray) -> None:
-    expected = np.stack([model.decision_function(features) for model in models], axis=1)
-    if not np.allclose(forest.scores(features), expected, atol=_TOLERANCE):
+def _check_forest(forest: Forest, models: Sequence[Any], steps: _Steps) -> None:
+    expected = np.stack([model.decision_function(steps.binned[:200]) for model in models], axis=1)
+    if not np.allclose(forest.scores(steps.features[:200]), expected, atol=_TOLERANCE):
         raise RuntimeError("this version of scikit-learn stores its trees in a way that Brink cannot read")

@@ -11,7 +11,16 @@ import pytest
 from brink.forest import Forest
 from brink.search.analysis import guard_training
 from brink.search.analysis.boosted_trees import forest_of
-from brink.search.analysis.guard_training import FOLDS, THIN, DriveSeries, _divisions, _Steps, fit_horizons
+from brink.search.analysis.guard_training import (
+    BINS,
+    FOLDS,
+    THIN,
+    DriveSeries,
+    _Bins,
+    _divisions,
+    _Steps,
+    fit_horizons,
+)
 from brink.search.errors import MissingExtra
 from brink.search.space import FloatArray
 
@@ -57,7 +66,8 @@ def test_probabilities_rise_towards_the_violation_and_the_trees_are_those_of_sci
     progress: list[tuple[int, int]] = []
     fitted = fit_horizons(drives(), HORIZONS_S, np.random.default_rng(1), lambda *done: progress.append(done))
     rows = np.concatenate([one.features for one in drives()]).astype(np.float32)
-    expected = np.stack([model.decision_function(rows) for model in fitted_models], axis=1)
+    bins = _Steps.of(drives(), max(HORIZONS_S)).bins
+    expected = np.stack([model.decision_function(bins.indices(rows)) for model in fitted_models], axis=1)
     assert fitted.forest.scores(rows) == pytest.approx(expected, abs=1e-9)
     assert progress[-1] == (len(HORIZONS_S) * (FOLDS + 1),) * 2
 
@@ -150,6 +160,17 @@ def test_steps_far_from_a_violation_are_thinned_and_stand_for_those_left_out() -
 def test_too_few_drives_are_refused(given: list[DriveSeries], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         fit_horizons(given, HORIZONS_S, np.random.default_rng(1))
+
+
+def test_bins_have_the_edges_of_scikit_learn() -> None:
+    from sklearn.ensemble._hist_gradient_boosting.binning import _BinMapper
+
+    rng = np.random.default_rng(5)
+    features = np.stack([rng.normal(size=2000), rng.integers(0, 9, 2000)], axis=1).astype(np.float32)
+    weight = rng.choice([1.0, 5.0], 2000)
+    mapper = _BinMapper(n_bins=BINS + 1).fit(features.astype(np.float64), sample_weight=weight)
+    for own, expected in zip(_Bins.of(features, weight).edges, mapper.bin_thresholds_, strict=True):
+        assert own == pytest.approx(expected, abs=1e-6)
 
 
 def test_trees_are_fitted_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
