@@ -10,7 +10,7 @@ import numpy as np
 from brink.api.client import Api, CoordinatorError
 from brink.search.archive import ARRAYS, Archive
 from brink.search.errors import TooManyPairs
-from brink.search.space import BoolArray
+from brink.search.space import BoolArray, IntArray
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.pair_views import MOST_PAIRS, PairsView, PairView
 from brink.server.api.schemas import CampaignView, SolutionView
@@ -46,6 +46,8 @@ class FetchedArchive:
         plan: Problem and algorithm of the campaign.
         archive: All evaluated solutions.
         active: Which parameters had a part in each episode, shape ``(n, d)``; None from an older coordinator.
+        seeds: Episode seed of each solution, shape ``(n,)``; None from an older coordinator.
+        digests: Digest of the episode of each solution, empty if it had none; None from an older coordinator.
         generations: Size of the archive after each generation.
         outcomes: What the simulations showed about all requirements, for each solution of the archive.
     """
@@ -55,6 +57,8 @@ class FetchedArchive:
     plan: Plan
     archive: Archive
     active: BoolArray | None
+    seeds: IntArray | None
+    digests: tuple[str, ...] | None
     generations: tuple[int, ...]
     outcomes: OutcomesView
 
@@ -78,6 +82,7 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     ends = np.searchsorted(generations, np.unique(generations), side="right")
     return FetchedArchive(
         id=view.id, body=view.body, plan=plan, archive=archive, active=arrays.get("active"),
+        seeds=arrays.get("seeds"), digests=tuple(arrays["digests"].tolist()) if "digests" in arrays else None,
         generations=tuple(int(end) for end in ends), outcomes=outcomes,
     )  # fmt: skip
 

@@ -4,7 +4,10 @@ Every guard is fitted to equally many drives: random ones, those of a campaign o
 (with the pairs that it confirms), or a third of each. All are judged on the same fresh random drives, beside the
 baselines. *Unseen roads* and *unseen behaviours* are judged apart: guards are fitted without a third of the roads, or
 without drives in which persons are reported, and judged on the fresh drives with them, beside a guard that was fitted
-to all.
+to equally many drives of every kind.
+
+Recorded drives are kept in chunks, so that an interrupted measurement goes on where it stopped. A chunk is used only
+if its digests are those of the episodes that are wanted: a search that has changed asks for other ones, and they run.
 """
 
 import json
@@ -25,14 +28,13 @@ from brink.search.algorithm import Scored, ask_all
 from brink.search.streams import episode_seed
 from brink.server.problems.catalogue import make_algorithm, make_params
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
+from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.features import FEATURES
 from brink.sim.guard.model import GuardModel, Sensor
 from brink.sim.guard.monitor import ModelGuard
 
-CODE: Final = (
-    "sim", "search/algorithms", "search/parameters.py", "search/space.py", "search/streams.py", "server/problems",
-)  # fmt: skip
-"""Code that determines the drives and their features."""
+CODE: Final = ("sim",)
+"""Code that determines what an episode gives; which episodes run is compared by digest."""
 FRESH_SEED: Final = 2_001
 SEARCHES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
     "MLCSHE": ("mlcshe@1", {"radius": 0.3, "p_th": 0.1}),
@@ -86,7 +88,8 @@ class Measured:
 
     Attributes:
         judged: Every guard on all fresh drives.
-        unseen: Guards on drives of a kind that they never saw, and guards that saw it, on the same drives.
+        unseen: Guards on drives of a kind that they never saw, and guards that saw it, on the same drives, fitted to
+            equally many drives.
         step_ms: Mean CPU time of a perception step of the guards of `RANDOM`, by sensor.
         bytes_per_drive: Mean size of the stored features and verdicts of a fresh drive.
     """
@@ -100,11 +103,14 @@ class Measured:
         """Yield the figures with targets."""
         for one in self.judged:
             compared, note = one.evaluation.guard.compared, _note(one.evaluation)
-            what = f"warned {LEAD_S:g} s ahead: {one.trained_on}, {one.sensor}"
+            what = f"predicted {LEAD_S:g} s ahead: {one.trained_on}, {one.sensor}"
             if one.trained_on == RANDOM:
                 yield at_least(what, compared.recall, RECALL_TARGET, note)
             else:
                 yield Row(what=what, value=compared.recall, target="", met=None, note=note)
+            own = one.evaluation.own.point
+            note = f"threshold {own.threshold:.3f}, set in fitting; alarms in {own.false_alarms:.1%} of safe drives"
+            yield Row(what="  with its own threshold", value=own.recall, target="", met=None, note=note)
         for sensor, step_ms in self.step_ms.items():
             note = "CPU time of features and model"
             yield at_most(f"ms a step: {sensor}", step_ms, STEP_TARGET_MS, note)
@@ -124,7 +130,8 @@ def _note(evaluation: GuardEvaluation) -> str:
     low, high = evaluation.guard.interval
     return (
         f"{low:.2f} to {high:.2f}; alarms in {evaluation.guard.compared.false_alarms:.1%} of safe drives "
-        f"(at most {FALSE_ALARMS:.0%}); {evaluation.violations:,} violations in {evaluation.drives:,} drives"
+        f"(at most {FALSE_ALARMS:.0%}, read off the ROC curve of these drives); "
+        f"{evaluation.violations:,} violations in {evaluation.drives:,} drives"
     )
 
 
@@ -174,7 +181,7 @@ class GuardBench:
             model, fit_s = self._fitted(training[name], sensor)
             judged.append(_judged(model, name, "all", fresh, fit_s))
             if name == RANDOM:
-                unseen += self._unseen(model, training[name], fresh, sensor)
+                unseen += self._unseen(training[name], fresh, sensor)
                 step_ms[sensor] = self._step_ms(model)
         self._report("fitting and judging", len(tasks), len(tasks))
         return Measured(
@@ -211,33 +218,18 @@ class GuardBench:
         return {name: drives for name, drives in found.items() if name in self._sets}
 
     def _random(self, recorders: Recorders, seed: int, count: int) -> list[Drive]:
-        """Return random drives, recorded in chunks that are kept."""
+        """Return random drives."""
         specs = random_specs(self._problem, count, seed)
-        part, drives = f"random drives, seed {seed}", list[Drive]()
-        for first in range(0, count, CHUNK):
-            chunk = specs[first : first + CHUNK]
-            file = self._folder / f"random-{seed}-{first}-{len(chunk)}.npz"
-            found = load_drives(file)
-            if found is None:
-                found = recorders.record(chunk, on_progress=self._reporter(part, first, count))
-                save_drives(file, found)
-            drives += found
-            self._report(part, len(drives), count)
-        return drives
+        return self._kept(recorders, f"random-{seed}", specs, f"random drives, seed {seed}", 0, count)
 
     def _searched(self, recorders: Recorders, name: str) -> list[Drive]:
         """Return the drives of a search, which is run in this process."""
-        file = (
-            self._folder / f"{name.lower()}-{self._seed}-{self._training}-{self._problem.requirements[0]}.npz"
-        )
-        drives = load_drives(file)
-        if drives is not None:
-            return drives[: self._training]
         algorithm_id, params = SEARCHES[name]
         algorithm = make_algorithm(algorithm_id)
         config = make_params(algorithm.config_type, params, "/algorithm/params")
         state = algorithm.start(self._problem.space, config, seed=self._seed, budget=self._training)
-        drives = []
+        drives: list[Drive] = []
+        stem = f"{name.lower()}-{self._seed}-{self._training}-{self._problem.requirements[0]}"
         while not algorithm.finished(state):
             state, _ = ask_all(algorithm, state)
             pending = state.pending
@@ -248,14 +240,44 @@ class GuardBench:
                 )
                 for one in pending
             ]
-            part = f"drives of {name}"
-            found = recorders.record(specs, on_progress=self._reporter(part, len(drives), self._training))
+            found = self._kept(recorders, stem, specs, f"drives of {name}", len(drives), self._training)
             state = algorithm.tell(
                 state, {one.number: self._scored(drive) for one, drive in zip(pending, found, strict=True)}
             )
             drives += found
-        save_drives(file, drives)
         return drives[: self._training]  # a search may exceed its budget to complete a generation
+
+    def _kept(
+        self,
+        recorders: Recorders,
+        stem: str,
+        specs: Sequence[EpisodeSpec],
+        part: str,
+        before: int,
+        total: int,
+    ) -> list[Drive]:
+        """Return the drives of some episodes, in chunks that are kept.
+
+        Args:
+            recorders: Record what is not kept.
+            stem: Beginning of the names of the files.
+            specs: The episodes.
+            part: Name of the part, for progress.
+            before: Number of drives of the part that are complete.
+            total: Total number of drives of the part.
+        """
+        drives: list[Drive] = []
+        for first in range(0, len(specs), CHUNK):
+            chunk = specs[first : first + CHUNK]
+            done = before + first
+            file = self._folder / f"{stem}-{done}-{len(chunk)}.npz"
+            found = load_drives(file)
+            if found is None or [one.digest for one in found] != [spec.digest() for spec in chunk]:
+                found = recorders.record(chunk, on_progress=self._reporter(part, done, total))
+                save_drives(file, found)
+            drives += found
+            self._report(part, before + len(drives), total)
+        return drives
 
     def _scored(self, drive: Drive) -> Scored:
         robustness = min(drive.robustness[name] for name in self._problem.requirements)
@@ -270,16 +292,21 @@ class GuardBench:
         model = fit(drives, self._problem.requirements, sensor=sensor, seed=self._seed)
         return model, time.process_time() - began_s
 
-    def _unseen(
-        self, known: GuardModel, training: Sequence[Drive], fresh: Sequence[Drive], sensor: Sensor
-    ) -> Iterator[Judged]:
-        """Yield guards that never saw a kind of drives, and one that did, on the fresh drives of that kind."""
+    def _unseen(self, training: Sequence[Drive], fresh: Sequence[Drive], sensor: Sensor) -> Iterator[Judged]:
+        """Yield guards that never saw a kind of drives, and ones that did, on the fresh drives of that kind.
+
+        Both are fitted to the same number of drives, so that the difference is not one of the amount of data.
+        """
         for what, is_unseen in (("unseen roads", _on_unseen_road), ("unseen behaviours", _reports_persons)):
             seen = [drive for drive in training if not is_unseen(drive)]
             rest = [drive for drive in fresh if is_unseen(drive)]
-            model, fit_s = self._fitted(seen, sensor)
-            yield _judged(model, f"{RANDOM} without them", what, rest, fit_s)
-            yield _judged(known, RANDOM, what, rest, 0.0)
+            chosen = np.sort(np.random.default_rng(self._seed).permutation(len(training))[: len(seen)])
+            for name, drives in (
+                (f"{RANDOM} without them", seen),
+                (RANDOM, [training[place] for place in chosen.tolist()]),
+            ):
+                model, fit_s = self._fitted(drives, sensor)
+                yield _judged(model, name, what, rest, fit_s)
 
     def _step_ms(self, model: GuardModel) -> float:
         """Return the mean CPU time of a perception step of a guard, without the range sensor's own computation."""
@@ -320,7 +347,7 @@ def _reports_persons(drive: Drive) -> bool:
 
 
 def baseline_rows(evaluation: GuardEvaluation) -> Iterator[tuple[str, ...]]:
-    """Yield a row for each baseline: its name, warned violations and false alarms at the compared threshold."""
+    """Yield a row for each baseline: its name, predicted violations and false alarms at the compared threshold."""
     for one in evaluation.predictors[1:]:
         point = one.points[-1] if one.name == ALWAYS else one.compared
         if one.name == NEVER:

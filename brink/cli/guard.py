@@ -1,5 +1,6 @@
 """`brink guard fit | judge | drive`: a runtime monitor of what a car can observe, fitted to drives of campaigns."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,17 +23,29 @@ from brink.cli.options import (
     print_json,
     save_picture,
 )
-from brink.guard.drives import Drive, Recorders, check_problem, check_verdicts, random_specs, solution_specs
+from brink.guard.drives import (
+    DEFAULT_PROBLEM,
+    Drive,
+    Recorders,
+    check_problem,
+    check_requirements,
+    check_verdicts,
+    problem_of,
+    random_specs,
+    solution_specs,
+    with_requirements,
+)
 from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, LEADS_S, GuardEvaluation, PredictorResult, evaluate
 from brink.guard.fitting import fit as fit_guard
+from brink.guard.seen import SeenDrives
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import NamesRequirements, SimulatedProblem
 from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import REQUIREMENTS, plugin_ids
+from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.model import GuardModel, Sensor
 
-DEFAULT_PROBLEM = PluginChoice(id="urban-injected@1")
 FRESH_SEED = 2_001
 """Seed of fresh drives; seeds of campaigns are usually small."""
 RANDOM_SEED = 1_001
@@ -51,7 +64,7 @@ Campaigns = Annotated[
     list[str] | None,
     typer.Argument(metavar="ID...", help="Ids of campaigns.", show_default=False, callback=check_ids),
 ]
-Processes = Annotated[int, typer.Option(min=1, max=256, help="Processes that run drives again.")]
+Processes = Annotated[int, typer.Option(min=1, max=256, help="Processes that re-run drives.")]
 
 
 @guard.command()
@@ -101,15 +114,15 @@ def fit(
 
     Example: brink guard fit 3f2a 91bc --random 500 --out guard.json
     """
-    source = _source(campaigns, random, seed, database, server, sensor=sensor, requirement=requirement)
-    with Steps(console(stderr=True), "running drives again") as steps:
+    _check_out(out)
+    source = _source(campaigns, random, seed, database, server, requirement=requirement)
+    with Steps(console(stderr=True), "re-running drives") as steps:
         drives = source.recorded(processes, steps)
         model = fit_guard(
             drives, source.requirements, sensor=sensor, false_alarms=false_alarms, seed=seed, about=source.about,
             on_progress=steps.of("fitting trees"),
         )  # fmt: skip
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(model.to_json() + "\n", encoding="utf-8")
+    model.save(out)
     violations = model.about["violations"]
     if as_json:
         print_json({
@@ -152,11 +165,11 @@ def judge(
     if not campaigns and not drives:
         raise InvalidInput.at("", "expected ids of campaigns, or a number of fresh drives with --drives")
     source = _source(
-        campaigns, drives, seed, database, server, sensor=model.sensor, requirement=list(model.requirements),
-        default=_problem_of(model),
+        campaigns, drives, seed, database, server, requirement=list(model.requirements),
+        default=problem_of(model.about),
     )  # fmt: skip
     _check_fresh(file, model, source)
-    with Steps(console(stderr=True), "running drives again") as steps:
+    with Steps(console(stderr=True), "re-running drives") as steps:
         recorded = source.recorded(processes, steps)
         steps.show("judging")
         evaluation = evaluate(model, recorded)
@@ -173,55 +186,97 @@ def judge(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _Part:
+    """Some of the drives.
+
+    Attributes:
+        whose: Whose drives they are, for messages.
+        specs: Their episodes.
+        fetched: The campaign that simulated them; None for random drives.
+    """
+
+    whose: str
+    specs: Sequence[EpisodeSpec]
+    fetched: FetchedArchive | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Source:
     """Where drives come from.
 
     Attributes:
-        problem: Their problem.
-        choice: Its id and parameters.
+        choice: Id and parameters of their problem.
         requirements: Ids of the requirements that count.
-        fetched: The campaigns.
+        parts: The drives of each campaign, and random ones.
         random: Number of random drives.
         seed: Seed of the random drives.
     """
 
-    problem: SimulatedProblem
     choice: PluginChoice
     requirements: tuple[str, ...]
-    fetched: Sequence[FetchedArchive]
+    parts: Sequence[_Part]
     random: int
     seed: int
+
+    @property
+    def campaigns(self) -> list[str]:
+        """Ids of the campaigns."""
+        return [one.fetched.id for one in self.parts if one.fetched is not None]
 
     @property
     def about(self) -> dict[str, Any]:
         """Provenance of a guard."""
         return {
-            "campaigns": [one.id for one in self.fetched],
+            "campaigns": self.campaigns,
             "random": {"drives": self.random, "seed": self.seed} if self.random else None,
             "problem": self.choice.model_dump(mode="json"),
         }
 
     def recorded(self, processes: int, steps: Steps) -> list[Drive]:
-        """Run all drives again.
+        """Run all drives again; one that several campaigns have counts once.
 
         Raises:
-            Conflict: The drives of a campaign end otherwise on this machine.
+            Conflict: The drives of a campaign end differently on this machine.
         """
-        found: list[Drive] = []
+        found: dict[str, Drive] = {}
         with Recorders(processes) as recorders:
-            for one in self.fetched:
-                problem = check_problem(one.plan.problem)
-                specs = solution_specs(problem, one.archive, one.body.seed)
+            for one in self.parts:
                 drives = recorders.record(
-                    specs, on_progress=steps.of(f"running the drives of {one.id} again")
+                    one.specs, on_progress=steps.of(f"running the drives of {one.whose}")
                 )
-                if isinstance(problem, NamesRequirements):
-                    check_verdicts(drives, problem.requirements, one.archive.unsafe, f"campaign {one.id}")
-                found += drives
-            if self.random:
-                specs = random_specs(self.problem, self.random, self.seed)
-                found += recorders.record(specs, on_progress=steps.of("running random drives"))
-        return found
+                if one.fetched is not None:
+                    problem = check_problem(one.fetched.plan.problem)
+                    check_verdicts(drives, _requirements(problem), one.fetched.archive, one.whose)
+                found |= {drive.digest: drive for drive in drives}
+        return list(found.values())
+
+
+def _check_out(out: Path) -> None:
+    """Check that a file can be written before anything slow begins, and create its folder.
+
+    Raises:
+        InvalidInput: It cannot.
+    """
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput.at("--out", f"{out.parent}: {error.strerror}") from None
+    if out.is_dir():
+        raise InvalidInput.at("--out", f"expected a file, {out} is a folder")
+    if not os.access(out.parent, os.W_OK):
+        raise InvalidInput.at("--out", f"{out.parent} is not writable")
+
+
+def _specs(problem: SimulatedProblem, fetched: FetchedArchive) -> list[EpisodeSpec]:
+    """Return the episodes of a campaign.
+
+    Raises:
+        Conflict: They differ from those that were simulated, or the coordinator does not send their seeds.
+    """
+    whose = f"campaign {fetched.id}"
+    if fetched.seeds is None or fetched.digests is None:
+        raise Conflict(f"{whose}: its coordinator does not send the seeds of episodes: update it")
+    return solution_specs(problem, fetched.archive, fetched.seeds, fetched.digests, whose)
 
 
 def _source(
@@ -231,7 +286,6 @@ def _source(
     database: str | None,
     server: str | None,
     *,
-    sensor: Sensor,
     requirement: Sequence[str] | None,
     default: PluginChoice = DEFAULT_PROBLEM,
 ) -> _Source:
@@ -239,7 +293,7 @@ def _source(
 
     Raises:
         InvalidInput: There are no drives, or a guard cannot watch them.
-        Conflict: The campaigns have different problems.
+        Conflict: The campaigns have different problems, or their drives were not judged by a requirement.
     """
     if not campaigns and not random:
         raise InvalidInput.at("", "expected ids of campaigns, or a number of random drives with --random")
@@ -249,12 +303,20 @@ def _source(
                 "--requirement", f"expected one of {', '.join(plugin_ids(REQUIREMENTS))}, got {one!r}"
             )
     fetched = fetch_archives(campaigns, server=server, database=database) if campaigns else []
-    choice = fetched[0].body.problem if fetched else default
-    problem = check_problem(fetched[0].plan.problem if fetched else make_problem(choice.id, choice.params))
+    if fetched:
+        choice, problem = fetched[0].body.problem, check_problem(fetched[0].plan.problem)
+    else:
+        choice = with_requirements(default, requirement or ())
+        problem = check_problem(make_problem(choice.id, choice.params))
     names = tuple(requirement) if requirement else _requirements(problem)
-    return _Source(
-        problem=problem, choice=choice, requirements=names, fetched=fetched, random=random, seed=seed
-    )
+    check_requirements(problem, names)
+    parts = [
+        _Part(whose=f"campaign {one.id}", specs=_specs(check_problem(one.plan.problem), one), fetched=one)
+        for one in fetched
+    ]
+    if random:
+        parts.append(_Part(whose=f"random seed {seed}", specs=random_specs(problem, random, seed)))
+    return _Source(choice=choice, requirements=names, parts=parts, random=random, seed=seed)
 
 
 def _requirements(problem: SimulatedProblem) -> tuple[str, ...]:
@@ -262,29 +324,29 @@ def _requirements(problem: SimulatedProblem) -> tuple[str, ...]:
     return problem.requirements
 
 
-def _problem_of(model: GuardModel) -> PluginChoice:
-    stored = model.about.get("problem")
-    if not isinstance(stored, dict):
-        return DEFAULT_PROBLEM
-    try:
-        return PluginChoice.model_validate(stored)
-    except ValueError:
-        return DEFAULT_PROBLEM
-
-
 def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
-    """Check that a guard was not fitted to the drives on which it is to be judged.
+    """Check that a guard was not fitted to the drives on which it is to be judged, in whatever campaign.
 
     Raises:
         Conflict: It was.
     """
-    if own := fitted_among(model.about, source.fetched):
+    fetched = [one.fetched for one in source.parts if one.fetched is not None]
+    if own := fitted_among(model.about, fetched):
         raise Conflict(
             f"{fitted_words(file, own)}: judge it on other drives, best on fresh ones (--drives 2000)"
         )
     drawn = model.about.get("random")
     if source.random and isinstance(drawn, dict) and drawn.get("seed") == source.seed:
         raise Conflict(f"{file} was fitted to random drives of seed {source.seed}: choose another --seed")
+    seen = SeenDrives.by(model.about)
+    if seen is None:
+        return
+    for part in source.parts:
+        if repeated := seen.repeats(part.specs):
+            raise Conflict(
+                f"{file} was fitted to {repeated:,} of the {len(part.specs):,} solutions of {part.whose}: judge it "
+                "on other drives, best on fresh ones (--drives 2000)"
+            )
 
 
 def _print(evaluation: GuardEvaluation) -> None:
@@ -296,18 +358,22 @@ def _print(evaluation: GuardEvaluation) -> None:
         soft_wrap=True,
     )
     leads = [f"{lead_s:g} s" for lead_s in LEADS_S if lead_s]
+    screen.print(
+        f"violations predicted at least this long ahead, with alarms in at most {FALSE_ALARMS:.0%} of the safe "
+        "drives (each threshold is read off the ROC curve of these very drives):",
+        soft_wrap=True,
+    )
     table = plain_table(
-        "violations warned at least this long ahead,", "false alarms", *leads, f"interval at {LEAD_S:g} s",
-        right=("false alarms", *leads),
-    )  # fmt: skip
+        "predictor", "false alarms", *leads, f"interval at {LEAD_S:g} s", right=("false alarms", *leads)
+    )
     for one in evaluation.predictors:
         table.add_row(*_row(one))
     screen.print(table)
     own = evaluation.own
     lead = "none" if own.median_lead_s is None else f"{own.median_lead_s:.1f} s"
     screen.print(
-        f"with its own threshold ({own.point.threshold:.3f}): {own.point.recall:.0%} of violations warned at least "
-        f"{LEAD_S:g} s ahead, {own.recent:.0%} by an alarm of the last seconds; alarms in "
+        f"with its own threshold ({own.point.threshold:.3f}): {own.point.recall:.0%} of violations predicted at "
+        f"least {LEAD_S:g} s ahead, {own.recent:.0%} by an alarm of the last seconds; alarms in "
         f"{own.point.false_alarms:.1%} of safe drives, {own.false_per_hour:.1f} an hour; median lead {lead}",
         soft_wrap=True,
     )

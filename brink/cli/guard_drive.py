@@ -1,6 +1,5 @@
 """`brink guard drive`: fresh drives without and with a guard and the fallback that it triggers."""
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -11,10 +10,11 @@ import numpy as np
 import typer
 
 from brink.api.live import Steps
-from brink.cli.options import AsJson, console, plain_table, print_json, write_json
-from brink.guard.drives import random_specs
+from brink.cli.options import AsJson, Odd, console, plain_table, print_json, read_odd, write_json
+from brink.guard.drives import DEFAULT_PROBLEM, check_problem, problem_of, random_specs, with_requirements
 from brink.guard.loop import (
     FIRST_SEED,
+    LIMITS,
     MOST_LOST,
     Condition,
     GuardedLoop,
@@ -23,10 +23,12 @@ from brink.guard.loop import (
     record_drive_trace,
     thresholds_around,
 )
+from brink.guard.seen import SeenDrives
 from brink.guard.sight import LEAD_S, WINDOW_S, Reported
 from brink.search.analysis.guard_drives import CONFIDENCE, Estimate, GuardWorth
 from brink.search.space import BoolArray
 from brink.server.campaigns.body import PluginChoice
+from brink.server.documents import parse_yaml
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
@@ -36,7 +38,6 @@ from brink.sim.guard.fallback import DEFAULT_FALLBACK
 from brink.sim.guard.model import GuardModel
 from brink.sim.guard.option import FILE, GUARDS, GuardOption
 
-PROBLEM: Final = "urban-injected@1"
 MOST_PICTURES: Final = 20
 _WORDS: Final = {
     Reported.COUNTERPART: "the other road user",
@@ -72,8 +73,8 @@ def drive(
     threshold: Annotated[
         list[float] | None,
         typer.Option(
-            min=0.001,
-            max=0.999,
+            min=LIMITS[0],
+            max=LIMITS[1],
             show_default=False,
             help="Probability from which the guard raises the alarm; may be repeated "
             "(default: a quarter to four times the odds of the guard's own).",
@@ -82,7 +83,24 @@ def drive(
     drives: Annotated[int, typer.Option(min=1, max=100_000, help="Drives of each seed.")] = 200,
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Number of seeds.")] = 10,
     first_seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = FIRST_SEED,
-    problem: Annotated[str, typer.Option(help="Problem from whose space drives are drawn.")] = PROBLEM,
+    problem: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            help="Problem from whose space drives are drawn (default: the guard's own, with its parameters; "
+            f"{DEFAULT_PROBLEM.id} for a guard that needs no fitting).",
+        ),
+    ] = None,
+    param: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            show_default=False,
+            help="Parameter of the problem, such as trajectories=3, in place of the guard's; may be repeated.",
+        ),
+    ] = None,
+    odd: Odd = None,
     requirement: Annotated[
         list[str] | None,
         typer.Option(
@@ -113,20 +131,23 @@ def drive(
     """  # fmt: skip
     option = _option(guard, fallback, setting or [])
     model = _model(option)
-    own = option.own_threshold
-    chosen = sorted(set(threshold)) if threshold else thresholds_around(own)
+    chosen = sorted(set(threshold)) if threshold else thresholds_around(option.own_threshold)
     used = [*range(first_seed, first_seed + seeds)]
+    choice = _choice(model, problem, _params(param or [], read_odd(odd)), requirement or [])
+    task = check_problem(make_problem(choice.id, choice.params))
+    seen = None if model is None else SeenDrives.by(model.about)
     if model is not None:
-        _check_fresh(model, used)
-    task = _problem(problem, requirement or _requirements(model))
+        _check_fresh(model, seen, task, used, drives)
+    if out is not None:
+        _check_out(out)
     with Steps(console(stderr=True), "starting") as steps:
         loop = drive_with_guard(
             task, option, chosen, drives=drives, seeds=used, processes=processes, on_progress=steps.show
         )
-        parts = _parts(model, task, loop)
-        document = _document(loop, option, parts)
+        parts = {} if seen is None else seen.parts(loop.specs)
+        document = {"problem": choice.model_dump(mode="json"), **_document(loop, option, parts)}
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
+            _remove_pictures(out)
             write_json(out / "drives.json", document)
             steps.show("drawing the trade-off")
             _draw(loop, out)
@@ -164,20 +185,46 @@ def _model(option: GuardOption) -> GuardModel | None:
     return GuardModel.load(option.guard.removeprefix(FILE)) if option.guard.startswith(FILE) else None
 
 
-def _requirements(model: GuardModel | None) -> Sequence[str]:
-    return () if model is None else model.requirements
+def _params(given: Sequence[str], odd: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters of the problem that the command line names.
+
+    Raises:
+        InvalidInput: One is not a name and a value.
+    """
+    found: dict[str, Any] = {}
+    for one in given:
+        name, equals, value = one.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            raise InvalidInput.at("--param", f"expected NAME=VALUE, such as trajectories=3; got {one!r}")
+        found[name.strip()] = parse_yaml(value)
+    return {**found, "odd": odd} if odd else found
 
 
-def _problem(problem_id: str, requirements: Sequence[str]) -> SimulatedProblem:
-    found = make_problem(problem_id, {"requirement": list(requirements)} if requirements else {})
-    if not isinstance(found, SimulatedProblem):
-        raise InvalidInput.at(
-            "--problem", f"expected a simulated problem such as {PROBLEM}, got {problem_id!r}"
-        )
-    return found
+def _choice(
+    model: GuardModel | None, problem_id: str | None, params: Mapping[str, Any], requirements: Sequence[str]
+) -> PluginChoice:
+    """Return the problem of the drives: the guard's own, unless the command line names another one.
+
+    Args:
+        model: The guard; None for one that was not fitted.
+        problem_id: Id of another problem, whose parameters are not the guard's.
+        params: Parameters that replace those of the guard's own problem.
+        requirements: Requirements that count; without any, what the guard predicts.
+    """
+    own = DEFAULT_PROBLEM if model is None else problem_of(model.about)
+    base = own if problem_id in (None, own.id) else PluginChoice(id=str(problem_id))
+    merged = PluginChoice(id=base.id, params={**base.params, **params})
+    limits = base.params.get("odd")
+    if isinstance(limits, Mapping) and "odd" in params:
+        merged = PluginChoice(id=base.id, params={**merged.params, "odd": {**limits, **params["odd"]}})
+    if not requirements and model is not None:
+        requirements = model.requirements
+    return with_requirements(merged, requirements)
 
 
-def _check_fresh(model: GuardModel, seeds: Sequence[int]) -> None:
+def _check_fresh(
+    model: GuardModel, seen: SeenDrives | None, task: SimulatedProblem, seeds: Sequence[int], drives: int
+) -> None:
     """Check that a guard was not fitted to the drives of these seeds.
 
     Raises:
@@ -188,37 +235,48 @@ def _check_fresh(model: GuardModel, seeds: Sequence[int]) -> None:
         raise Conflict(
             f"the guard was fitted to random drives of seed {drawn['seed']}: choose another --first-seed"
         )
+    if seen is None:
+        return
+    for seed in seeds:
+        if repeated := seen.repeats(random_specs(task, drives, seed)):
+            raise Conflict(
+                f"the guard was fitted to {repeated:,} of the {drives:,} solutions of seed {seed}: choose another "
+                "--first-seed"
+            )
 
 
-def _parts(model: GuardModel | None, task: SimulatedProblem, loop: GuardedLoop) -> dict[str, BoolArray]:
-    """Return masks of the drives by whether their scenario occurs among those that a guard was fitted to.
+def _check_out(out: Path) -> None:
+    """Check that a folder can be written before anything slow begins, and create it.
 
-    Empty unless the guard was fitted to random drives alone, which can be drawn again. No behaviour occurs twice.
+    Raises:
+        InvalidInput: It cannot.
     """
-    about = {} if model is None else model.about
-    drawn, problem = about.get("random"), about.get("problem")
-    if not isinstance(drawn, Mapping) or about.get("campaigns") or not isinstance(problem, Mapping):
-        return {}
-    choice = PluginChoice.model_validate(problem)
-    learned = make_problem(choice.id, choice.params)
-    if not isinstance(learned, SimulatedProblem) or learned.space.column_names() != task.space.column_names():
-        return {}
-    scenarios = {_scenario(spec.scenario) for spec in random_specs(learned, drawn["drives"], drawn["seed"])}
-    seen = np.array([_scenario(spec.scenario) in scenarios for spec in loop.specs], bool)
-    masks = {"scenario seen, behaviour unseen": seen, "scenario and behaviour unseen": ~seen}
-    return {name: mask for name, mask in masks.items() if mask.any()}
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput.at("--out", f"expected a folder, {out}: {error.strerror}") from None
 
 
-def _scenario(scenario: Mapping[str, Json]) -> str:
-    return json.dumps(dict(scenario), sort_keys=True)
+def _remove_pictures(out: Path) -> None:
+    """Remove the pictures of an earlier run, which would not belong to the new figures."""
+    for picture in (out / "trade-off.png", *out.glob("prevented-[0-9]*.png")):
+        picture.unlink(missing_ok=True)
 
 
-def _sights(loop: GuardedLoop, condition: Condition) -> list[dict[str, Any]]:
-    """Return violations without the guard by what was reported before them, and how many are prevented."""
+def _sights(loop: GuardedLoop, condition: Condition, counts: BoolArray | None = None) -> list[dict[str, Any]]:
+    """Return violations without the guard by what was reported before them, and how many are prevented.
+
+    Args:
+        loop: The drives.
+        condition: The condition.
+        counts: Mask of the drives that count; all by default.
+    """
     rows = []
     for reported in Reported:
         places = [
-            i for i, sight in enumerate(loop.sights) if sight is not None and sight.reported is reported
+            i
+            for i, sight in enumerate(loop.sights)
+            if sight is not None and sight.reported is reported and (counts is None or counts[i])
         ]
         sights = [sight for i in places if (sight := loop.sights[i]) is not None]
         rows.append(
@@ -259,7 +317,19 @@ def _document(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolAr
             }
             for condition in loop.conditions
         ],
-        "recommended": {"most_lost": MOST_LOST, "threshold": best.threshold},
+        "recommended": None if best is None else _recommendation(loop, best),
+    }
+
+
+def _recommendation(loop: GuardedLoop, best: Condition) -> dict[str, Any]:
+    """Return the recommended threshold, the seeds on which it was chosen, and what it is worth on the others."""
+    seeds = np.array(loop.seed)
+    return {
+        "threshold": best.threshold,
+        "most_lost_when_safe": MOST_LOST,
+        "chosen_on": np.unique(seeds[loop.chooses]).tolist(),
+        "reported_on": np.unique(seeds[~loop.chooses]).tolist(),
+        "worth": asdict(loop.worth(best, ~loop.chooses)),
     }
 
 
@@ -272,32 +342,45 @@ def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray
         f"{' or '.join(loop.requirements)} without a guard; with it, an alarm triggers {option.fallback}",
         soft_wrap=True,
     )  # fmt: skip
-    names = ("fall by", "prevented", "caused", "others", "distance lost", "when safe", "an hour", "drives")
+    names = (
+        "fall by", "prevented", "entirely", "caused", "others", "distance lost", "when safe", "an hour", "drives",
+    )  # fmt: skip
     table = plain_table("threshold", *names, right=("threshold", *names))
     screen.print(
-        "violations prevented, caused, and of other requirements; mean distance lost, and that of drives that are "
-        "safe without; false alarms an hour, and safe drives with one:",
+        "violations prevented, those of them without a violation of any other requirement, violations caused, and "
+        "safe drives with one of another requirement; mean distance lost, and that of drives that are safe without; "
+        "false alarms an hour, and safe drives with one:",
         soft_wrap=True,
     )
     for condition in loop.conditions:
         table.add_row(f"{condition.threshold:.3f}", *_row(loop.worth(condition)))
     screen.print(table)
-    best = loop.recommended()
-    worth = loop.worth(best)
-    screen.print(
-        f"most prevented at a loss of at most {MOST_LOST:.0%} of the mean distance: threshold {best.threshold:.3f}, "
-        f"{worth.prevented:,} violations prevented, {worth.caused:,} caused"
-        if (worth.distance_lost.value or 0.0) <= MOST_LOST
-        else f"no threshold loses at most {MOST_LOST:.0%} of the mean distance; least lost: {best.threshold:.3f}",
-        soft_wrap=True,
-    )
-    _print_parts(loop, best, parts)
-    _print_sights(loop, best)
+    best, counts = loop.shown()
+    _print_recommendation(loop, loop.recommended())
+    _print_parts(loop, best, {name: mask & counts for name, mask in parts.items()})
+    _print_sights(loop, best, counts)
+
+
+def _print_recommendation(loop: GuardedLoop, best: Condition | None) -> None:
+    limit = f"a loss of at most {MOST_LOST:.0%} of the mean distance of safe drives"
+    if not loop.chooses.any():
+        text = "no threshold is recommended: that needs two seeds, one to choose it and one to report on"
+    elif best is None:
+        text = f"no threshold is recommended: none prevents more violations than it causes at {limit}"
+    else:
+        worth = loop.worth(best, ~loop.chooses)
+        text = (
+            f"recommended: threshold {best.threshold:.3f}, with which violations fall most at {limit}, on the first "
+            f"half of the seeds. On the other half they fall by {_percent(worth.reduction)} ({worth.prevented:,} "
+            f"prevented, {worth.caused:,} caused), and safe drives lose {_percent(worth.distance_lost_when_safe, 1)}"
+        )
+    console().print(text, soft_wrap=True)
 
 
 def _row(worth: GuardWorth) -> list[str]:
     return [
-        _percent(worth.reduction), f"{worth.prevented:,}", f"{worth.caused:,}", _percent(worth.other_share, 1),
+        _percent(worth.reduction), f"{worth.prevented:,}", f"{worth.prevented_entirely:,}", f"{worth.caused:,}",
+        _percent(worth.other_share, 1),
         _percent(worth.distance_lost, 1), _percent(worth.distance_lost_when_safe, 1),
         _number(worth.false_alarms_per_h), _percent(worth.alarmed_when_safe),
     ]  # fmt: skip
@@ -309,6 +392,8 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
     names = ("drives", "violations", "fall by", "distance lost", "false alarms an hour")
     table = plain_table(f"at threshold {best.threshold:.3f}", *names, right=names)
     for name, mask in parts.items():
+        if not mask.any():
+            continue
         worth = loop.worth(best, mask)
         table.add_row(
             name, f"{worth.drives:,}", f"{worth.violations_without:,}", _percent(worth.reduction),
@@ -317,17 +402,19 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
     console().print("", table)
 
 
-def _print_sights(loop: GuardedLoop, best: Condition) -> None:
-    names = ("violations", "never reported", "in view of a range sensor", "prevented")
+def _print_sights(loop: GuardedLoop, best: Condition, counts: BoolArray) -> None:
+    names = ("violations", "never reported", "within range", "prevented")
     table = plain_table(f"reported in the {WINDOW_S:g} s before", *names, right=names)
-    for row in _sights(loop, best):
+    for row in _sights(loop, best, counts):
         if row["violations"]:
-            counts = (row["violations"], row["never_reported"], row["in_range"], row["prevented"])
-            table.add_row(_WORDS[Reported(row["reported"])], *(f"{number:,}" for number in counts))
+            cells = (row["violations"], row["never_reported"], row["in_range"], row["prevented"])
+            table.add_row(_WORDS[Reported(row["reported"])], *(f"{number:,}" for number in cells))
     screen = console()
     screen.print("", table)
     screen.print(
-        f"(never: of the whole drive so far; in view: {LEAD_S:g} s before the violation)", style="dim"
+        f"(never: of the whole drive so far; within range: in the sectors of a range sensor {LEAD_S:g} s before the "
+        "violation, even if hidden)",
+        style="dim",
     )
 
 
@@ -361,7 +448,7 @@ def _draw_prevented(loop: GuardedLoop, out: Path, count: int, steps: Steps) -> N
     from brink.sim.replay.guard import prevented_pair
     from brink.sim.replay.render import render_pair
 
-    best = loop.recommended()
+    best, _ = loop.shown()
     chosen = loop.prevented(best)[:count]
     for number, drive_number in enumerate(chosen, start=1):
         steps.show("drawing prevented violations", number, len(chosen))

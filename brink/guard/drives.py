@@ -12,18 +12,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.analysis.guard_training import DriveSeries
 from brink.search.archive import Archive
-from brink.search.space import BoolArray, FloatArray
+from brink.search.space import FloatArray, IntArray
 from brink.search.streams import Stream, episode_seed, generator
+from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
-from brink.sim.episode import EpisodeSpec, Verdict
+from brink.sim.episode import EpisodeSpec, Json, Verdict
 from brink.sim.guard.features import ALL_FEATURES, FEATURES_ID
 from brink.sim.guard.features import STEP_S as STEP_S
 from brink.worker.pool import process_pool, single_threaded
@@ -32,11 +33,12 @@ OnProgress: TypeAlias = Callable[[int, int], None]
 """Called with the number of completed drives and their total."""
 HalfArray: TypeAlias = NDArray[np.float16]
 
+DEFAULT_PROBLEM: Final = PluginChoice(id="urban-injected@1")
 SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
 """Ids of the simulators whose drives can be recorded."""
 MOST_DIFFERENT: Final = 0.02
-"""Share of the drives of a campaign that may end otherwise: on another class of processor, a few do."""
-_STORED: Final = 1
+"""Share of the drives of a campaign that may end differently: on another class of processor, a few do."""
+_STORED: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +48,8 @@ class Drive:
     Attributes:
         digest: Digest of its episode's specification.
         scenario: Its scenario, as canonical JSON.
+        behaviour: Its behaviour, as canonical JSON.
+        seed: Its episode seed.
         features: Features at the perception steps, in the order of `ALL_FEATURES`, shape ``(steps, features)``.
         violated_at_s: Time of the first violation of each requirement that was evaluated; None if it held.
         robustness: Robustness of each of these requirements.
@@ -54,6 +58,8 @@ class Drive:
 
     digest: str
     scenario: str
+    behaviour: str
+    seed: int
     features: HalfArray
     violated_at_s: Mapping[str, float | None]
     robustness: Mapping[str, float]
@@ -85,7 +91,8 @@ class Drive:
         return DriveSeries(
             features=self.features[kept, :features],
             until_s=(np.inf if at_s is None else at_s) - times_s[kept],
-            group=self.scenario,
+            scenario=self.scenario,
+            behaviour=self.behaviour if reports_anything(self.behaviour) else None,
         )
 
 
@@ -104,6 +111,40 @@ def check_problem(problem: object) -> SimulatedProblem:
     )
 
 
+def problem_of(about: Mapping[str, Any]) -> PluginChoice:
+    """Return the id and parameters of the problem whose drives a guard was fitted to.
+
+    Args:
+        about: Provenance of the guard.
+    """
+    stored = about.get("problem")
+    if not isinstance(stored, Mapping):
+        return DEFAULT_PROBLEM
+    try:
+        return PluginChoice.model_validate(stored)
+    except ValueError:
+        return DEFAULT_PROBLEM
+
+
+def with_requirements(choice: PluginChoice, requirements: Sequence[str]) -> PluginChoice:
+    """Return a problem of urban drives whose verdict is given by some requirements, if any are named."""
+    if not requirements:
+        return choice
+    return PluginChoice(id=choice.id, params={**choice.params, "requirement": list(requirements)})
+
+
+def check_requirements(problem: SimulatedProblem, requirements: Sequence[str]) -> None:
+    """Check that the drives of a problem are judged by some requirements.
+
+    Raises:
+        Conflict: They are not.
+    """
+    (spec,) = random_specs(problem, 1, 0)
+    for name in requirements:
+        if name not in spec.requirements:
+            raise Conflict(f"{name} was not evaluated in these drives, only {', '.join(spec.requirements)}")
+
+
 def random_specs(problem: SimulatedProblem, count: int, seed: int) -> list[EpisodeSpec]:
     """Return the episodes of random drives: independent draws from a problem's space, each with its own seed."""
     space = problem.space
@@ -113,40 +154,72 @@ def random_specs(problem: SimulatedProblem, count: int, seed: int) -> list[Episo
     ]
 
 
-def solution_specs(problem: SimulatedProblem, archive: Archive, seed: int) -> list[EpisodeSpec]:
-    """Return the episodes of the evaluated solutions of a campaign.
+def solution_specs(
+    problem: SimulatedProblem, archive: Archive, seeds: IntArray, digests: Sequence[str], whose: str
+) -> list[EpisodeSpec]:
+    """Return the episodes of the evaluated solutions of a campaign: exactly those that were simulated.
+
+    A solution may share the episode seed of another one, as both sides of a pair do, so seeds are those that were
+    stored.
 
     Args:
         problem: The campaign's problem.
         archive: Its solutions.
-        seed: The campaign's seed.
+        seeds: Episode seed of each solution, shape ``(n,)``.
+        digests: Digest of each episode that was simulated.
+        whose: Whose solutions they are, for the error.
+
+    Raises:
+        Conflict: An episode differs from the one that was simulated.
     """
-    return [
-        problem.episode(problem.space.split(row), episode_seed(seed, number))
-        for number, row in zip(archive.numbers.tolist(), archive.vectors, strict=True)
+    specs = [
+        problem.episode(problem.space.split(row), seed)
+        for row, seed in zip(archive.vectors, seeds.tolist(), strict=True)
     ]
+    numbers = archive.numbers.tolist()
+    other = [
+        number
+        for number, spec, digest in zip(numbers, specs, digests, strict=True)
+        if spec.digest() != digest
+    ]
+    if other:
+        raise Conflict(
+            f"{len(other):,} of {len(specs):,} episodes of {whose} differ from those that were simulated "
+            f"({_named('solution', other)}): another version of Brink describes them differently"
+        )
+    return specs
+
+
+def _named(what: str, numbers: Sequence[int], most: int = 5) -> str:
+    """Return some numbers in words, such as "solutions 3, 8 and 12 others"."""
+    if len(numbers) == 1:
+        return f"{what} {numbers[0]}"
+    shown = ", ".join(str(one) for one in numbers[:most])
+    rest = len(numbers) - most
+    return f"{what}s {shown}" + (f" and {rest:,} others" if rest > 0 else "")
 
 
 def check_verdicts(
-    drives: Sequence[Drive], requirements: Sequence[str], unsafe: BoolArray, whose: str
+    drives: Sequence[Drive], requirements: Sequence[str], archive: Archive, whose: str
 ) -> None:
-    """Check that drives that were run again ended as they did the first time.
+    """Check that the drives of a campaign ended as they did the first time.
 
     Args:
-        drives: The recorded drives.
+        drives: The recorded drives, one for each solution.
         requirements: Ids of the requirements that decide.
-        unsafe: Their verdicts the first time, shape ``(len(drives),)``.
+        archive: The campaign's solutions, with their verdicts.
         whose: Whose drives they are, for the error.
 
     Raises:
-        Conflict: More than a few ended otherwise.
+        Conflict: More than a few ended differently.
     """
     again = np.array([one.first_violation_s(requirements) is not None for one in drives], np.bool_)
-    differ = int((again != unsafe).sum())
-    if differ > MOST_DIFFERENT * len(drives):
+    differ = archive.numbers[again != archive.unsafe].tolist()
+    if len(differ) > MOST_DIFFERENT * len(drives):
         raise Conflict(
-            f"{differ:,} of {len(drives):,} drives of {whose} end otherwise when they are run again: it is of "
-            "another version of Brink, or repeats the drives of another campaign"
+            f"{len(differ):,} of {len(drives):,} drives of {whose} end differently when re-run "
+            f"({_named('solution', differ)}), although their episodes are the same: they were simulated by another "
+            "version of Brink"
         )
 
 
@@ -224,12 +297,33 @@ def record_one(spec: EpisodeSpec) -> Drive:
     recorded = record_drive(spec)
     return Drive(
         digest=spec.digest(),
-        scenario=json.dumps(dict(spec.scenario), sort_keys=True, separators=(",", ":")),
+        scenario=scenario_of(spec),
+        behaviour=behaviour_of(spec),
+        seed=spec.seed,
         features=recorded.features,
         violated_at_s={name: _time(verdict) for name, verdict in recorded.verdicts.items()},
         robustness={name: verdict.robustness for name, verdict in recorded.verdicts.items()},
         ended_at_s=recorded.ended_at_s,
     )
+
+
+def reports_anything(behaviour: str) -> bool:
+    """Return whether a behaviour, as canonical JSON, has any trajectory or error."""
+    return any(isinstance(value, list) and value for value in json.loads(behaviour).values())
+
+
+def scenario_of(spec: EpisodeSpec) -> str:
+    """Return the scenario of an episode as canonical JSON."""
+    return _canonical(spec.scenario)
+
+
+def behaviour_of(spec: EpisodeSpec) -> str:
+    """Return the behaviour of an episode as canonical JSON."""
+    return _canonical(spec.behaviour)
+
+
+def _canonical(document: Mapping[str, Json]) -> str:
+    return json.dumps(dict(document), sort_keys=True, separators=(",", ":"))
 
 
 def _time(verdict: Verdict) -> float | None:
@@ -245,6 +339,8 @@ def save_drives(file: Path, drives: Sequence[Drive]) -> None:
         "requirements": requirements,
         "digests": [one.digest for one in drives],
         "scenarios": [one.scenario for one in drives],
+        "behaviours": [one.behaviour for one in drives],
+        "seeds": [one.seed for one in drives],
     }
     times = [
         [np.nan if (t := one.violated_at_s[name]) is None else t for name in requirements] for one in drives
@@ -279,6 +375,8 @@ def load_drives(file: Path) -> list[Drive] | None:
             Drive(
                 digest=digest,
                 scenario=scenario,
+                behaviour=behaviour,
+                seed=int(seed),
                 features=arrays["features"][first:end],
                 violated_at_s={
                     name: None if np.isnan(at) else float(at)
@@ -287,8 +385,9 @@ def load_drives(file: Path) -> list[Drive] | None:
                 robustness=dict(zip(header["requirements"], robustness.tolist(), strict=True)),
                 ended_at_s=float(ended),
             )
-            for digest, scenario, first, end, times, robustness, ended in zip(
-                header["digests"], header["scenarios"], [0, *ends[:-1]], ends, arrays["violated_at_s"],
+            for digest, scenario, behaviour, seed, first, end, times, robustness, ended in zip(
+                header["digests"], header["scenarios"], header["behaviours"], header["seeds"], [0, *ends[:-1]], ends,
+                arrays["violated_at_s"],
                 arrays["robustness"], arrays["ended_at_s"], strict=True,
             )
         ]  # fmt: skip

@@ -1,11 +1,16 @@
-"""Evaluation of a guard on recorded drives: warned violations against false alarms, beside baselines.
+"""Evaluation of a guard on recorded drives: predicted violations against false alarms, beside baselines.
 
-The unit is the drive. A *false alarm* is an alarm at any time in a drive without a violation. A violation is *warned*
-with a lead if the first alarm of its drive came at least that long before it. Violations that happen sooner after the
-start than the lead cannot be warned, and count as missed.
+The unit is the drive. A *false alarm* is an alarm at any time in a drive without a violation. A violation is
+*predicted* with a lead if the first alarm of its drive came at least that long before it. Violations that happen
+sooner after the start than the lead cannot be predicted, and count as missed.
 
-The baselines are the time to collision on reported boxes, the same on the range sensor if the car has one, an alarm
-in every drive from its start, and none at all.
+Predictors are compared at the point of their ROC curves with the most predictions at a fixed share of false alarms.
+That threshold is read off the very drives on which it is reported. The guard's own threshold was set in fitting, and
+what its alarms do is reported beside it.
+
+The baselines are the time to collision on reported boxes (`ttc@1`), the same on the range sensor if the car has one
+(`range-ttc@1`), an alarm in every drive from its start, and none at all. They compute what those guards compute in
+the car. All predictors confirm an alarm over as many steps as the guard does: a single noisy step is no alarm.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,10 +25,9 @@ from brink.search.analysis.monitor_evaluation import classification_metrics
 from brink.search.fitness import wilson_interval
 from brink.search.space import BoolArray, FloatArray
 from brink.server.errors import Conflict
-from brink.sim.guard.features import FEATURES, TTC
 from brink.sim.guard.model import GuardModel, Sensor
 from brink.sim.guard.monitor import Alarm
-from brink.sim.guard.range_features import RANGE_TTC
+from brink.sim.guard.time_to_collision import box_times_s, range_times_s
 
 LEADS_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
 LEAD_S: Final = 1.5
@@ -44,12 +48,12 @@ Score: TypeAlias = Callable[[NDArray[np.float16]], FloatArray]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WarningPoint:
-    """Warned violations and false alarms at one threshold.
+    """Predicted violations and false alarms at one threshold.
 
     Attributes:
         threshold: The alarm is raised at this score or a higher one.
         false_alarms: Share of safe drives with an alarm.
-        warned: Share of violations warned at least each of `LEADS_S` ahead.
+        warned: Share of violations predicted at least each of `LEADS_S` ahead.
     """
 
     threshold: float
@@ -58,7 +62,7 @@ class WarningPoint:
 
     @property
     def recall(self) -> float:
-        """Share of violations warned at least `LEAD_S` ahead."""
+        """Share of violations predicted at least `LEAD_S` ahead."""
         return self.warned[LEADS_S.index(LEAD_S)]
 
 
@@ -69,7 +73,7 @@ class PredictorResult:
     Attributes:
         name: Name of the predictor.
         points: Points at all thresholds, ascending by false alarms.
-        compared: The point with the most warned violations at false alarms in at most `FALSE_ALARMS` of safe drives.
+        compared: The point with the most predictions, with alarms in at most `FALSE_ALARMS` of the safe drives.
         interval: Its recall's 95% Wilson interval.
     """
 
@@ -84,7 +88,7 @@ class OwnAlarms:
     """What a guard's own alarms did, at its own threshold.
 
     Attributes:
-        point: Warned violations and false alarms.
+        point: Predicted violations and false alarms.
         recent: Share of violations before which an alarm was raised between `LEAD_S` and `RECENT_S` ahead, or was
             still on `LEAD_S` ahead.
         median_lead_s: Median time from the first alarm to the violation, of violations with an alarm; None if there
@@ -185,8 +189,8 @@ def evaluate(model: GuardModel, drives: Sequence[Drive]) -> GuardEvaluation:
     confirm = model.alarm.confirm_steps
     predictors = [_warnings(GUARD, watched, deciding, confirm)]
     predictors += [
-        _warnings(name, watched, [score(one.features) for one in watched], steps)
-        for name, score, steps in _baselines(model.sensor)
+        _warnings(name, watched, [score(one.features) for one in watched], confirm)
+        for name, score in _baselines(model.sensor)
     ]
     return GuardEvaluation(
         sensor=model.sensor,
@@ -250,13 +254,13 @@ def peak(strengths: FloatArray, before_s: float = np.inf) -> float:
     return float(strengths[: max(last, 0)].max(initial=-np.inf))
 
 
-def _baselines(sensor: Sensor) -> Iterator[tuple[str, Score, int]]:
-    """Yield the name and score of each baseline, and the steps that confirm its alarm."""
-    yield BOX_TTC, lambda features: -features[:, TTC].astype(np.float64), 1
+def _baselines(sensor: Sensor) -> Iterator[tuple[str, Score]]:
+    """Yield the name and score of each baseline."""
+    yield BOX_TTC, lambda features: -box_times_s(features)
     if sensor is Sensor.RANGE:
-        yield RANGE_TTC_NAME, lambda features: -features[:, len(FEATURES) + RANGE_TTC].astype(np.float64), 1
-    yield ALWAYS, lambda features: np.ones(len(features)), 1
-    yield NEVER, lambda features: np.full(len(features), -np.inf), 1
+        yield RANGE_TTC_NAME, lambda features: -range_times_s(features)
+    yield ALWAYS, lambda features: np.ones(len(features))
+    yield NEVER, lambda features: np.full(len(features), -np.inf)
 
 
 def _warnings(

@@ -8,6 +8,7 @@ import numpy as np
 from brink import __version__
 from brink.guard.drives import Drive
 from brink.guard.evaluation import FALSE_ALARMS, confirmed, peak
+from brink.guard.seen import ABOUT, SeenDrives
 from brink.search.analysis.guard_training import fit_horizons
 from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
@@ -78,6 +79,7 @@ def fit(
             "drives": len(drives),
             "violations": sum(one.violated for one in series),
             "false_alarms": false_alarms,
+            ABOUT: SeenDrives.of(drives).to_json(),
             **(about or {}),
         },
     )  # fmt: skip

@@ -2,6 +2,13 @@
 
 Drives are independent draws of scenario, behaviour and chance, so they are the same under every condition until the
 first intervention. Nothing of them was in any training data if their seeds were not.
+
+A drive in which no alarm can occur at a threshold does not run with the guard: until the first alarm it is the drive
+without it. The guard watches each drive once, with a fallback that does nothing, and says which threshold would still
+have raised an alarm.
+
+The recommended threshold is chosen on the first half of the seeds. What it is worth is reported on the second half,
+which had no part in the choice.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +35,10 @@ OnProgress = Callable[[str, int, int], None]
 FIRST_SEED: Final = 9001
 """Campaigns usually have small seeds, so that these drives are fresh."""
 MOST_LOST: Final = 0.05
-"""Largest loss of mean distance that is acceptable for a condition to be recommended."""
+"""Largest loss of mean distance, in drives that are safe without the guard, with which a condition is recommended. A
+prevented collision lets the car drive on, so a limit on the distance of all drives would hardly ever bind."""
+LIMITS: Final = (0.001, 0.999)
+"""Smallest and largest threshold."""
 _ODDS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
 _CHUNK: Final = 4
 _Result = TypeVar("_Result")
@@ -44,6 +54,7 @@ class Outcome:
         time_s: Duration.
         alarms_s: When each alarm began; empty without a guard.
         intervention_s: How long the fallback intervened.
+        peak: The highest threshold that would have raised an alarm; None without a guard, or if it does not say.
     """
 
     violated_at_s: Mapping[str, float]
@@ -51,6 +62,7 @@ class Outcome:
     time_s: float
     alarms_s: tuple[float, ...] = ()
     intervention_s: float = 0.0
+    peak: float | None = None
 
     def violates(self, requirements: Sequence[str]) -> bool:
         """Return whether any of some requirements is violated."""
@@ -105,6 +117,7 @@ class GuardedLoop:
             violated_without=np.array([one.violates(counted) for one in before], bool),
             violated_with=np.array([one.violates(counted) for one in after], bool),
             other_with=np.array(others, bool),
+            held_with=np.array([not one.violated_at_s for one in after], bool),
             way_without_m=np.array([one.way_m for one in before]),
             way_with_m=np.array([one.way_m for one in after]),
             time_with_s=np.array([one.time_s for one in after]),
@@ -122,17 +135,47 @@ class GuardedLoop:
         drives = self.drives(condition)
         return guard_worth(drives if part is None else drives.of(part), np.random.default_rng(0))
 
-    def recommended(self, most_lost: float = MOST_LOST) -> Condition:
-        """Return the condition in which violations fall most while the mean distance falls by at most a share.
+    @property
+    def chooses(self) -> BoolArray:
+        """Mask of the drives on which a condition is chosen: those of the first half of the seeds."""
+        seeds = np.array(self.seed, np.int64)
+        return np.isin(seeds, np.unique(seeds)[: np.unique(seeds).size // 2])
 
-        Of several, that with the highest threshold, which has the fewest alarms. If the distance falls by more under
-        every condition, that with the smallest loss.
+    def recommended(self, most_lost: float = MOST_LOST) -> Condition | None:
+        """Return the condition in which violations fall most, without losing too much distance; None without one.
+
+        It is chosen on the drives of `chooses`, so that the others can tell what it is worth. Of several, it is that
+        with the highest threshold, which has the fewest alarms. There is none with a single seed.
+
+        Args:
+            most_lost: Largest loss of mean distance, in the drives that are safe without the guard.
         """
-        worths = [(one, self.worth(one)) for one in self.conditions]
-        within = [(one, worth) for one, worth in worths if (worth.distance_lost.value or 0.0) <= most_lost]
-        if within:
-            return max(within, key=lambda pair: (pair[1].reduction.value or 0.0, pair[0].threshold or 0.0))[0]
-        return min(worths, key=lambda pair: pair[1].distance_lost.value or 0.0)[0]
+        chooses = self.chooses
+        if not chooses.any():
+            return None
+        worths = [(one, self.worth(one, chooses)) for one in self.conditions]
+        helpful = [
+            (one, worth.reduction.value)
+            for one, worth in worths
+            if (worth.reduction.value or 0.0) > 0.0
+            and (worth.distance_lost_when_safe.value or 0.0) <= most_lost
+        ]
+        if not helpful:
+            return None
+        return max(helpful, key=lambda pair: (pair[1], pair[0].threshold or 0.0))[0]
+
+    def shown(self) -> tuple[Condition, BoolArray]:
+        """Return the condition that is shown in detail, and a mask of the drives that count for it.
+
+        It is the recommended one, on the drives that had no part in choosing it. Without one, it is the condition
+        whose threshold is closest to the guard's own, on all drives.
+        """
+        best = self.recommended()
+        if best is not None:
+            return best, ~self.chooses
+        own = self.conditions[0].option.own_threshold
+        closest = min(self.conditions, key=lambda one: abs((one.threshold or own) - own))
+        return closest, np.ones(len(self.specs), np.bool_)
 
     def prevented(self, condition: Condition) -> list[int]:
         """Return the numbers of the drives whose violation a guard prevents, those with a collision first.
@@ -182,7 +225,10 @@ def drive_with_guard(
     requirements = simulated.requirements
     specs = [spec for seed in seeds for spec in random_specs(simulated, drives, seed)]
     with _Runs(processes, on_progress) as runs:
-        without = runs.all("without a guard", run_drive, specs)
+        watched = runs.all(
+            "without a guard", run_drive, [guarded_spec(spec, option.watching()) for spec in specs]
+        )
+        without = [replace(one, alarms_s=(), intervention_s=0.0, peak=None) for one in watched]
         violating = [index for index, one in enumerate(without) if one.violates(requirements)]
         sights: list[Sight | None] = [None] * len(specs)
         seen = runs.all("what was reported", _run_sight, [(specs[i], requirements) for i in violating])
@@ -192,7 +238,11 @@ def drive_with_guard(
         for threshold in thresholds:
             own = replace(option, threshold=threshold)
             name = "with the guard" if threshold is None else f"threshold {threshold:.3g}"
-            outcomes = runs.all(name, run_drive, [guarded_spec(spec, own) for spec in specs])
+            alarmed = [place for place, one in enumerate(watched) if _may_differ(one, own)]
+            ran = runs.all(name, run_drive, [guarded_spec(specs[place], own) for place in alarmed])
+            outcomes = list(without)
+            for place, outcome in zip(alarmed, ran, strict=True):
+                outcomes[place] = replace(outcome, peak=None)
             conditions.append(Condition(threshold=threshold, option=own, outcomes=outcomes))
     return GuardedLoop(
         requirements=requirements,
@@ -204,10 +254,23 @@ def drive_with_guard(
     )
 
 
+def _may_differ(watched: Outcome, option: GuardOption) -> bool:
+    """Return whether a drive may differ with a guard: it has an alarm, or the fallback does not wait for one."""
+    if watched.peak is None or not option.waits_for_alarm:
+        return True
+    return watched.peak >= (option.own_threshold if option.threshold is None else option.threshold)
+
+
 def thresholds_around(own: float) -> tuple[float, ...]:
-    """Return thresholds at a quarter to four times the odds of a guard's own one, which is among them."""
+    """Return thresholds at a quarter to four times the odds of a guard's own one, which is among them.
+
+    An own threshold outside `LIMITS` counts as the nearer one of them.
+    """
+    low, high = LIMITS
+    own = min(max(own, low), high)
     odds = own / (1.0 - own)
-    return tuple(factor * odds / (1.0 + factor * odds) for factor in _ODDS)
+    found = {min(max(factor * odds / (1.0 + factor * odds), low), high) for factor in _ODDS}
+    return tuple(sorted(found))
 
 
 def guarded_spec(spec: EpisodeSpec, option: GuardOption) -> EpisodeSpec:
@@ -225,6 +288,7 @@ def run_drive(spec: EpisodeSpec) -> Outcome:
         time_s=float(str(features["ended_at_s"])),
         alarms_s=tuple(_numbers(features.get("guard:alarms_s"))),
         intervention_s=float(str(features.get("guard:intervention_s", 0.0))),
+        peak=float(str(features["guard:peak"])) if "guard:peak" in features else None,
     )
 
 

@@ -20,7 +20,7 @@ from brink.sim.urban.range_sensor import in_view
 WINDOW_S: Final = 3.0
 """What was reported this long before a violation counts."""
 LEAD_S: Final = 1.5
-"""How long before a violation a range sensor must have its counterpart in view."""
+"""How long before a violation its counterpart must be within range of a range sensor."""
 
 
 class Reported(StrEnum):
@@ -43,7 +43,8 @@ class Sight:
     Attributes:
         reported: What was reported within `WINDOW_S` before it.
         ever: Whether the counterpart was ever reported before it.
-        in_range: Whether the counterpart was in view of a range sensor `LEAD_S` before it.
+        in_range: Whether the counterpart was within range of a range sensor, and in its sectors, `LEAD_S` before it,
+            even if something hid it. False for a violation sooner after the start than that.
     """
 
     reported: Reported
@@ -75,12 +76,12 @@ def sight_of(trace: Trace, requirement: Judged) -> Sight | None:
     return Sight(
         reported=Reported.COUNTERPART if on_it[recent].any() else reported,
         ever=bool(on_it.any()),
-        in_range=_in_range(trace, earlier, actor),
+        in_range=moment_s >= LEAD_S and _in_range(trace, earlier, actor),
     )
 
 
 def _in_range(trace: Trace, sample: int, actor: int) -> bool:
-    """Return whether a road user is in view of a range sensor on the ego's front bumper."""
+    """Return whether a road user is within range of a range sensor on the front bumper, whatever is in between."""
     other = trace.actors[actor]
     x_m, y_m, yaw_rad = (float(value) for value in trace.ego[sample, :3])
     at_x_m, at_y_m, turned_rad = (float(value) for value in other.motion[sample, :3])

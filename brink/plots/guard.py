@@ -1,4 +1,4 @@
-"""Figures of guards: how long ahead violations are warned, and at what cost in false alarms."""
+"""Figures of guards: how long ahead violations are predicted, and at what cost in false alarms."""
 
 from typing import Final
 
@@ -40,13 +40,13 @@ _STYLES: Final = ("--", "-", ":")
 
 
 def figure_guard(evaluation: GuardEvaluation) -> Figure:
-    """Plot warned violations against false alarms, and how long ahead they are warned, beside the baselines."""
+    """Plot predicted violations against false alarms, and how long ahead they are predicted, beside the baselines."""
     figure = new_figure(
         HEIGHT_PX,
         f"Guard on {evaluation.drives:,} drives ({evaluation.sensor})",
         f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}.\nLeft: each point "
-        f"is an alarm threshold; solid, violations warned at least {LEAD_S:g} s ahead, dashed 0.5 s, dotted 3 s. "
-        f"Right: with alarms in at most {FALSE_ALARMS:.0%} of the safe drives.",
+        f"is an alarm threshold; solid, violations predicted at least {LEAD_S:g} s ahead, dashed 0.5 s, dotted 3 s. "
+        f"Right: with alarms in at most {FALSE_ALARMS:.0%} of safe drives, by thresholds read off the left curves.",
     )
     left, right = add_panels(figure, 2, top_px=190, bottom_px=70, left_px=96)
     drawn = [one for one in evaluation.predictors if one.name not in (ALWAYS, NEVER)]
@@ -87,7 +87,7 @@ def _plot_alarms(axes: Axes, evaluation: GuardEvaluation, drawn: list[PredictorR
         color=INK,
     )
     style_shares(
-        axes, "Warned violations and false alarms", x="safe drives with an alarm", y="warned violations"
+        axes, "Predicted violations and false alarms", x="safe drives with an alarm", y="predicted violations"
     )
 
 
@@ -99,6 +99,6 @@ def _plot_leads(axes: Axes, drawn: list[PredictorResult]) -> None:
     axes.set_ylim(0, 1)
     show_percent(axes.yaxis)
     set_panel_title(axes, f"Lead time, alarms in at most {FALSE_ALARMS:.0%} of safe drives")
-    axes.set_xlabel("warned at least this many seconds ahead")
-    axes.set_ylabel("warned violations")
+    axes.set_xlabel("predicted at least this many seconds ahead")
+    axes.set_ylabel("predicted violations")
     style_axes(axes, grid="both")

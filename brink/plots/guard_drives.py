@@ -25,7 +25,7 @@ from brink.search.analysis.guard_drives import Estimate, GuardWorth
 
 HEIGHT_PX: Final = 820
 AIM: Final = (0.05, 0.40)
-"""Largest loss of mean distance and smallest fall of violations that a guard should reach."""
+"""Largest loss of mean distance in safe drives, and smallest fall of violations, that a guard should reach."""
 
 
 def figure_guard_tradeoff(points: Sequence[tuple[float, GuardWorth]], *, fallback: str) -> Figure:
@@ -41,19 +41,16 @@ def figure_guard_tradeoff(points: Sequence[tuple[float, GuardWorth]], *, fallbac
         f"What a guard with the fallback {fallback} prevents and costs: {first.drives:,} drives",
         f"{first.violations_without:,} of the drives violate a requirement without the guard. Each point is a "
         f"threshold of the alarm; lines are 95% intervals over {first.seeds} seeds.\n"
-        f"Green: violations fall by at least {AIM[1]:.0%} at a loss of at most {AIM[0]:.0%} of the mean distance.",
+        f"Green: violations fall by at least {AIM[1]:.0%} at a loss of at most {AIM[0]:.0%} of the mean distance of "
+        "drives that are safe without the guard.",
     )
     axes = figure.add_axes((96 / WIDTH_PX, 80 / HEIGHT_PX, 1 - 190 / WIDTH_PX, 1 - 270 / HEIGHT_PX))
     axes.axhline(0.0, color=HAIRLINE, linewidth=1.2)
     axes.axvline(0.0, color=HAIRLINE, linewidth=1.2)
+    _plot(axes, [(threshold, worth.distance_lost, worth.reduction) for threshold, worth in points], MUTED)
     _plot(
         axes,
         [(threshold, worth.distance_lost_when_safe, worth.reduction) for threshold, worth in points],
-        MUTED,
-    )
-    _plot(
-        axes,
-        [(threshold, worth.distance_lost, worth.reduction) for threshold, worth in points],
         SAFE,
         named=True,
     )
@@ -73,7 +70,7 @@ def figure_guard_tradeoff(points: Sequence[tuple[float, GuardWorth]], *, fallbac
     style_axes(axes, grid="both")
     keys = [
         Line2D([], [], color=colour, linewidth=2.0, marker="o", label=label)
-        for colour, label in ((SAFE, "all drives"), (MUTED, "drives that are safe without the guard"))
+        for colour, label in ((SAFE, "drives that are safe without the guard"), (MUTED, "all drives"))
     ]
     keys.append(
         Line2D([], [], color=UNSAFE, linestyle="", marker="x", label="violations caused, of safe drives")
@@ -110,9 +107,9 @@ def _plot(
 def _plot_caused(axes: Axes, points: Sequence[tuple[float, GuardWorth]]) -> None:
     """Mark, under each point, which share of the safe drives violates because of the fallback."""
     known = [
-        (worth.distance_lost.value, worth.caused_share.value)
+        (worth.distance_lost_when_safe.value, worth.caused_share.value)
         for _, worth in points
-        if worth.distance_lost.value is not None and worth.caused_share.value is not None
+        if worth.distance_lost_when_safe.value is not None and worth.caused_share.value is not None
     ]
     axes.plot(
         [x for x, _ in known], [y for _, y in known], color=UNSAFE, linestyle="", marker="x", markersize=7

@@ -26,6 +26,7 @@ class GuardedDrives:
         violated_without: Whether a requirement that counts is violated without the guard.
         violated_with: The same with the guard.
         other_with: Whether another requirement is violated with the guard that is not violated without it.
+        held_with: Whether no requirement at all is violated with the guard.
         way_without_m: Distance driven without the guard.
         way_with_m: The same with it.
         time_with_s: Duration of the drive with the guard.
@@ -37,6 +38,7 @@ class GuardedDrives:
     violated_without: BoolArray
     violated_with: BoolArray
     other_with: BoolArray
+    held_with: BoolArray
     way_without_m: FloatArray
     way_with_m: FloatArray
     time_with_s: FloatArray
@@ -76,6 +78,7 @@ class GuardWorth:
         violations_without: Number of drives with a violation without the guard.
         violations_with: The same with the guard.
         prevented: Number of drives with a violation without the guard alone.
+        prevented_entirely: Number of those in which no other requirement is violated with the guard, either.
         caused: Number of drives with a violation with the guard alone.
         share_without: Share of drives with a violation without the guard.
         share_with: The same with the guard.
@@ -95,6 +98,7 @@ class GuardWorth:
     violations_without: int
     violations_with: int
     prevented: int
+    prevented_entirely: int
     caused: int
     share_without: Estimate
     share_with: Estimate
@@ -154,6 +158,7 @@ def guard_worth(
         violations_without=int(before.sum()),
         violations_with=int(after.sum()),
         prevented=int((before & ~after).sum()),
+        prevented_entirely=int((before & ~after & drives.held_with).sum()),
         caused=int((~before & after).sum()),
         **{name: estimate(above, below, name in _FALLS) for name, (above, below) in _ratios(drives).items()},
     )

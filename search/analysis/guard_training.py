@@ -4,9 +4,12 @@ The training data are the feature vectors of drives at their perception steps, u
 positive for a horizon if the violation follows within it. Negative steps far from a violation are thinned, and those
 that are kept count for those left out.
 
-Everything is divided by group of drives, never by step: neighbouring steps of a drive are almost equal, and so are
-drives of the same scenario in the campaign of a search. Out-of-fold scores, by models that saw no drive of the same
-group, calibrate the probabilities and choose the threshold of the alarm. The model itself is fitted to all drives.
+Drives are divided, never steps: neighbouring steps of a drive are almost equal, and so are drives of the same
+scenario or behaviour in the campaign of a search. Out-of-fold scores, by models that saw neither the scenario nor the
+behaviour of a drive, calibrate the probabilities and choose the threshold of the alarm. The model itself is fitted to
+all drives. Where drives that share one or the other fall into many groups, these groups are divided into three folds.
+In a campaign of MLCSHE everything is connected: there, scenarios and behaviours are divided into three folds each,
+and every one of the nine combinations has its own model, fitted to the drives that share neither with it.
 
 Only fitting needs scikit-learn (extra `analysis`); the result is a `brink.forest.Forest`.
 
@@ -14,7 +17,7 @@ Source: Friedman 2001 (gradient boosting), Platt 1999 (calibration).
 """
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -55,12 +58,14 @@ class DriveSeries:
     Attributes:
         features: Feature vectors, shape ``(steps, features)``.
         until_s: Time from each step to the violation; infinite if there is none. Shape ``(steps,)``.
-        group: Drives of the same group are never divided.
+        scenario: Its scenario.
+        behaviour: Its behaviour; None if it reports nothing, which no other drive shares.
     """
 
     features: HalfArray
     until_s: FloatArray
-    group: Hashable
+    scenario: Hashable
+    behaviour: Hashable | None
 
     @property
     def violated(self) -> bool:
@@ -94,35 +99,37 @@ def fit_horizons(
     Args:
         drives: The drives.
         horizons_s: Horizons in seconds, ascending.
-        rng: Divides the groups into folds.
+        rng: Divides the drives.
         on_progress: Called with the number of fitted models and their total.
 
     Raises:
         MissingExtra: scikit-learn is not installed.
-        ValueError: There are too few drives with or without a violation, or too few groups.
+        ValueError: There are too few drives with or without a violation, or too few scenarios and behaviours.
     """
     if not is_installed():
         raise MissingExtra(
             f"fitting a guard needs scikit-learn, which is not installed: {install_command('analysis')}"
         )
-    folds = _folds(drives, rng)
-    steps = _Steps.of(drives, folds, max(horizons_s))
+    divisions = _divisions(drives, rng)
+    steps = _Steps.of(drives, max(horizons_s))
     models: list[Any] = []
     unseen = [np.zeros((len(one.until_s), len(horizons_s))) for one in drives]
-    done, total = 0, len(horizons_s) * (FOLDS + 1)
+    done, total = 0, len(horizons_s) * len(divisions)
+    import sklearn.ensemble  # noqa: F401  (loads OpenMP: the limit below finds only libraries that are loaded)
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
+    # More threads cost more than they save at this size, and much more on a busy machine.
     with threadpool_limits(limits=1):
         for place, horizon_s in enumerate(horizons_s):
-            for fold in range(FOLDS + 1):  # the last one is the model of all drives
-                model = steps.fitted(steps.fold != fold, horizon_s)
-                _score(model, drives, np.flatnonzero(folds == fold), unseen, place)
+            for division in divisions:  # the last one is the model of all drives
+                model = steps.fitted(division.fitted[steps.drive], horizon_s)
+                _score(model, steps.bins, drives, np.flatnonzero(division.scored), unseen, place)
                 done += 1
                 if on_progress is not None:
                     on_progress(done, total)
             models.append(model)
-    forest = forest_of(models, steps.features.shape[1])
-    _check_forest(forest, models, steps.features[:200])
+    forest = steps.bins.unbinned(forest_of(models, len(steps.bins.edges)))
+    _check_forest(forest, models, steps)
     return FittedHorizons(
         forest=forest,
         calibration=np.array([
@@ -134,15 +141,68 @@ def fit_horizons(
 
 
 def _score(
-    model: Any, drives: Sequence[DriveSeries], which: IntArray, unseen: Sequence[FloatArray], place: int
+    model: Any,
+    bins: "_Bins",
+    drives: Sequence[DriveSeries],
+    which: IntArray,
+    unseen: Sequence[FloatArray],
+    place: int,
 ) -> None:
     """Write the scores of some drives by a model into a column of `unseen`."""
     if not which.size:
         return
-    rows = np.concatenate([drives[one].features for one in which.tolist()]).astype(np.float32)
+    rows = bins.indices(np.concatenate([drives[one].features for one in which.tolist()]))
     ends = np.cumsum([len(unseen[one]) for one in which.tolist()])[:-1]
     for one, scores in zip(which.tolist(), np.split(model.decision_function(rows), ends), strict=True):
         unseen[one][:, place] = scores
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Bins:
+    """The bins of each feature, into which values are sorted once for all models.
+
+    scikit-learn finds the same edges, weighted percentiles, but one at a time and again for each model, which takes
+    most of its time. Models are fitted to the numbers of the bins, and their thresholds turned into edges afterwards.
+
+    Attributes:
+        edges: For each feature, the upper edge of every bin but the last, ascending.
+    """
+
+    edges: tuple[FloatArray, ...]
+
+    @classmethod
+    def of(cls, features: SingleArray, weight: FloatArray) -> "_Bins":
+        columns = features.astype(np.float64).T
+        return cls(edges=tuple(_edges(column, weight) for column in columns))
+
+    def indices(self, features: HalfArray | SingleArray) -> SingleArray:
+        """Return the bin of each value, of the same shape."""
+        found = np.empty(features.shape, np.float32)
+        for place, edges in enumerate(self.edges):
+            found[:, place] = np.searchsorted(edges, features[:, place].astype(np.float64), side="left")
+        return found
+
+    def unbinned(self, forest: Forest) -> Forest:
+        """Return trees that were fitted to bins as trees that compare features."""
+        value, inner = forest.value.copy(), forest.right > 0
+        value[inner] = [
+            self.edges[feature][int(threshold)]
+            for feature, threshold in zip(forest.feature[inner].tolist(), value[inner].tolist(), strict=True)
+        ]
+        return replace(forest, value=value)
+
+
+def _edges(values: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the edges between the bins of one feature: weighted percentiles, averaged at steps, each once."""
+    distinct = np.unique(values)
+    if distinct.size <= BINS:
+        return np.asarray(0.5 * (distinct[:-1] + distinct[1:]), np.float64)
+    order = np.argsort(values, kind="stable")
+    ordered, below = values[order], np.cumsum(weight[order])
+    wanted = np.linspace(0.0, 1.0, BINS + 1)[1:-1] * below[-1]
+    place = np.minimum(np.searchsorted(below, wanted, side="left"), ordered.size - 1)
+    following = np.where(below[place] == wanted, np.minimum(place + 1, ordered.size - 1), place)
+    return np.unique(0.5 * (ordered[place] + ordered[following]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -150,32 +210,38 @@ class _Steps:
     """The steps of all drives, thinned.
 
     Attributes:
+        bins: Bins of the features.
+        binned: Bin of each value of the feature vectors, shape ``(n, features)``.
         features: Feature vectors, shape ``(n, features)``.
         until_s: Time to the violation, shape ``(n,)``.
         weight: Number of steps that each stands for, shape ``(n,)``.
-        fold: Fold of its drive, shape ``(n,)``.
+        drive: Place of its drive, shape ``(n,)``.
     """
 
+    bins: _Bins
+    binned: SingleArray
     features: SingleArray
     until_s: FloatArray
     weight: FloatArray
-    fold: IntArray
+    drive: IntArray
 
     @classmethod
-    def of(cls, drives: Sequence[DriveSeries], folds: IntArray, longest_s: float) -> "_Steps":
+    def of(cls, drives: Sequence[DriveSeries], longest_s: float) -> "_Steps":
         features: list[SingleArray] = []
-        until_s, weight, fold = [], [], []
-        for drive, which in zip(drives, folds.tolist(), strict=True):
+        until_s, weight, places = [], [], []
+        for place, drive in enumerate(drives):
             near = drive.until_s <= longest_s + NEAR_S
             # The phase differs from drive to drive, so that no moment is left out in all of them.
             kept = near | (np.arange(near.size) % THIN == len(features) % THIN)
             features.append(drive.features[kept].astype(np.float32))
             until_s.append(drive.until_s[kept])
             weight.append(np.where(near[kept], 1.0, float(THIN)))
-            fold.append(np.full(int(kept.sum()), which, np.int64))
+            places.append(np.full(int(kept.sum()), place, np.int64))
+        rows, weights = np.concatenate(features), np.concatenate(weight)
+        bins = _Bins.of(rows, weights)
         return cls(
-            features=np.concatenate(features), until_s=np.concatenate(until_s), weight=np.concatenate(weight),
-            fold=np.concatenate(fold),
+            bins=bins, binned=bins.indices(rows), features=rows, until_s=np.concatenate(until_s), weight=weights,
+            drive=np.concatenate(places),
         )  # fmt: skip
 
     def fitted(self, kept: BoolArray, horizon_s: float) -> Any:
@@ -186,7 +252,7 @@ class _Steps:
             max_iter=TREES, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=SHRINKAGE,
             min_samples_leaf=LEAST_STEPS_OF_A_LEAF, max_bins=BINS, early_stopping=False, random_state=0,
         )  # fmt: skip
-        model.fit(self.features[kept], self.until_s[kept] <= horizon_s, sample_weight=self.weight[kept])
+        model.fit(self.binned[kept], self.until_s[kept] <= horizon_s, sample_weight=self.weight[kept])
         return model
 
 
@@ -195,11 +261,24 @@ def _labels(drives: Sequence[DriveSeries], horizon_s: float) -> BoolArray:
     return labels
 
 
-def _folds(drives: Sequence[DriveSeries], rng: np.random.Generator) -> IntArray:
-    """Return the fold of each drive, shape ``(n,)``: a group is in one fold, violations are spread evenly.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Division:
+    """The drives of one model.
+
+    Attributes:
+        fitted: Mask of the drives to which it is fitted, shape ``(drives,)``.
+        scored: Mask of the drives that it scores, none of which shares a scenario or a behaviour with those.
+    """
+
+    fitted: BoolArray
+    scored: BoolArray
+
+
+def _divisions(drives: Sequence[DriveSeries], rng: np.random.Generator) -> list[_Division]:
+    """Return the drives of each model: of those that score every drive once, and last of the model of all drives.
 
     Raises:
-        ValueError: There are too few drives with or without a violation, or too few groups.
+        ValueError: There are too few drives with or without a violation, or too few scenarios and behaviours.
     """
     violated = np.array([one.violated for one in drives], np.bool_)
     fewest = int(min(violated.sum(), (~violated).sum()))
@@ -208,28 +287,76 @@ def _folds(drives: Sequence[DriveSeries], rng: np.random.Generator) -> IntArray:
             f"expected at least {LEAST_VIOLATIONS} drives with and without a violation, "
             f"got {int(violated.sum())} and {int((~violated).sum())}"
         )
-    groups: dict[Hashable, list[int]] = {}
-    for place, drive in enumerate(drives):
-        groups.setdefault(drive.group, []).append(place)
-    members = list(groups.values())
+    scenarios, behaviours = _numbered([one.scenario for one in drives]), _behaviours(drives)
+    kinds = [kind for kind in (scenarios, behaviours) if np.unique(kind).size >= FOLDS]
+    groups = _connected(kinds)
+    if groups is not None and np.bincount(groups).max() * FOLDS <= len(drives):
+        kinds = [
+            groups
+        ]  # an ODD may leave a single scenario or behaviour: then the other one alone is divided
+    folds = [_spread(kind, violated, rng) for kind in kinds]
+    found = []
+    for which in np.ndindex(*(FOLDS,) * len(folds)):
+        same: BoolArray = np.array([fold == one for fold, one in zip(folds, which, strict=True)])
+        division = _Division(fitted=np.asarray(~same.any(axis=0)), scored=np.asarray(same.all(axis=0)))
+        if division.scored.any():
+            found.append(division)
+    if not folds or not all(_teaches(violated[one.fitted]) for one in found):
+        raise ValueError(
+            f"expected drives of at least {FOLDS} scenarios, with and without a violation outside every fold; "
+            f"got {np.unique(scenarios).size} scenarios and {np.unique(behaviours).size} behaviours"
+        )
+    every = np.ones(len(drives), np.bool_)
+    return [*found, _Division(fitted=every, scored=~every)]
+
+
+def _teaches(violated: BoolArray) -> bool:
+    return bool(violated.any() and not violated.all())
+
+
+def _numbered(kinds: Sequence[Hashable]) -> IntArray:
+    """Return consecutive numbers of equal values, shape ``(n,)``."""
+    numbers: dict[Hashable, int] = {}
+    return np.array([numbers.setdefault(kind, len(numbers)) for kind in kinds], np.int64)
+
+
+def _behaviours(drives: Sequence[DriveSeries]) -> IntArray:
+    """Return the number of each behaviour; drives that report nothing have one each."""
+    return _numbered([
+        ("nothing", place) if one.behaviour is None else ("behaviour", one.behaviour)
+        for place, one in enumerate(drives)
+    ])  # fmt: skip
+
+
+def _connected(kinds: Sequence[IntArray]) -> IntArray | None:
+    """Return the groups of drives that share a number of any kind, directly or over others; None without kinds."""
+    if not kinds:
+        return None
+    group = np.arange(kinds[0].size)
+    while True:
+        before = group.copy()
+        for kind in kinds:
+            least = np.full(int(kind.max()) + 1, kind.size, np.int64)
+            np.minimum.at(least, kind, group)
+            group = least[kind]
+        if (group == before).all():
+            return _numbered(group.tolist())
+
+
+def _spread(groups: IntArray, violated: BoolArray, rng: np.random.Generator) -> IntArray:
+    """Return the fold of each drive, shape ``(n,)``: a group is in one fold, violations are spread evenly."""
+    members = [np.flatnonzero(groups == group) for group in range(int(groups.max()) + 1)]
     shares = np.array([violated[one].mean() for one in members])
     order = np.lexsort((rng.random(len(members)), shares))
-    folds = np.empty(len(drives), np.int64)
+    folds = np.empty(groups.size, np.int64)
     for first in range(0, len(order), FOLDS):
         part = order[first : first + FOLDS]
         for group, fold in zip(part.tolist(), rng.permutation(FOLDS).tolist(), strict=False):
             folds[members[group]] = fold
-    for fold in range(FOLDS):
-        others = violated[folds != fold]
-        if others.all() or not others.any() or not (folds == fold).any():
-            raise ValueError(
-                f"expected drives of at least {FOLDS} scenarios, with and without a violation outside every fold; "
-                f"got {len(members)} scenarios"
-            )
     return folds
 
 
-def _check_forest(forest: Forest, models: Sequence[Any], features: SingleArray) -> None:
-    expected = np.stack([model.decision_function(features) for model in models], axis=1)
-    if not np.allclose(forest.scores(features), expected, atol=_TOLERANCE):
+def _check_forest(forest: Forest, models: Sequence[Any], steps: _Steps) -> None:
+    expected = np.stack([model.decision_function(steps.binned[:200]) for model in models], axis=1)
+    if not np.allclose(forest.scores(steps.features[:200]), expected, atol=_TOLERANCE):
         raise RuntimeError("this version of scikit-learn stores its trees in a way that Brink cannot read")

@@ -166,6 +166,7 @@ async def get_archive(campaign_id: str, services: Services) -> Response:
 
     `active` says which entries of `vectors` had a part in their episodes, and `effective` has the values that they
     had there. Where `recorded` is false, this was not recorded, and everything counts as active as stored.
+    `seeds` and `digests` have the seed of each episode, and its digest (empty without an episode).
     `columns` names the columns of `vectors`. `choices` has one entry for each column: a JSON list of the choices of a
     categorical parameter, in the order of their indices; an empty string for any other parameter.
     """
@@ -174,10 +175,14 @@ async def get_archive(campaign_id: str, services: Services) -> Response:
         None, services.archives.stored, campaign
     )
     activity = await read(services.engines, lambda c: read_activity(c, campaign.id, plan.problem, archive))
+    episodes = await read(services.engines, lambda c: view_store.read_episodes(c, campaign.id))
+    numbers = stored.numbers.tolist()
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
         allow_pickle=False,
+        seeds=np.array([episodes[number][0] for number in numbers], np.int64),
+        digests=np.array([episodes[number][1] or "" for number in numbers], "U64"),
         columns=np.array(plan.problem.space.column_names()),
         choices=np.array(_choices(plan.problem.space)),
         numbers=stored.numbers,

@@ -267,6 +267,17 @@ def read_seeds(connection: Connection, campaign_id: str) -> dict[int, int]:
     return {row.number: row.seed for row in connection.execute(query)}
 
 
+def read_episodes(connection: Connection, campaign_id: str) -> dict[int, tuple[int, str | None]]:
+    """Return the episode seed and the digest of the episode of all solutions of a campaign, by number.
+
+    A solution that was evaluated without an episode has no digest.
+    """
+    query = select(SolutionRow.number, SolutionRow.seed, SolutionRow.spec_hash).where(
+        SolutionRow.campaign_id == campaign_id
+    )
+    return {row.number: (row.seed, row.spec_hash) for row in connection.execute(query)}
+
+
 def read_failed(connection: Connection, campaign_id: str) -> list[int]:
     """Return the numbers of the solutions of a campaign that have no verdict because their simulations failed."""
     query = select(SolutionRow.number).where(

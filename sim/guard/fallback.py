@@ -42,7 +42,11 @@ _HOLD_MPS2: Final = -2.0
 
 
 class Fallback(Protocol):
-    """What the car does while its guard asks for it. Create a new one for each drive."""
+    """What the car does while its guard asks for it. Create a new one for each drive.
+
+    A class whose attribute `waits_for_alarm` is true promises to change nothing before the first alarm of a drive. A
+    drive in which no alarm can occur then need not run again with it.
+    """
 
     @property
     def active(self) -> bool:
@@ -135,6 +139,8 @@ class _LimitsAcceleration(ABC):
         settings: When interventions begin and end.
         jerk_mps3: How fast the acceleration rises afterwards.
     """
+
+    waits_for_alarm: ClassVar[bool] = True
 
     def __init__(self, settings: InterventionSettings, jerk_mps3: float) -> None:
         self._intervention = Intervention(settings)
@@ -249,6 +255,7 @@ class IgnoreBoxes:
     """
 
     settings_type: ClassVar[type[IgnoreBoxesSettings]] = IgnoreBoxesSettings
+    waits_for_alarm: ClassVar[bool] = True
 
     def __init__(self, settings: IgnoreBoxesSettings) -> None:
         self._intervention = Intervention(settings)
@@ -276,6 +283,7 @@ class NoFallback:
     """`none@1`: does nothing."""
 
     settings_type: ClassVar[type[NoSettings]] = NoSettings
+    waits_for_alarm: ClassVar[bool] = True
     active: Final = False
 
     def __init__(self, settings: NoSettings) -> None:

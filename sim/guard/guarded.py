@@ -61,6 +61,7 @@ class Guarded:
         self._reading = reading = self._guard.step(observation, command, self._system.plan, scan)
         executed = fallback.step(observation, command, reading)
         self.account.note(observation.time_s, alarm=reading.alarm, intervenes=fallback.active)
+        self.account.peak = getattr(self._guard, "peak", None)
         return executed
 
     @property
@@ -98,12 +99,14 @@ class GuardAccount:
         alarm_steps: Control steps with an alarm.
         interventions_s: When each intervention began.
         intervention_steps: Control steps with an intervention.
+        peak: The highest threshold that would have raised an alarm; None if the guard does not say.
     """
 
     alarms_s: list[float] = field(default_factory=list)
     alarm_steps: int = 0
     interventions_s: list[float] = field(default_factory=list)
     intervention_steps: int = 0
+    peak: float | None = None
     _alarm: bool = False
     _intervenes: bool = False
 
@@ -126,4 +129,5 @@ class GuardAccount:
             "guard:alarm_s": self.alarm_steps * CONTROL_STEP_S,
             "guard:interventions_s": list(self.interventions_s),
             "guard:intervention_s": self.intervention_steps * CONTROL_STEP_S,
+            **({} if self.peak is None else {"guard:peak": self.peak}),
         }

@@ -10,7 +10,6 @@ It holds no code: everything that is read is checked, and a damaged file is refu
 """
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -27,6 +26,7 @@ FORMAT: Final = "brink guard"
 VERSION: Final = 1
 MAX_FILE_BYTES: Final = 64 * 1024**2
 MAX_CONFIRM_STEPS: Final = 50
+MAX_HOLD_S: Final = 600.0
 
 
 class Sensor(StrEnum):
@@ -52,7 +52,7 @@ class AlarmRule:
         threshold: The alarm is raised once the probability has been at least this for `confirm_steps` steps.
         release: The alarm ends once the probability has been below this for `hold_s`.
         confirm_steps: Perception steps, at least 1.
-        hold_s: Seconds, at least 0.
+        hold_s: Seconds, at least 0 and at most `MAX_HOLD_S`.
     """
 
     horizon_s: float
@@ -67,12 +67,13 @@ class AlarmRule:
                 "alarm: expected 0 <= release <= threshold <= 1, "
                 f"got a release of {self.release!r} and a threshold of {self.threshold!r}"
             )
-        if not 1 <= self.confirm_steps <= MAX_CONFIRM_STEPS:
+        if type(self.confirm_steps) is not int or not 1 <= self.confirm_steps <= MAX_CONFIRM_STEPS:
             raise ValueError(
-                f"alarm.confirm_steps: expected 1 to {MAX_CONFIRM_STEPS}, got {self.confirm_steps!r}"
+                f"alarm.confirm_steps: expected a whole number from 1 to {MAX_CONFIRM_STEPS}, "
+                f"got {self.confirm_steps!r}"
             )
-        if not (math.isfinite(self.hold_s) and self.hold_s >= 0.0):
-            raise ValueError(f"alarm.hold_s: expected a number of seconds >= 0, got {self.hold_s!r}")
+        if not 0.0 <= self.hold_s <= MAX_HOLD_S:  # which refuses NaN, too
+            raise ValueError(f"alarm.hold_s: expected 0 to {MAX_HOLD_S:g} seconds, got {self.hold_s!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -191,6 +192,17 @@ class GuardModel:
             alarm=AlarmRule(**document["alarm"]),
             about=about if isinstance(about, dict) else {},
         )
+
+    def save(self, path: str | Path) -> None:
+        """Write the model to a file, which is replaced once the whole model is written.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        path = Path(path)
+        part = path.with_name(f".{path.name}.part")
+        part.write_text(self.to_json() + "\n", encoding="utf-8")
+        part.replace(path)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

@@ -1,7 +1,9 @@
 """The stepwise guard: features, model and alarm of one drive."""
 
+from collections import deque
+
 from brink.sim.driving.interface import Command, Observation, PlanState, Route
-from brink.sim.guard.features import STEP_S, UNKNOWN, FeatureExtractor, KnownConditions
+from brink.sim.guard.features import STEP_S, FeatureExtractor, KnownConditions
 from brink.sim.guard.interface import GuardReading, RangeScan
 from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
 
@@ -11,19 +13,28 @@ class Alarm:
 
     Args:
         rule: The rule of the alarm.
+
+    Attributes:
+        is_on: Whether the alarm is on.
+        peak: The highest threshold that would have raised an alarm so far; 0 if none would have.
     """
 
-    __slots__ = ("_above", "_below", "_hold_steps", "_rule", "is_on")
+    __slots__ = ("_above", "_below", "_hold_steps", "_recent", "_rule", "is_on", "peak")
 
     def __init__(self, rule: AlarmRule) -> None:
         self._rule = rule
         self._above = self._below = 0
         self._hold_steps = round(rule.hold_s / STEP_S)
+        self._recent: deque[float] = deque(maxlen=rule.confirm_steps)
         self.is_on = False
+        self.peak = 0.0
 
     def step(self, probability: float) -> bool:
         """Process the probability of one perception step and return whether the alarm is on."""
         rule = self._rule
+        self._recent.append(probability)
+        if len(self._recent) == rule.confirm_steps:
+            self.peak = max(self.peak, min(self._recent))
         self._above = self._above + 1 if probability >= rule.threshold else 0
         self._below = self._below + 1 if probability < rule.release else 0
         if self._above >= rule.confirm_steps:
@@ -39,14 +50,27 @@ class ModelGuard:
     Args:
         model: The model.
         route: The route of the drive.
-        conditions: What the car knows of time of day and weather.
+        conditions: Time of day and weather. They must be known, as they were in all drives that it was fitted to.
+
+    Raises:
+        ValueError: Some of the conditions are unknown.
     """
 
-    def __init__(self, model: GuardModel, route: Route, conditions: KnownConditions = UNKNOWN) -> None:
+    def __init__(self, model: GuardModel, route: Route, conditions: KnownConditions) -> None:
+        if min(conditions) < 0.0:
+            raise ValueError(
+                f"expected rain, wetness and darkness in [0, 1], got {tuple(conditions)}: a fitted guard has met no "
+                "drive in which they were unknown"
+            )
         self._model = model
         self._extractor = FeatureExtractor(route, conditions, ranges=model.sensor is Sensor.RANGE)
         self._alarm = Alarm(model.alarm)
         self._reading = GuardReading(probabilities=(0.0,) * len(model.horizons_s), alarm=False)
+
+    @property
+    def peak(self) -> float:
+        """The highest threshold that would have raised an alarm so far; 0 if none would have."""
+        return self._alarm.peak
 
     @property
     def horizons_s(self) -> tuple[float, ...]:

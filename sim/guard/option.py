@@ -20,11 +20,17 @@ from brink.sim.catalogue import load_plugin, plugin_ids
 from brink.sim.driving.interface import DrivingSystem, Route
 from brink.sim.episode import Json, JsonObject, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.fallback import DEFAULT_FALLBACK, fallback_settings, make_fallback
-from brink.sim.guard.features import UNKNOWN, KnownConditions
+from brink.sim.guard.fallback import (
+    DEFAULT_FALLBACK,
+    FALLBACKS,
+    NO_FALLBACK,
+    fallback_settings,
+    make_fallback,
+)
+from brink.sim.guard.features import KnownConditions
 from brink.sim.guard.guarded import Guarded
 from brink.sim.guard.interface import Guard, RangeScan
-from brink.sim.guard.model import GuardModel, Sensor
+from brink.sim.guard.model import MAX_FILE_BYTES, GuardModel, Sensor
 from brink.sim.guard.monitor import ModelGuard
 from brink.sim.guard.setting import Settings, settings_to_json
 
@@ -126,6 +132,10 @@ class GuardOption:
         threshold = document.get("threshold")
         if threshold is not None:
             threshold = parse_number(f"{where}.threshold", threshold, 0.0, 1.0)
+            if threshold == 0.0:
+                raise InvalidEpisode(
+                    f"{where}.threshold: expected a number in (0, 1], got 0: the alarm would always be on"
+                )
         settings = document.get("settings", {})
         if not isinstance(settings, dict):
             raise InvalidEpisode(f"{where}.settings: expected an object, got {settings!r:.80}")
@@ -143,6 +153,15 @@ class GuardOption:
         return bool(getattr(_maker(self.guard, self.digest), "needs_scan", False))
 
     @property
+    def waits_for_alarm(self) -> bool:
+        """Whether the fallback changes nothing before the first alarm."""
+        return bool(getattr(load_plugin(FALLBACKS, self.fallback), "waits_for_alarm", False))
+
+    def watching(self) -> Self:
+        """Return the option with the same guard, and a fallback that does nothing."""
+        return replace(self, fallback=NO_FALLBACK, settings=fallback_settings(NO_FALLBACK, {}))
+
+    @property
     def own_threshold(self) -> float:
         """The probability from which the guard raises the alarm if no threshold is given."""
         return float(getattr(_maker(self.guard, self.digest), "own_threshold", 0.5))
@@ -151,7 +170,7 @@ class GuardOption:
         self,
         system: DrivingSystem,
         route: Route,
-        conditions: KnownConditions = UNKNOWN,
+        conditions: KnownConditions,
         *,
         scan: Callable[[float], RangeScan] | None = None,
     ) -> Guarded:
@@ -181,9 +200,13 @@ def guard_digest(file: Path) -> str:
     """Return the digest of a guard's file: 16 hexadecimal digits of its SHA-256.
 
     Raises:
-        InvalidEpisode: The file cannot be read.
+        InvalidEpisode: The file cannot be read, is no regular file, or is too large for a guard.
     """
     try:
+        if file.exists() and not file.is_file():
+            raise InvalidEpisode(f"guard: {file}: expected a file")
+        if file.stat().st_size > MAX_FILE_BYTES:
+            raise InvalidEpisode(f"guard: {file}: expected a guard of at most {MAX_FILE_BYTES} bytes")
         return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
     except (OSError, ValueError) as error:
         raise InvalidEpisode(f"guard: {file}: {getattr(error, 'strerror', None) or error}") from None

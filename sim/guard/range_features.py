@@ -44,9 +44,6 @@ RANGE_FEATURES: Final[tuple[str, ...]] = (
 )  # fmt: skip
 """Names of the features, in order."""
 
-RANGE_TTC: Final = RANGE_FEATURES.index("range_path_ttc_s")
-"""The time to collision in the path, which is a baseline, too."""
-
 
 class RangeFeatures:
     """Extracts the features of the range sensor of one drive.

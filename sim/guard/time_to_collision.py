@@ -4,9 +4,14 @@ They learn nothing. The probability of a violation within h seconds is h / (h + 
 collision in the ego's path: 1 on contact, and 0.5 at t = h. `ttc@1` takes it from the reported boxes. `range-ttc@1`
 takes it from the range sensor, and to a distance of two metres instead of contact: nearer than that, a car that goes
 on would soon be nearer than the front gap allows.
+
+Their alarms are confirmed and held as those of a fitted guard are, so that false alarms can be compared.
 """
 
 from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from brink.sim.driving.interface import Command, Observation, PlanState, Route
 from brink.sim.guard.features import (
@@ -18,6 +23,8 @@ from brink.sim.guard.features import (
     KnownConditions,
 )
 from brink.sim.guard.interface import GuardReading, RangeScan
+from brink.sim.guard.model import AlarmRule
+from brink.sim.guard.monitor import Alarm
 from brink.sim.guard.range_features import MIN_CLOSING_MPS, RANGE_FEATURES
 
 HORIZONS_S: Final = (1.0, 2.0, 3.0)
@@ -27,6 +34,30 @@ KEPT_M: Final = 2.0
 _PATH, _CLOSING = (
     len(FEATURES) + RANGE_FEATURES.index(name) for name in ("range_path_m", "range_path_closing_mps")
 )
+
+
+def box_times_s(features: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the time to collision on reported boxes, at most `MAX_TTC_S`, shape ``(n,)``.
+
+    Args:
+        features: Feature vectors, shape ``(n, features)``.
+    """
+    times_s: NDArray[np.float64] = np.clip(features[:, TTC].astype(np.float64), 0.0, MAX_TTC_S)
+    return times_s
+
+
+def range_times_s(features: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the time until the range sensor measures `KEPT_M` in the path, at most `MAX_TTC_S`, shape ``(n,)``.
+
+    Args:
+        features: Feature vectors of a car with a range sensor, shape ``(n, features)``.
+    """
+    room_m, closing_mps = (features[:, place].astype(np.float64) for place in (_PATH, _CLOSING))
+    room_m = np.maximum(room_m - KEPT_M, 0.0)
+    times_s = np.full(room_m.size, MAX_TTC_S)
+    np.divide(room_m, closing_mps, out=times_s, where=closing_mps > MIN_CLOSING_MPS)
+    times_s[room_m <= 0.0] = 0.0
+    return np.asarray(np.minimum(times_s, MAX_TTC_S), np.float64)
 
 
 class TimeToCollision:
@@ -44,8 +75,14 @@ class TimeToCollision:
 
     def __init__(self, route: Route, conditions: KnownConditions, threshold: float | None = None) -> None:
         self._extractor = FeatureExtractor(route, conditions, ranges=self.needs_scan)
-        self._threshold = self.own_threshold if threshold is None else threshold
+        threshold = self.own_threshold if threshold is None else threshold
+        self._alarm = Alarm(AlarmRule(horizon_s=HORIZONS_S[DECIDING], threshold=threshold, release=threshold))
         self._reading = GuardReading(probabilities=(0.0,) * len(HORIZONS_S), alarm=False)
+
+    @property
+    def peak(self) -> float:
+        """The highest threshold that would have raised an alarm so far; 0 if none would have."""
+        return self._alarm.peak
 
     @property
     def horizons_s(self) -> tuple[float, ...]:
@@ -61,17 +98,18 @@ class TimeToCollision:
     ) -> GuardReading:
         """Process one control step and return the current reading, which changes at perception steps."""
         if observation.boxes is not None:
-            time_s = max(self._time_s(self._extractor.step(observation, command, plan, scan)), 0.0)
+            time_s = self._time_s(self._extractor.step(observation, command, plan, scan))
             probabilities = tuple(
                 0.0 if time_s >= MAX_TTC_S else horizon_s / (horizon_s + time_s) for horizon_s in HORIZONS_S
             )
-            alarm = probabilities[DECIDING] >= self._threshold
-            self._reading = GuardReading(probabilities=probabilities, alarm=alarm)
+            self._reading = GuardReading(
+                probabilities=probabilities, alarm=self._alarm.step(probabilities[DECIDING])
+            )
         return self._reading
 
     def _time_s(self, features: FeatureVector) -> float:
-        """Return the time to collision, at least `MAX_TTC_S` if there is none."""
-        return float(features[TTC])
+        """Return the time to collision, `MAX_TTC_S` if there is none."""
+        return float(box_times_s(features[None])[0])
 
 
 class RangeTimeToCollision(TimeToCollision):
@@ -80,7 +118,4 @@ class RangeTimeToCollision(TimeToCollision):
     needs_scan: ClassVar[bool] = True
 
     def _time_s(self, features: FeatureVector) -> float:
-        room_m, closing_mps = float(features[_PATH]) - KEPT_M, float(features[_CLOSING])
-        if room_m <= 0.0:
-            return 0.0
-        return room_m / closing_mps if closing_mps > MIN_CLOSING_MPS else MAX_TTC_S
+        return float(range_times_s(features[None])[0])

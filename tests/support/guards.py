@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from brink.forest import Forest
-from brink.guard.drives import Drive
+from brink.guard.drives import Drive, behaviour_of, scenario_of
+from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.features import ALL_FEATURES
 from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
 
@@ -48,12 +49,21 @@ def drive_with(
     feature: str = "speed_mps",
     violated_at_s: float | None = None,
     scenario: str = "{}",
+    spec: EpisodeSpec | None = None,
 ) -> Drive:
-    """Return a recorded drive in which one feature has the given values, and all others are 0."""
+    """Return a recorded drive in which one feature has the given values, and all others are 0.
+
+    Its scenario and digest are those of an episode, if one is given.
+    """
+    behaviour, seed = "{}", 0
+    if spec is not None:
+        scenario, behaviour, seed = scenario_of(spec), behaviour_of(spec), spec.seed
     features = np.zeros((len(values), len(ALL_FEATURES)), np.float16)
     features[:, ALL_FEATURES.index("ttc_s")] = features[:, ALL_FEATURES.index("range_path_ttc_s")] = 10.0
     features[:, ALL_FEATURES.index(feature)] = values
     return Drive(
-        digest="", scenario=scenario, features=features, violated_at_s={REQUIREMENT: violated_at_s},
+        digest="" if spec is None else spec.digest(), scenario=scenario, behaviour=behaviour,
+        seed=seed, features=features,
+        violated_at_s={REQUIREMENT: violated_at_s},
         robustness={REQUIREMENT: 1.0 if violated_at_s is None else -1.0}, ended_at_s=0.1 * len(values),
     )  # fmt: skip

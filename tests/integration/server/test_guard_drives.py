@@ -1,19 +1,36 @@
 """`brink guard drive`: drives without and with a guard, on the command line, with what it writes."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
-from support.guards import stump_guard
+from support.guards import drive_with, stump_guard
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.guard.loop import drive_with_guard, thresholds_around
-from brink.guard.sight import Reported
+from brink.cli.guard_drive import _choice, _params
+from brink.cli.options import read_odd
+from brink.guard import loop as loop_module
+from brink.guard import sight as sight_module
+from brink.guard.drives import check_problem, random_specs
+from brink.guard.loop import (
+    Condition,
+    GuardedLoop,
+    Outcome,
+    drive_with_guard,
+    record_drive_trace,
+    run_drive,
+    thresholds_around,
+)
+from brink.guard.seen import SeenDrives
+from brink.guard.sight import Reported, sight_of
 from brink.server.problems.catalogue import make_problem
+from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.option import GuardOption
 
 SMALL = ["--drives", "4", "--seeds", "2", "--processes", "1", "--threshold", "0.4", "--threshold", "0.6"]
@@ -52,6 +69,7 @@ def test_the_same_drives_run_without_and_with_the_guard(driven: tuple[dict[str, 
         reports = condition["violations_by_report"]
         assert sum(row["violations"] for row in reports) == worth["violations_without"]
         assert sum(row["prevented"] for row in reports) == worth["prevented"]
+        assert worth["prevented_entirely"] <= worth["prevented"]
     assert json.loads((out / "drives.json").read_text(encoding="utf-8")) == document
 
 
@@ -98,7 +116,9 @@ def test_two_processes_give_what_one_gives() -> None:
     assert list(alone.sights) == list(shared.sights)
 
 
-def test_a_violation_by_a_detector_that_reports_nothing_is_one_of_nothing_reported() -> None:
+def test_a_violation_by_a_detector_that_reports_nothing_is_one_of_nothing_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     problem, option = make_problem("urban-injected@1", {}), GuardOption.of("ttc@1", fallback="none@1")
     loop = drive_with_guard(problem, option, [0.5], drives=30, seeds=[5])
 
@@ -112,36 +132,182 @@ def test_a_violation_by_a_detector_that_reports_nothing_is_one_of_nothing_report
     assert not any(sight.ever for sight in silent)
     assert any(sight.in_range for sight in silent)
 
+    place = next(i for i, sight in enumerate(loop.sights) if sight is not None and sight.in_range)
+    trace = record_drive_trace(loop.specs[place])
+    assert (sight_of(trace, loop.requirements) or silent[0]).in_range
+    monkeypatch.setattr(sight_module, "LEAD_S", 60.0)
+    early = sight_of(trace, loop.requirements)
+    assert early is not None
+    assert not early.in_range, "nothing was in range before the drive began"
 
-def test_scenarios_that_a_guard_has_met_are_told_apart(tmp_path: Path) -> None:
-    file = fitted(tmp_path, drives=1500, seed=1)
 
-    text = called(
-        str(file), "--drives", "8", "--seeds", "1", "--processes", "1", "--threshold", "0.9", "--json"
-    )
+def test_drives_are_told_apart_by_whether_the_guard_has_met_their_scenario_and_behaviour() -> None:
+    problem = check_problem(make_problem("urban-injected@1", {}))
+    learned, fresh = random_specs(problem, 400, 1), random_specs(problem, 200, 2)
+    seen = SeenDrives.by({"seen": seen_in(learned).to_json()})
+    assert seen is not None
 
-    (condition,) = json.loads(text)["conditions"]
-    parts = condition["parts"]
-    assert set(parts) == {"scenario seen, behaviour unseen", "scenario and behaviour unseen"}
-    assert sum(one["drives"] for one in parts.values()) == 8
-    assert sum(one["prevented"] for one in parts.values()) == condition["worth"]["prevented"]
+    parts = seen.parts(fresh)
+
+    assert sum(mask.sum() for mask in parts.values()) == 200
+    known = parts["scenario unseen, behaviour seen"] | parts.get("scenario and behaviour seen", False)
+    silent = np.array([not spec.behaviour["trajectories"] for spec in fresh])
+    assert silent.any()
+    assert (known == silent).all(), "where nothing is reported, the behaviour is one that training has, too"
+    (every,) = seen.parts(learned)
+    assert every == "scenario and behaviour seen"
+
+
+def test_the_same_solution_with_another_seed_is_not_fresh_unless_nothing_is_reported() -> None:
+    problem = check_problem(make_problem("urban-injected@1", {}))
+    learned = random_specs(problem, 100, 1)
+    seen = seen_in(learned)
+    silent = sum(not spec.behaviour["trajectories"] for spec in learned)
+
+    assert seen.repeats(learned) == 100
+    assert seen.repeats([replace(spec, seed=spec.seed + 1) for spec in learned]) == 100 - silent < 100
+    assert seen.repeats(random_specs(problem, 100, 2)) == 0
+
+
+def seen_in(specs: Sequence[EpisodeSpec]) -> SeenDrives:
+    return SeenDrives.of(drive_with([0.0], spec=spec) for spec in specs)
+
+
+def test_a_guard_drives_its_own_problem_unless_another_one_is_named() -> None:
+    own = {"id": "urban-errors@1", "params": {"duration_s": 12.0, "odd": {"scenario.weather": "clear"}}}
+    model = replace(stump_guard(), about={"problem": own})
+
+    def chosen(*given: str, problem: str | None = None, odd: Sequence[str] = ()) -> dict[str, Any]:
+        return _choice(model, problem, _params(given, read_odd(odd)), ()).model_dump()
+
+    requirement = {"requirement": ["front-gap@1"]}
+    assert chosen() == {"id": "urban-errors@1", "params": {**own["params"], **requirement}}
+    assert chosen("duration_s=20")["params"]["duration_s"] == 20
+    assert chosen(odd=["scenario.road_id=1"])["params"]["odd"] == {
+        "scenario.weather": "clear",
+        "scenario.road_id": 1,
+    }
+    assert chosen(problem="urban-injected@1") == {"id": "urban-injected@1", "params": requirement}
+    unfitted = _choice(None, None, {}, ()).model_dump()
+    assert unfitted == {"id": "urban-injected@1", "params": {}}
+
+
+def test_the_drives_of_a_guard_with_an_odd_are_within_it(tmp_path: Path) -> None:
+    file = tmp_path / "guard.json"
+    params = {"duration_s": 6.0, "odd": {"scenario.weather": "hard_rain"}}
+    about = {"problem": {"id": "urban-injected@1", "params": params}}
+    replace(stump_guard(), about=about).save(file)
+    stale = tmp_path / "out" / "prevented-7.png"
+    stale.parent.mkdir()
+    stale.touch()
+
+    document = json.loads(
+        called(str(file), "--drives", "2", "--seeds", "1", "--processes", "1", "--threshold", "0.99", "--json",
+               "--out", str(stale.parent), "--pictures", "0")
+    )  # fmt: skip
+
+    assert document["problem"]["params"] == {**params, "requirement": ["front-gap@1"]}
+    assert document["recommended"] is None, "a single seed is not enough"
+    assert not stale.exists(), "pictures of an earlier run are removed"
 
 
 def test_a_guard_is_not_driven_on_what_it_was_fitted_to(tmp_path: Path) -> None:
-    file = fitted(tmp_path, drives=10, seed=7)
-
+    file = tmp_path / "guard.json"
+    about = {**stump_guard().about, "random": {"drives": 10, "seed": 7}}
+    replace(stump_guard(), about=about).save(file)
     said = refused(str(file), "--drives", "1", "--seeds", "3", "--first-seed", "5")
-
     assert "was fitted to random drives of seed 7" in said
 
+    problem = check_problem(make_problem("urban-injected@1", {}))
+    about = {**stump_guard().about, "seen": seen_in(random_specs(problem, 4, 7)).to_json()}
+    replace(stump_guard(), about=about).save(file)
+    said = refused(str(file), "--drives", "4", "--seeds", "3", "--first-seed", "5")
+    assert "was fitted to 4 of the 4 solutions of seed 7" in said
 
-def fitted(folder: Path, *, drives: int, seed: int) -> Path:
-    """Write a guard that says it was fitted to random drives."""
-    model = stump_guard()
-    about = {**model.about, "campaigns": [], "random": {"drives": drives, "seed": seed}}
-    file = folder / "guard.json"
-    file.write_text(replace(model, about=about).to_json(), encoding="utf-8")
-    return file
+
+def test_drives_without_an_alarm_do_not_run_again_and_give_the_same_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = make_problem("urban-injected@1", {"duration_s": 12.0})
+    option = GuardOption.of("range-ttc@1")
+    ran: list[EpisodeSpec] = []
+
+    def counted(spec: EpisodeSpec) -> Outcome:
+        ran.append(spec)
+        return run_drive(spec)
+
+    monkeypatch.setattr(loop_module, "run_drive", counted)
+    skipping = drive_with_guard(problem, option, [0.3, 0.6, 0.9], drives=5, seeds=[11])
+    fewer = len(ran)
+    monkeypatch.setattr(loop_module, "_may_differ", lambda *_: True)
+    every = drive_with_guard(problem, option, [0.3, 0.6, 0.9], drives=5, seeds=[11])
+
+    assert fewer < len(ran) - fewer == 4 * 5
+    for skipped, run in zip(skipping.conditions, every.conditions, strict=True):
+        assert list(skipped.outcomes) == list(run.outcomes)
+
+
+def made_up(falls: Sequence[Sequence[int]], lost: Sequence[float]) -> GuardedLoop:
+    """Return a loop of four seeds with five drives each, four of which violate the requirement.
+
+    Args:
+        falls: For each condition, the number of violations that it prevents in the drives of each seed.
+        lost: For each condition, the share of distance lost in safe drives.
+    """
+    (spec,) = random_specs(check_problem(make_problem("urban-injected@1", {})), 1, 1)
+    unsafe, safe = {"front-gap@1": 1.0}, dict[str, float]()
+    without = [
+        Outcome(violated_at_s=unsafe if i < 4 else safe, way_m=100.0, time_s=10.0)
+        for _ in range(4)
+        for i in range(5)
+    ]
+    conditions = [
+        Condition(
+            threshold=0.1 * (1 + place),
+            option=GuardOption.of("ttc@1"),
+            outcomes=[
+                Outcome(
+                    violated_at_s=unsafe if prevented <= i < 4 else safe,
+                    way_m=300.0 if i < 4 else 100.0 * (1.0 - share), time_s=10.0,
+                )
+                for prevented in each
+                for i in range(5)
+            ],
+        )
+        for place, (each, share) in enumerate(zip(falls, lost, strict=True))
+    ]  # fmt: skip
+    return GuardedLoop(
+        requirements=("front-gap@1",), specs=[spec] * 20, seed=[s for s in range(4) for _ in range(5)],
+        without=without, sights=[None] * 20, conditions=conditions,
+    )  # fmt: skip
+
+
+def test_a_threshold_is_chosen_on_half_of_the_seeds_and_reported_on_the_others() -> None:
+    loop = made_up([(4, 4, 1, 1), (3, 3, 3, 3)], [0.0, 0.0])
+
+    best, counts = loop.shown()
+
+    assert best is loop.recommended() is loop.conditions[0], "it looks best on the first half"
+    assert counts.tolist() == [False] * 10 + [True] * 10
+    assert loop.worth(best, counts).reduction.value == pytest.approx(0.25), "and is not on the other"
+
+
+def test_the_loss_limit_is_about_drives_that_are_safe_without_the_guard() -> None:
+    """Prevented collisions let the car drive on, so the distance of all drives grows under both conditions."""
+    loop = made_up([(4, 4, 4, 4), (2, 2, 2, 2)], [0.2, 0.04])
+
+    assert (loop.worth(loop.conditions[0]).distance_lost.value or 0.0) < 0.0
+    assert loop.recommended() is loop.conditions[1]
+    assert loop.recommended(0.5) is loop.conditions[0]
+
+
+def test_no_threshold_is_recommended_that_prevents_nothing() -> None:
+    loop = made_up([(0, 0, 4, 4)], [0.0])
+
+    assert loop.recommended() is None
+    best, counts = loop.shown()
+    assert best is loop.conditions[0]
+    assert counts.all()
 
 
 def test_thresholds_lie_around_a_guards_own() -> None:
@@ -150,6 +316,7 @@ def test_thresholds_lie_around_a_guards_own() -> None:
     assert around == tuple(sorted(around))
     assert around[2] == pytest.approx(0.2)
     assert around[0] / (1 - around[0]) == pytest.approx(0.25 / 4)
+    assert all(0.0 < one < 1.0 for one in (*thresholds_around(1.0), *thresholds_around(0.0)))
 
 
 @pytest.mark.parametrize(
@@ -160,6 +327,8 @@ def test_thresholds_lie_around_a_guards_own() -> None:
         (["ttc@1", "--setting", "decel_mps2"], "expected NAME=VALUE"),
         (["ttc@1", "--setting", "decel_mps2=99"], "decel_mps2"),
         (["ttc@1", "--problem", "aeb-crossing@1"], "a guard watches urban drives"),
+        (["ttc@1", "--param", "trajectories"], "expected NAME=VALUE"),
+        (["ttc@1", "--out", __file__], "expected a folder"),
     ],
 )
 def test_what_cannot_be_driven_is_refused_before_anything_runs(arguments: list[str], message: str) -> None:

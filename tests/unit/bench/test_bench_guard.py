@@ -10,7 +10,7 @@ from support.guards import REQUIREMENT, drive_with
 from brink.bench import guard as bench_guard
 from brink.bench.guard import RANDOM, SETS, GuardBench, baseline_rows
 from brink.guard import drives as guard_drives
-from brink.guard.drives import Drive
+from brink.guard.drives import Drive, Recorders
 from brink.search.analysis import guard_training
 from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.features import ALL_FEATURES
@@ -31,7 +31,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         values = np.where(np.arange(60) >= 30 if violated else np.zeros(60, np.bool_), 8.0, 2.0)
         found = drive_with(
             (values + rng.normal(0.0, 0.5, 60)).tolist(), violated_at_s=5.95 if violated else None,
-            scenario=json.dumps(dict(spec.scenario)),
+            spec=spec,
         )  # fmt: skip
         found.features[:, ALL_FEATURES.index("persons")] = rng.integers(2)
         return found
@@ -64,11 +64,11 @@ def test_every_training_set_and_sensor_is_judged_on_the_same_fresh_drives(
         ("random without them", "unseen behaviours"), (RANDOM, "unseen behaviours"),
     ] * 2  # fmt: skip
     for without, known in zip(found.unseen[::2], found.unseen[1::2], strict=True):
-        assert without.drives < known.drives == TRAINING
+        assert without.drives == known.drives < TRAINING, "both are fitted to equally many drives"
         assert without.evaluation.drives == known.evaluation.drives < FRESH
     rows = {row.what: row for row in found.rows()}
-    assert rows["warned 1.5 s ahead: random, boxes"].met is True
-    assert rows["warned 1.5 s ahead: edge, range"].met is None
+    assert rows["predicted 1.5 s ahead: random, boxes"].met is True
+    assert rows["predicted 1.5 s ahead: edge, range"].met is None
     assert rows["ms a step: range"].value > 0.0
     assert json.loads(json.dumps(found.to_json()))["judged"][0]["trained_on"] == RANDOM
     names = [row[0] for row in baseline_rows(found.judged[-1].evaluation)]
@@ -79,3 +79,29 @@ def test_every_training_set_and_sensor_is_judged_on_the_same_fresh_drives(
     again = measured(tmp_path, RANDOM)
     assert len(made_up) == ran, "recorded drives are kept"
     assert again.judged[0].evaluation == found.judged[0].evaluation
+
+
+def test_an_interrupted_search_goes_on_and_a_changed_one_runs_again(
+    made_up: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench_guard, "CHUNK", 25)
+
+    def searched() -> list[Drive]:
+        bench = GuardBench(tmp_path, training=TRAINING, fresh=0, requirement=REQUIREMENT, processes=1)
+        bench._folder.mkdir(parents=True, exist_ok=True)
+        with Recorders(1) as recorders:
+            return bench._searched(recorders, "MLCSHE")
+
+    whole = [one.digest for one in searched()]
+    ran = len(made_up)
+    files = sorted(tmp_path.glob("*/mlcshe-*.npz"))
+    assert len(files) > 4
+    files[-1].unlink()
+    assert [one.digest for one in searched()] == whole
+    assert 0 < len(made_up) - ran <= 25, "only the missing chunk runs"
+
+    params = {"radius": 0.3, "p_th": 0.1, "mutation_probability": 0.9}
+    monkeypatch.setattr(bench_guard, "SEARCHES", {"MLCSHE": ("mlcshe@1", params)})
+    other = [one.digest for one in searched()]
+    assert other != whole
+    assert len(set(other) - set(whole)) <= len(made_up) - ran

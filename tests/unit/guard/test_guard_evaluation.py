@@ -2,6 +2,8 @@
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,8 +13,11 @@ from brink.guard.drives import Drive, check_verdicts, load_drives, save_drives
 from brink.guard.evaluation import ALWAYS, BOX_TTC, LEADS_S, NEVER, RANGE_TTC_NAME, confirmed, evaluate, peak
 from brink.guard.fitting import threshold_for
 from brink.plots.guard import figure_guard
+from brink.search.archive import Archive
 from brink.server.errors import Conflict
+from brink.sim.guard.features import ALL_FEATURES, MAX_TTC_S
 from brink.sim.guard.model import Sensor
+from brink.sim.guard.time_to_collision import range_times_s
 
 HIGH, LOW = 8.0, 0.0
 """Speeds for which the stump's probability is above and below its threshold."""
@@ -138,18 +143,50 @@ def test_stored_drives_are_read_again_and_damaged_files_are_not(tmp_path: Path) 
     assert load_drives(file) is None
 
 
-def test_drives_that_end_otherwise_are_reported() -> None:
+def test_drives_that_end_differently_are_reported() -> None:
     drives = [drive_with([0.0], violated_at_s=None) for _ in range(100)]
-    unsafe = np.zeros(100, np.bool_)
-    unsafe[:2] = True
-    check_verdicts(drives, (REQUIREMENT,), unsafe, "campaign x")
-    unsafe[2] = True
-    with pytest.raises(Conflict, match="3 of 100 drives of campaign x end otherwise"):
-        check_verdicts(drives, (REQUIREMENT,), unsafe, "campaign x")
+    archive = SimpleNamespace(numbers=np.arange(100), unsafe=np.zeros(100, np.bool_))
+    archive.unsafe[:2] = True
+    check_verdicts(drives, (REQUIREMENT,), cast(Archive, archive), "campaign x")
+    archive.unsafe[7] = True
+    with pytest.raises(Conflict, match=r"3 of 100 drives of campaign x end differently.*solutions 0, 1, 7"):
+        check_verdicts(drives, (REQUIREMENT,), cast(Archive, archive), "campaign x")
 
 
 def test_the_figure_shows_both_panels() -> None:
     figure = figure_guard(evaluate(stump_guard(), safe_and_unsafe()))
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
-        "Warned violations and false alarms", "Lead time, alarms in at most 5% of safe drives",
+        "Predicted violations and false alarms", "Lead time, alarms in at most 5% of safe drives",
     ]  # fmt: skip
+
+
+def test_baselines_confirm_alarms_as_the_guard_does() -> None:
+    def drive(values: list[float], violated_at_s: float | None = None) -> Drive:
+        return drive_with(values, feature="ttc_s", violated_at_s=violated_at_s)
+
+    noisy = [10.0] * 10 + [0.5] + [10.0] * 29
+    found = evaluate(
+        stump_guard(), [drive([10.0] * 20 + [1.0] * 20, 4.0), *[drive(noisy) for _ in range(10)]]
+    )
+    box = found.predictors[1]
+    assert (box.compared.recall, box.compared.false_alarms) == (1.0, 0.0)
+
+
+def test_the_baseline_on_ranges_is_the_time_to_collision_of_range_ttc() -> None:
+    """It is to two metres before contact: 12 m at 5 m/s are two seconds."""
+    features = np.zeros((4, len(ALL_FEATURES)), np.float16)
+    path, closing = (ALL_FEATURES.index(name) for name in ("range_path_m", "range_path_closing_mps"))
+    features[:, path] = 12.0, 1.0, 60.0, 12.0
+    features[:, closing] = 5.0, -1.0, 0.0, 0.25
+    assert range_times_s(features).tolist() == [2.0, 0.0, MAX_TTC_S, MAX_TTC_S]
+
+    def drive(distances_m: list[float], violated_at_s: float | None = None) -> Drive:
+        found = drive_with(distances_m, feature="range_path_m", violated_at_s=violated_at_s)
+        found.features[:, closing] = 1.0
+        return found
+
+    # Two metres are kept: 2.5 m are half a second away, and 4 m are two.
+    drives = [drive([60.0] * 20 + [2.5] * 20, 4.0), *[drive([4.0] * 40) for _ in range(30)]]
+    ranges = evaluate(stump_guard(sensor=Sensor.RANGE), drives).predictors[2]
+    assert (ranges.name, ranges.compared.recall, ranges.compared.false_alarms) == (RANGE_TTC_NAME, 1.0, 0.0)
+    assert -2.0 < ranges.compared.threshold <= -0.5

@@ -14,6 +14,7 @@ def drives(
     way_without_m: float = 100.0,
     way_with_m: float = 95.0,
     alarms: int = 1,
+    held: list[int] | None = None,
 ) -> GuardedDrives:
     count = len(without)
     return GuardedDrives(
@@ -21,6 +22,7 @@ def drives(
         violated_without=np.array(without, bool),
         violated_with=np.array(after, bool),
         other_with=np.zeros(count, bool),
+        held_with=~np.array(after, bool) if held is None else np.array(held, bool),
         way_without_m=np.full(count, way_without_m),
         way_with_m=np.full(count, way_with_m),
         time_with_s=np.full(count, 36.0),
@@ -43,6 +45,12 @@ def test_prevented_and_caused_violations_are_counted_apart() -> None:
     assert worth.distance_lost.value == pytest.approx(0.05)
     assert worth.false_alarms_per_h.value == pytest.approx(100.0)
     assert worth.intervention_share.value == pytest.approx(0.25)
+
+
+def test_prevented_violations_with_another_one_instead_are_told_apart() -> None:
+    worth = guard_worth(drives([1, 1, 1, 0], [0, 0, 1, 0], held=[1, 0, 0, 1]), rng())
+
+    assert (worth.prevented, worth.prevented_entirely) == (2, 1)
 
 
 def test_more_violations_with_the_guard_are_a_negative_reduction() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,13 @@ from support.guards import stump_guard
 
 from brink.sim.driving.interface import Command, EgoState, Observation
 from brink.sim.errors import GuardFileError
+from brink.sim.guard.features import KnownConditions
 from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
 from brink.sim.guard.monitor import Alarm, ModelGuard
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import LaneRoute
+
+DRY = KnownConditions(rain=0.0, wet=0.0, dark=0.0)
 
 
 def logistic(log_odds: float) -> float:
@@ -90,7 +94,9 @@ def spoiled(path: str, value: Any) -> str:
         (spoiled("alarm.threshold", 1.5), "threshold"),
         (spoiled("alarm.release", 0.9), "release"),
         (spoiled("alarm.confirm_steps", 0), "confirm_steps"),
+        (spoiled("alarm.confirm_steps", 2.5), "confirm_steps"),
         (spoiled("alarm.hold_s", -1.0), "hold_s"),
+        (spoiled("alarm.hold_s", 1e308), "hold_s"),
         (spoiled("alarm.horizon_s", 1.5), "horizon_s"),
         (spoiled("alarm.code", "import os"), "code"),
         (spoiled("about", ...), "about"),
@@ -131,12 +137,46 @@ def test_an_alarm_is_confirmed_and_held() -> None:
     assert states(at_once, [0.5, 0.49, 0.5]) == "x.x"
 
 
+@pytest.mark.parametrize("confirm_steps", [1, 2, 3])
+def test_the_peak_is_the_highest_threshold_that_raises_an_alarm(confirm_steps: int) -> None:
+    values = np.random.default_rng(confirm_steps).random(50).tolist()
+    rule = AlarmRule(horizon_s=3.0, threshold=1.0, release=0.0, confirm_steps=confirm_steps)
+    watching = Alarm(rule)
+    for value in values:
+        watching.step(value)
+    for threshold, raises in ((watching.peak, True), (float(np.nextafter(watching.peak, 1.0)), False)):
+        alarm = Alarm(replace(rule, threshold=threshold))
+        assert any(alarm.step(value) for value in values) is raises
+    assert Alarm(rule).peak == 0.0
+
+
+def test_a_fitted_guard_must_know_the_conditions() -> None:
+    """It has met no drive in which they were unknown."""
+    route = LaneRoute(
+        line=ReferenceLine(0.0, 0.0, 0.0, (Piece(100.0),)), lane_width_m=3.5, speed_limit_mps=14.0,
+        stop_line_stations_m=(), oncoming=(),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="expected rain, wetness and darkness"):
+        ModelGuard(stump_guard(), route, KnownConditions(rain=0.0, wet=0.0))
+
+
+def test_a_file_is_replaced_only_by_a_whole_guard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "guard.json"
+    stump_guard().save(file)
+    before = file.read_text(encoding="utf-8")
+    assert GuardModel.load(file).to_json() == stump_guard().to_json()
+    monkeypatch.setattr(Path, "replace", lambda *_: pytest.fail("interrupted"))
+    with pytest.raises(pytest.fail.Exception):
+        stump_guard(above=9.0).save(file)
+    assert file.read_text(encoding="utf-8") == before
+
+
 def test_a_guard_answers_at_every_step_and_changes_at_perception_steps() -> None:
     route = LaneRoute(
         line=ReferenceLine(0.0, 0.0, 0.0, (Piece(100.0),)), lane_width_m=3.5, speed_limit_mps=14.0,
         stop_line_stations_m=(), oncoming=(),
     )  # fmt: skip
-    guard = ModelGuard(stump_guard(), route)
+    guard = ModelGuard(stump_guard(), route, DRY)
     command = Command(accel_mps2=0.0, steer_rad=0.0)
 
     def step(number: int, speed_mps: float) -> tuple[tuple[float, ...], bool]:

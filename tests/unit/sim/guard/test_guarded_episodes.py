@@ -12,6 +12,7 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.model import Sensor
 from brink.sim.guard.option import GuardOption, guard_digest
 from brink.sim.trace import Trace
+from brink.sim.urban.camera import BrinkDriveCamera
 from brink.sim.urban.simulator import BrinkDrive
 
 GHOST: dict[str, Json] = {
@@ -120,8 +121,21 @@ def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sen
     # The stump takes a violation within three seconds for 98% likely, whatever the feature is.
     assert slow.features["guard:alarms_s"] == [0.1]
     assert deaf.features["guard:alarms_s"] == []
+    assert 0.97 < float(str(deaf.features["guard:peak"])) < 0.99
     assert float(str(slow.features["way_m"])) < 0.7 * float(str(deaf.features["way_m"]))
     assert deaf.verdicts == drive(spec()).verdicts
+
+
+def test_a_drive_with_a_camera_may_have_a_guard() -> None:
+    camera = replace(
+        spec(), simulator="brink-drive-camera@2", duration_s=1.5,
+        behaviour={"mode": "detector", "detector": "brink-det@2", "threshold": 0.5},
+    )  # fmt: skip
+    without, watched = (
+        BrinkDriveCamera().run(one) for one in (camera, guarded(camera, "range-ttc@1", fallback="none@1"))
+    )
+    assert watched.verdicts == without.verdicts
+    assert "guard:alarms_s" in watched.features
 
 
 @pytest.mark.parametrize(
@@ -132,6 +146,8 @@ def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sen
         ({"guard": "ttc@9", "fallback": "none@1"}, r"guard: expected one of .*ttc@1, file:FILE; got 'ttc@9'"),
         ({"guard": "ttc@1", "fallback": "none@1", "treshold": 1}, "did you mean 'threshold'"),
         ({"guard": "ttc@1", "fallback": "none@1", "threshold": 1.5}, r"threshold: expected a number in \[0, 1\]"),
+        ({"guard": "ttc@1", "fallback": "none@1", "threshold": 0}, r"threshold: expected a number in \(0, 1\]"),
+        ({"guard": "file:/dev/zero", "fallback": "none@1", "digest": "0"}, "/dev/zero: expected a file"),
         ({"guard": "ttc@1", "fallback": "slow-down@1", "settings": {"speed_mps": 99}}, r"settings\.speed_mps"),
         ({"guard": "file:/nowhere/guard.json", "fallback": "none@1", "digest": "0"}, "No such file"),
     ],

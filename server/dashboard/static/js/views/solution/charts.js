@@ -289,7 +289,7 @@ export function guard(player) {
   });
   return h("section.card", { "aria-label": "Guard over time" }, h("h2", null, "Guard over time"), node,
     h("ul.legend", null, h("li", null, h("i.key.alarm"), "alarm"), h("li", null, h("i.key.fallback"), `fallback ${recorded.fallback} intervenes`)),
-    h("p.hint", null, "How likely the guard takes a violation to be within each of its horizons. Click to jump to a time."));
+    h("p.hint", null, "The guard's estimate of the probability of a violation within each of its horizons. Click to jump to a time."));
 }
 
 /**

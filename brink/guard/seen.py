@@ -1,0 +1,91 @@
+"""What a guard has seen in fitting: digests of the scenarios, behaviours and solutions of its drives.
+
+They are stored in the guard, so that drives on which it is judged can be told from those that it was fitted to, by
+whatever campaign or seed they came about. The same solution with another seed is no fresh drive, unless the detector
+reports nothing: that is the behaviour of every ninth random drive, and chance and scenario alone tell these apart.
+"""
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+
+from brink.guard.drives import Drive, behaviour_of, reports_anything, scenario_of
+from brink.search.space import BoolArray
+from brink.sim.episode import EpisodeSpec
+
+ABOUT: Final = "seen"
+"""Where a guard's `about` has it."""
+_HEX: Final = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenDrives:
+    """What a guard has seen in fitting, as digests.
+
+    Attributes:
+        solutions: Its complete solutions; those that report nothing with their episode seeds.
+        scenarios: Its scenarios.
+        behaviours: Its behaviours.
+    """
+
+    solutions: frozenset[str]
+    scenarios: frozenset[str]
+    behaviours: frozenset[str]
+
+    @classmethod
+    def of(cls, drives: Iterable[Drive]) -> Self:
+        """Return what is seen in some drives."""
+        given = list(drives)
+        return cls(
+            solutions=frozenset(_solution(one.scenario, one.behaviour, one.seed) for one in given),
+            scenarios=frozenset(_digest(one.scenario) for one in given),
+            behaviours=frozenset(_digest(one.behaviour) for one in given),
+        )
+
+    @classmethod
+    def by(cls, about: Mapping[str, Any]) -> Self | None:
+        """Return what the guard with this `about` has seen; None if it does not say."""
+        stored = about.get(ABOUT)
+        if not isinstance(stored, Mapping):
+            return None
+        names = ("solutions", "scenarios", "behaviours")
+        if not all(isinstance(stored.get(name), list) for name in names):
+            return None
+        return cls(**{name: frozenset(map(str, stored[name])) for name in names})
+
+    def to_json(self) -> dict[str, list[str]]:
+        """Return this as a JSON object."""
+        return {name: sorted(getattr(self, name)) for name in self.__slots__}
+
+    def repeats(self, specs: Sequence[EpisodeSpec]) -> int:
+        """Return how many of some episodes it has seen."""
+        return sum(
+            _solution(scenario_of(spec), behaviour_of(spec), spec.seed) in self.solutions for spec in specs
+        )
+
+    def parts(self, specs: Sequence[EpisodeSpec]) -> dict[str, BoolArray]:
+        """Return masks of episodes by whether their scenarios and behaviours were seen; empty ones are left out.
+
+        Args:
+            specs: The episodes.
+        """
+        scenario = np.array([_digest(scenario_of(spec)) in self.scenarios for spec in specs], np.bool_)
+        behaviour = np.array([_digest(behaviour_of(spec)) in self.behaviours for spec in specs], np.bool_)
+        masks = {
+            "scenario and behaviour seen": scenario & behaviour,
+            "scenario seen, behaviour unseen": scenario & ~behaviour,
+            "scenario unseen, behaviour seen": ~scenario & behaviour,
+            "scenario and behaviour unseen": ~scenario & ~behaviour,
+        }
+        return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def _solution(scenario: str, behaviour: str, seed: int) -> str:
+    return _digest(f"{scenario}\n{behaviour}\n{seed if not reports_anything(behaviour) else ''}")
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:_HEX]
