@@ -135,14 +135,14 @@ def guard(
     each = value_table(_GUARD_COLUMNS, map(_guard_row, measured.judged))
     unseen = value_table(_GUARD_COLUMNS, map(_guard_row, measured.unseen))
     baselines = value_table(
-        ("baseline", "warned", "false alarms"), baseline_rows(measured.judged[-1].evaluation)
+        ("baseline", "predicted", "false alarms"), baseline_rows(measured.judged[-1].evaluation)
     )
     shown = (rows_table(rows, ".3f"), each, baselines, unseen)
     conclude(measured.to_json(), *shown, as_json=as_json, missed=any_missed(rows))
 
 
 _GUARD_COLUMNS = (
-    "fitted to", "sensor", "judged on", "drives", "violations", "warned", "interval", "own: warned", "recent",
+    "fitted to", "sensor", "judged on", "drives", "violations", "predicted", "interval", "own: predicted", "recent",
     "false alarms", "an hour", "lead s", "AUROC", "Brier", "fit s",
 )  # fmt: skip
 
