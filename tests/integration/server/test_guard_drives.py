@@ -174,7 +174,10 @@ def seen_in(specs: Sequence[EpisodeSpec]) -> SeenDrives:
 
 
 def test_a_guard_drives_its_own_problem_unless_another_one_is_named() -> None:
-    own = {"id": "urban-errors@1", "params": {"duration_s": 12.0, "odd": {"scenario.weather": "clear"}}}
+    own: dict[str, Any] = {
+        "id": "urban-errors@1",
+        "params": {"duration_s": 12.0, "odd": {"scenario.weather": "clear"}},
+    }
     model = replace(stump_guard(), about={"problem": own})
 
     def chosen(*given: str, problem: str | None = None, odd: Sequence[str] = ()) -> dict[str, Any]:
