@@ -45,8 +45,8 @@ def figure_guard(evaluation: GuardEvaluation) -> Figure:
         HEIGHT_PX,
         f"Guard on {evaluation.drives:,} drives ({evaluation.sensor})",
         f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}.\nLeft: each point "
-        f"is an alarm threshold; solid, violations predicted at least {LEAD_S:g} s ahead, dashed 0.5 s, dotted 3 s. "
-        f"Right: with alarms in at most {FALSE_ALARMS:.0%} of safe drives, by thresholds read off the left curves.",
+        f"is an alarm threshold; solid: predicted at least {LEAD_S:g} s ahead, dashed: 0.5 s, dotted: 3 s. Right: "
+        "with the thresholds at the dotted line on the left.",
     )
     left, right = add_panels(figure, 2, top_px=190, bottom_px=70, left_px=96)
     drawn = [one for one in evaluation.predictors if one.name not in (ALWAYS, NEVER)]
