@@ -1,6 +1,6 @@
 """Quantisation of a trained network to 8-bit integers.
 
-Sums of 8-bit products are exact in integers, and weights keep one bit in reserve so that no processor saturates.
+Sums of 8-bit products are exact. Weights use only seven bits, so that these sums do not saturate on any processor.
 Scales come from the range of each layer's output on a few training images. The first layer, the brightness that it
 sees, and the last layers, whose outputs are logits and pixels, remain in floating point.
 """
