@@ -33,9 +33,9 @@ ACCIDENT: Final = "no-collision@1"
 DANGEROUS_STOP: Final = "no-dangerous-stop@1"
 
 CLEAN_PLACES: Final = range(20)
-OTHER_PLACES: Final = range(100, 120)
+OTHER_PLACES: Final = range(100, 140)
 """Places in which thresholds of the detector are tried, so that the default is not chosen in `CLEAN_PLACES`."""
-THRESHOLDS: Final = (0.3, 0.4, 0.5)
+THRESHOLDS: Final = (0.3, 0.4, 0.5, 0.6)
 SWEEP_PLACES: Final = range(3)
 OBSTACLE_PLACES: Final = range(10)
 MAX_HARMFUL_GENES: Final = 3

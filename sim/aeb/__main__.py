@@ -21,21 +21,20 @@ from brink.sim.aeb.dataset import Split, labelled_frames, render_frames
 from brink.sim.perception.boxes import mean_average_precision
 from brink.sim.perception.detector import NetworkDetector, fit_picture
 
-TRAINING_FRAMES: Final = 10_000
+TRAINING_FRAMES: Final = 20_000
 CALIBRATION_FRAMES: Final = 200
 """Training images that give the scales of the quantised network."""
 HELD_OUT_FRAMES: Final = 600
-EPOCHS: Final = (12, 8, 8)
-"""Epochs in each cycle of the learning rate."""
+EPOCHS: Final = 34
 
 
-def train(out: Path, *, frames: int, epochs: Sequence[int], seed: int) -> None:
+def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
     """Train the detector and write its weights; validation and test images are not used for training.
 
     Args:
         out: Output folder.
         frames: Number of training images.
-        epochs: Number of epochs in each cycle of the learning rate.
+        epochs: Number of epochs.
         seed: Seed of the initial weights, the order of the images and the augmentation.
     """
     from brink.sim.perception import training  # loads torch
@@ -49,9 +48,9 @@ def train(out: Path, *, frames: int, epochs: Sequence[int], seed: int) -> None:
                 (Split.VALIDATION, HELD_OUT_FRAMES), (Split.TEST, HELD_OUT_FRAMES), (Split.TRAIN, frames)
             )
         )  # fmt: skip
-    settings = training.Settings(frames=frames, epochs=tuple(epochs), seed=seed)
+    settings = training.Settings(frames=frames, epochs=epochs, seed=seed)
     network, record = training.train(pictures, validation, settings, out)
-    calibration = pictures[training.INPUT_PX].planes[:CALIBRATION_FRAMES]
+    calibration = pictures.planes[:CALIBRATION_FRAMES]
     training.write_results(network, test, calibration, out, record=record)
 
 
@@ -91,13 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     training.add_argument(
         "--frames", type=int, default=TRAINING_FRAMES, help="number of training images (%(default)s)"
     )
-    training.add_argument(
-        "--epochs",
-        type=int,
-        nargs=len(EPOCHS),
-        default=EPOCHS,
-        help=f"epochs in each cycle of the learning rate ({' '.join(map(str, EPOCHS))})",
-    )
+    training.add_argument("--epochs", type=int, default=EPOCHS, help="number of epochs (%(default)s)")
     training.add_argument(
         "--seed",
         type=int,

@@ -1,6 +1,6 @@
 """The network of `brink-det@2`, its training targets and its loss.
 
-The network is anchor-free and has about half a million parameters, for images of 448 x 256. Beside the image it sees
+The network is anchor-free and has about a million parameters, for images of 448 x 256. Beside the image it sees
 two planes computed from the brightness: its logarithm, and the logarithm normalised by mean and spread in the
 surroundings, which changes little with exposure, haze and uneven light. For each cell of a grid at a quarter of the
 image's resolution and each class, it predicts how likely the cell is to hold a box centre, and the distances to the
@@ -23,8 +23,8 @@ from torch import Tensor, nn
 from brink.sim.perception.boxes import FloatArray, GroundTruth
 from brink.sim.perception.detector import LABELS, STRIDE
 
-WIDTHS: Final = (16, 24, 48, 96)
-HEAD_WIDTH: Final = 32
+WIDTHS: Final = (24, 32, 64, 128)
+HEAD_WIDTH: Final = 48
 PLANES: Final = 5
 """Red, green, blue, logarithm of the brightness, locally normalised logarithm."""
 SURROUNDINGS_PX: Final = 8
@@ -142,6 +142,15 @@ class Target:
     heat_mask: Tensor
     edges: Tensor
     weight: Tensor
+
+    def to(self, device: torch.device) -> "Target":
+        """Return the target on a device."""
+        return Target(
+            heat=self.heat.to(device),
+            heat_mask=self.heat_mask.to(device),
+            edges=self.edges.to(device),
+            weight=self.weight.to(device),
+        )
 
 
 def make_target(truths: list[GroundTruth], size_px: tuple[int, int]) -> Target:
