@@ -1,4 +1,4 @@
-"""Writes docs/reference/python.md from the docstrings of everything that ``import brink`` offers.
+"""Writes docs/reference/python.md from the docstrings of everything that ``brink`` and ``brink.guard`` offer.
 
 Run as ``make reference``.
 """
@@ -21,13 +21,22 @@ GROUPS: Final = {
     "Asynchronous twins": [
         "run_async", "search_async", "connect_async", "AsyncClient", "AsyncSubmitted", "AsyncResult",
     ],
+    "Guards": [
+        "guard.random_specs", "guard.solution_specs", "guard.record", "guard.fit", "guard.evaluate",
+        "guard.drive_with_guard", "guard.Drive", "guard.GuardEvaluation", "guard.GuardedLoop",
+    ],
 }  # fmt: skip
 """Names by heading, in the order of the page."""
 _HOMES: Final = {
-    "run": "local", "run_async": "local", "connect": "client", "connect_async": "client", "Client": "client",
-    "AsyncClient": "client", "Submitted": "client", "AsyncSubmitted": "client", "Campaign": "campaign",
-    "Result": "result", "AsyncResult": "result", "Picture": "picture", "search": "function",
-    "search_async": "function", "Study": "study", "Trial": "study",
+    "run": "python/local", "run_async": "python/local", "connect": "python/client",
+    "connect_async": "python/client", "Client": "python/client", "AsyncClient": "python/client",
+    "Submitted": "python/client", "AsyncSubmitted": "python/client", "Campaign": "python/campaign",
+    "Result": "python/result",
+    "AsyncResult": "python/result", "Picture": "python/picture", "search": "python/function",
+    "search_async": "python/function", "Study": "python/study", "Trial": "python/study",
+    "guard.random_specs": "guard/drives", "guard.solution_specs": "guard/drives", "guard.record": "guard/drives",
+    "guard.fit": "guard/fitting", "guard.evaluate": "guard/evaluation", "guard.drive_with_guard": "guard/loop",
+    "guard.Drive": "guard/drives", "guard.GuardEvaluation": "guard/evaluation", "guard.GuardedLoop": "guard/loop",
 }  # fmt: skip
 _BRIEF: Final = frozenset({"AsyncClient", "AsyncSubmitted", "AsyncResult"})
 """Classes whose methods are those of another class."""
@@ -47,8 +56,9 @@ def page() -> str:
     for heading, names in GROUPS.items():
         parts.append(f"## {heading}\n")
         for name in names:
-            home = _module(f"python/{_HOMES[name]}" if name in _HOMES else "search/parameters")
-            parts.append(_entry(home[name], f"brink.{name}" if name != "Picture" else "Picture"))
+            home = _module(_HOMES.get(name, "search/parameters"))
+            shown = f"brink.{name}" if name != "Picture" else "Picture"
+            parts.append(_entry(home[name.removeprefix("guard.")], shown))
     return "\n".join(parts).rstrip() + "\n"
 
 

@@ -3,6 +3,7 @@
 from support.python_reference import GROUPS, PAGE, page
 
 import brink
+import brink.guard
 
 
 def test_the_page_is_up_to_date() -> None:
@@ -11,7 +12,7 @@ def test_the_page_is_up_to_date() -> None:
 
 def test_the_page_lists_every_public_name() -> None:
     listed = {name for names in GROUPS.values() for name in names}
-    assert set(brink.__all__) <= listed
+    assert set(brink.__all__) | {f"guard.{name}" for name in brink.guard.__all__} <= listed
 
 
 def test_public_names_are_found_without_importing_them_first() -> None:
