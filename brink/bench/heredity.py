@@ -49,11 +49,13 @@ class Heredity:
         twins: Its methods, the first mutation rate first.
         values: The measure of each campaign of a line, by line, measure and t_b.
         effects: Every method against its twin, then every rate against the first, for each measure and t_b.
+        leads: Every method against its own control, for each measure and t_b; empty without controls.
     """
 
     twins: Sequence[Twins]
     values: dict[tuple[Line, Measure, float], list[float]]
     effects: Sequence[Duel]
+    leads: Sequence[Duel]
 
     @property
     def lines(self) -> list[Line]:
@@ -73,19 +75,20 @@ class Heredity:
 
     def effect_rows(self, measure: Measure) -> Iterator[tuple[str, ...]]:
         """Yield the names of each two methods that are compared, and their comparisons at `T_BS`."""
-        ours = [one for one in self.effects if one.measure is measure]
-        for first, second in dict.fromkeys(map(_methods, ours)):
-            cells = [_effect_cell(one) for one in ours if _methods(one) == (first, second)]
+        ours = [one for one in (*self.effects, *self.leads) if one.measure is measure]
+        for first, second in dict.fromkeys(map(_names, ours)):
+            cells = [_effect_cell(one) for one in ours if _names(one) == (first, second)]
             yield f"{first} : {second}", *cells
 
     def conclusions(self) -> Iterator[str]:
-        """Yield a sentence on selection, and one on the mutation rates, for each measure."""
+        """Yield sentences on selection, on the mutation rates and on the controls, for each measure."""
         alone = {(one.method, one.twin) for one in self.twins}
         for measure in Measure:
             ours = [one for one in self.effects if one.measure is measure]
             for words, found in (
-                ("selection", [one for one in ours if _methods(one) in alone]),
-                ("the mutation rate", [one for one in ours if _methods(one) not in alone]),
+                ("selection", [one for one in ours if _names(one) in alone]),
+                ("the mutation rate", [one for one in ours if _names(one) not in alone]),
+                ("the component's behaviour", [one for one in self.leads if one.measure is measure]),
             ):
                 if found:
                     yield f"{NAMES[measure]}, {words}: {_effect_words(found)}"
@@ -102,21 +105,22 @@ class Heredity:
                 }
                 for (line, measure, t_b), values in self.values.items()
             ],
-            "effects": [
-                {
-                    "first": one.first.method, "second": one.second.method,
-                    "measure": str(one.measure), "t_b": one.t_b,
-                    "u": one.result.u, "a12": one.result.a12, "p": one.result.p_value, "p_holm": one.adjusted,
-                }
-                for one in self.effects
-            ],
+            "effects": [_duel_document(one) for one in self.effects],
+            "leads": [_duel_document(one) for one in self.leads],
             "conclusions": list(self.conclusions()),
         }  # fmt: skip
 
 
-def _methods(one: Duel) -> tuple[str, str]:
-    """Return the names of the two methods that are compared."""
-    return one.first.method, one.second.method
+def _duel_document(one: Duel) -> dict[str, Any]:
+    return {
+        "first": one.first.label, "second": one.second.label, "measure": str(one.measure), "t_b": one.t_b,
+        "u": one.result.u, "a12": one.result.a12, "p": one.result.p_value, "p_holm": one.adjusted,
+    }  # fmt: skip
+
+
+def _names(one: Duel) -> tuple[str, str]:
+    """Return the names of the two lines that are compared."""
+    return one.first.label, one.second.label
 
 
 def _effect_cell(one: Duel) -> str:
@@ -129,7 +133,7 @@ def _effect_words(found: Sequence[Duel]) -> str:
     better: dict[tuple[str, str], list[str]] = {}
     for one in found:
         if one.differs:
-            first, second = _methods(one)
+            first, second = _names(one)
             names = (first, second) if one.result.a12 > 0.5 else (second, first)
             better.setdefault(names, []).append(f"{one.t_b:g}")
     if not better:
@@ -206,10 +210,21 @@ def heredity_of(repeats: Sequence[Repeat], twins: Sequence[Twins]) -> Heredity:
     names = [(one.method, one.twin) for one in twins] + [(one.method, twins[0].method) for one in twins[1:]]
     methods = {line.method: line for line in lines if not line.control}
     pairs = [(methods[first], methods[second]) for first, second in names]
-    effects = [
-        duel for measure in Measure for duel in compared_lines(lines, pairs, measure, t_bs=T_BS, d_ths=[D_TH])
+    controlled = [
+        (line, control)
+        for line in methods.values()
+        for control in lines
+        if control.control and control.method == line.method
     ]
-    return Heredity(twins=twins, values=values, effects=effects)
+    effects, leads = (
+        [
+            duel
+            for measure in Measure
+            for duel in compared_lines(lines, compared, measure, t_bs=T_BS, d_ths=[D_TH])
+        ]
+        for compared in (pairs, controlled)
+    )
+    return Heredity(twins=twins, values=values, effects=effects, leads=leads)
 
 
 HEIGHT_PX: Final = 620

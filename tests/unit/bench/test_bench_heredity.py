@@ -107,9 +107,23 @@ def test_conclusions_name_what_is_significant_after_correction() -> None:
     assert list(HEREDITY.conclusions()) == [
         "DBS, selection: rate .2 finds more than rate .2, no selection at t_b 0.05, 0.1, 0.15",
         "DBS, the mutation rate: rate .2 finds more than rate 1 at t_b 0.05, 0.1, 0.15",
+        "DBS, the component's behaviour: "
+        + "; ".join(f"{name} finds more than {name}, control at t_b 0.05, 0.1, 0.15" for name in FOUND),
         "strict DBS, selection: no difference is significant (corrected p at most 0.05) at any t_b",
         "strict DBS, the mutation rate: no difference is significant (corrected p at most 0.05) at any t_b",
+        "strict DBS, the component's behaviour: no difference is significant (corrected p at most 0.05) at any t_b",
     ]
+
+
+def test_each_method_is_compared_with_its_own_control() -> None:
+    ours = [one for one in HEREDITY.leads if one.measure is Measure.DBS]
+    assert {(one.first.label, one.second.label) for one in ours} == {
+        (name, f"{name}, control") for name in FOUND
+    }
+    values = FOUND["rate .2"]
+    expected = stats.mannwhitneyu(values, [value / 2 for value in values], alternative="two-sided").pvalue
+    found = [one.result.p_value for one in ours if one.first.method == "rate .2"]
+    assert found == pytest.approx([float(expected)] * len(T_BS))
 
 
 def test_rows_have_the_means_of_methods_and_of_their_controls() -> None:
