@@ -5,8 +5,8 @@ population archives are drawn at random. A search that profits from what it inhe
 have behaviour-blind controls, as all methods of an experiment have.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,8 +18,17 @@ from brink.plots.experiment import interval_limits
 from brink.plots.style import INK, MUTED, SAFE, SMALL_PT, add_panels, new_figure, set_panel_title, style_axes
 from brink.report.experiment import NAMES
 from brink.report.text import interval_text, p_text
-from brink.search.analysis.comparison import Duel, Line, Repeat, compared_lines, lines_of, values_of
+from brink.search.analysis.comparison import (
+    Duel,
+    Line,
+    Repeat,
+    compared_lines,
+    lines_of,
+    values_of,
+    with_low_controls,
+)
 from brink.search.analysis.paper import LEVEL, Measure
+from brink.search.analysis.scores import Figures
 from brink.search.analysis.statistics import MeanInterval, mean_interval
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody, Method, parse_experiment
@@ -49,13 +58,14 @@ class Heredity:
         twins: Its methods, the first mutation rate first.
         values: The measure of each campaign of a line, by line, measure and t_b.
         effects: Every method against its twin, then every rate against the first, for each measure and t_b.
-        leads: Every method against its own control, for each measure and t_b; empty without controls.
+        against_controls: Every method against its own control, for each measure and t_b; empty without controls.
+            Methods whose control reads low are left out, because such a comparison proves nothing.
     """
 
     twins: Sequence[Twins]
     values: dict[tuple[Line, Measure, float], list[float]]
     effects: Sequence[Duel]
-    leads: Sequence[Duel]
+    against_controls: Sequence[Duel]
 
     @property
     def lines(self) -> list[Line]:
@@ -75,7 +85,14 @@ class Heredity:
 
     def effect_rows(self, measure: Measure) -> Iterator[tuple[str, ...]]:
         """Yield the names of each two methods that are compared, and their comparisons at `T_BS`."""
-        ours = [one for one in (*self.effects, *self.leads) if one.measure is measure]
+        return self._table(self.effects, measure)
+
+    def control_rows(self, measure: Measure) -> Iterator[tuple[str, ...]]:
+        """Yield the names of each method and its control, and their comparisons at `T_BS`."""
+        return self._table(self.against_controls, measure)
+
+    def _table(self, duels: Sequence[Duel], measure: Measure) -> Iterator[tuple[str, ...]]:
+        ours = [one for one in duels if one.measure is measure]
         for first, second in dict.fromkeys(map(_names, ours)):
             cells = [_effect_cell(one) for one in ours if _names(one) == (first, second)]
             yield f"{first} : {second}", *cells
@@ -88,7 +105,10 @@ class Heredity:
             for words, found in (
                 ("selection", [one for one in ours if _names(one) in alone]),
                 ("the mutation rate", [one for one in ours if _names(one) not in alone]),
-                ("the component's behaviour", [one for one in self.leads if one.measure is measure]),
+                (
+                    "the component's behaviour",
+                    [one for one in self.against_controls if one.measure is measure],
+                ),
             ):
                 if found:
                     yield f"{NAMES[measure]}, {words}: {_effect_words(found)}"
@@ -106,7 +126,7 @@ class Heredity:
                 for (line, measure, t_b), values in self.values.items()
             ],
             "effects": [_duel_document(one) for one in self.effects],
-            "leads": [_duel_document(one) for one in self.leads],
+            "against_controls": [_duel_document(one) for one in self.against_controls],
             "conclusions": list(self.conclusions()),
         }  # fmt: skip
 
@@ -210,21 +230,24 @@ def heredity_of(repeats: Sequence[Repeat], twins: Sequence[Twins]) -> Heredity:
     names = [(one.method, one.twin) for one in twins] + [(one.method, twins[0].method) for one in twins[1:]]
     methods = {line.method: line for line in lines if not line.control}
     pairs = [(methods[first], methods[second]) for first, second in names]
-    controlled = [
-        (line, control)
-        for line in methods.values()
-        for control in lines
-        if control.control and control.method == line.method
-    ]
-    effects, leads = (
-        [
-            duel
-            for measure in Measure
-            for duel in compared_lines(lines, compared, measure, t_bs=T_BS, d_ths=[D_TH])
-        ]
-        for compared in (pairs, controlled)
+    low = with_low_controls(repeats)
+    controls = [replace(line, control=True) for line in methods.values() if line.method not in low]
+    controlled = [(methods[one.method], one) for one in controls if one in lines]
+    return Heredity(
+        twins=twins,
+        values=values,
+        effects=_compared(lines, pairs),
+        against_controls=_compared(lines, controlled),
     )
-    return Heredity(twins=twins, values=values, effects=effects, leads=leads)
+
+
+def _compared(
+    lines: Mapping[Line, Sequence[tuple[int, Figures]]], pairs: Sequence[tuple[Line, Line]]
+) -> list[Duel]:
+    """Return a table of comparisons for each measure; p-values are corrected within a table."""
+    return [
+        duel for measure in Measure for duel in compared_lines(lines, pairs, measure, t_bs=T_BS, d_ths=[D_TH])
+    ]
 
 
 HEIGHT_PX: Final = 620

@@ -36,9 +36,13 @@ def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
         frames: Number of training images.
         epochs: Number of epochs.
         seed: Seed of the initial weights, the order of the images and the augmentation.
+
+    Raises:
+        ValueError: A number is too small, or the output folder has the state of another training.
     """
     from brink.sim.perception import training  # loads torch
 
+    settings = training.Settings(frames=frames, epochs=epochs, seed=seed)
     training.make_deterministic()
     out.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
@@ -48,7 +52,6 @@ def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
                 (Split.VALIDATION, HELD_OUT_FRAMES), (Split.TEST, HELD_OUT_FRAMES), (Split.TRAIN, frames)
             )
         )  # fmt: skip
-    settings = training.Settings(frames=frames, epochs=epochs, seed=seed)
     network, record = training.train(pictures, validation, settings, out)
     calibration = pictures.planes[:CALIBRATION_FRAMES]
     training.write_results(network, test, calibration, out, record=record)
@@ -68,7 +71,8 @@ def quantise_weights(weights: Path, out: Path) -> None:
     pictures = labelled_frames(Split.TRAIN, CALIBRATION_FRAMES)
     canvases = np.stack([fit_picture(frame.picture, size_px)[0] for frame in pictures])
     quantise(weights, canvases, out / "brink-det-2.onnx")
-    test = list(labelled_frames(Split.TEST, HELD_OUT_FRAMES))
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        test = list(render_frames(pool, Split.TEST, HELD_OUT_FRAMES))
     for file in (weights, out / "brink-det-2.onnx"):
         detector = NetworkDetector.from_file(file)
         found = [detector.detect(frame.picture) for frame in test]
@@ -103,7 +107,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     quantisation.add_argument("--out", type=Path, required=True, help="output folder")
     quantisation.set_defaults(run=quantise_weights)
     options = vars(parser.parse_args(arguments))
-    options.pop("run")(**options)
+    try:
+        options.pop("run")(**options)
+    except ValueError as error:
+        parser.exit(2, f"{parser.prog}: error: {error}\n")
 
 
 if __name__ == "__main__":

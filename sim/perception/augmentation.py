@@ -49,27 +49,20 @@ _PADDING: Final = (115, 115, 115)
 
 
 def augment(
-    picture: Picture,
-    truth: GroundTruth,
-    other: Picture,
-    rng: np.random.Generator,
-    *,
-    size_px: tuple[int, int] | None = None,
-    unchanged: float = 0.0,
+    picture: Picture, truth: GroundTruth, other: Picture, rng: np.random.Generator, *, unchanged: float = 0.0
 ) -> tuple[Picture, GroundTruth]:
-    """Return a changed image, shape ``(size_px[1], size_px[0], 3)``, and its ground truth, without boxes outside it.
+    """Return a changed image of the same shape, and its ground truth, without boxes outside it.
 
     Args:
         picture: RGB, uint8, shape ``(h, w, 3)``.
         truth: Ground truth in px of the image.
         other: Another image of the same shape, for the collage.
         rng: Source of randomness.
-        size_px: Width and height of the result, at most those of the image; by default those of the image.
         unchanged: Share of the images that are only mirrored, zoomed and cropped.
     """
     if rng.random() < 0.5:
         picture, truth = mirror(picture, truth)
-    picture, truth = zoom(picture, truth, rng, size_px or (picture.shape[1], picture.shape[0]))
+    picture, truth = zoom(picture, truth, rng, (picture.shape[1], picture.shape[0]))
     if rng.random() < COLLAGE_SHARE:
         picture, truth = collage(picture, truth, other, rng)
     if rng.random() < unchanged:

@@ -27,7 +27,7 @@ from torch.utils.data import DataLoader, Dataset
 from brink.sim.perception.augmentation import augment
 from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame, curves, mean_average_precision
 from brink.sim.perception.detector import LABELS, NetworkDetector, Picture, decode, fit_picture
-from brink.sim.perception.network import Network, Target, detection_loss, make_target
+from brink.sim.perception.network import HEAD_WIDTH, WIDTHS, Network, Target, detection_loss, make_target
 from brink.sim.perception.quantisation import quantise
 
 INPUT_PX: Final = (448, 256)
@@ -37,6 +37,7 @@ LEARNING_RATE: Final = 4e-3
 """The highest learning rate."""
 WARM_UP: Final = 0.1
 """Share of the steps in which the learning rate rises; it falls in the others."""
+WEIGHT_DECAY: Final = 1e-4
 UNCHANGED: Final = 0.3
 """Share of the images that are only mirrored, zoomed and cropped."""
 AVERAGE_DECAY: Final = 0.999
@@ -102,7 +103,7 @@ class TrainingSet:
 
 def make_deterministic() -> None:
     """Run torch on a fixed number of threads and OpenCV on one, with deterministic algorithms only."""
-    os.environ["CUBLAS_WORKSPACE_CONFIG"] = ":4096:8"
+    os.environ["CUBLAS_WORKSPACE_CONFIG"] = ":4096:8"  # else matrix products on a GPU are not deterministic
     torch.set_num_threads(THREADS)
     cv2.setNumThreads(1)
     torch.use_deterministic_algorithms(True)
@@ -154,7 +155,6 @@ class _Batches(Dataset[tuple[torch.Tensor, Target]]):
         self._settings = settings
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, Target]:
-        cv2.setNumThreads(1)
         settings, truths = self._settings, self._pictures.truths
         epoch, step = divmod(index, settings.steps_an_epoch)
         order = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(epoch,))).permutation(
@@ -192,7 +192,7 @@ class _State:
         schedule: Learning rate of each step.
         epoch: Number of complete epochs.
         validation_map: mAP on the validation images by number of complete epochs.
-        seconds: Time of the epochs so far.
+        wall_s: Wall-clock time of the epochs so far, validation included.
     """
 
     network: Network
@@ -201,14 +201,14 @@ class _State:
     schedule: torch.optim.lr_scheduler.LRScheduler
     epoch: int = 0
     validation_map: dict[str, float] = field(default_factory=dict)
-    seconds: float = 0.0
+    wall_s: float = 0.0
 
     @classmethod
     def initial(cls, settings: Settings, device: torch.device) -> "_State":
         torch.manual_seed(settings.seed)
         network = Network()
         network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload] # the stubs lack it
-        optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=1e-4)
+        optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         steps = max(_FEWEST_STEPS, settings.epochs * settings.steps_an_epoch)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimiser, LEARNING_RATE, total_steps=steps, pct_start=WARM_UP
@@ -236,7 +236,7 @@ class _State:
     def save(self, file: Path, run: dict[str, Any]) -> None:
         content = {name: part.state_dict() for name, part in self._parts().items()}
         content |= {
-            "run": run, "epoch": self.epoch, "validation_map": self.validation_map, "seconds": self.seconds
+            "run": run, "epoch": self.epoch, "validation_map": self.validation_map, "wall_s": self.wall_s
         }  # fmt: skip
         torch.save(content, file.with_suffix(".new"))
         file.with_suffix(".new").replace(file)
@@ -250,7 +250,7 @@ class _State:
             )
         for name, part in self._parts().items():
             part.load_state_dict(content[name])
-        self.epoch, self.seconds = content["epoch"], content["seconds"]
+        self.epoch, self.wall_s = content["epoch"], content["wall_s"]
         self.validation_map = content["validation_map"]
 
 
@@ -269,19 +269,22 @@ def train(
         The network, on the processor, and a record of the training as plain JSON values.
 
     Raises:
-        ValueError: The output folder has the state of a run with other settings, images, libraries or another kind
-            of device.
+        ValueError: There are more or fewer images than in the settings; or the output folder has the state of a run
+            with other settings, images, libraries or another kind of device.
     """
+    if len(pictures.truths) != settings.frames:
+        raise ValueError(f"pictures: expected {settings.frames} images, got {len(pictures.truths)}")
     device = find_device()
     run = {
         **asdict(settings), "input_px": list(INPUT_PX), "batch": BATCH, "learning_rate": LEARNING_RATE,
-        "unchanged": UNCHANGED, "images": pictures.digest(), "device": _name(device),
+        "warm_up": WARM_UP, "weight_decay": WEIGHT_DECAY, "average_decay": AVERAGE_DECAY, "unchanged": UNCHANGED,
+        "widths": [*WIDTHS, HEAD_WIDTH], "images": pictures.digest(), "device": _name(device),
         "torch": str(torch.__version__), "numpy": np.__version__, "opencv": cv2.__version__,
     }  # fmt: skip
     state, checkpoint = _State.initial(settings, device), out / "training.pt"
     if checkpoint.is_file():
         state.load(checkpoint, run)
-    workers = os.cpu_count() or 1 if device.type == "cuda" else 0
+    workers = len(os.sched_getaffinity(0)) if device.type == "cuda" else 0
     stream = batches(pictures, settings, epoch=state.epoch, workers=workers)
     while state.epoch < settings.epochs:
         started = time.monotonic()
@@ -292,13 +295,13 @@ def train(
             found = mean_average_precision(validation.truths, detect_all(state.average, validation.planes))
             state.validation_map[str(state.epoch)] = found
             measured = f", validation mAP {found:.3f}"
-        state.seconds += time.monotonic() - started
+        state.wall_s += time.monotonic() - started
         state.save(checkpoint, run)
         print(  # noqa: T201
-            f"epoch {state.epoch} of {settings.epochs}: loss {loss:.3f}{measured}, {state.seconds:.0f} s",
+            f"epoch {state.epoch} of {settings.epochs}: loss {loss:.3f}{measured}, {state.wall_s:.0f} s",
             flush=True,
         )
-    record = {**run, "validation_map": state.validation_map, "seconds": round(state.seconds)}
+    record = {**run, "validation_map": state.validation_map, "wall_s": round(state.wall_s)}
     return state.average.cpu().eval(), record
 
 
@@ -318,7 +321,19 @@ def batches(
         workers: Number of processes that make batches ahead; 0 makes them in this process.
     """
     steps = range(epoch * settings.steps_an_epoch, settings.epochs * settings.steps_an_epoch)
-    return iter(DataLoader(_Batches(pictures, settings), batch_size=None, sampler=steps, num_workers=workers))
+    loader = DataLoader(
+        _Batches(pictures, settings),
+        batch_size=None,
+        sampler=steps,
+        num_workers=workers,
+        worker_init_fn=_use_one_thread,
+        multiprocessing_context="fork" if workers else None,  # the processes share the images
+    )
+    return iter(loader)
+
+
+def _use_one_thread(_: int) -> None:
+    cv2.setNumThreads(1)
 
 
 def _train_epoch(

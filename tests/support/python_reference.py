@@ -4,6 +4,7 @@ Run as ``make reference``.
 """
 
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Final
 
@@ -45,8 +46,9 @@ _INTRODUCTION: Final = """# Python
 This page is written from the docstrings: `make reference` writes it again. [Use Brink from
 Python](../how-to/use-brink-from-python.md) shows how the parts go together.
 
-`import brink` imports nothing else until a name is first used. Errors are subclasses of
-`brink.server.errors.ServerError` or `brink.search.errors.SearchError`, and their messages say what was expected.
+`import brink` imports nothing else until a name is first used; guards need `import brink.guard`. Errors are
+subclasses of `brink.server.errors.ServerError` or `brink.search.errors.SearchError`, and their messages say what was
+expected.
 """
 
 
@@ -93,13 +95,13 @@ def _class(of: Class, name: str) -> str:
         ),
         *of.members.values(),
     ]
-    for member in members:
-        if member.name.startswith("_") or not isinstance(member, Function | Attribute):
-            continue
-        if isinstance(member, Attribute) and "property" in member.labels:
-            parts.append(f"- `.{member.name}`: {_first(member.docstring)}")
-        elif isinstance(member, Function):
-            parts.append(_method(member, brief=of.name in _BRIEF))
+    public = [member for member in members if not member.name.startswith("_")]
+    parts += [
+        f"- `.{member.name}`: {_first(member.docstring)}"
+        for member in public
+        if isinstance(member, Attribute) and "property" in member.labels
+    ]
+    parts += [_method(member, brief=of.name in _BRIEF) for member in public if isinstance(member, Function)]
     return "\n".join(parts) + "\n"
 
 
@@ -118,16 +120,20 @@ def _signature(of: Function, name: str) -> str:
         if parameter.kind is not None and parameter.kind.name == "keyword_only" and not star:
             shown.append("*")
             star = True
-        default = "" if parameter.default is None else f"={_value(str(parameter.default))}"
+        default = "" if parameter.default is None else f"={_value(str(parameter.default), of)}"
         shown.append(f"{parameter.name}{default}")
     return f"{name}({', '.join(shown)})"
 
 
-def _value(default: str) -> str:
+def _value(default: str, of: Function) -> str:
     """Return a default value as people read it, where it is a constant or a factory."""
     if default.endswith("()") and default != "()":
         return {"dict()": "{}"}[default]
-    return str(getattr(body, default, default))
+    if not default.isupper():
+        return default
+    path = Path(str(of.filepath)).relative_to(_PACKAGE).with_suffix("")
+    home = import_module(".".join(("brink", *path.parts)))
+    return str(getattr(home, default, getattr(body, default, default)))
 
 
 def _first(docstring: Docstring | None) -> str:

@@ -175,7 +175,8 @@ def _show_heredity(study: "Heredity", name: str, folder: Path, *, as_json: bool)
         picture.savefig(folder / f"heredity-{measure}.png", dpi=DPI, metadata={"Software": None})
         shown += [
             value_table((words, *columns), study.rows(measure)),
-            value_table((f"{words}: A12, corrected p", *columns), study.effect_rows(measure)), "",
+            value_table((f"{words}: A12, corrected p", *columns), study.effect_rows(measure)),
+            value_table((f"{words}, controls: A12, corrected p", *columns), study.control_rows(measure)), "",
         ]  # fmt: skip
     conclude(study.document(), *shown, *study.conclusions(), f"report and figures: {folder}", as_json=as_json)
 

@@ -60,7 +60,7 @@ def test_a_study_without_twins_or_with_two_problems_is_rejected(
     assert [error.pointer for error in raised.value.errors] == [pointer]
 
 
-def make_repeats(found: dict[str, list[float]]) -> list[Repeat]:
+def make_repeats(found: dict[str, list[float]], behaviours_a_scenario: float = 6.0) -> list[Repeat]:
     """Return campaigns whose DBS is the same at all thresholds, by method and seed, half of it in the control."""
     repeats = []
     for method, values in found.items():
@@ -68,7 +68,7 @@ def make_repeats(found: dict[str, list[float]]) -> list[Repeat]:
             dbs, nothing = np.full(SHAPE, value), np.zeros(SHAPE)
             control = Control(
                 figures=Figures(dbs=dbs / 2, strict=nothing), unsafe_share=0.2, spread=np.ones(SHAPE[1:]),
-                repeats=6.0,
+                repeats=behaviours_a_scenario,
             )  # fmt: skip
             scores = Scores(
                 evaluated=100, unsafe=20, figures=Figures(dbs=dbs, strict=nothing), control=control
@@ -116,7 +116,7 @@ def test_conclusions_name_what_is_significant_after_correction() -> None:
 
 
 def test_each_method_is_compared_with_its_own_control() -> None:
-    ours = [one for one in HEREDITY.leads if one.measure is Measure.DBS]
+    ours = [one for one in HEREDITY.against_controls if one.measure is Measure.DBS]
     assert {(one.first.label, one.second.label) for one in ours} == {
         (name, f"{name}, control") for name in FOUND
     }
@@ -124,6 +124,12 @@ def test_each_method_is_compared_with_its_own_control() -> None:
     expected = stats.mannwhitneyu(values, [value / 2 for value in values], alternative="two-sided").pvalue
     found = [one.result.p_value for one in ours if one.first.method == "rate .2"]
     assert found == pytest.approx([float(expected)] * len(T_BS))
+    assert [one.adjusted for one in ours] == pytest.approx(holm([one.result.p_value for one in ours]))
+    assert len(HEREDITY.document()["against_controls"]) == 2 * len(ours)
+
+
+def test_a_control_that_reads_low_is_not_compared() -> None:
+    assert heredity_of(make_repeats(FOUND, behaviours_a_scenario=2.0), TWINS).against_controls == []
 
 
 def test_rows_have_the_means_of_methods_and_of_their_controls() -> None:

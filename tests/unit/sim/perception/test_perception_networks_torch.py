@@ -307,7 +307,8 @@ class TestNetworks:
 def small_batches() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(training, "BATCH", 8)
-        patched.setattr(training, "VALIDATION_EVERY", 1)
+        patched.setattr(training, "VALIDATION_EVERY", 2)
+        patched.setattr(training, "find_device", lambda: torch.device("cpu"))
         yield
 
 
@@ -334,6 +335,7 @@ def test_batches_do_not_depend_on_who_makes_them(street_images: TrainingSet) -> 
     alone = list(batches(street_images, SETTINGS, epoch=0, workers=0))
     assert len(alone) == SETTINGS.epochs * SETTINGS.steps_an_epoch
     assert not torch.equal(alone[0][0], alone[8][0])
+    assert sum(len(planes) for planes, _ in alone[:8]) == len(street_images.truths)
     later = list(batches(street_images, SETTINGS, epoch=2, workers=2))
     for (planes, target), (same, same_target) in zip(alone[16:], later, strict=True):
         assert torch.equal(planes, same)
@@ -354,15 +356,24 @@ def test_an_interrupted_training_goes_on_with_the_same_result(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def interrupted(*_: object) -> list[object]:
-        raise KeyboardInterrupt
+    trained = 0
 
+    def counted(*given: object) -> float:
+        nonlocal trained
+        if trained == complete:
+            raise KeyboardInterrupt
+        trained += 1
+        return train_epoch(*given)
+
+    train_epoch = training._train_epoch
     with monkeypatch.context() as patched:
-        epochs = iter([detect_all] * complete)
-        patched.setattr(training, "detect_all", lambda *given: next(epochs, interrupted)(*given))
+        patched.setattr(training, "_train_epoch", counted)
         with pytest.raises(KeyboardInterrupt):
             weights_after(tmp_path, street_images)
-    found = weights_after(tmp_path, street_images)
+        assert torch.load(tmp_path / "training.pt")["epoch"] == complete
+        trained = complete - SETTINGS.epochs  # counts up to 0
+        found = weights_after(tmp_path, street_images)
+        assert trained == 0
     assert all(torch.equal(found[name], value) for name, value in uninterrupted.items())
 
 
