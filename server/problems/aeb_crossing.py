@@ -81,7 +81,7 @@ class AebCrossingParams:
     detector: str = setting(
         DEFAULT_DETECTOR, help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
-    threshold: float = setting(0.35, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
+    threshold: float = setting(0.45, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     person_frames: int = setting(
         PERSON_FRAMES,
         help="Number of the last three frames in which a person must be reported, to brake (1 in the paper).",

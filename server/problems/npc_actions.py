@@ -88,7 +88,7 @@ class NpcActionsParams:
         DEFAULT_DETECTOR,
         help="Detector if sight is detector: its id, or onnx:FILE, torchscript:FILE, ultralytics:FILE.",
     )
-    threshold: float = setting(0.55, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
+    threshold: float = setting(0.6, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))
     road_id: int = setting(0, help="Index of the road among those of this shape.", ge=0, le=2)
     road_length: int = setting(0, help="0 short, 1 medium, 2 long.", ge=0, le=2)

@@ -330,7 +330,7 @@ def test_the_npc_problem_implements_its_protocols() -> None:
     camera = NpcActions(NpcActionsParams(sight="detector"))
     assert camera.needs == "brink-encounter-camera@2"
     spec = camera.episode(camera.space.sample(np.random.default_rng(1)), 1)
-    assert spec.behaviour == {"mode": "detector", "detector": "brink-det@2", "threshold": 0.55}
+    assert spec.behaviour == {"mode": "detector", "detector": "brink-det@2", "threshold": 0.6}
     assert NpcActions(NpcActionsParams(sight="detector", detector="nobody@1")).wrong_inputs()
     assert NPC.wrong_inputs() == []
 
