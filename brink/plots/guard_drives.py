@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from brink.plots.style import (
     HAIRLINE,
@@ -64,6 +65,7 @@ def figure_guard_tradeoff(points: Sequence[tuple[float, GuardWorth]], *, fallbac
             alpha=0.1, linewidth=0, zorder=0,
         )
     )  # fmt: skip
+    axes.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))  # no ticks at 2.5%, which would be rounded
     show_percent(axes.xaxis, axes.yaxis)
     axes.set_xlabel("mean distance lost")
     axes.set_ylabel("violations fall by")

@@ -57,11 +57,11 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     world = make_encounter(scenario, 3)
     camera = Camera()
     eyes = EncounterCamera(
-        world, scenario.place, seed=3, detector=find_detector("brink-det@2"), threshold=0.35, camera=camera
+        world, scenario.place, seed=3, detector=find_detector("brink-det@2"), threshold=0.5, camera=camera
     )
     found = [(box.label.value, 0.5 * (box.x_min_px + box.x_max_px), box) for box in eyes.boxes(0.0)]
     # The car's rear is at 15 - 2.2 - 1.3 = 11.5 m: 1.7 m below and 1.8 m wide at a focal length of 400 px.
-    (car,) = [box for label, middle, box in found if label == "vehicle" and abs(middle - 400) < 20]
+    (car,) = [box for label, middle, box in found if label == "vehicle" and abs(middle - 400) < 10]
     assert car.y_max_px == pytest.approx(300 + 400 * 1.7 / 11.5, abs=8)
     assert car.x_max_px - car.x_min_px == pytest.approx(400 * 1.8 / 11.5, abs=10)
     persons = [middle for label, middle, _ in found if label == "person"]
