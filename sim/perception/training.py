@@ -352,7 +352,7 @@ def _update_average(average: Network, network: Network, step: int) -> None:
     decay = min(AVERAGE_DECAY, (1 + step) / (10 + step))
     means, currents = list(average.state_dict().values()), list(network.state_dict().values())
     floating = [place for place, mean in enumerate(means) if mean.dtype.is_floating_point]
-    update = get_ema_multi_avg_fn(decay)
+    update = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
     update([means[place] for place in floating], [currents[place] for place in floating], step)
     for mean, current in zip(means, currents, strict=True):
         if not mean.dtype.is_floating_point:

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -358,7 +359,7 @@ def test_an_interrupted_training_goes_on_with_the_same_result(
 ) -> None:
     trained = 0
 
-    def counted(*given: object) -> float:
+    def counted(*given: Any) -> float:
         nonlocal trained
         if trained == complete:
             raise KeyboardInterrupt
