@@ -77,7 +77,7 @@ def drive(
             max=LIMITS[1],
             show_default=False,
             help="Probability from which the guard raises the alarm; may be repeated "
-            "(default: a quarter to four times the odds of the guard's own).",
+            "(default: 1/64 to four times the odds of the guard's own).",
         ),
     ] = None,
     drives: Annotated[int, typer.Option(min=1, max=100_000, help="Drives of each seed.")] = 200,
@@ -176,7 +176,12 @@ def _option(guard: str, fallback: str, settings: Sequence[str]) -> GuardOption:
             equals = ""
         if not equals:
             raise InvalidInput.at("--setting", f"expected NAME=VALUE with a number, got {one!r}")
-    name = guard if guard in plugin_ids(GUARDS) else f"{FILE}{Path(guard).absolute()}"
+    known = plugin_ids(GUARDS)
+    if guard not in known and not Path(guard).exists():
+        raise InvalidInput.at(
+            "GUARD", f"expected a guard file or one of {', '.join(known)}; there is no {guard!r}"
+        )
+    name = guard if guard in known else f"{FILE}{Path(guard).absolute()}"
     return GuardOption.of(name, fallback=fallback, settings=given)
 
 
@@ -359,6 +364,7 @@ def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray
     _print_recommendation(loop, loop.recommended())
     _print_parts(loop, best, {name: mask & counts for name, mask in parts.items()})
     _print_sights(loop, best, counts)
+    _print_requirements(loop, best)
 
 
 def _print_recommendation(loop: GuardedLoop, best: Condition | None) -> None:
@@ -374,6 +380,8 @@ def _print_recommendation(loop: GuardedLoop, best: Condition | None) -> None:
             f"half of the seeds. On the other half they fall by {_percent(worth.reduction)} ({worth.prevented:,} "
             f"prevented, {worth.caused:,} caused), and safe drives lose {_percent(worth.distance_lost_when_safe, 1)}"
         )
+        if loop.bounds(best):
+            text += "; it is the last one of those tried, so that one beyond it may be better (--threshold)"
     console().print(text, soft_wrap=True)
 
 
@@ -399,6 +407,16 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
             name, f"{worth.drives:,}", f"{worth.violations_without:,}", _percent(worth.reduction),
             _percent(worth.distance_lost, 1), _number(worth.false_alarms_per_h),
         )  # fmt: skip
+    console().print("", table)
+
+
+def _print_requirements(loop: GuardedLoop, best: Condition) -> None:
+    """Print how many drives violate each requirement, also those that do not count."""
+    table = plain_table(
+        "drives that violate", "without", "with the guard", right=("without", "with the guard")
+    )
+    for name, row in _by_requirement(loop, best).items():
+        table.add_row(name, f"{row['without']:,}", f"{row['with']:,}")
     console().print("", table)
 
 
@@ -440,7 +458,9 @@ def _draw(loop: GuardedLoop, out: Path) -> None:
     from brink.plots.guard_drives import figure_guard_tradeoff
 
     points = [(condition.threshold or 0.0, loop.worth(condition)) for condition in loop.conditions]
-    figure = figure_guard_tradeoff(points, fallback=loop.conditions[0].option.fallback)
+    figure = figure_guard_tradeoff(
+        points, fallback=loop.conditions[0].option.fallback, requirements=loop.requirements
+    )
     figure.savefig(out / "trade-off.png")
 
 

@@ -82,6 +82,16 @@ class PredictorResult:
     compared: WarningPoint
     interval: tuple[float, float]
 
+    @property
+    def shown(self) -> WarningPoint:
+        """The compared point; of the baselines that always or never raise an alarm, the only one that they have."""
+        places = {ALWAYS: -1, NEVER: 0}
+        return self.points[places[self.name]] if self.name in places else self.compared
+
+    def recall_at(self, false_alarms: float) -> float:
+        """Return the largest recall with alarms in at most a share of the safe drives."""
+        return max(point.recall for point in self.points if point.false_alarms <= false_alarms)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnAlarms:

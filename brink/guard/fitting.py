@@ -13,7 +13,7 @@ from brink.search.analysis.guard_training import fit_horizons
 from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
 from brink.server.errors import Conflict
-from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
+from brink.sim.guard.model import AlarmRule, GuardModel, Sensor, calibrated_probabilities
 
 HORIZONS_S: Final = (1.0, 2.0, 3.0)
 CONFIRM_STEPS: Final = 2
@@ -57,9 +57,8 @@ def fit(
         fitted = fit_horizons(series, horizons_s, generator(seed, Stream.GUARD), on_progress)
     except ValueError as error:
         raise Conflict(str(error)) from None
-    intercept, slope = fitted.calibration[-1].tolist()
     peaks = [
-        peak(confirmed(0.5 * (1.0 + np.tanh(0.5 * (intercept + slope * scores[:, -1]))), CONFIRM_STEPS))
+        peak(confirmed(calibrated_probabilities(scores, fitted.calibration)[:, -1], CONFIRM_STEPS))
         for scores, drive in zip(fitted.unseen, series, strict=True)
         if not drive.violated
     ]

@@ -39,7 +39,7 @@ MOST_LOST: Final = 0.05
 prevented collision lets the car drive on, so a limit on the distance of all drives would hardly ever bind."""
 LIMITS: Final = (0.001, 0.999)
 """Smallest and largest threshold."""
-_ODDS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
+_ODDS: Final = (1 / 64, 1 / 16, 0.25, 0.5, 1.0, 2.0, 4.0)
 _CHUNK: Final = 4
 _Result = TypeVar("_Result")
 
@@ -164,6 +164,10 @@ class GuardedLoop:
             return None
         return max(helpful, key=lambda pair: (pair[1], pair[0].threshold or 0.0))[0]
 
+    def bounds(self, condition: Condition) -> bool:
+        """Return whether a condition has the lowest or the highest threshold of those that were tried."""
+        return condition is self.conditions[0] or condition is self.conditions[-1]
+
     def shown(self) -> tuple[Condition, BoolArray]:
         """Return the condition that is shown in detail, and a mask of the drives that count for it.
 
@@ -262,7 +266,7 @@ def _may_differ(watched: Outcome, option: GuardOption) -> bool:
 
 
 def thresholds_around(own: float) -> tuple[float, ...]:
-    """Return thresholds at a quarter to four times the odds of a guard's own one, which is among them.
+    """Return thresholds at 1/64 to four times the odds of a guard's own one, which is among them.
 
     An own threshold outside `LIMITS` counts as the nearer one of them.
     """

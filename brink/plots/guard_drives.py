@@ -29,19 +29,22 @@ AIM: Final = (0.05, 0.40)
 """Largest loss of mean distance in safe drives, and smallest fall of violations, that a guard should reach."""
 
 
-def figure_guard_tradeoff(points: Sequence[tuple[float, GuardWorth]], *, fallback: str) -> Figure:
+def figure_guard_tradeoff(
+    points: Sequence[tuple[float, GuardWorth]], *, fallback: str, requirements: Sequence[str]
+) -> Figure:
     """Plot by how much violations fall against the distance lost, a point for each threshold of the alarm.
 
     Args:
         points: Thresholds with what the guard did, at least one.
         fallback: Id of the fallback.
+        requirements: Ids of the requirements that count.
     """
     first = points[0][1]
     figure = new_figure(
         HEIGHT_PX,
         f"What a guard with the fallback {fallback} prevents and costs: {first.drives:,} drives",
-        f"{first.violations_without:,} of the drives violate a requirement without the guard. Each point is a "
-        f"threshold of the alarm; lines are 95% intervals over {first.seeds} seeds.\n"
+        f"{first.violations_without:,} of the drives violate {' or '.join(requirements)} without the guard. Each "
+        f"point is a threshold of the alarm; lines are 95% intervals over {first.seeds} seeds.\n"
         f"Green: violations fall by at least {AIM[1]:.0%} at a loss of at most {AIM[0]:.0%} of the mean distance of "
         "drives that are safe without the guard.",
     )

@@ -1,15 +1,18 @@
 """What a guard and its fallback are worth: the same drives without and with them, compared with intervals.
 
 Every figure is a ratio of two sums over drives. Its interval is that of a bootstrap over seeds (Efron 1979,
-percentiles): drives of one seed share their random candidates, so seeds are resampled whole.
+percentiles), which shows how much the figure varies from one set of drives to another. A plain share of drives has a
+Wilson interval instead: where nothing or everything was found, resamples would all be the same.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final
 
 import numpy as np
 
+from brink.search.fitness import wilson_interval
 from brink.search.space import BoolArray, FloatArray, IntArray
 
 RESAMPLES: Final = 2000
@@ -135,17 +138,21 @@ def guard_worth(
         raise ValueError("expected at least one drive, got none")
     seeds, place = np.unique(drives.seed, return_inverse=True)
     weights = rng.multinomial(seeds.size, np.full(seeds.size, 1.0 / seeds.size), size=resamples)
+    quantile = NormalDist().inv_cdf(0.5 * (1.0 + confidence))
     tails = [50.0 * (1.0 - confidence), 50.0 * (1.0 + confidence)]
 
-    def estimate(above: FloatArray, below: FloatArray, complement: bool) -> Estimate:
+    def estimate(name: str, above: FloatArray, below: FloatArray) -> Estimate:
         sums = np.array([np.bincount(place, weights=one, minlength=seeds.size) for one in (above, below)])
         total, denominator = sums.sum(axis=1)
         if denominator == 0.0:
             return Estimate(value=None, low=None, high=None)
-        sign, offset = (-1.0, 1.0) if complement else (1.0, 0.0)
+        sign, offset = (-1.0, 1.0) if name in _FALLS else (1.0, 0.0)
         value = offset + sign * float(total / denominator)
         if seeds.size == 1:
             return Estimate(value=value, low=None, high=None)
+        if name in _SHARES:
+            limits = wilson_interval(round(total), round(denominator), quantile)
+            return Estimate(value=value, low=float(limits[0]), high=float(limits[1]))
         again, dividing = (weights @ one for one in sums)
         ratios = offset + sign * again[dividing > 0.0] / dividing[dividing > 0.0]
         low, high = np.percentile(ratios, tails)
@@ -160,12 +167,16 @@ def guard_worth(
         prevented=int((before & ~after).sum()),
         prevented_entirely=int((before & ~after & drives.held_with).sum()),
         caused=int((~before & after).sum()),
-        **{name: estimate(above, below, name in _FALLS) for name, (above, below) in _ratios(drives).items()},
+        **{name: estimate(name, above, below) for name, (above, below) in _ratios(drives).items()},
     )
 
 
 _FALLS: Final = frozenset({"reduction", "distance_lost", "distance_lost_when_safe"})
 """Figures that are one minus their ratio: by how much something falls."""
+_SHARES: Final = frozenset({
+    "share_without", "share_with", "prevented_share", "caused_share", "other_share", "alarmed_when_safe",
+})  # fmt: skip
+"""Figures that are plain shares of drives."""
 
 
 def _ratios(drives: GuardedDrives) -> Mapping[str, tuple[FloatArray, FloatArray]]:

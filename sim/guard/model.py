@@ -76,6 +76,21 @@ class AlarmRule:
             raise ValueError(f"alarm.hold_s: expected 0 to {MAX_HOLD_S:g} seconds, got {self.hold_s!r}")
 
 
+def calibrated_probabilities(scores: FloatArray, calibration: FloatArray) -> FloatArray:
+    """Return the probability of a violation within each horizon, shape ``(m, horizons)``.
+
+    A longer horizon never has a smaller probability than a shorter one.
+
+    Args:
+        scores: Scores of the trees for each horizon, shape ``(m, horizons)``.
+        calibration: Intercept and slope of each horizon, shape ``(horizons, 2)``.
+    """
+    log_odds = calibration[:, 0] + calibration[:, 1] * scores
+    # Written with tanh, which cannot overflow.
+    probabilities: FloatArray = 0.5 * (1.0 + np.tanh(0.5 * log_odds))
+    return np.maximum.accumulate(probabilities, axis=1)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GuardModel:
     """Trees, their calibration, and the rule of the alarm.
@@ -129,11 +144,7 @@ class GuardModel:
         Args:
             features: Feature vectors in the order of ``sensor.features``, shape ``(m, features)``.
         """
-        scores = self.forest.scores(features)
-        log_odds = self.calibration[:, 0] + self.calibration[:, 1] * scores
-        # Written with tanh, which cannot overflow.
-        probabilities: FloatArray = 0.5 * (1.0 + np.tanh(0.5 * log_odds))
-        return np.maximum.accumulate(probabilities, axis=1)
+        return calibrated_probabilities(self.forest.scores(features), self.calibration)
 
     def to_json(self) -> str:
         """Return the model as a JSON document."""

@@ -135,14 +135,16 @@ def guard(
     each = value_table(_GUARD_COLUMNS, map(_guard_row, measured.judged))
     unseen = value_table(_GUARD_COLUMNS, map(_guard_row, measured.unseen))
     baselines = value_table(
-        ("baseline", "predicted", "false alarms"), baseline_rows(measured.judged[-1].evaluation)
+        ("baseline", "predicted", "false alarms", "at 10%", "at 20%"),
+        baseline_rows(measured.judged[-1].evaluation),
     )
     shown = (rows_table(rows, ".3f"), each, baselines, unseen)
     conclude(measured.to_json(), *shown, as_json=as_json, missed=any_missed(rows))
 
 
 _GUARD_COLUMNS = (
-    "fitted to", "sensor", "judged on", "drives", "violations", "predicted", "interval", "own: predicted", "recent",
+    "fitted to", "sensor", "judged on", "drives", "violations", "predicted", "interval", "at 10%", "at 20%",
+    "own: predicted", "recent",
     "false alarms", "an hour", "lead s", "AUROC", "Brier", "fit s",
 )  # fmt: skip
 
@@ -154,7 +156,9 @@ def _guard_row(one: "Judged") -> tuple[object, ...]:
     lead = "" if own.median_lead_s is None else f"{own.median_lead_s:.1f}"
     return (
         one.trained_on, one.sensor, one.judged_on, f"{evaluation.drives:,}", f"{evaluation.violations:,}",
-        f"{compared.recall:.2f}", f"{low:.2f} to {high:.2f}", f"{own.point.recall:.2f}", f"{own.recent:.2f}",
+        f"{compared.recall:.2f}", f"{low:.2f} to {high:.2f}",
+        f"{evaluation.guard.recall_at(0.1):.2f}", f"{evaluation.guard.recall_at(0.2):.2f}",
+        f"{own.point.recall:.2f}", f"{own.recent:.2f}",
         f"{own.point.false_alarms:.1%}", f"{own.false_per_hour:.1f}", lead, f"{last.auroc:.3f}",
         f"{last.brier:.4f}", f"{one.fit_s:.0f}",
     )  # fmt: skip

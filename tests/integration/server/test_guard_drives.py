@@ -88,6 +88,7 @@ def test_it_prints_a_line_for_each_threshold_and_what_was_reported() -> None:
     assert "8 drives of 2 seeds" in text
     assert all(f"{threshold} " in text for threshold in ("0.400", "0.600"))
     assert "reported in the 3 s before" in text
+    assert "drives that violate" in text
 
 
 def test_a_fallback_that_does_nothing_prevents_and_causes_nothing() -> None:
@@ -317,8 +318,8 @@ def test_thresholds_lie_around_a_guards_own() -> None:
     around = thresholds_around(0.2)
 
     assert around == tuple(sorted(around))
-    assert around[2] == pytest.approx(0.2)
-    assert around[0] / (1 - around[0]) == pytest.approx(0.25 / 4)
+    assert around[4] == pytest.approx(0.2)
+    assert around[0] / (1 - around[0]) == pytest.approx(0.25 / 64)
     assert all(0.0 < one < 1.0 for one in (*thresholds_around(1.0), *thresholds_around(0.0)))
 
 

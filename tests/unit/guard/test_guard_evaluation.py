@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from support.guards import REQUIREMENT, drive_with, stump_guard
 
+from brink.guard import fitting
 from brink.guard.drives import Drive, check_verdicts, load_drives, save_drives
 from brink.guard.evaluation import ALWAYS, BOX_TTC, LEADS_S, NEVER, RANGE_TTC_NAME, confirmed, evaluate, peak
 from brink.guard.fitting import threshold_for
 from brink.plots.guard import figure_guard
+from brink.search.analysis.guard_training import FittedHorizons
 from brink.search.archive import Archive
 from brink.server.errors import Conflict
 from brink.sim.guard.features import ALL_FEATURES, MAX_TTC_S
@@ -55,6 +57,27 @@ def test_warned_violations_and_false_alarms_are_counted_by_drive() -> None:
     assert (compared.recall, compared.warned) == (0.25, own.point.warned)
     assert compared.false_alarms == pytest.approx(1 / 30)
     assert found.guard.interval[0] < 0.25 < found.guard.interval[1]
+
+
+def test_the_threshold_is_set_on_the_probability_that_decides_in_the_car(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drives = safe_and_unsafe()
+    stump = stump_guard()
+    # The shortest horizon has the highest score: its probability is that of the longest one, too.
+    fitted = FittedHorizons(
+        forest=stump.forest, calibration=stump.calibration,
+        unseen=tuple(np.tile([3.0, -2.0, -2.0], (len(one.features), 1)) for one in drives),
+    )  # fmt: skip
+    monkeypatch.setattr(fitting, "fit_horizons", lambda *_: fitted)
+    found = fitting.fit(drives, [REQUIREMENT], false_alarms=0.0)
+    assert found.alarm.threshold == pytest.approx(1 / (1 + np.exp(-3.0)))
+
+
+def test_baselines_that_never_or_always_warn_are_shown_as_what_they_are() -> None:
+    shown = {one.name: one.shown for one in evaluate(stump_guard(), safe_and_unsafe()).predictors}
+    assert (shown[ALWAYS].false_alarms, shown[ALWAYS].recall) == (1.0, 0.75), "one violation is too early"
+    assert (shown[NEVER].false_alarms, shown[NEVER].recall) == (0.0, 0.0)
 
 
 def test_points_run_from_no_alarms_to_alarms_everywhere() -> None:

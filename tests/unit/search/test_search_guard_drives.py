@@ -47,6 +47,15 @@ def test_prevented_and_caused_violations_are_counted_apart() -> None:
     assert worth.intervention_share.value == pytest.approx(0.25)
 
 
+def test_plain_shares_have_an_interval_where_nothing_was_found() -> None:
+    worth = guard_worth(drives([1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0], seed=[1, 2, 1, 2, 1, 2]), rng())
+
+    assert worth.caused_share.value == 0.0
+    assert worth.caused_share.low == 0.0
+    assert worth.caused_share.high == pytest.approx(0.49, abs=0.01), "Wilson's interval of none of four"
+    assert worth.prevented_share.low == pytest.approx(0.34, abs=0.01)
+
+
 def test_prevented_violations_with_another_one_instead_are_told_apart() -> None:
     worth = guard_worth(drives([1, 1, 1, 0], [0, 0, 1, 0], held=[1, 0, 0, 1]), rng())
 
