@@ -1,7 +1,7 @@
 """How early guards warn on fresh drives of the urban problem: training sets, sensors, and what was never seen.
 
-Every guard is fitted to the same number of drives: random ones, those of a campaign of MLCSHE, those of a campaign of edge
-(with the pairs that it confirms), or a third of each. All are judged on the same fresh random drives, beside the
+Every guard is fitted to the same number of drives: random ones, those of a campaign of MLCSHE, those of a campaign of
+edge (with the pairs that it confirms), or a third of each. All are judged on the same fresh random drives, beside the
 baselines. *Unseen roads* and *unseen behaviours* are judged apart: guards are fitted without a third of the roads, or
 without drives in which persons are reported, and judged on the fresh drives with them, beside a guard that was fitted
 to the same number of drives of every kind, with the same number of violations.

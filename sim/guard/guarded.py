@@ -5,8 +5,8 @@
                +------- guard <-------+-------+
 
 The guard receives what was reported and what the driving system commands, not what the fallback makes of them:
-otherwise an alarm would end as soon as the fallback acts. A fallback that hides boxes still changes the commands. The fallback before the driving system knows the guard's
-reading of the step before.
+otherwise an alarm would end as soon as the fallback acts. A fallback that hides boxes still changes the commands. The
+fallback before the driving system knows the guard's reading of the step before.
 """
 
 from collections.abc import Callable

@@ -98,7 +98,9 @@ def output(result: Result) -> str:
 def test_a_guard_is_fitted_to_a_search_for_pairs(sqlite_file: Path, tmp_path: Path) -> None:
     database = f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'pairs.db')}"
     with coordinator(database) as client:
-        campaign = submit(client, {**CAMPAIGN, "name": "pairs", "algorithm": {"id": "edge@1", "params": PAIRS}})
+        campaign = submit(
+            client, {**CAMPAIGN, "name": "pairs", "algorithm": {"id": "edge@1", "params": PAIRS}}
+        )
         worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
         assert worker.work(campaign)["status"] == "finished"
         exported = client.get(f"/api/v1/campaigns/{campaign}/archive.npz").content
