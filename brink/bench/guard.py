@@ -361,7 +361,7 @@ def _is_to_report_persons(drive: Drive) -> bool:
 def baseline_rows(evaluation: GuardEvaluation) -> Iterator[tuple[str, ...]]:
     """Yield a row for each baseline: its name, predicted violations and false alarms at the compared threshold.
 
-    After them come the violations predicted with alarms in at most 10% and 20% of the safe drives.
+    The last two cells are the violations predicted with alarms in at most 10% and 20% of the safe drives.
     """
     for one in evaluation.predictors[1:]:
         more = (f"{one.recall_at(share):.2f}" for share in (0.1, 0.2))

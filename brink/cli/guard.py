@@ -390,5 +390,6 @@ def _print(evaluation: GuardEvaluation) -> None:
 
 def _row(one: PredictorResult) -> list[str]:
     low, high = one.interval
+    interval = f"{low:.0%} to {high:.0%}" if one.shown == one.compared else ""
     warned = [f"{share:.0%}" for lead_s, share in zip(LEADS_S, one.shown.warned, strict=True) if lead_s]
-    return [f"  {one.name}", f"{one.shown.false_alarms:.1%}", *warned, f"{low:.0%} to {high:.0%}"]
+    return [f"  {one.name}", f"{one.shown.false_alarms:.1%}", *warned, interval]

@@ -412,9 +412,8 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
 
 def _print_requirements(loop: GuardedLoop, best: Condition) -> None:
     """Print how many drives violate each requirement, also those that do not count."""
-    table = plain_table(
-        "drives that violate", "without", "with the guard", right=("without", "with the guard")
-    )
+    names = ("without the guard", f"at threshold {best.threshold:.3f}")
+    table = plain_table(f"of all {len(loop.specs):,} drives, violate", *names, right=names)
     for name, row in _by_requirement(loop, best).items():
         table.add_row(name, f"{row['without']:,}", f"{row['with']:,}")
     console().print("", table)

@@ -5,8 +5,8 @@ collision in the ego's path: 1 on contact, and 0.5 at t = h. `ttc@1` takes it fr
 takes it from the range sensor, and to a distance of two metres instead of contact: nearer than that, a car that goes
 on would soon be nearer than the front gap allows.
 
-Their alarms are confirmed and held as those of a fitted guard are. They end below the threshold itself, those of a
-fitted guard below half of it, so a fitted guard has fewer and longer alarms at the same number of alarmed drives.
+Alarms are confirmed and held like those of a fitted guard, but end when the probability falls below the threshold,
+not below half of it. So a fitted guard has fewer and longer alarms in the same number of drives.
 """
 
 from typing import ClassVar, Final

@@ -88,7 +88,7 @@ def test_it_prints_a_line_for_each_threshold_and_what_was_reported() -> None:
     assert "8 drives of 2 seeds" in text
     assert all(f"{threshold} " in text for threshold in ("0.400", "0.600"))
     assert "reported in the 3 s before" in text
-    assert "drives that violate" in text
+    assert "drives, violate" in text
 
 
 def test_a_fallback_that_does_nothing_prevents_and_causes_nothing() -> None:

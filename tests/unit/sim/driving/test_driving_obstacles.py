@@ -163,7 +163,8 @@ def test_projected_car_is_found_at_any_angle(
     if seen is None or seen[1] < 3.0 or seen[0].x_min_px < 2.5 or seen[0].x_max_px > 797.5:
         return
     (found,) = LOCALISER.locate(ego, (seen[0],))
-    assert (found.x_m, found.y_m) == pytest.approx((body.x_m, body.y_m), abs=0.25)
+    tolerance_m = 0.1 if seen[1] > 4.5 else 0.25  # nearer, turned cars are placed less well
+    assert (found.x_m, found.y_m) == pytest.approx((body.x_m, body.y_m), abs=tolerance_m)
     assert (found.width_m, found.length_m) == pytest.approx((1.9, 4.5), abs=0.25)
 
 
