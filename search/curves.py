@@ -27,7 +27,6 @@ from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
 
 from brink.search.space import FloatArray, IntArray
 from brink.search.streams import Stream, generator
@@ -288,6 +287,8 @@ class Screening:
 
     def estimates(self, at: tuple[float, ...]) -> FloatArray:
         """Return quantiles of the share of vulnerable drives, shape ``(len(at),)``."""
+        from scipy.stats import beta  # slow to import
+
         rest = self.screened - self.vulnerable
         found: FloatArray = beta.ppf(np.array(at), self.vulnerable + 0.5, rest + 0.5)
         return found

@@ -54,8 +54,8 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "delete": ("brink.cli.campaigns:delete", "Delete a campaign and its results"),
     },
     "Operate": {
-        "serve": ("brink.cli.operate:serve", "Run a coordinator"),
-        "worker": ("brink.cli.operate:worker", "Run a worker"),
+        "serve": ("brink.cli.serve:serve", "Run a coordinator"),
+        "worker": ("brink.cli.worker:worker", "Run a worker"),
         "token": ("brink.cli.database:token", "Create, list and revoke tokens"),
         "db": ("brink.cli.database:db", "Upgrade or prune the database"),
         "doctor": ("brink.cli.database:doctor", "Check the database, campaigns, jobs and workers"),

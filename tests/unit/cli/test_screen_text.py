@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from brink.cli import operate
+from brink.cli import worker
 from brink.cli.main import main
 from brink.cli.options import console, plain_table, print_line, print_sentence
 from brink.extras import install_command
@@ -44,7 +44,7 @@ def test_the_name_of_an_extra_is_printed(extra: str, capsys: pytest.CaptureFixtu
 def test_usage_errors_print_the_name_of_an_extra(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(operate, "find_spec", lambda name: None)
+    monkeypatch.setattr(worker, "find_spec", lambda name: None)
     monkeypatch.setattr("sys.argv", ["brink", "worker", "--ray", "local"])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -32,6 +32,7 @@ SUBMITTED = (["submit", str(EXAMPLE), "--server", CLOSED], 1)
         [
             (["--version"], 0),
             (["--help"], 0),
+            (["worker", "--help"], 0),
             (["status", "--server", CLOSED], 1),
             (["status", "3f2a", "--server", CLOSED], 1),
             (["results", "3f2a", "--server", CLOSED], 1),
