@@ -307,13 +307,13 @@ def _leads_table(found: Sequence[Lead]) -> str:
     rows = [table_row(names), table_row(["---"] * len(names))]
     for lead in found:
         cells = [
-            "N/A" if lead.found_nothing else f"**{signed(value)}**" if significant else signed(value)
+            "–" if lead.found_nothing else f"**{signed(value)}**" if significant else signed(value)
             for value, significant in zip(lead.differences, lead.significant(), strict=True)
         ]
         rows.append(table_row([f"{lead.first} − {lead.second}", f"{lead.t_b:g}", *cells]))
     legend = (
         f"*Mean of the first minus mean of the second at d_th {found[0].d_th:g}, scored with what was known at that "
-        f"share of the budget. Bold: p at most {PAPER_LEVEL:g}, without correction, as the paper tests. N/A: neither "
+        f"share of the budget. Bold: p at most {PAPER_LEVEL:g}, without correction, as the paper tests. –: neither "
         "found anything.*"
     )
     return "\n".join(rows) + f"\n\n{legend}"
