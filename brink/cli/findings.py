@@ -38,6 +38,7 @@ from brink.report.combinations import (
     combination_rows,
     draw_chains,
     tally_words,
+    variant_words,
 )
 from brink.report.figures import VIOLATION_TYPES, Drawing
 from brink.report.violations import draw_gallery, figure_types
@@ -123,7 +124,7 @@ def combinations(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show which techniques are hazardous alone, only together, or only in one order.
+    """Show which techniques are hazardous alone, only together, or in one order but not in another.
 
     Example: brink combinations 3f2a
     """
@@ -152,11 +153,11 @@ class CombinationFindings:
     def show(self, screen: Console, shown: int = CHAINS_SHOWN) -> None:
         """Print the chains, the techniques, and the summary sentence."""
         chains = self._found.combinations
-        table = plain_table("chain", "unsafe", "parts alone", "other order", "added harm", "")
+        table = plain_table("chain", "unsafe", "its parts", "other order", "added harm", "")
         for one in chains[:shown]:
             table.add_row(
-                one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",
-                ", ".join(map(tally_words, one.orders)), added_harm_words(one), claim_words(one),
+                one.words, tally_words(one), "\n".join(variant_words(one.parts)) or "not simulated",
+                "\n".join(map(tally_words, one.orders)), added_harm_words(one), claim_words(one),
             )  # fmt: skip
         if chains:
             screen.print(table)

@@ -390,10 +390,10 @@ class Result(CampaignResult):
     def combinations(self) -> "pd.DataFrame":
         """Return the chains of perturbations that were simulated as a data frame, the most informative first.
 
-        ``added_harm`` is the excess over the most harmful part alone, in mAP on the data set. Effects that merely add
-        up count, and it says nothing about hazards in drives. It is empty where that was not measured. ``interacts``
-        says whether it reaches the margin of the search. ``example`` is an unsafe solution that needs all its
-        perturbations or their order, if there is one.
+        ``added_harm`` is by how much lower mAP is on the data set than with the most harmful part alone. Effects that
+        merely add up count, and it says nothing about hazards in drives. It is empty where that was not measured.
+        ``interacts`` says whether it reaches the margin of the search. ``example`` is an unsafe solution that needs
+        all its perturbations or their order, if there is one.
 
         Raises:
             CoordinatorError: The problem has no ordered perturbations.

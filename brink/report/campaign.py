@@ -48,6 +48,7 @@ from brink.report.campaign_words import (
     uncertainties,
     verdicts,
 )
+from brink.search.analysis.combinations import MIN_PLACES
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, PairsView
 from brink.server.api.tolerance import Finding, ToleranceView
 from brink.server.problems.base import ReplacesComponent, SimulatedProblem
@@ -170,9 +171,14 @@ def _key_figures(facts: Facts) -> list[Term]:
     elif facts.violations is not None:
         told.append(Term(f"{len(facts.violations.types):,}", "types of violations"))
     elif facts.combinations is not None:
-        hazardous = sum(one.hazardous for one in facts.combinations.combinations)
+        chains = facts.combinations.combinations
+        judged = [one for one in chains if one.trials >= MIN_PLACES]
+        hazardous = sum(one.hazardous for one in judged)
         told.append(
-            Term(f"{hazardous:,} of {len(facts.combinations.combinations):,}", "chains of changes hazardous")
+            Term(
+                f"{hazardous:,} of {len(judged):,}",
+                f"chains of changes hazardous, driven in {MIN_PLACES} streets or more",
+            )
         )
     elif facts.progress.looks_for_boundary:
         solutions = "distinct boundary solution" + ("" if facts.boundary.dbs == 1 else "s")

@@ -12,13 +12,13 @@ from PIL import Image
 from brink.report.campaign_facts import Facts
 from brink.report.campaign_pictures import shown_replays
 from brink.report.campaign_words import boundary_words, count, limiting, noun, others_recorded, share
-from brink.report.combinations import added_harm_words, claim_words, tally_words
+from brink.report.combinations import CLAIMS, added_harm_words, claim_words, tally_words, variant_words
 from brink.report.pair_pictures import facts as pair_facts
 from brink.report.pair_pictures import findings as pair_findings
 from brink.report.pair_pictures import share_words
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.report.tolerance import KEY, tolerated_words
-from brink.search.analysis.combinations import HAZARDOUS
+from brink.search.analysis.combinations import HAZARDOUS, MIN_PLACES
 from brink.search.analysis.rules import USELESS
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
@@ -355,7 +355,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
     chains = found.combinations
     rows = [
         (
-            one.words, tally_words(one), ", ".join(map(tally_words, one.parts)) or "not simulated",
+            one.words, tally_words(one), "; ".join(variant_words(one.parts)) or "not simulated",
             ", ".join(map(tally_words, one.orders)), "yes" if one.hazardous else "no", added_harm_words(one),
             claim_words(one),
         )
@@ -365,8 +365,9 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
     return Section(
         title="Changes to the camera image",
         paragraphs=[
-            "A chain is a list of changes that are applied to the image in order. It counts as hazardous if at least "
-            f"{HAZARDOUS:.0%} of the drives with it were unsafe. {found.explanation}".rstrip()
+            "A chain is a list of changes that are applied to the image in order. It counts as hazardous if it was "
+            f"driven in at least {MIN_PLACES} streets, and at least {HAZARDOUS:.0%} of these drives were unsafe. Its "
+            f"parts and other orders are compared in the same streets. {CLAIMS} {found.explanation}".rstrip()
         ],
         pictures=[
             picture
@@ -378,7 +379,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
         tables=[
             Table(
                 label="Chains of changes", rows=rows,
-                columns=("chain", "unsafe", "parts alone", "other order", "hazardous", "added harm", "how"),
+                columns=("chain", "unsafe", "its parts", "other order", "hazardous", "added harm", "how"),
                 more=f"{more:,} more: brink combinations {facts.view.id} --shown {len(chains)}" if more else "",
             )
         ],

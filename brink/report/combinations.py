@@ -1,7 +1,7 @@
 """Hazardous chains of techniques, in words and as pictures of each chain with its parts."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import Any, Final
@@ -15,7 +15,7 @@ def claim_words(one: CombinationView) -> str:
     """Return in which ways a chain is hazardous; "minimal" is omitted where "only together" implies it."""
     claims = {
         "only together": one.only_together,
-        "only in this order": one.order_matters,
+        "another order is safe": one.order_matters,
         "minimal": one.minimal and not one.only_together,
     }
     return ", ".join(name for name, holds in claims.items() if holds)
@@ -50,9 +50,22 @@ def combination_rows(found: Combinations) -> list[dict[str, Any]]:
     ]
 
 
+CLAIMS: Final = (
+    "Only together: each part of the chain alone is safe, which is to say unsafe in at most 20% of these drives. "
+    "Another order is safe: so is the same chain in another order. Minimal: no part alone is hazardous, but not all "
+    "are safe."
+)
+"""What the claims about a chain mean."""
+
+
 def tally_words(tally: ChainTally) -> str:
     """Return how often a chain was unsafe, such as ``2 of 3``."""
     return f"{tally.unsafe} of {tally.trials}"
+
+
+def variant_words(variants: Sequence[ChainTally]) -> list[str]:
+    """Return how often each of several chains was unsafe, such as ``["unperturbed: 0 of 3", "snow 1/5: 2 of 3"]``."""
+    return [f"{one.words or 'unperturbed'}: {tally_words(one)}" for one in variants]
 
 
 async def draw_chains(found: Combinations, drawing: Drawing, most: int) -> list[Path]:

@@ -102,7 +102,12 @@ class SimoodConfig(BoundaryConfig):
         "ga", help="How individuals are proposed: bred, or drawn at random.", choices=("ga", "random")
     )
     finalists: int = setting(5, help="Number of best individuals to simulate at the end.", ge=0, le=10_000)
-    repeats: int = setting(3, help="Scenarios in which each finalist is simulated.", ge=1, le=1_000)
+    repeats: int = setting(
+        3,
+        help="Scenarios in which each finalist is simulated; below 3, none is called hazardous.",
+        ge=1,
+        le=1_000,
+    )
     explained: int = setting(
         5,
         help="Number of finalists, unsafe in at least one scenario, whose parts and other orders are also simulated.",

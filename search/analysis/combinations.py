@@ -1,15 +1,16 @@
 """Hazardous combinations of techniques, compared with their parts and with other orders.
 
 This works on archives of spaces with ordered slots (`brink.search.slots`). A *chain* is the sequence of techniques in
-the slots of a solution, without empty slots; a *place* is the rest of the solution. Chains are compared in places in
-which both were simulated.
+the slots of a solution, without empty slots; a *place* is the rest of the solution. Whatever is said about a chain
+and its parts or other orders is about places in which all of them were simulated, of which there are at least
+`MIN_PLACES`.
 
 Source: Ferreira et al. 2022: combinations that are hazardous although each part alone is safe (Fig. 6), or in one
 order only (Fig. 7), decided by four of five seeds.
 """
 
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
@@ -23,6 +24,8 @@ HAZARDOUS: Final = 0.8
 """Smallest unsafe share of a hazardous chain: four of five places."""
 SAFE: Final = 0.2
 """Largest unsafe share of a safe chain: one of five places."""
+MIN_PLACES: Final = 3
+"""Number of places below which nothing is said about a chain: one drive that happens to be unsafe says little."""
 
 
 Verdicts: TypeAlias = Mapping[bytes, "Verdict"]
@@ -59,6 +62,10 @@ class Combination:
         orders: Tally of each other order of the same steps that shares a place with it.
         joint_hazards: Numbers of its unsafe solutions in places where all parts were simulated and are safe.
         order_hazards: Numbers of its unsafe solutions in places where another order is safe.
+        hazardous: Whether the chain is unsafe in at least a share `HAZARDOUS` of its places.
+        minimal: Whether it is hazardous, and none of its parts is.
+        only_together: Whether it is hazardous, and every part of it is safe.
+        order_matters: Whether it is hazardous, and another order of its steps is safe.
     """
 
     chain: Chain
@@ -67,33 +74,10 @@ class Combination:
     orders: Mapping[Chain, Tally]
     joint_hazards: tuple[int, ...]
     order_hazards: tuple[int, ...]
-
-    @property
-    def complete(self) -> bool:
-        """Whether every part was simulated."""
-        return len(self.parts) == (1 << len(self.chain)) - 1
-
-    @property
-    def hazardous(self) -> bool:
-        """Whether the chain is unsafe in at least a share `HAZARDOUS` of its places."""
-        return self.tally.share >= HAZARDOUS
-
-    @property
-    def minimal(self) -> bool:
-        """Whether the chain is hazardous and none of its parts is."""
-        return (
-            self.hazardous and self.complete and all(part.share < HAZARDOUS for part in self.parts.values())
-        )
-
-    @property
-    def only_together(self) -> bool:
-        """Whether the chain is hazardous and every part of it is safe."""
-        return self.hazardous and self.complete and all(part.share <= SAFE for part in self.parts.values())
-
-    @property
-    def order_matters(self) -> bool:
-        """Whether the chain is hazardous and another order of its steps is safe."""
-        return self.hazardous and any(order.share <= SAFE for order in self.orders.values())
+    hazardous: bool
+    minimal: bool
+    only_together: bool
+    order_matters: bool
 
 
 def verdicts_by_chain(space: SearchSpace, archive: Archive) -> dict[Chain, dict[bytes, Verdict]]:
@@ -150,6 +134,8 @@ def _combination(
         if other != chain and own.keys() & verdicts[other].keys()
     }
     complete = len(parts) == (1 << len(chain)) - 1
+    common = own.keys() & set.intersection(*(set(seen) for seen in parts.values())) if complete else set()
+    together = _hazardous(own) and _hazardous(own, common)
     unsafe = {place: verdict.number for place, verdict in own.items() if verdict.unsafe}
     return Combination(
         chain=chain,
@@ -166,7 +152,21 @@ def _combination(
             for place, number in unsafe.items()
             if any(place in seen and not seen[place].unsafe for seen in orders.values())
         ),
+        hazardous=_hazardous(own),
+        minimal=together and all(_shared(seen, common).share < HAZARDOUS for seen in parts.values()),
+        only_together=together and all(_shared(seen, common).share <= SAFE for seen in parts.values()),
+        order_matters=_hazardous(own)
+        and any(
+            _hazardous(own, own.keys() & seen.keys()) and _shared(seen, own).share <= SAFE
+            for seen in orders.values()
+        ),
     )
+
+
+def _hazardous(verdicts: Verdicts, places: Collection[bytes] | None = None) -> bool:
+    """Return whether a chain is hazardous in some of its places, by default in all."""
+    tally = _shared(verdicts, verdicts if places is None else places)
+    return tally.trials >= MIN_PLACES and tally.share >= HAZARDOUS
 
 
 def _tally(verdicts: Iterable[Verdict]) -> Tally:

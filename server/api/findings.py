@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from brink.search.algorithms.simood import ALPHA, SimoodConfig
 from brink.search.analysis.avoidable import EXPLANATION, Avoidable, AvoidedBy, avoidable_first, by_words
 from brink.search.analysis.combinations import (
+    MIN_PLACES,
     Combination,
     Tally,
     combinations,
@@ -360,11 +361,11 @@ def _explanation_words(chains: Sequence[CombinationView], config: SimoodConfig, 
     """Return what added harm means, in sentences; empty if it is unknown of every chain."""
     if all(one.added_harm is None for one in chains):
         return ""
-    unit = "mAP" if config.alpha == "quality" else "errors"
+    worse = "lower mAP is" if config.alpha == "quality" else "many more errors there are"
     interacts = "" if margin is None else f" From {margin:g}, a chain interacts."
     return (
-        f"Added harm: excess over the most harmful part alone, in {unit} on the data set. Effects that merely add up "
-        f"count; it says nothing about hazards in drives.{interacts}"
+        f"Added harm: by how much {worse} on the data set with the chain than with its most harmful part alone. "
+        f"Effects that merely add up count; it says nothing about hazards in drives.{interacts}"
     )
 
 
@@ -374,10 +375,12 @@ def _combinations_words(chains: Sequence[CombinationView]) -> str:
     together = sum(one.only_together for one in chains)
     ordered = sum(one.order_matters for one in chains)
     places = sum(len(one.together) for one in chains)
+    if chains and all(one.trials < MIN_PLACES for one in chains):
+        return f"no chain was simulated in {MIN_PLACES} scenarios or more, so none of {len(chains)} counts as hazardous"
     return (
-        f"{hazardous} of {len(chains)} chains {'is' if hazardous == 1 else 'are'} hazardous: {together} only "
-        f"together (each part alone is safe), {ordered} only in one order; {places} simulations were "
-        "unsafe where every part alone was safe"
+        f"{hazardous} of {len(chains)} chains are hazardous; of these, {together} only together (each part alone is "
+        f"safe), and {ordered} in one order but not in another; both may hold; {places} simulations were unsafe where "
+        "every part alone was safe"
     )
 
 

@@ -497,13 +497,16 @@ class CombinationView(ChainTally):
         ),
     ]
     orders: list[ChainTally]
-    hazardous: Annotated[bool, Field(description="Unsafe in at least 80% of its scenarios.")]
-    minimal: Annotated[bool, Field(description="Hazardous, but no part of it is.")]
+    hazardous: Annotated[
+        bool, Field(description="Simulated in at least three scenarios, and unsafe in at least 80% of them.")
+    ]
+    minimal: Annotated[bool, Field(description="Hazardous, but no part of it is, in the same scenarios.")]
     only_together: Annotated[
-        bool, Field(description="Hazardous, but every part is safe in at least 80% of its scenarios.")
+        bool,
+        Field(description="Hazardous, but every part of it is safe in at least 80% of the same scenarios."),
     ]
     order_matters: Annotated[
-        bool, Field(description="Hazardous, but another order is safe in at least 80% of its scenarios.")
+        bool, Field(description="Hazardous, but another order is safe in at least 80% of the same scenarios.")
     ]
     alpha: Annotated[
         float | None,

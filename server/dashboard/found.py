@@ -182,7 +182,8 @@ class FoundWords:
             return ""
         _, _, archive = self.archives.stored(campaign)
         chains = combinations(verdicts_by_chain(plan.problem.space, archive))
-        return _plural(sum(one.hazardous for one in chains), "hazardous combination")
+        hazardous, together = sum(one.hazardous for one in chains), sum(one.only_together for one in chains)
+        return _plural(hazardous, "hazardous chain") + (f", {together} only together" if together else "")
 
     def close(self) -> None:
         """Finish what is being worked out, and cancel the rest."""

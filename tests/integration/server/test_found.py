@@ -94,7 +94,7 @@ def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client
     assert found[tolerances] == "8 tolerances"
     avoidable = sum(kind["avoidable"] == "careful" for kind in types)
     assert found[violations] == f"{avoidable} of {len(types)} types of violations avoidable"
-    assert "hazardous combination" in found[chains]
+    assert "hazardous chain" in found[chains]
 
 
 def test_the_part_of_the_component_is_told_by_its_follow_up(client: httpx.Client) -> None:

@@ -67,7 +67,6 @@ def test_a_pair_with_a_hazardous_part_is_not_minimal() -> None:
     trials += [(place, part, False) for place in range(3) for part in ((NOISE,), ())]
     one = found(trials)[NOISE, BLUR]
     assert one.hazardous
-    assert one.complete
     assert not any((one.minimal, one.only_together, one.joint_hazards))
 
 
@@ -78,7 +77,39 @@ def test_nothing_is_concluded_without_simulations_of_every_part() -> None:
     ]
     one = found([*trials, (5, (BLUR,), False)])[NOISE, BLUR]
     assert one.parts == {(NOISE,): (0, 3)}, "blur was simulated in another place"
-    assert not any((one.complete, one.minimal, one.only_together, one.joint_hazards))
+    assert not any((one.minimal, one.only_together, one.joint_hazards))
+
+
+def test_a_chain_and_its_variants_are_judged_in_the_same_places() -> None:
+    trials = [
+        *((place, (NOISE, BLUR), place != 0) for place in range(5)),
+        *((0, variant, False) for variant in ((NOISE,), (BLUR,), (), (BLUR, NOISE))),
+    ]
+    one = found(trials)[NOISE, BLUR]
+    assert one.hazardous
+    assert one.parts == {(): (0, 1), (NOISE,): (0, 1), (BLUR,): (0, 1)}
+    assert not any((one.only_together, one.minimal, one.order_matters)), (
+        "safe in the only place of the others"
+    )
+    trials += [
+        (place, variant, False) for place in (1, 2) for variant in ((NOISE,), (BLUR,), (), (BLUR, NOISE))
+    ]
+    one = found(trials)[NOISE, BLUR]
+    assert not any((one.only_together, one.minimal, one.order_matters)), "unsafe in two of the three places"
+    trials += [(place, variant, False) for place in (3, 4) for variant in ((NOISE,), (BLUR,), ())]
+    one = found(trials)[NOISE, BLUR]
+    assert (one.only_together, one.minimal, one.order_matters) == (True, True, False)
+
+
+def test_nothing_is_concluded_from_fewer_than_three_places() -> None:
+    variants = ((NOISE,), (BLUR,), (), (BLUR, NOISE))
+    for places in (1, 2, 3):
+        trials = [(place, (NOISE, BLUR), True) for place in range(places)]
+        trials += [(place, variant, False) for place in range(places) for variant in variants]
+        one = found(trials)[NOISE, BLUR]
+        claims = {one.hazardous, one.only_together, one.minimal, one.order_matters}
+        assert claims == {places == 3}
+        assert len(one.joint_hazards) == len(one.order_hazards) == places, "single drives are still shown"
 
 
 def test_variants_at_a_solution_were_simulated_in_its_place() -> None:

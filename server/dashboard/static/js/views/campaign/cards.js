@@ -225,13 +225,13 @@ export function findings(context, id, tells) {
     replace(combinations, h("h2", null, "Combinations of techniques"),
       telling.length > 0 && read.explanation && h("p.hint", null, read.explanation),
       h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Combinations of techniques" },
-        h("table", null, h("caption", null, telling.length ? "Hazardous combinations: unsafe in at least 80% of their scenarios" : "No hazardous combination so far"),
+        h("table", null, h("caption", null, telling.length ? "Hazardous chains: simulated in at least three scenarios, and unsafe in at least 80% of them" : "No hazardous chain so far: each needs at least three scenarios"),
           head("Techniques, in order", "Unsafe", "Parts", "Added harm", "Conclusion"),
           h("tbody", null, telling.map((one) => h("tr", null, h("th", { scope: "row" }, one.words),
             h("td", null, `${one.unsafe} of ${one.trials}`),
             h("td.small", null, one.parts.map((each) => h("div", null, `${each.words || "nothing"}: ${each.unsafe} of ${each.trials}`))),
             h("td", null, one.added_harm === null ? "–" : signed(one.added_harm)),
-            h("td", null, [one.only_together && "hazardous only together", one.interacts && "interacts on the data set", one.order_matters && "order matters", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
+            h("td", null, [one.only_together && "hazardous only together", one.interacts && "interacts on the data set", one.order_matters && "another order is safe", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
               (one.together[0] ?? one.turned[0]) !== undefined && [" ", solution(one.together[0] ?? one.turned[0])])))))),
       alone(read.steps));
   }
