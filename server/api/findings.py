@@ -376,11 +376,11 @@ def _combinations_words(chains: Sequence[CombinationView]) -> str:
     ordered = sum(one.order_matters for one in chains)
     places = sum(len(one.together) for one in chains)
     if chains and all(one.trials < MIN_PLACES for one in chains):
-        return f"no chain was simulated in {MIN_PLACES} scenarios or more, so none of {len(chains)} counts as hazardous"
+        return f"none of {len(chains)} chains was simulated in {MIN_PLACES} scenarios, so none counts as hazardous"
     return (
         f"{hazardous} of {len(chains)} chains are hazardous; of these, {together} only together (each part alone is "
-        f"safe), and {ordered} in one order but not in another; both may hold; {places} simulations were unsafe where "
-        "every part alone was safe"
+        f"safe), and {ordered} in one order but not in another; both may hold; {places} simulations were unsafe "
+        "where every part alone was safe"
     )
 
 
