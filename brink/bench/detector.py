@@ -157,7 +157,9 @@ class DetectorAccuracy:
         threshold: Minimum score of the detections that the brake receives.
         clean: Accuracy on the images as they are.
         curves: Precision and recall on them over all thresholds, for each class.
-        by_distance: Accuracy for each range of distances; bodies elsewhere are ignored.
+        by_distance: Accuracy for each range of distances; bodies elsewhere are ignored. A false detection belongs to
+            no range and counts in all, so recall can be compared between ranges, and average precision cannot: it
+            is the lower, the fewer boxes a range has.
         by_visible_share: The same for visible shares.
         genes: Accuracy at each step, by name of the gene.
     """
@@ -247,10 +249,17 @@ def _bins_json(bins: Mapping[Bin, Accuracy]) -> list[dict[str, Any]]:
             "name": one.name,
             "low": one.low,
             "high": one.high if one.high < math.inf else None,
-            **found.to_json(),
+            **_without_precision(found.to_json()),
         }
         for one, found in bins.items()
     ]
+
+
+def _without_precision(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the accuracy in a range without precision, which a range does not have."""
+    for one in document["classes"].values():
+        del one["precision"]
+    return document
 
 
 def measure_detector(

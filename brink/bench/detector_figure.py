@@ -27,7 +27,7 @@ _STEP_COLOURS: Final = {Step.FIRST: "#9ecae1", Step.MIDDLE: "#4292c6", Step.HIGH
 
 
 def figure_detector(found: DetectorAccuracy) -> Figure:
-    """Plot average precision by distance, mAP under each perturbation, and precision against recall."""
+    """Plot recall by distance, mAP under each perturbation, and precision against recall."""
     figure = new_figure(
         HEIGHT_PX,
         f"What {found.detector.rpartition('/')[2]} sees",
@@ -51,7 +51,7 @@ def figure_detector(found: DetectorAccuracy) -> Figure:
 def _plot_distances(axes: Axes, found: DetectorAccuracy) -> None:
     for name, colour in _CLASS_COLOURS.items():
         points = [
-            (place, accuracy.classes[name].average_precision)
+            (place, accuracy.classes[name].recall)
             for place, accuracy in enumerate(found.by_distance.values())
             if name in accuracy.classes
         ]
@@ -64,7 +64,7 @@ def _plot_distances(axes: Axes, found: DetectorAccuracy) -> None:
     axes.set_xlim(-0.3, len(names) - 0.7)
     axes.set_ylim(0, 1)
     axes.set_xlabel("distance (m)")
-    axes.set_ylabel("average precision")
+    axes.set_ylabel(f"recall at a score of {found.threshold:g}")
     set_panel_title(axes, "Distance")
     style_axes(axes)
 

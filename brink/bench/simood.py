@@ -62,7 +62,8 @@ def measure_simood(
 
     Args:
         criteria: Some of `CRITERIA`; A3 and A4 are one measurement.
-        folder: Folder for outcomes, tables and figures. Tables of a given detector are in a folder of its name below.
+        folder: Folder for outcomes, tables and figures. Tables of a given detector or threshold are in a folder of
+            that name below.
         processes: Number of processes that run episodes.
         progress: Progress callback.
         detector: Id or file of the detector; None for the problem's default.
@@ -75,7 +76,8 @@ def measure_simood(
         params = replace(params, detector=detector)
     if threshold is not None:
         params = replace(params, threshold=threshold)
-    tables = folder if detector is None else folder / re.sub(r"[^\w.@-]+", "-", detector)
+    chosen = [str(one) for one in (detector, threshold) if one is not None]
+    tables = folder / re.sub(r"[^\w.@-]+", "-", "-".join(chosen)) if chosen else folder
     tables.mkdir(parents=True, exist_ok=True)
     file = folder / f"records-{code_fingerprint(CODE)}.jsonl"
     with contextlib.closing(Records(file, processes=processes)) as records:
@@ -94,8 +96,8 @@ def measure_simood(
             "A8": costs.perturbing,
             "A9": searches.interactions,
         }
-        chosen = dict.fromkeys(measures[name] for name in CRITERIA if name in criteria)
-        return [row for measure in chosen for row in measure()]
+        wanted = dict.fromkeys(measures[name] for name in CRITERIA if name in criteria)
+        return [row for measure in wanted for row in measure()]
 
 
 class Hazards(Criteria):

@@ -1,7 +1,6 @@
 """The SiMOOD criteria A7 and A8: what a search on a data set saves, and what perturbations cost."""
 
 import itertools
-import resource
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from brink.bench.simood_searches import Campaign
 from brink.bench.trials import Record, Records, run_record
 from brink.search.algorithms.simood import SimoodConfig
 from brink.server.problems.aeb_crossing import AebCrossingParams
+from brink.sim.aeb.episode import FRAME_S
 from brink.sim.episode import EpisodeSpec
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.pool import process_pool, single_threaded
@@ -26,7 +26,7 @@ COST_CHAINS: Final = 18
 PICTURES: Final = (20, 60)
 """Sizes of the data set. They rank individuals much as 240 pictures do: their alphas correlate by .97 and .99."""
 COST_PLACES: Final = range(2)
-FRAMES_IN_8_S: Final = 80
+FRAMES: Final = 80
 MAX_CAMERA_EPISODE_S: Final = 0.9
 LARGE_POPULATION: Final = 120
 """A large last population, simulated as a whole."""
@@ -96,10 +96,11 @@ def time_rows(pictures: int, times: Times, measured: int, episodes: int) -> list
             for what, simulated in included
         ),
     ]  # fmt: skip
-    # The best few, with either fitness, have the target of a search from beginning to end.
+    # With the default fitness, parts take time on both sides of the ratio, so it has no target.
+    targeted = f"best {TOP} in one street, paper's fitness"
     return [
         *(
-            at_least(row.what, row.value, TARGET_SPEEDUP, row.note) if f"best {TOP}" in row.what else row
+            at_least(row.what, row.value, TARGET_SPEEDUP, row.note) if targeted in row.what else row
             for row in rows
         ),
         _campaign_row(on, times, measured, episodes),
@@ -193,7 +194,7 @@ class Costs(Criteria):
         small = Places(replace(self._params, width_px=320))
         camera = self._run_fresh(None, [small.episode(place) for place in (*COST_PLACES, *COST_PLACES)])
         # The first episodes pay for imports and are not counted.
-        camera_s = FRAMES_IN_8_S * statistics.fmean(map(_frame_s, camera[len(COST_PLACES) :]))
+        camera_s = FRAMES * statistics.fmean(map(_frame_s, camera[len(COST_PLACES) :]))
         memory_mb = [_peak_memory_mb(perturbed[:: len(perturbed) // 6]), _peak_memory_mb(clean_specs * 3)]
         return [
             at_most(
@@ -202,8 +203,8 @@ class Costs(Criteria):
                 f"max {max(ratios):.2f}; a frame without {1e3 * statistics.fmean(clean_s):.1f} ms",
             ),
             at_most(
-                "A8 CPU s of a camera episode of 80 frames, 320 x 180", camera_s, MAX_CAMERA_EPISODE_S,
-                f"8 s at 10 Hz; {1 / camera_s:.2f} episodes per CPU second",
+                f"A8 CPU s of {FRAMES} frames of an episode, 320 x 180", camera_s, MAX_CAMERA_EPISODE_S,
+                f"{FRAMES * FRAME_S:g} s of driving, from the mean of a frame",
             ),
             at_most(
                 "A8 memory of perturbing", memory_mb[0] / memory_mb[1] - 1, MAX_EXTRA_MEMORY,
@@ -240,7 +241,11 @@ def _peak_memory_mb(specs: Sequence[EpisodeSpec]) -> float:
 def _run_and_report_peak(specs: list[EpisodeSpec]) -> float:
     for spec in specs:
         run_record(spec)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    # Not from getrusage: in a process that was forked, its peak is at least that of the parent.
+    (line,) = [
+        line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")
+    ]
+    return int(line.split()[1]) / 1024
 
 
 def _spread(count: int) -> list[NamedChain]:

@@ -119,8 +119,29 @@ class CheckedDetector:
                 f"{self._source}: expected labels 0 (vehicle) and 1 (person), got "
                 f"{np.unique(found.labels).tolist()!r:.80}"
             )
+        if not all(np.issubdtype(np.asarray(part).dtype, np.number) for part in (found.boxes, found.scores)):
+            raise InvalidDetections(f"{self._source}: expected boxes and scores to be arrays of numbers")
         _check_finite(self._source, found.boxes, found.scores)
+        _check_scores(self._source, found.scores)
+        turned = (found.boxes[:, 2:] < found.boxes[:, :2]).any(axis=1)
+        if turned.any():
+            raise InvalidDetections(
+                f"{self._source}: expected boxes (x_min, y_min, x_max, y_max), got {found.boxes[turned][0].tolist()}"
+            )
         return found
+
+
+def _check_scores(source: str, scores: NDArray[Any]) -> None:
+    """Check that scores are from 0 to 1.
+
+    Raises:
+        InvalidDetections: They are not, as those of a network that returns logits.
+    """
+    if scores.size and not (scores.min() >= 0 and scores.max() <= 1):
+        raise InvalidDetections(
+            f"{source}: expected scores from 0 to 1, got {scores.min():g} to {scores.max():g}; if these are logits, "
+            "export the network with its sigmoid"
+        )
 
 
 def _check_finite(source: str, boxes: NDArray[Any], scores: NDArray[Any]) -> None:
@@ -396,6 +417,7 @@ class FileDetector:
         labels = np.array([label_of.get(int(index), -1) for index in classes], np.int64)
         known = (labels >= 0) & (scores >= MIN_SCORE)
         _check_finite(self._source, boxes[known], scores)
+        _check_scores(self._source, scores)
         boxes, scores, labels = boxes[known], scores[known], labels[known]
         best = np.argsort(-scores, kind="stable")[:MAX_DETECTIONS]
         boxes, scores, labels = boxes[best], scores[best], labels[best]
@@ -424,6 +446,8 @@ class FileDetector:
         if len(outputs) == 3 and [a.ndim for a in outputs] == [2, 1, 1] and outputs[0].shape[1] == 4:
             boxes, scores, classes = outputs
             if len(boxes) == len(scores) == len(classes):
+                if not np.isfinite(classes).all():  # as integers, they would be unknown classes
+                    raise InvalidDetections(f"{self._source}: expected labels, got NaN or infinity")
                 floats = boxes.astype(np.float32), scores.astype(np.float32)
                 return *floats, classes.astype(np.int64), TORCHVISION_LABELS
         raise DetectorError(

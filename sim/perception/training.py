@@ -326,14 +326,11 @@ def batches(
         batch_size=None,
         sampler=steps,
         num_workers=workers,
-        worker_init_fn=_use_one_thread,
         multiprocessing_context="fork" if workers else None,  # the processes share the images
     )
-    return iter(loader)
-
-
-def _use_one_thread(_: int) -> None:
+    # Not in the new processes: they would wait for threads of OpenCV that exist only in this one.
     cv2.setNumThreads(1)
+    return iter(loader)
 
 
 def _train_epoch(

@@ -102,7 +102,11 @@ def _detector_tables(found: "DetectorAccuracy") -> list[RenderableType]:
     )
     bins = (
         value_table(
-            (header, "mAP", *(f"{name} {what}" for name in found.clean.classes for what in ("AP", "boxes"))),
+            (
+                header,
+                "mAP",
+                *(f"{name} {what}" for name in found.clean.classes for what in ("recall", "AP", "boxes")),
+            ),
             (
                 (one.name, "–" if accuracy.map is None else f"{accuracy.map:.3f}",
                  *(cell for name in found.clean.classes for cell in _class_cells(accuracy.classes.get(name))))
@@ -114,7 +118,11 @@ def _detector_tables(found: "DetectorAccuracy") -> list[RenderableType]:
     tables: list[RenderableType] = [rows_table(found.rows, ".3f")]
     for table in (genes, classes, *bins):
         tables += ["", table]
-    return tables
+    return [
+        *tables,
+        "[dim]false detections count in every range, so average precision is low in a range with few boxes; recall "
+        "can be compared[/]",
+    ]
 
 
 def _check_detector(detector: str) -> None:
@@ -135,9 +143,11 @@ def _gene_cells(steps: "Sequence[StepAccuracy]") -> Iterator[str]:
         yield f"{value:.3f}"
 
 
-def _class_cells(one: "ClassAccuracy | None") -> tuple[str, str]:
-    """Return average precision and number of boxes of a class in a range; it may have none."""
-    return ("–", "0") if one is None else (f"{one.average_precision:.3f}", f"{one.boxes:,}")
+def _class_cells(one: "ClassAccuracy | None") -> tuple[str, str, str]:
+    """Return recall, average precision and number of boxes of a class in a range; it may have none."""
+    if one is None:
+        return "–", "–", "0"
+    return f"{one.recall:.3f}", f"{one.average_precision:.3f}", f"{one.boxes:,}"
 
 
 def simood(

@@ -149,6 +149,7 @@ def test_the_document_is_plain_json_with_an_open_end() -> None:
     assert document["clean"] == {"map": 1.0, "person_precision": 1.0, "person_recall": 1.0}
     assert document["by_distance"][3]["classes"].keys() == {"person"}
     assert document["by_visible_share"][-1]["high"] is None
+    assert document["by_distance"][3]["classes"]["person"].keys() == {"boxes", "average_precision", "recall"}
     assert [one["highest"]["level"] for one in document["genes"]] == [10, 2]
     assert document["mean_over_genes"]["middle"]["map"] == 1.0
 

@@ -1,6 +1,7 @@
 """Detectors and labelled data in users' files, and the inputs that are refused."""
 
 import json
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,9 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import Detections
 from brink.sim.perception.detector import (
     CheckedDetector,
+    FileDetector,
     NetworkDetector,
+    UltralyticsDetector,
     find_detector,
     fit_picture,
     load_file_detector,
@@ -330,6 +333,50 @@ def test_infinite_boxes_without_a_score_do_not_matter(tmp_path: Path) -> None:
     assert np.isfinite(find_detector(name).detect(BRIGHT).boxes).all()
 
 
+class _ThreeArrays:
+    """A network that returns boxes, scores and labels."""
+
+    input_px = (64, 64)
+    names: Mapping[int, str] = {}
+
+    def __init__(self, scores: list[float], labels: list[float]) -> None:
+        boxes = np.tile(np.array([1.0, 2.0, 30.0, 40.0], np.float32), (len(scores), 1))
+        self._outputs = [boxes, np.array(scores, np.float32), np.array(labels, np.float32)]
+
+    def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
+        """Return the same outputs for any image."""
+        return self._outputs
+
+
+@pytest.mark.parametrize(
+    ("scores", "labels", "message"),
+    [
+        ([0.9, 0.8], [np.nan, 1.0], "expected labels, got NaN or infinity"),
+        (
+            [2.5, -4.0],
+            [1.0, 3.0],
+            "expected scores from 0 to 1, got -4 to 2.5; if these are logits, export the",
+        ),
+        ([-4.0], [1.0], "expected scores from 0 to 1, got -4 to -4"),
+    ],
+)
+def test_labels_that_are_nan_and_scores_that_are_logits_are_refused(
+    scores: list[float], labels: list[float], message: str
+) -> None:
+    assert FileDetector(_ThreeArrays([0.9], [1.0]), "net").detect(BRIGHT).labels.tolist() == [1]
+    with pytest.raises(InvalidDetections, match=f"^net: {message}"):
+        FileDetector(_ThreeArrays(scores, labels), "net")
+
+
+@pytest.mark.parametrize("picture", [BRIGHT[:, :, 0], BRIGHT.astype(np.float32)], ids=["grey", "float"])
+def test_ultralytics_gets_rgb_pictures_only(picture: NDArray[Any]) -> None:
+    detector = UltralyticsDetector.__new__(
+        UltralyticsDetector
+    )  # without the package, which is not a dependency
+    with pytest.raises(DetectorError, match=r"expected uint8 of shape \(h, w, 3\), got"):
+        detector.detect(picture)
+
+
 class _BrokenSession:
     """The session of a network of `brink-det@1` whose output is NaN somewhere."""
 
@@ -382,8 +429,12 @@ class _Answers:
         (detections(boxes=np.ones((2, 4), np.float32)), r"boxes \(n, 4\) and scores \(n,\), got arrays of shapes"),
         (detections(labels=np.array([2])), r"expected labels 0 \(vehicle\) and 1 \(person\), got \[2\]"),
         (None, "expected Detections, got NoneType"),
+        (detections(scores=np.array([7.0], np.float32)), "expected scores from 0 to 1, got 7 to 7"),
+        (detections(scores=np.array([-3.0], np.float32)), "expected scores from 0 to 1, got -3 to -3"),
+        (detections(scores=np.array(["high"])), "expected boxes and scores to be arrays of numbers"),
+        (detections(boxes=np.array([[3.0, 2.0, 1.0, 4.0]], np.float32)), r"expected boxes \(x_min, .* got \[3\.0"),
     ],
-    ids=["score", "box", "shape", "label", "nothing"],
+    ids=["score", "box", "shape", "label", "nothing", "logit", "negative", "text", "turned"],
 )  # fmt: skip
 def test_answers_of_plug_ins_are_checked(answer: Any, message: str) -> None:
     assert CheckedDetector(_Answers(detections()), "mine@1").detect(BRIGHT).labels.tolist() == [1]
