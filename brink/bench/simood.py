@@ -39,6 +39,7 @@ THRESHOLDS: Final = (0.3, 0.4, 0.5, 0.6)
 SWEEP_PLACES: Final = range(3)
 OBSTACLE_PLACES: Final = range(10)
 MAX_HARMFUL_GENES: Final = 3
+RESAMPLES: Final = 2_000
 MEASURES: Final = {"alpha": "mAP", "decision_accuracy": "decision accuracy"}
 """Objectives that are measured on the data set."""
 DEFAULT_REPEATS: Final = 3
@@ -260,6 +261,7 @@ def prediction_rows(
     """Return how well each measure on the data set predicts which chains are unsafe in any street.
 
     The figure is the area under the ROC curve: the probability that an unsafe chain measures worse than a safe one.
+    The levels of a gene are alike, so its interval is a bootstrap over genes.
 
     Args:
         unsafe_shares: Share of the streets in which each chain is unsafe.
@@ -267,26 +269,37 @@ def prediction_rows(
     """
     rows = []
     for name, words in MEASURES.items():
-        unsafe, safe = (
-            [
-                measured[chain].objectives[name]
-                for chain, share in unsafe_shares.items()
-                if (share > 0) == is_unsafe
-            ]
-            for is_unsafe in (True, False)
+        by_gene: dict[str, list[tuple[float, bool]]] = {}
+        for chain, share in unsafe_shares.items():
+            by_gene.setdefault(chain[0][0], []).append((measured[chain].objectives[name], share > 0))
+        genes = list(by_gene.values())
+        area = _area_under_curve(genes)
+        if area is None:
+            continue
+        rng = np.random.default_rng(0)
+        drawn = (
+            _area_under_curve([genes[place] for place in rng.integers(len(genes), size=len(genes))])
+            for _ in range(RESAMPLES)
         )
-        if unsafe and safe:
-            note = f"area under the ROC curve, {len(unsafe)} unsafe and {len(safe)} safe chains"
-            rows.append(
-                Row(
-                    what=f"A2 hazard predicted by {words}",
-                    value=a12(safe, unsafe),
-                    target="",
-                    met=None,
-                    note=note,
-                )
+        low, high = np.percentile([one for one in drawn if one is not None], [2.5, 97.5])
+        unsafe = sum(share > 0 for share in unsafe_shares.values())
+        rows.append(
+            Row(
+                what=f"A2 hazard predicted by {words}", value=area, target="", met=None,
+                note=f"area under the ROC curve, {unsafe} unsafe and {len(unsafe_shares) - unsafe} safe chains; 95% "
+                f"interval over genes {low:.2f} to {high:.2f}",
             )
+        )  # fmt: skip
     return rows
+
+
+def _area_under_curve(genes: Sequence[Sequence[tuple[float, bool]]]) -> float | None:
+    """Return the area for chains with their measure and whether they are unsafe; None if all are, or none is."""
+    unsafe, safe = (
+        [value for gene in genes for value, is_unsafe in gene if is_unsafe == wanted]
+        for wanted in (True, False)
+    )
+    return a12(safe, unsafe) if unsafe and safe else None
 
 
 def _singles() -> list[NamedChain]:
