@@ -222,7 +222,7 @@ async def _write_all(
             files += findings.write(folder)
         steps.show("comparing with a control")
         control = []
-        if not progress.looks_for_tolerances:
+        if progress.looks_for_boundary:
             control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
         report = Report(
             boundary=boundary, files=files, control=control, pairs=pairs, findings=found,

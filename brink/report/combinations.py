@@ -65,7 +65,7 @@ def tally_words(tally: ChainTally) -> str:
 
 def variant_words(variants: Sequence[ChainTally]) -> list[str]:
     """Return how often each of several chains was unsafe, such as ``["unperturbed: 0 of 3", "snow 1/5: 2 of 3"]``."""
-    return [f"{one.words or 'unperturbed'}: {tally_words(one)}" for one in variants]
+    return [f"{one.words}: {tally_words(one)}" for one in variants]
 
 
 async def draw_chains(found: Combinations, drawing: Drawing, most: int) -> list[Path]:

@@ -296,7 +296,7 @@ class TechniqueNames:
         named = [self.step(step) for step in chain]
         return (
             ", then ".join(f"{one.technique.replace('_', ' ')} {one.level}/{one.levels}" for one in named)
-            or "nothing"
+            or "unperturbed"
         )
 
 

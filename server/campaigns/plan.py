@@ -22,6 +22,7 @@ from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.qd import QdConfig
 from brink.search.algorithms.repeats import RepeatsConfig
+from brink.search.algorithms.simood import SimoodConfig
 from brink.search.algorithms.tolerance import ToleranceConfig
 from brink.search.analysis.boundary import MOST_COST, IndexArray, distinct_boundary
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
@@ -328,14 +329,14 @@ def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str 
 
 
 def looks_for_boundary(algorithm_id: str) -> bool:
-    """Return whether an algorithm searches for the hazard boundary; others search for violations or tolerances."""
+    """Return whether an algorithm searches for the hazard boundary, and not for violations, hazards or tolerances."""
     try:
         algorithm = make_algorithm(algorithm_id)
     except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
     return not issubclass(
         algorithm.config_type,
-        MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig,
+        MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig | SimoodConfig,
     )
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import RenderableType
+from rich.text import Text
 
 from brink.cli.bench.output import (
     Processes,
@@ -120,8 +121,11 @@ def _detector_tables(found: "DetectorAccuracy") -> list[RenderableType]:
         tables += ["", table]
     return [
         *tables,
-        "[dim]false detections count in every range, so average precision is low in a range with few boxes; recall "
-        "can be compared[/]",
+        Text(
+            "false detections count in every range, so average precision is low in a range with few boxes; recall "
+            "can be compared",
+            style="dim",
+        ),
     ]
 
 

@@ -229,7 +229,7 @@ export function findings(context, id, tells) {
           head("Techniques, in order", "Unsafe", "Parts", "Added harm", "Conclusion"),
           h("tbody", null, telling.map((one) => h("tr", null, h("th", { scope: "row" }, one.words),
             h("td", null, `${one.unsafe} of ${one.trials}`),
-            h("td.small", null, one.parts.map((each) => h("div", null, `${each.words || "nothing"}: ${each.unsafe} of ${each.trials}`))),
+            h("td.small", null, one.parts.map((each) => h("div", null, `${each.words}: ${each.unsafe} of ${each.trials}`))),
             h("td", null, one.added_harm === null ? "–" : signed(one.added_harm)),
             h("td", null, [one.only_together && "hazardous only together", one.interacts && "interacts on the data set", one.order_matters && "another order is safe", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
               (one.together[0] ?? one.turned[0]) !== undefined && [" ", solution(one.together[0] ?? one.turned[0])])))))),
