@@ -174,8 +174,8 @@ class CampaignDisplay(LiveDisplay):
         last = self._series[-1] if self._series else None
         shares = [one.unsafe / one.evaluated for one in self._series if one.evaluated]
         best = [one.best_fitness for one in self._series if one.best_fitness is not None]
-        # Searches for diverse violations minimise criticality and do not look for the boundary.
-        diverse = not progress.looks_for_boundary
+        # Searches for diverse violations minimise criticality; those on a data set have a fitness.
+        diverse = not progress.looks_for_boundary and not progress.measured
         rows = [
             ("unsafe", f"{shares[-1]:.0%}" if shares else "–", spark(shares)),
             (
@@ -194,7 +194,7 @@ class CampaignDisplay(LiveDisplay):
             rows = [row for row in rows if row[0] != "criticality"]
         if progress.looks_for_pairs:  # fitness and boundary are not what it looks for
             rows = [row for row in rows if row[0] != "best fitness"]
-        elif not diverse:
+        elif progress.looks_for_boundary:
             boundary = f"{last.dbs} distinct, {last.strict_dbs} strict" if last else "–"
             rows.insert(2, ("boundary", boundary, spark([one.dbs for one in self._series])))
         if progress.measured:

@@ -323,7 +323,7 @@ function inWords(progress, generations, algorithm) {
     told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
   } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");
   if (!progress.looks_for_tolerances && last?.best_fitness !== null && last?.best_fitness !== undefined) {
-    told.push(`${progress.looks_for_boundary ? "Fitness" : "Criticality"} of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
+    told.push(`${progress.looks_for_boundary || progress.measured ? "Fitness" : "Criticality"} of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
   }
   const origins = Object.entries(progress.origins);
   if (origins.length) told.push(`Origins of solutions: ${origins.map(([name, number]) => `${spaced(name)} ${count(number)}`).join(", ")}.`);

@@ -110,7 +110,7 @@ export function convergenceCards(context, id, query, thresholds) {
       // In a search for pairs the boundary is a side line, and there may be none.
       dbsCard.hidden = !progress.looks_for_boundary || (progress.looks_for_pairs && isDefault() && known.list.every((one) => one.dbs === 0));
       fitnessCard.hidden = progress.looks_for_tolerances; // it minimises nothing
-      text(fitnessTitle, `${progress.looks_for_boundary ? "Fitness" : "Criticality"} by generation`);
+      text(fitnessTitle, `${progress.looks_for_boundary || progress.measured ? "Fitness" : "Criticality"} by generation`);
       text(fitnessHint, `The quantity that the algorithm minimises.${progress.looks_for_boundary ? " 0 is on the boundary." : ""}`);
       if (generations !== known || known.next !== this.drawn) {
         generations = known;
