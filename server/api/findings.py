@@ -377,11 +377,18 @@ def _combinations_words(chains: Sequence[CombinationView]) -> str:
     places = sum(len(one.together) for one in chains)
     if chains and all(one.trials < MIN_PLACES for one in chains):
         return f"none of {len(chains)} chains was simulated in {MIN_PLACES} scenarios, so none counts as hazardous"
-    return (
-        f"{hazardous} of {len(chains)} chains are hazardous; of these, {together} only together (each part alone is "
-        f"safe), and {ordered} in one order but not in another; both may hold; {places} simulations were unsafe "
-        "where every part alone was safe"
-    )
+    told = f"{hazardous} of {len(chains)} chains are hazardous"
+    if together or ordered:
+        told += (
+            f"; of these, {together} only together (each part alone is safe) and {ordered} in one order but not in "
+            "another"
+        )
+    elif hazardous:
+        told += ", none of them only together (each part alone is safe) or in one order but not in another"
+    if places:
+        drives = "1 simulation was" if places == 1 else f"{places} simulations were"
+        told += f"; {drives} unsafe where every part alone was safe"
+    return told
 
 
 def variants_view(space: SearchSpace, archive: Archive, number: int) -> list[Variant]:
