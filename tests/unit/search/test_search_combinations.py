@@ -1,6 +1,7 @@
 """Combinations of techniques that are hazardous only together, only in one order, or minimal."""
 
 import itertools
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -14,14 +15,17 @@ from brink.search.analysis.combinations import (
 )
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.errors import UnsupportedSpace
-from brink.search.slots import Step, slots_of
+from brink.search.slots import Chain, Step, slots_of
 from brink.search.testing import example_spaces
 
 SPACE = example_spaces()["slots"]
 NOISE, BLUR = Step(0, 4), Step(1, 12)
 
 
-def archive_of(trials: list[tuple[int, tuple[Step, ...], bool]]) -> Archive:
+Trial: TypeAlias = tuple[int, Chain, bool]
+
+
+def archive_of(trials: list[Trial]) -> Archive:
     """Return an archive; each trial is a place, a chain, and whether it was unsafe."""
     index, slots = slots_of(SPACE)
     rng = np.random.default_rng(0)
@@ -37,7 +41,7 @@ def archive_of(trials: list[tuple[int, tuple[Step, ...], bool]]) -> Archive:
     return archive.grown(np.arange(len(rows)), np.array(rows), unsafe, np.where(unsafe, -1.0, 1.0))
 
 
-def found(trials: list[tuple[int, tuple[Step, ...], bool]]) -> dict[tuple[Step, ...], Combination]:
+def found(trials: list[Trial]) -> dict[Chain, Combination]:
     return {one.chain: one for one in combinations(verdicts_by_chain(SPACE, archive_of(trials)))}
 
 
@@ -81,7 +85,7 @@ def test_nothing_is_concluded_without_simulations_of_every_part() -> None:
 
 
 def test_a_chain_and_its_variants_are_judged_in_the_same_places() -> None:
-    trials = [
+    trials: list[Trial] = [
         *((place, (NOISE, BLUR), place != 0) for place in range(5)),
         *((0, variant, False) for variant in ((NOISE,), (BLUR,), (), (BLUR, NOISE))),
     ]
@@ -102,9 +106,9 @@ def test_a_chain_and_its_variants_are_judged_in_the_same_places() -> None:
 
 
 def test_nothing_is_concluded_from_fewer_than_three_places() -> None:
-    variants = ((NOISE,), (BLUR,), (), (BLUR, NOISE))
+    variants: tuple[Chain, ...] = ((NOISE,), (BLUR,), (), (BLUR, NOISE))
     for places in (1, 2, 3):
-        trials = [(place, (NOISE, BLUR), True) for place in range(places)]
+        trials: list[Trial] = [(place, (NOISE, BLUR), True) for place in range(places)]
         trials += [(place, variant, False) for place in range(places) for variant in variants]
         one = found(trials)[NOISE, BLUR]
         claims = {one.hazardous, one.only_together, one.minimal, one.order_matters}
