@@ -53,6 +53,7 @@ default settings needs."""
 MAX_HAZARDOUS_RANDOM_PAIRS: Final = 0.5
 MIN_SHARE_BY_INTERACTION: Final = 1 / 3
 PAPER: Final = replace(SimoodConfig(), interaction="none")
+WITH_MARGIN: Final = replace(SimoodConfig(), interaction="fitness")
 _SIMOOD: Final = Simood()
 
 
@@ -405,7 +406,8 @@ class Searches(Criteria):
         """
         rows, table = [], []
         for which, config, first in (
-            ("default fitness", SimoodConfig(), 0), ("paper's fitness", PAPER, 0),
+            ("default fitness", SimoodConfig(), 0), ("fitness with a margin", WITH_MARGIN, 0),
+            ("paper's fitness", PAPER, 0),
             ("random search with the default fitness", replace(SimoodConfig(), propose="random"), CONTROL_SEED),
         ):  # fmt: skip
             confirmed = replace(config, repeats=len(CONFIRMATION_PLACES))

@@ -13,10 +13,12 @@ objective measured by the problem, eta the mean intensity. No individual is eval
 population twice.
 
 A chain interacts if it does more harm than its most harmful part alone, by a margin (`brink.search.interaction`). The
-paper does not ask for that, and much of what it finds is one harmful technique with a free rider. By default, a chain
-that does not interact has a worse fitness than every chain that does, as in Deb's rules for infeasible solutions: the
-less its added harm, the worse. Among chains without any added harm, and among finalists that do not interact, the
-paper's fitness decides. To know that, each technique at a level is evaluated alone, too, once in a search.
+paper does not ask for that, and much of what it finds is one harmful technique with a free rider. By default, the
+fitness of a chain that interacts is omega eta minus its added harm, so that chains come first whose parts do little
+harm alone. A chain that does not interact has a worse fitness than every chain that does, as in Deb's rules for
+infeasible solutions: the less its added harm, the worse. Among chains without any added harm, and among finalists
+that do not interact, the paper's fitness decides. To know that, each technique at a level is evaluated alone, too,
+once in a search.
 
 Sources: Ferreira, Guerin, Guiochet, Waeselynck, "SiMOOD: Evolutionary Testing Simulation with Out-Of-Distribution
 Images", PRDC 2022. Deb, "An efficient constraint handling method for genetic algorithms", 2000. What differs from the
@@ -87,10 +89,10 @@ class SimoodConfig(BoundaryConfig):
         choices=("data", "episode"),
     )
     interaction: str = setting(
-        "fitness",
-        help="Whether chains that do more harm than their most harmful part come first: in the fitness, only when "
-        "finalists are chosen, or not at all, as in the paper.",
-        choices=("fitness", "finalists", "none"),
+        "added_harm",
+        help="Whether chains that do more harm than their most harmful part come first: by how much (added_harm), "
+        "whether by margin (fitness), only when finalists are chosen (finalists), or not at all, as in the paper.",
+        choices=("added_harm", "fitness", "finalists", "none"),
     )
     margin: float = setting(
         0.05,
@@ -296,10 +298,12 @@ def _selected(state: SimoodState, preferred: BoolArray) -> list[int]:
     """Return the positions of the finalists if some individuals, shape ``(a,)``, come before all others."""
     genome = ChainGenome.of(state.ledger.space)
     techniques = [genome.columns(slot)[0] for slot in range(len(genome.slots.pairs))]
-    fitness = _paper_fitness(state)
+    fitness = paper = _paper_fitness(state)
+    if state.config.interaction == "added_harm":
+        fitness = np.where(_interacting(state), _fitness(state), paper)
     best: dict[bytes, int] = {}
     for place in np.lexsort((fitness, ~preferred)).tolist():  # stable: on ties, the older first
-        if np.isfinite(fitness[place]):
+        if np.isfinite(paper[place]):
             best.setdefault(state.individuals[place, techniques].tobytes(), place)
     return list(best.values())[: state.config.finalists]
 
@@ -307,6 +311,11 @@ def _selected(state: SimoodState, preferred: BoolArray) -> list[int]:
 def _seeks_interaction(config: SimoodConfig, genome: ChainGenome) -> bool:
     """Return whether parts matter; a chain of one technique has none."""
     return config.interaction != "none" and len(genome.slots.pairs) > 1
+
+
+def _breeds_interaction(config: SimoodConfig, genome: ChainGenome) -> bool:
+    """Return whether the fitness depends on the parts of a chain."""
+    return config.interaction in ("added_harm", "fitness") and _seeks_interaction(config, genome)
 
 
 def _interacting(state: SimoodState) -> BoolArray:
@@ -324,17 +333,22 @@ def _paper_fitness(state: SimoodState) -> FloatArray:
 def _fitness(state: SimoodState) -> FloatArray:
     """Return the fitness f of all individuals, shape ``(a,)``; infinite for those without an alpha.
 
-    An individual that does not interact gets the worst possible f of those that do, and what it lacks of the margin.
-    That is infinite if it is unknown because a part could not be measured. Added harm below 0 counts as 0: it is not
-    worse to have a part that masks another than to have a free rider, and most of it is noise.
+    An individual that interacts has the paper's f, or, with ``added_harm``, omega eta minus its added harm. One that
+    does not gets the worst possible f of those that do, and what it lacks of the margin. That is infinite if it is
+    unknown because a part could not be measured. Added harm below 0 counts as 0: it is not worse to have a part that
+    masks another than to have a free rider, and most of it is noise.
     """
-    config, fitness = state.config, _paper_fitness(state)
-    if config.interaction != "fitness" or not _seeks_interaction(config, ChainGenome.of(state.ledger.space)):
-        return fitness
-    worst = config.omega + (1.0 if config.alpha == "quality" else 0.0)
+    config, paper = state.config, _paper_fitness(state)
+    genome = ChainGenome.of(state.ledger.space)
+    if not _breeds_interaction(config, genome):
+        return paper
     known = np.isfinite(state.added_harms)
     lacking = np.where(known, config.margin - np.clip(state.added_harms, 0.0, None), np.inf)
-    return np.where(_interacting(state), fitness, np.where(np.isfinite(fitness), worst + lacking, np.inf))
+    if config.interaction == "added_harm":
+        fitness, worst = config.omega * genome.eta(state.individuals) - state.added_harms, config.omega
+    else:
+        fitness, worst = paper, config.omega + (1.0 if config.alpha == "quality" else 0.0)
+    return np.where(_interacting(state), fitness, np.where(np.isfinite(paper), worst + lacking, np.inf))
 
 
 def _qualities(config: SimoodConfig, alphas: FloatArray) -> FloatArray:
@@ -409,7 +423,7 @@ def _next_search(state: SimoodState, genome: ChainGenome) -> SimoodState:
 
 def _first_cost(config: SimoodConfig, genome: ChainGenome) -> int:
     """Return the largest number of evaluations of the first population."""
-    if config.interaction != "fitness" or not _seeks_interaction(config, genome):
+    if not _breeds_interaction(config, genome):
         return config.population_size
     steps = config.population_size * len(genome.slots.pairs)
     return config.population_size + min(steps, genome.single_count)
@@ -420,7 +434,7 @@ def _reserve(config: SimoodConfig, genome: ChainGenome) -> int:
     if not _seeks_interaction(config, genome):
         return _reserve_for_episodes(config, genome)
     steps = len(genome.slots.pairs)
-    parts = (1 << steps) - 2 - (steps if config.interaction == "fitness" else 0)
+    parts = (1 << steps) - 2 - (steps if _breeds_interaction(config, genome) else 0)
     return config.finalists * parts + _reserve_for_episodes(config, genome)
 
 
@@ -492,7 +506,7 @@ def _with_children_queued(state: SimoodState, genome: ChainGenome) -> SimoodStat
     A child is queued with all of its parts, or, once the budget does not allow that, not at all.
     """
     config = state.config
-    needs_parts = config.interaction == "fitness" and _seeks_interaction(config, genome)
+    needs_parts = _breeds_interaction(config, genome)
     asked = set(row_keys(state.parts))
     room = _left(state, _reserve(config, genome))
     queued: list[FloatArray] = []

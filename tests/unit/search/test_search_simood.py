@@ -113,7 +113,7 @@ def test_only_finalists_are_simulated_in_the_same_scenarios() -> None:
 
 
 def test_parts_and_other_orders_of_hazardous_finalists_are_simulated_in_the_same_scenarios() -> None:
-    state, generations = run_to_end(finalists=4, repeats=3)
+    state, generations = run_to_end(finalists=4, repeats=3, interaction="fitness")
     finalists, variants = generations[-2:]
     hazardous = {c.vectors[1].tobytes() for c in finalists if harm(c) < 0.5}
     assert hazardous
@@ -217,6 +217,7 @@ def test_inconsistent_settings_are_rejected(changes: dict[str, Any], budget: int
     [
         {"propose": "random"}, {"evaluate": "episode"}, {"parents": 5}, {"interaction": "none"},
         {"interaction": "finalists"}, {"interaction": "finalists", "evaluate": "episode"}, {"alpha": "errors"},
+        {"interaction": "added_harm"}, {"interaction": "added_harm", "alpha": "errors", "propose": "random"},
     ],
 )  # fmt: skip
 def test_every_variant_keeps_the_contract(changes: dict[str, Any]) -> None:
@@ -275,7 +276,7 @@ def interacting(candidate: Candidate) -> Evaluation:
     return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
 
 
-@pytest.mark.parametrize("interaction", ["fitness", "finalists"])
+@pytest.mark.parametrize("interaction", ["added_harm", "fitness", "finalists"])
 def test_chains_that_harm_more_than_their_parts_come_first(interaction: str) -> None:
     for seed in range(3):
         state, _ = run_to_end(interacting, seed=seed, generations=60, interaction=interaction)
@@ -286,8 +287,13 @@ def test_chains_that_harm_more_than_their_parts_come_first(interaction: str) -> 
         assert not len(paper.parts)
 
 
-def test_fitness_of_a_chain_that_does_not_interact_is_what_it_lacks_behind_the_worst_that_does() -> None:
-    state, generations = run_to_end(interacting, generations=0, omega=0.5, margin=0.05)
+@pytest.mark.parametrize("interaction", ["added_harm", "fitness"])
+def test_fitness_of_a_chain_that_does_not_interact_is_what_it_lacks_behind_the_worst_that_does(
+    interaction: str,
+) -> None:
+    state, generations = run_to_end(
+        interacting, generations=0, omega=0.5, margin=0.05, interaction=interaction
+    )
     first = generations[0]
     parts = {
         (int(c.vectors[1][0]), float(c.vectors[1][1])): interacting_alpha(c)
@@ -299,8 +305,34 @@ def test_fitness_of_a_chain_that_does_not_interact_is_what_it_lacks_behind_the_w
         added_harm = min(parts[int(a), strong], parts[int(b), weak]) - state.alphas[place]
         assert state.added_harms[place] == pytest.approx(added_harm)
         lacking = 0.05 - max(0.0, added_harm)
-        paper = state.alphas[place] + 0.5 * (strong + weak) / 2
-        assert fitness == pytest.approx(paper if added_harm >= 0.05 else 1.5 + lacking)
+        intensity = 0.5 * (strong + weak) / 2
+        if interaction == "fitness":
+            expected, worst = state.alphas[place] + intensity, 1.5
+        else:
+            expected, worst = intensity - added_harm, 0.5
+        assert fitness == pytest.approx(expected if added_harm >= 0.05 else worst + lacking)
+
+
+def weak_parts_strong_together(candidate: Candidate) -> Evaluation:
+    """Return an alpha of which blur (1) and any other do much harm, dirt (3) and snow (2) only together."""
+    first, strong, second, weak = candidate.vectors[1].tolist()
+    if {first, second} == {2.0, 3.0} and strong and weak:
+        alpha = 0.4
+    elif 1.0 in (first, second):
+        alpha = 0.25 if strong and weak else 0.35
+    else:
+        alpha = 0.9
+    if candidate.question is Question.DATASET:
+        return Measured(objectives={"alpha": alpha})
+    return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
+
+
+def test_with_added_harm_weak_parts_count_for_more_than_a_harmful_one() -> None:
+    for seed in range(3):
+        state, _ = run_to_end(weak_parts_strong_together, seed=seed, generations=60, interaction="added_harm")
+        assert {float(step) for step in finalists_of(state)[0][[0, 2]]} == {2.0, 3.0}
+        state, _ = run_to_end(weak_parts_strong_together, seed=seed, generations=60, interaction="fitness")
+        assert 1.0 in finalists_of(state)[0][[0, 2]], "alpha .25, by .1 less than blur alone"
 
 
 def one_after_another(candidate: Candidate) -> Evaluation:
@@ -341,11 +373,12 @@ def test_where_nothing_interacts_breeding_is_as_good_as_with_the_papers_fitness(
         assert best(seed) == best(seed, interaction="none") < best(seed, propose="random")
 
 
-def test_a_campaign_whose_parts_all_fail_simulates_its_best_chains() -> None:
+@pytest.mark.parametrize("interaction", ["added_harm", "fitness"])
+def test_a_campaign_whose_parts_all_fail_simulates_its_best_chains(interaction: str) -> None:
     def answer(candidate: Candidate) -> Evaluation:
         return Failed(reason="no") if candidate.vectors[1][3] == 0 else one_after_another(candidate)
 
-    state, generations = run_to_end(answer, explained=0)
+    state, generations = run_to_end(answer, explained=0, interaction=interaction)
     assert np.isnan(state.added_harms).all()
     assert np.isinf(state.part_alphas).all()
     finalists = finalists_of(state)
@@ -383,7 +416,7 @@ def test_only_parts_of_possible_finalists_are_evaluated_for_the_choice_of_finali
 
 
 def test_parts_stay_within_the_budget() -> None:
-    for interaction, least in (("finalists", 105), ("fitness", 135)):
+    for interaction, least in (("finalists", 105), ("fitness", 135), ("added_harm", 135)):
         state, generations = run_to_end(interacting, interaction=interaction, budget=least)
         assert sum(map(len, generations)) <= least
         assert len({c.vectors[1].tobytes() for c in generations[-1]}) >= 1
@@ -420,7 +453,7 @@ def test_parts_of_two_steps_count_for_finalists_of_three() -> None:
             return Measured(objectives={"alpha": alpha})
         return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
 
-    for interaction in ("fitness", "finalists"):
+    for interaction in ("added_harm", "fitness", "finalists"):
         config = SimoodConfig(generations=40, interaction=interaction, finalists=3)
         state = SIMOOD.start(space, config, seed=1, budget=1_000)
         while not SIMOOD.finished(state):
