@@ -174,6 +174,32 @@ def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Ser
     shown(table.locator("caption")).to_contain_text("t_b 0.1, d_th 0.2")
 
 
+SLOW = """part => {
+  const ask = window.fetch;
+  window.fetch = async (...given) => {
+    const answer = await ask(...given);
+    if (String(given[0]?.url ?? given[0]).includes(part)) await new Promise((done) => setTimeout(done, 1500));
+    return answer;
+  };
+}"""
+
+
+def test_a_threshold_that_changes_while_the_last_one_is_loading_does_not_wait(
+    site: Served, browse: Browse
+) -> None:
+    page = browse(f"#/campaigns/{site.urban}")
+    curve = page.get_by_role("region", name="Boundary solutions against the number of simulations")
+    shown(curve.get_by_text("a fitness of at most t_b")).to_be_visible()
+    page.evaluate(SLOW, "/boundary?t_b=1&d_th=0.2")
+    for name, value in (("t_b", "1"), ("d_th", "0")):
+        curve.get_by_label(name).fill(value)
+        curve.get_by_label(name).press("Enter")
+    caption = page.get_by_role("region", name="Boundary solutions", exact=True).locator("caption")
+    shown(caption).to_contain_text("t_b 1, d_th 0:", timeout=12_000)
+    curve.get_by_role("button", name="Defaults").click()
+    shown(caption).to_contain_text("t_b 0.1, d_th 0.2")
+
+
 def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, browse: Browse) -> None:
     campaign = submit(site.client, ball(name="steered", problem=NOBODYS))
     page = browse(f"#/campaigns/{campaign}")

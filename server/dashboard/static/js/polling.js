@@ -85,6 +85,7 @@ export function loadOnNews(load, { signal, refuse, leastMs = 1_000, share = 0.1 
   let known;
   let wanted;
   let under_way = false;
+  let urgent = false; // asked for at once while an earlier one was loading
   let notBefore = 0;
   let timer = null;
 
@@ -115,7 +116,9 @@ export function loadOnNews(load, { signal, refuse, leastMs = 1_000, share = 0.1 
       }
     } finally {
       under_way = false;
-      notBefore = performance.now() + Math.max(leastMs, (performance.now() - now) / share);
+      notBefore = urgent ? 0 : performance.now() + Math.max(leastMs, (performance.now() - now) / share);
+      if (urgent) known = undefined;
+      urgent = false;
     }
     run();
   }
@@ -123,7 +126,7 @@ export function loadOnNews(load, { signal, refuse, leastMs = 1_000, share = 0.1 
   signal.addEventListener("abort", () => clearTimeout(timer), { once: true });
   return (news, { atOnce = false } = {}) => {
     wanted = news;
-    if (atOnce) [notBefore, known] = [0, undefined];
+    if (atOnce) [notBefore, known, urgent] = [0, undefined, under_way];
     run();
   };
 }
