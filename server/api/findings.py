@@ -361,10 +361,10 @@ def _explanation_words(chains: Sequence[CombinationView], config: SimoodConfig, 
     """Return what added harm means, in sentences; empty if it is unknown of every chain."""
     if all(one.added_harm is None for one in chains):
         return ""
-    worse = "lower mAP is" if config.alpha == "quality" else "many more errors there are"
+    worse = "by how much lower mAP is" if config.alpha == "quality" else "how many more errors there are"
     interacts = "" if margin is None else f" From {margin:g}, a chain interacts."
     return (
-        f"Added harm: by how much {worse} on the data set with the chain than with its most harmful part alone. "
+        f"Added harm: {worse} on the data set with the chain than with its most harmful part alone. "
         f"Effects that merely add up count; it says nothing about hazards in drives.{interacts}"
     )
 
@@ -377,7 +377,7 @@ def _combinations_words(chains: Sequence[CombinationView]) -> str:
     places = sum(len(one.together) for one in chains)
     if chains and all(one.trials < MIN_PLACES for one in chains):
         return f"none of {len(chains)} chains was simulated in {MIN_PLACES} scenarios, so none counts as hazardous"
-    told = f"{hazardous} of {len(chains)} chains are hazardous"
+    told = f"{hazardous} of {len(chains)} chains {'is' if hazardous == 1 else 'are'} hazardous"
     if together or ordered:
         told += (
             f"; of these, {together} only together (each part alone is safe) and {ordered} in one order but not in "

@@ -286,7 +286,7 @@ def test_errors_count_as_added_harm() -> None:
     assert (one.alpha, one.interacts) == (0.9, True)
     assert one.added_harm == pytest.approx(0.6)
     assert found.margin == 0.6
-    assert "many more errors there are on the data set" in found.explanation
+    assert "Added harm: how many more errors there are on the data set" in found.explanation
     (one,) = combinations_view(space, archive, alphas, SimoodConfig(margin=0.0)).combinations
     assert one.added_harm == pytest.approx(-0.7)
     assert one.interacts is False
