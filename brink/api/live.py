@@ -174,7 +174,7 @@ class CampaignDisplay(LiveDisplay):
         last = self._series[-1] if self._series else None
         shares = [one.unsafe / one.evaluated for one in self._series if one.evaluated]
         best = [one.best_fitness for one in self._series if one.best_fitness is not None]
-        # Searches for diverse violations minimise criticality; those on a data set have a fitness.
+        # Searches for diverse violations minimise criticality, searches on a data set a fitness.
         diverse = not progress.looks_for_boundary and not progress.measured
         rows = [
             ("unsafe", f"{shares[-1]:.0%}" if shares else "–", spark(shares)),

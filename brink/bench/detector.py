@@ -256,7 +256,7 @@ def _bins_json(bins: Mapping[Bin, Accuracy]) -> list[dict[str, Any]]:
 
 
 def _without_precision(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the accuracy in a range without precision, which a range does not have."""
+    """Return the accuracy in a range without its precision, which would count the false detections of all ranges."""
     for one in document["classes"].values():
         del one["precision"]
     return document

@@ -261,7 +261,7 @@ def prediction_rows(
     """Return how well each measure on the data set predicts which chains are unsafe in any street.
 
     The figure is the area under the ROC curve: the probability that an unsafe chain measures worse than a safe one.
-    The levels of a gene are alike, so its interval is a bootstrap over genes.
+    Levels of a gene are alike, so the interval is a bootstrap over genes.
 
     Args:
         unsafe_shares: Share of the streets in which each chain is unsafe.

@@ -241,7 +241,7 @@ def _peak_memory_mb(specs: Sequence[EpisodeSpec]) -> float:
 def _run_and_report_peak(specs: list[EpisodeSpec]) -> float:
     for spec in specs:
         run_record(spec)
-    # Not from getrusage: in a process that was forked, its peak is at least that of the parent.
+    # Not from getrusage, where the peak of a new process is at least that of its parent.
     (line,) = [
         line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")
     ]

@@ -1,4 +1,4 @@
-"""`brink worker`: a worker, or a Ray cluster of them."""
+"""`brink worker`: one worker, or many on a Ray cluster."""
 
 import os
 from importlib.util import find_spec

@@ -328,7 +328,7 @@ def batches(
         num_workers=workers,
         multiprocessing_context="fork" if workers else None,  # the processes share the images
     )
-    # Not in the new processes: they would wait for threads of OpenCV that exist only in this one.
+    # Set here, not in the new processes: they would wait for OpenCV's threads, which exist only in this one.
     cv2.setNumThreads(1)
     return iter(loader)
 
