@@ -1,15 +1,20 @@
 """What is known of pairs, in words for tables: what both sides share, the evidence, and what the terms mean."""
 
-import itertools
+from typing import Final
 
 from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share
 from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView
 
+_NEXT_STEP: Final = ", then "
+"""Between the steps of a chain of perturbations."""
+
 
 def common_words(pair: PairView) -> list[str]:
-    """Return what the descriptions of both sides begin with, such as the scenario; empty if they differ at once."""
-    both = zip(pair.safe.words.split("; "), pair.unsafe.words.split("; "), strict=False)
-    common = [safe for safe, unsafe in itertools.takewhile(lambda two: two[0] == two[1], both)]
+    """Return what the descriptions of both sides share: clauses, such as the scenario, and steps of a chain."""
+    common: list[str] = []
+    for safe, unsafe in zip(pair.safe.words.split("; "), pair.unsafe.words.split("; "), strict=False):
+        steps = zip(safe.split(_NEXT_STEP), unsafe.split(_NEXT_STEP), strict=False)
+        common += [safe] if safe == unsafe else [one for one, other in steps if one == other]
     return [f"in both: {'; '.join(common)}"] if common else []
 
 

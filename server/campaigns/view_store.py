@@ -1,5 +1,7 @@
 """Read-only SQL for views of campaigns: progress, series, solutions."""
 
+import itertools
+import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -14,6 +16,11 @@ from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 RATE_WINDOW: Final = 5
 """Generations over which the rate of a running campaign is measured."""
+LATEST_JOBS: Final = 200
+"""Jobs, those with the highest numbers, among which a break is looked for."""
+SHORTEST_BREAK_S: Final = 60.0
+BREAK_IN_GAPS: Final = 20
+"""A time without results is a break if it is this many times the median time between two results."""
 
 # Every open page runs this every few seconds, and SQLAlchemy takes longer to build it than the database to run it.
 _VERSION = select(CampaignRow.sequence, CampaignRow.finished_at).where(
@@ -49,8 +56,8 @@ class CampaignProgress:
         queued: Queued jobs.
         leased: Leased jobs.
         quarantined: Jobs in quarantine.
-        rate_per_s: Candidates per second over the last generations, or since the first one was simulated, without
-            those from the cache; None if there are none yet.
+        rate_per_s: Candidates per second over the last generations, since the first one was simulated, or since the
+            last break, as when the campaign was paused, without those from the cache; None if there are none yet.
         cached: Candidates in the same time whose results came from the cache: no worker simulated them.
         remaining_s: Time for the rest of the budget at this rate; None while the campaign waits.
         elapsed_s: Time since the submission, or between submission and end.
@@ -101,18 +108,52 @@ def _rate(
     end: datetime,
 ) -> tuple[float | None, int]:
     """Return the simulated candidates per second, and how many others came from the cache in the same time."""
+    running = campaign.status is CampaignStatus.RUNNING
     start, before, generation = campaign.created_at, 0, 0
-    if campaign.status is CampaignStatus.RUNNING and len(latest) > RATE_WINDOW:
+    if running and len(latest) > RATE_WINDOW:
         base = latest[-RATE_WINDOW - 1]
         assert base.told_at is not None
         start, before, generation = base.told_at, base.completed, base.number + 1
     elif (first := _first_simulated(connection, campaign.id)) is not None:
         # Until then, the campaign may have waited for a worker.
         start, before = max(start, first), 1
-    cached = _count_cached(connection, campaign.id, generation)
-    simulated = done - before - cached
+    resumed = _first_after_break(connection, campaign.id) if running else None
+    if resumed is not None and resumed.at > start:
+        start, simulated, cached = resumed
+    else:
+        cached = _count_cached(connection, campaign.id, generation)
+        simulated = done - before - cached
     elapsed = (end - start).total_seconds()
     return (simulated / elapsed if elapsed > 0 and simulated > 0 else None), cached
+
+
+class _Resumption(NamedTuple):
+    """When the first simulation after a break ended, and how many results there are since, cached ones apart."""
+
+    at: datetime
+    simulated: int
+    cached: int
+
+
+def _first_after_break(connection: Connection, campaign_id: str) -> _Resumption | None:
+    """Return what has happened since the last long time without results; None if the latest jobs have had none."""
+    query = (
+        select(JobRow.finished_at, JobRow.attempt)
+        .where(JobRow.campaign_id == campaign_id, IS_EVALUATION, JobRow.status == JobStatus.DONE)
+        .order_by(JobRow.number.desc())
+        .limit(LATEST_JOBS)
+    )
+    ended = connection.execute(query).all()
+    times = sorted(row.finished_at for row in ended if row.attempt > 0)
+    gaps_s = [(after - before).total_seconds() for before, after in itertools.pairwise(times)]
+    if not gaps_s:
+        return None
+    shortest_s = max(SHORTEST_BREAK_S, BREAK_IN_GAPS * statistics.median(gaps_s))
+    last = max((place for place, gap_s in enumerate(gaps_s, start=1) if gap_s > shortest_s), default=None)
+    if last is None:
+        return None
+    cached = sum(row.attempt == 0 and row.finished_at > times[last] for row in ended)
+    return _Resumption(times[last], len(times) - last - 1, cached)
 
 
 _NEVER_LEASED: Final = (IS_EVALUATION, JobRow.status == JobStatus.DONE, JobRow.attempt == 0)

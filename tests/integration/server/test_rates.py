@@ -1,8 +1,13 @@
 """Rates count simulations alone, and nobody is told a time left that waiting makes nonsense of."""
 
+from datetime import timedelta
+
 import httpx
 import pytest
+from sqlalchemy import create_engine, select, update
 from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, submit
+
+from brink.server.db.models import CampaignRow, JobRow
 
 
 def test_results_from_the_cache_are_counted_apart(client: httpx.Client) -> None:
@@ -70,3 +75,26 @@ def test_time_before_the_first_worker_is_no_part_of_the_rate(client: httpx.Clien
     found = progress(client, campaign)
     assert waited > 0
     assert found["rate_per_s"] > (found["simulations"] - 1) / (found["elapsed_s"] - waited)
+
+
+def test_a_break_is_no_part_of_the_rate(client: httpx.Client, database_url: str) -> None:
+    campaign, worker = submit(client, ball()), FakeWorker(client)
+    worker.report(worker.lease(max_jobs=8))
+    a_day = timedelta(days=1)
+    engine = create_engine(database_url)
+    with engine.begin() as connection:
+        for row in connection.execute(
+            select(JobRow.id, JobRow.finished_at).where(JobRow.finished_at.is_not(None))
+        ):
+            earlier = row.finished_at - a_day
+            connection.execute(update(JobRow).where(JobRow.id == row.id).values(finished_at=earlier))
+        created_at = connection.execute(select(CampaignRow.created_at)).scalar_one() - a_day
+        connection.execute(update(CampaignRow).values(created_at=created_at))
+    engine.dispose()
+    assert progress(client, campaign)["rate_per_s"] < 1
+    for _ in range(3):
+        worker.report(worker.lease(max_jobs=1))
+    found = progress(client, campaign)
+    assert found["simulations"] == 11
+    assert found["rate_per_s"] > 1
+    assert found["cached"] == 0
