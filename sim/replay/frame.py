@@ -16,6 +16,7 @@ from brink.sim.replay.story import (
     Judged,
     Story,
     ViolatedHere,
+    brakes_with_reason,
     margin_name,
     measured_words,
     perturbation_words,
@@ -217,6 +218,8 @@ class FramePainter:
         if self.story.violated:
             return "; ".join(map(self._told, self.story.violations))
         held = held_words([name])
+        if brakes_with_reason(name, self.story.least):
+            return self.story.words
         if not np.isfinite(self.story.least):
             return self.story.words.replace(held, f"{name.replace('-', ' ')} never applied", 1)
         spare = f"{held} ({with_unit(self.story.least, name)} to spare at {clock_words(time_s)})"

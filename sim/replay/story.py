@@ -21,7 +21,7 @@ from brink.sim.replay.scene import (
     plain_name,
     spec_part,
 )
-from brink.sim.requirements import REQUIRED_GAP_M, CollisionKind
+from brink.sim.requirements import REQUIRED_GAP_M, CollisionKind, NoDangerousStop
 from brink.sim.trace import ACTION, VIOLATED_AT_S, WORDS, Event, Trace
 from brink.sim.urban.detection_errors import errors_from_json
 from brink.sim.verdict import Impact, clock_words, held_words, violated_words
@@ -434,6 +434,8 @@ def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
         requirement: Its id, with or without version.
         robustness: Its robustness, finite.
     """
+    if brakes_with_reason(requirement, robustness):
+        return "no needless braking", ""
     if plain_name(requirement) != "front-gap":
         return with_unit(robustness, requirement), "violated" if robustness < 0 else "to spare"
     if robustness > _NO_VEHICLE_M:
@@ -447,6 +449,11 @@ def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
     shown = gap.removesuffix(" m")
     digits = len(shown.partition(".")[2])
     return gap, f"{REQUIRED_GAP_M - float(shown):.{digits}f} m short of {required}"
+
+
+def brakes_with_reason(requirement: str, robustness: float) -> bool:
+    """Return whether this is `no-dangerous-stop` while the ego does not brake, or brakes with a reason: no margin."""
+    return plain_name(requirement) == "no-dangerous-stop" and robustness >= NoDangerousStop.horizon
 
 
 def margin_name(requirement: str) -> str:
