@@ -222,7 +222,7 @@ def pairs_view(
         caveat=with_odd(_caveat(campaign, problem), problem.space),
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
         without_part=pairs.found.without_part, repeated=sides[0], changed=sides[1],
-        chance=_chance(pairs, *sides),
+        chance=_chance(pairs, *sides, not_confirmed=counts["not_confirmed"]),
         tight=pairs.found.tight, distinct=len(pairs.found.pairs), checked=pairs.found.checked, **counts,
         nearest=None if pairs.nearest is None else NearestView(
             safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
@@ -247,7 +247,7 @@ def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:
     return len(shares), sum(changed)
 
 
-def _chance(pairs: CampaignPairs, again: int, changed: int) -> tuple[str, ...]:
+def _chance(pairs: CampaignPairs, again: int, changed: int, *, not_confirmed: int) -> tuple[str, ...]:
     """Return what is known of the part of chance: from the search, and from simulations after it."""
     chancy, alike, told = pairs.found.chancy, pairs.found.without_part, []
     if chancy:
@@ -265,6 +265,11 @@ def _chance(pairs: CampaignPairs, again: int, changed: int) -> tuple[str, ...]:
         had = f"{changed:,}" if changed else "none"
         told.append(
             f"After the search, {what} simulated again with other seeds; {had} had the other verdict at least once"
+        )
+    if not_confirmed and not_confirmed == len(pairs.found.pairs):
+        told.append(
+            "No pair held with other seeds: a step this small changes how likely a violation is, not the verdict, so "
+            "do not take these pairs for limits. With more `checks`, edge@1 drops such pairs"
         )
     return tuple(told)
 

@@ -113,6 +113,15 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     assert [one["kind"] for one in last["follow_ups"]] == ["confirm", "confirm"]
 
 
+def test_a_boundary_of_which_no_pair_holds_is_called_chance(client: httpx.Client) -> None:
+    campaign = worked(client, submit(client, body(ICY_SAFE, ICY_UNSAFE, seed_numbers=[2, 2])))
+    assert pairs_of(client, campaign)["chance"] == []
+    worked(client, ask(client, campaign, kind="confirm", d_th=0.01)["campaign"], by_chance)
+    again, none = pairs_of(client, campaign)["chance"]
+    assert again.endswith("2 had the other verdict at least once")
+    assert none.startswith("No pair held with other seeds")
+
+
 def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Client) -> None:
     campaign = finished(client)
     before = pairs_of(client, campaign)["pairs"]
