@@ -20,7 +20,6 @@ from brink.sim.perturbations.pipeline import (
     apply,
     field_of,
     generator,
-    mean_intensity,
     parse_perturbations,
 )
 
@@ -41,7 +40,6 @@ __all__ = [
     "field_of",
     "find_gene",
     "generator",
-    "mean_intensity",
     "parse_perturbations",
     "register",
 ]

@@ -112,12 +112,6 @@ def parse_perturbations(items: Iterable[Json]) -> tuple[Perturbation, ...]:
     return tuple(parsed)
 
 
-def mean_intensity(perturbations: Iterable[Perturbation]) -> float:
-    """Return the mean intensity, in [0, 1]; 0 for an empty list."""
-    ranks = [perturbation.intensity for perturbation in perturbations]
-    return sum(ranks) / len(ranks) if ranks else 0.0
-
-
 MIN_SIDE_PX = 16
 STREAM = 100
 """First word of every generator's address; keeps these generators apart from those of the driving world."""

@@ -27,7 +27,6 @@ from brink.sim.perturbations import (
     catalogue,
     find_gene,
     generator,
-    mean_intensity,
     parse_perturbations,
     register,
 )
@@ -107,11 +106,6 @@ def test_a_generator_is_addressed_by_whole_numbers(words: tuple[int, int, int]) 
     with pytest.raises(InvalidPerturbation, match=r"(seed|field|frame): expected an integer >= 0, got"):
         generator(*words)
     assert generator(1, 2, np.int64(3)).random() == generator(1, 2, 3).random()  # type: ignore[arg-type]
-
-
-def test_mean_intensity_averages_over_the_genes() -> None:
-    assert mean_intensity([Perturbation("smoke", 10), Perturbation("snow", 0)]) == 0.5
-    assert mean_intensity([]) == 0
 
 
 @settings(deadline=None)
