@@ -12,11 +12,13 @@ from brink.cli.options import (
     Alpha,
     AsJson,
     Confirmed,
+    ConfirmPairs,
     Database,
     New,
     Port,
     Resume,
     Server,
+    WithGroundTruth,
     Workers,
     about_file,
     check_ids,
@@ -28,7 +30,6 @@ from brink.cli.options import (
     print_line,
     with_api,
 )
-from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.search.analysis.paper import LEVEL
 from brink.server.api.schemas import ExperimentList, ExperimentProgress, ExperimentSummary, ExperimentView
 from brink.server.errors import Conflict
@@ -175,23 +176,8 @@ def report(
 @experiment.command()
 def pairs(
     name: ExperimentId,
-    confirm: Annotated[
-        int | None,
-        typer.Option(
-            "--confirm",
-            metavar="R",
-            min=LEAST_DRIVES,
-            max=10_000,
-            show_default=False,
-            help="Simulate both sides of every pair R times with other seeds first, such as 10.",
-        ),
-    ] = None,
-    component: Annotated[
-        bool,
-        typer.Option(
-            "--component", help="Simulate each unsafe side with ground truth in place of the component first."
-        ),
-    ] = False,
+    confirm: ConfirmPairs = None,
+    component: WithGroundTruth = False,
     eps: Annotated[
         float | None,
         typer.Option(

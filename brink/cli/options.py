@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError, Missing, connect, in_process
+from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.server.documents import parse_yaml
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
@@ -124,6 +125,19 @@ Port = Annotated[
         help="Port of the coordinator; 0 picks a free one (default: 8700, or a free one if that is in use).",
     ),
 ]  # fmt: skip
+ConfirmPairs = Annotated[
+    int | None,
+    typer.Option(
+        "--confirm", metavar="R", min=LEAST_DRIVES, max=10_000, show_default=False,
+        help="Simulate both sides of every pair R times with other seeds first, such as 10.",
+    ),
+]  # fmt: skip
+WithGroundTruth = Annotated[
+    bool,
+    typer.Option(
+        "--component", help="Simulate each unsafe side with ground truth in place of the component first."
+    ),
+]
 FitnessThreshold = Annotated[
     float, typer.Option("--t-b", min=0.0, max=1.0, help="Maximum fitness of a boundary solution.")
 ]

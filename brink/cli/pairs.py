@@ -22,8 +22,10 @@ from brink.cli.options import (
     RESULTS,
     AsJson,
     CampaignId,
+    ConfirmPairs,
     Database,
     Server,
+    WithGroundTruth,
     Workers,
     console,
     print_json,
@@ -34,7 +36,6 @@ from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
 from brink.cli.pair_tables import print_pairs
 from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
-from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, Minimality, PairsView
 from brink.server.api.schemas import CampaignView
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
@@ -108,23 +109,8 @@ def pairs(
         tuple[int, Path] | None,
         typer.Option(metavar="N FILE", show_default=False, help="Film both drives of pair N (.mp4 or .gif)."),
     ] = None,
-    confirm: Annotated[
-        int | None,
-        typer.Option(
-            "--confirm",
-            metavar="R",
-            min=LEAST_DRIVES,
-            max=10_000,
-            show_default=False,
-            help="Simulate both sides of each pair R times with other seeds first, such as 10.",
-        ),
-    ] = None,
-    component: Annotated[
-        bool,
-        typer.Option(
-            "--component", help="Simulate each unsafe side with ground truth in place of the component first."
-        ),
-    ] = False,
+    confirm: ConfirmPairs = None,
+    component: WithGroundTruth = False,
     minimise: Annotated[
         bool,
         typer.Option("--minimise", help="Revert differences one by one first, to find those that matter."),
