@@ -1,8 +1,9 @@
 """The writer: one thread for each process, which commits several waiting units at once.
 
 Callers submit *units*, functions of a connection. The thread runs all waiting units in one transaction and resolves
-their futures after the commit. If a unit fails, the transaction is rolled back and each unit runs again in a
-transaction of its own, so that only the faulty one fails. Units must therefore depend on nothing but the database and
+their futures after the commit. If a unit fails, the transaction is rolled back. If it refused what it was asked, as
+with an unknown id, the others run again together, and it runs alone; after any other error, each unit runs again in
+a transaction of its own. So only the faulty one fails. Units must therefore depend on nothing but the database and
 their arguments.
 """
 
@@ -21,13 +22,17 @@ from typing import Any, Generic, TypeVar
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlchemyError
 
-from brink.server.errors import Unavailable
+from brink.server.errors import Conflict, InvalidInput, NotFound, Unavailable
 
 T = TypeVar("T")
 A = TypeVar("A")
 Unit = Callable[[Connection], T]
 MAX_UNITS_A_COMMIT = 256
 TRIES = 3
+REFUSALS = (Conflict, InvalidInput, NotFound)
+"""Errors with which a unit refuses what it was asked; the connection is fine."""
+GROUP_TRIES = 3
+"""How often a batch is run together, each time without the unit that refused before."""
 CONFLICTS = frozenset({"40001", "40P01", "23505", "26000"})
 """SQLSTATE of errors after which the unit is run again. After serialization_failure, deadlock_detected and
 unique_violation, it sees what another process wrote first; after invalid_sql_statement_name, because a connection
@@ -67,6 +72,18 @@ class _Waiting:
     unit: Unit[Any]
     answer: Future[Any]
     since_s: float
+
+
+class _Refusal(Exception):
+    """A unit of a batch, or several that share a call, refused what they were asked.
+
+    Args:
+        units: Their places in the batch.
+    """
+
+    def __init__(self, units: slice) -> None:
+        super().__init__()
+        self.units = units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,20 +221,24 @@ class Writer:
 
     def _commit(self, batch: list[_Waiting]) -> None:
         batch = [waiting for waiting in batch if waiting.answer.set_running_or_notify_cancel()]
-        if not batch:
-            return
-        try:
-            with self._transaction() as connection:
-                results = _run_all(connection, [waiting.unit for waiting in batch])
-        except Exception as error:  # noqa: BLE001  (each unit gets its own error)
-            if len(batch) == 1 and not _is_conflict(error):
-                self._fail(batch[0], error)
-                return
-            for waiting in batch:
-                self._commit_alone(waiting)
-            return
-        for waiting, result in zip(batch, results, strict=True):
-            waiting.answer.set_result(result)
+        refused: list[_Waiting] = []
+        for _ in range(GROUP_TRIES):
+            if len(batch) <= 1:
+                break
+            try:
+                with self._transaction() as connection:
+                    results = _run_all(connection, [waiting.unit for waiting in batch])
+            except _Refusal as refusal:
+                refused += batch[refusal.units]
+                del batch[refusal.units]
+            except Exception:  # noqa: BLE001  (each unit gets its own error)
+                break
+            else:
+                for waiting, result in zip(batch, results, strict=True):
+                    waiting.answer.set_result(result)
+                batch = []
+        for waiting in batch + refused:
+            self._commit_alone(waiting)
 
     def _commit_alone(self, waiting: _Waiting) -> None:
         for tries_left in reversed(range(TRIES)):
@@ -243,6 +264,8 @@ class Writer:
         try:
             with self._connection.begin():
                 yield self._connection
+        except (*REFUSALS, _Refusal):
+            raise  # rolled back, and the connection is fine
         except BaseException:
             self._disconnect()
             raise
@@ -267,15 +290,25 @@ class Writer:
 
 
 def _run_all(connection: Connection, units: Sequence[Unit[Any]]) -> list[Any]:
-    """Run units in order; adjacent batched units of the same kind share one call."""
+    """Run units in order; adjacent batched units of the same kind share one call.
+
+    Raises:
+        _Refusal: A unit refused; others may have run.
+    """
     results: list[Any] = []
-    for run, neighbours in itertools.groupby(units, key=lambda unit: getattr(unit, "run", None)):
-        if run is None:
-            results += [unit(connection) for unit in neighbours]
-        else:
-            results += run(
-                connection, [unit.argument for unit in neighbours if isinstance(unit, BatchedUnit)]
-            )
+    for run, group in itertools.groupby(units, key=lambda unit: getattr(unit, "run", None)):
+        neighbours = list(group)
+        size = 1 if run is None else len(neighbours)
+        try:
+            if run is None:
+                for unit in neighbours:
+                    results.append(unit(connection))  # noqa: PERF401  (those before a refusal count)
+            else:
+                results += run(
+                    connection, [unit.argument for unit in neighbours if isinstance(unit, BatchedUnit)]
+                )
+        except REFUSALS as error:
+            raise _Refusal(slice(len(results), len(results) + size)) from error
     return results
 
 

@@ -13,7 +13,7 @@ from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import TraceRow
 from brink.server.db.sql import database_now
 from brink.server.db.writer import MAX_UNITS_A_COMMIT, TRIES, Writer
-from brink.server.errors import Unavailable
+from brink.server.errors import NotFound, Unavailable
 
 WAIT_S = 30.0
 
@@ -125,6 +125,43 @@ def test_a_failing_unit_fails_alone(engines: Engines, writer: Writer) -> None:
     assert written(engines) == {"before", "after"}
 
 
+def refuses(connection: Connection) -> None:
+    writes("half")(connection)
+    raise NotFound("no such campaign")
+
+
+@pytest.mark.parametrize(("refusals", "commits"), [(1, 2), (2, 2), (3, 6)])
+def test_the_others_share_a_commit_where_units_refuse(
+    engines: Engines, writer: Writer, refusals: int, commits: int
+) -> None:
+    counted, gate = count_commits(engines), Gate()
+    writer.submit(gate)
+    assert gate.entered.wait(WAIT_S)
+    answers, refused = [], []
+    for number in range(5):
+        answers.append(writer.submit(writes(f"unit-{number}")))
+        if number < refusals:
+            refused.append(writer.submit(refuses))
+    gate.open.set()
+    assert [answer.result(WAIT_S) for answer in answers] == [f"unit-{number}" for number in range(5)]
+    for answer in refused:
+        with pytest.raises(NotFound, match="no such campaign"):
+            answer.result(WAIT_S)
+    assert counted[0] == commits
+    assert written(engines) == {f"unit-{number}" for number in range(5)}
+
+
+def test_a_refusal_costs_no_connection(engines: Engines, writer: Writer) -> None:
+    def connection_id(connection: Connection) -> int:
+        return id(connection.connection.dbapi_connection)
+
+    before = writer.submit(connection_id).result(WAIT_S)
+    with pytest.raises(NotFound):
+        writer.submit(refuses).result(WAIT_S)
+    assert writer.submit(connection_id).result(WAIT_S) == before
+    assert written(engines) == set()
+
+
 def test_a_statement_that_the_database_refuses_fails_alone(engines: Engines, writer: Writer) -> None:
     gate = Gate()
     writer.submit(gate)
@@ -159,7 +196,7 @@ def test_a_unit_that_is_always_beaten_ends(engines: Engines, writer: Writer) -> 
 
     with pytest.raises(DBAPIError, match="deadlock"):
         writer.submit(beaten).result(WAIT_S)
-    assert len(runs) == 1 + TRIES
+    assert len(runs) == TRIES
 
 
 def test_an_answer_comes_after_the_commit(engines: Engines, writer: Writer) -> None:
