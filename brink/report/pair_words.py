@@ -1,21 +1,12 @@
 """What is known of pairs, in words for tables: what both sides share, the evidence, and what the terms mean."""
 
-from typing import Final
-
 from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share
 from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView
 
-_NEXT_STEP: Final = ", then "
-"""Between the steps of a chain of perturbations."""
-
 
 def common_words(pair: PairView) -> list[str]:
-    """Return what the descriptions of both sides share: clauses, such as the scenario, and steps of a chain."""
-    common: list[str] = []
-    for safe, unsafe in zip(pair.safe.words.split("; "), pair.unsafe.words.split("; "), strict=False):
-        steps = zip(safe.split(_NEXT_STEP), unsafe.split(_NEXT_STEP), strict=False)
-        common += [safe] if safe == unsafe else [one for one, other in steps if one == other]
-    return [f"in both: {'; '.join(common)}"] if common else []
+    """Return a line about what both sides share; none if they share nothing."""
+    return [f"in both: {pair.common}"] if pair.common else []
 
 
 def extent_words(pair: PairView) -> str:

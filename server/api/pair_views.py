@@ -170,6 +170,10 @@ class PairView(View):
     ]
     words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
     change: Annotated[str, Field(description="The change, in words.")]
+    common: Annotated[
+        str,
+        Field(description="What both sides share, such as the scenario, in words; empty if that is nothing."),
+    ]
     distance: float
     checked: Annotated[
         bool, Field(description="Whether both sides kept their verdicts with another seed during the search.")

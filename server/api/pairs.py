@@ -70,7 +70,7 @@ from brink.server.problems.base import (
     describe_candidate,
     ignores_seeds,
 )
-from brink.server.problems.changes import Change, as_sentence, change_words, changes_between
+from brink.server.problems.changes import Change, as_sentence, change_words, changes_between, common_words
 from brink.server.states import CampaignStatus, SolutionVerdict
 from brink.sim.verdict import drives_held, unsafe_words
 
@@ -268,8 +268,8 @@ def _chance(pairs: CampaignPairs, again: int, changed: int, *, not_confirmed: in
         )
     if not_confirmed and not_confirmed == len(pairs.found.pairs):
         told.append(
-            "No pair held with other seeds: a step this small changes how likely a violation is, not the verdict, so "
-            "do not take these pairs for limits. With more `checks`, edge@1 drops such pairs"
+            "No pair held with other seeds: a step this small changes how likely a violation is, not the verdict. "
+            "With more checks, edge@1 drops such pairs"
         )
     return tuple(told)
 
@@ -357,7 +357,8 @@ def _pair(
         for side, solution in ((pair.safe, safe), (pair.unsafe, unsafe))
     ]
     return PairView(
-        place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change, distance=pair.distance,
+        place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change,
+        common=common_words(sides[0].words, sides[1].words), distance=pair.distance,
         checked=pair.checked, same_seed=pair.same_seed,
         confirmation=evidence.confirmation(pair), component=evidence.component(pair),
         minimality=evidence.minimality(pair, safe), changes=changes, safe=sides[0], unsafe=sides[1],
@@ -611,9 +612,11 @@ def _result_words(
             elif not counts["tried"] and not counts["pending"]:
                 words += f", {'not' if single else 'none'} simulated again yet"
         if counts["tried"]:
+            words += f"; of {counts['tried']:,} simulated again with other seeds, "
             words += (
-                f"; of {counts['tried']:,} simulated again with other seeds, {counts['confirmed']:,} confirmed and "
-                f"{counts['not_confirmed']:,} not confirmed"
+                "none confirmed, so they are no limits"
+                if counts["not_confirmed"] == len(found.pairs)
+                else f"{counts['confirmed']:,} confirmed and {counts['not_confirmed']:,} not confirmed"
             )
         if counts["pending"]:
             words += f"; {counts['pending']:,} being simulated again"

@@ -10,6 +10,8 @@ from brink.server.problems.base import DescribesChanges, Problem, SimulatedSolut
 
 NOTHING_ACTIVE: Final = "the two differ in nothing that had a part in either drive"
 _MOST_DIGITS: Final = 9
+_NEXT_STEP: Final = ", then "
+"""Between the steps of a chain of perturbations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +103,15 @@ def change_words(
     if isinstance(problem, DescribesChanges):
         words = problem.words_of_change(safe, unsafe, changed)
     return words or ", ".join(change.words for change in shown)
+
+
+def common_words(safe: str, unsafe: str) -> str:
+    """Return what two descriptions share: clauses, such as the scenario, and steps of a chain of perturbations."""
+    common: list[str] = []
+    for one, other in zip(safe.split("; "), unsafe.split("; "), strict=False):
+        steps = zip(one.split(_NEXT_STEP), other.split(_NEXT_STEP), strict=False)
+        common += [one] if one == other else [step for step, other_step in steps if step == other_step]
+    return "; ".join(common)
 
 
 def as_sentence(words: str) -> str:

@@ -120,6 +120,7 @@ def test_a_boundary_of_which_no_pair_holds_is_called_chance(client: httpx.Client
     again, none = pairs_of(client, campaign)["chance"]
     assert again.endswith("2 had the other verdict at least once")
     assert none.startswith("No pair held with other seeds")
+    assert "of 1 simulated again with other seeds, none confirmed" in pairs_of(client, campaign)["note"]
 
 
 def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Client) -> None:

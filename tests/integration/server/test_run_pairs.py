@@ -106,12 +106,7 @@ def test_the_table_says_what_both_sides_share_and_explains_its_terms(searched: S
     found = with_api(None, database, lambda api: fetch_pairs(api, campaign))
     pair = found.pairs[0]
     scenario = "Long left bend (road 0), night; task: take the first exit"
-    told = pair.model_copy(
-        update={
-            "safe": pair.safe.model_copy(update={"words": f"{scenario}; reported: nothing"}),
-            "unsafe": pair.unsafe.model_copy(update={"words": f"{scenario}; reported: person"}),
-        }
-    )
+    told = pair.model_copy(update={"common": scenario})
     view = found.model_copy(update={"pairs": [told], "terms": "reported: true or not", "computed": False})
     screen = Console(record=True, width=200)
     screen.print(pairs_table(view))

@@ -1,16 +1,11 @@
 """Numbers, ranges and requirements as the report of a campaign tells them."""
 
-from types import SimpleNamespace
-from typing import cast
-
 import numpy as np
 import pytest
 
 from brink.report.campaign_words import constants, count, ranges, requirement_words, share
-from brink.report.pair_words import common_words
 from brink.search.analysis.dependence import parameter_columns
 from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
-from brink.server.api.pair_views import PairView
 from brink.sim.catalogue import requirement_ids
 
 
@@ -86,17 +81,3 @@ def test_every_requirement_says_what_it_demands(requirement: str) -> None:
 
 def test_an_unknown_requirement_says_nothing() -> None:
     assert requirement_words("none@1") == ""
-
-
-@pytest.mark.parametrize(
-    ("safe", "unsafe", "common"),
-    [
-        ("town road, night; no errors", "town road, night; person missed", "in both: town road, night"),
-        ("snow 1/5, then rain 2/5; noon, dry", "snow 1/5, then rain 3/5; noon, dry", "in both: snow 1/5; noon, dry"),
-        ("rain 2/5, then snow 1/5; noon, dry", "snow 1/5, then rain 2/5; noon, wet", None),
-        ("smoke 8/10; noon, dry", "smoke 8/10, then rain 2/5; noon, wet", "in both: smoke 8/10"),
-    ],
-)  # fmt: skip
-def test_what_both_sides_of_a_pair_share_is_told(safe: str, unsafe: str, common: str | None) -> None:
-    pair = SimpleNamespace(safe=SimpleNamespace(words=safe), unsafe=SimpleNamespace(words=unsafe))
-    assert common_words(cast("PairView", pair)) == ([] if common is None else [common])

@@ -14,6 +14,7 @@ from brink.server.problems.changes import (
     as_sentence,
     change_words,
     changes_between,
+    common_words,
     different,
 )
 from brink.server.problems.urban_changes import AFTERWARDS
@@ -376,3 +377,16 @@ def test_a_perturbed_picture_changes_by_the_level_of_a_perturbation(
     rows = [problem.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
     changes = changes_between(problem, safe, unsafe, Steps(problem.space).differing(*rows))
     assert as_sentence(change_words(problem, safe, unsafe, changes)) == expected
+
+
+@pytest.mark.parametrize(
+    ("safe", "unsafe", "common"),
+    [
+        ("town road, night; no errors", "town road, night; person missed", "town road, night"),
+        ("snow 1/5, then rain 2/5; noon, dry", "snow 1/5, then rain 3/5; noon, dry", "snow 1/5; noon, dry"),
+        ("rain 2/5, then snow 1/5; noon, dry", "snow 1/5, then rain 2/5; noon, wet", ""),
+        ("smoke 8/10; noon, dry", "smoke 8/10, then rain 2/5; noon, wet", "smoke 8/10"),
+    ],
+)  # fmt: skip
+def test_what_both_sides_of_a_pair_share_is_told(safe: str, unsafe: str, common: str) -> None:
+    assert common_words(safe, unsafe) == common

@@ -130,7 +130,7 @@ function pairTable(id, asked) {
   function row(pair, computed) {
     return h("tr", null,
       h("th", { scope: "row" }, h("a.row", { href: pairLink(id, pair, asked()), "aria-label": `Pair ${pair.place}: ${pair.change}` }, `Pair ${pair.place}`)),
-      h("td.change", null, h("div", null, capital(pair.change)), ["unsafe", "safe"].map((side) => outcome(pair, side))),
+      h("td.change", null, h("div", null, capital(pair.change)), pair.common && h("div.small.muted", null, `In both: ${pair.common}`), ["unsafe", "safe"].map((side) => outcome(pair, side))),
       h("td", null, evidence(pair, computed), findings(pair).map((words) => h("div.small", null, words))),
       h("td.right.wide-only", null, figure(pair.distance)));
   }
