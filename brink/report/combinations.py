@@ -4,11 +4,13 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from brink.report.figures import Drawing
 from brink.server.api.schemas import ChainTally, Combinations, CombinationView, Variant
-from brink.sim.replay.sheets import Row, side_by_side
+
+if TYPE_CHECKING:
+    from brink.sim.replay.sheets import Row
 
 
 def claim_words(one: CombinationView) -> str:
@@ -76,6 +78,8 @@ async def draw_chains(found: Combinations, drawing: Drawing, most: int) -> list[
         drawing: The campaign and the folder.
         most: Number of combinations to draw.
     """
+    from brink.sim.replay.sheets import side_by_side  # slow to import
+
     files: list[Path] = []
     for one in found.combinations:
         if drawing.stop.is_set() or len(files) == most:
@@ -93,8 +97,10 @@ async def draw_chains(found: Combinations, drawing: Drawing, most: int) -> list[
     return files
 
 
-async def _variants(drawing: Drawing, number: int) -> list[Row]:
+async def _variants(drawing: Drawing, number: int) -> "list[Row]":
     """Return the traces of a solution and its variants; empty if one of them is not available."""
+    from brink.sim.replay.sheets import Row
+
     path = f"/campaigns/{drawing.campaign}/solutions/{number}/variants"
     rows = []
     for variant in await drawing.api.read(list[Variant], path):
