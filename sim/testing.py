@@ -1,4 +1,4 @@
-"""Contract test suites for plug-ins, to be run from your own tests or by `brink plugins check`."""
+"""Contract test suites for plug-ins, to be run from your own tests."""
 
 import json
 import math

@@ -16,7 +16,7 @@ CampaignLike: TypeAlias = "Campaign | CampaignBody | Mapping[str, Any] | str | P
 class Campaign:
     """A campaign: a problem, an algorithm and a budget.
 
-    `brink plugins` lists problems and algorithms, and docs/reference/problems.md their parameters.
+    docs/reference/problems.md lists problems, algorithms and their parameters.
 
     Attributes:
         problem: Id of the problem, such as ``urban-injected@1``.

@@ -41,14 +41,16 @@ _HOMES: Final = {
 }  # fmt: skip
 _BRIEF: Final = frozenset({"AsyncClient", "AsyncSubmitted", "AsyncResult"})
 """Classes whose methods are those of another class."""
+_NOT_EXPORTED: Final = frozenset({"Picture", "Submitted", "AsyncSubmitted"})
+"""Classes of what functions return, which users do not import."""
 _INTRODUCTION: Final = """# Python
 
 This page is written from the docstrings: `make reference` writes it again. [Use Brink from
 Python](../how-to/use-brink-from-python.md) shows how the parts go together.
 
 `import brink` imports nothing else until a name is first used; guards need `import brink.guard`. Errors are
-subclasses of `brink.server.errors.ServerError` or `brink.search.errors.SearchError`, and their messages say what was
-expected.
+subclasses of `brink.server.errors.ServerError`, `brink.search.errors.SearchError` or, for guards,
+`brink.sim.errors.SimulatorError`, and their messages say what was expected.
 """
 
 
@@ -59,7 +61,7 @@ def page() -> str:
         parts.append(f"## {heading}\n")
         for name in names:
             home = _module(_HOMES.get(name, "search/parameters"))
-            shown = f"brink.{name}" if name != "Picture" else "Picture"
+            shown = name if name in _NOT_EXPORTED else f"brink.{name}"
             parts.append(_entry(home[name.removeprefix("guard.")], shown))
     return "\n".join(parts).rstrip() + "\n"
 
@@ -86,15 +88,15 @@ def _class(of: Class, name: str) -> str:
     if isinstance(init, Function) and not of.name.endswith(("Client", "Submitted", "Result")):
         parts.append(f"```python\n{_signature(init, name)}\n```\n")
     parts.append(_words(of.docstring))
-    inherited = [base for base in of.bases if str(base) == "CampaignResult"]
-    members = [
-        *(
-            of.parent["CampaignResult"].members.values()
-            if inherited and isinstance(of.parent, Module)
-            else ()
-        ),
-        *of.members.values(),
-    ]
+    base = _base(of)
+    members = [*(base.members.values() if base is not None else ()), *of.members.values()]
+    if base is not None and base.docstring is not None:
+        parts += [
+            f"- `.{attribute.name}`: {attribute.description}"
+            for section in base.docstring.parsed
+            if section.kind is DocstringSectionKind.attributes
+            for attribute in section.value
+        ]
     public = [member for member in members if not member.name.startswith("_")]
     parts += [
         f"- `.{member.name}`: {_first(member.docstring)}"
@@ -103,6 +105,15 @@ def _class(of: Class, name: str) -> str:
     ]
     parts += [_method(member, brief=of.name in _BRIEF) for member in public if isinstance(member, Function)]
     return "\n".join(parts) + "\n"
+
+
+def _base(of: Class) -> Class | None:
+    """Return the base class whose members a class is shown with; None if there is no such class."""
+    if not isinstance(of.parent, Module) or "CampaignResult" not in map(str, of.bases):
+        return None
+    found = of.parent["CampaignResult"]
+    assert isinstance(found, Class)
+    return found
 
 
 def _method(of: Function, *, brief: bool) -> str:
