@@ -16,6 +16,7 @@ import numpy as np
 
 from brink.bench.measurement import Progress, Row, at_least, at_most
 from brink.bench.simood_costs import Costs
+from brink.bench.simood_figures import draw_pairs, is_only_together
 from brink.bench.simood_places import CONFIRMATION_PLACES, Criteria, NamedChain, Places, words_of
 from brink.bench.simood_searches import Searches
 from brink.bench.trials import Record, Records, code_fingerprint
@@ -179,10 +180,14 @@ class Hazards(Criteria):
         parts = _unsafe_shares(
             self._run_chains("A3 their parts", [(step,) for step in steps], CONFIRMATION_PLACES)
         )
-        hazardous = [chain for chain, share in together.items() if share >= HAZARDOUS]
-        only_together = [chain for chain in hazardous if all(parts[(step,)] <= SAFE for step in chain)]
-        in_one_order = [chain for chain in hazardous if together.get(chain[::-1], 1.0) <= SAFE]
+        only_together = [chain for chain, share in together.items() if is_only_together(chain, share, parts)]
+        in_one_order = [
+            chain
+            for chain, share in together.items()
+            if share >= HAZARDOUS and together.get(chain[::-1], 1.0) <= SAFE
+        ]
         self._write_pairs(together, parts)
+        draw_pairs(together, parts, self._folder / "pairs.png")
         note = (
             f"{len(ordered)} ordered pairs of harmless levels, {len(promising)} of them in five other places"
         )

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from brink.bench.measurement import Progress, Row, at_least, at_most
+from brink.bench.simood_figures import draw_omega
 from brink.bench.simood_places import CONFIRMATION_PLACES, Criteria, NamedChain, words_of
 from brink.bench.trials import Record, Records
 from brink.report.text import p_text
@@ -323,7 +324,7 @@ class Searches(Criteria):
         """Measure A6: tables II and III, and Fig. 4, with the paper's fitness and grids."""
         by_size = self._table_by_size()
         by_omega = self._table_by_omega()
-        self._draw(by_omega)
+        draw_omega(by_omega, self._folder / "omega.png")
         intensity_drop = by_omega[0]["mean_intensity"] - by_omega[-1]["mean_intensity"]
         (usual,) = [row for row in by_size if (row["generations"], row["population"]) == (20, 20)]
         note = f"{len(self._repeats)} searches each; {self._folder / 'generations-population.csv'}"
@@ -499,27 +500,6 @@ class Searches(Criteria):
             for component in problem.space.components
         ]
         return tuple((str(p["gene"]), int(str(p["level"]))) for p in problem.perturbations(vectors))
-
-    def _draw(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        # Imported here: matplotlib takes half a second to load.
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(7, 3.6), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        omegas, orders, intensities, alphas = (
-            [row[name] for row in rows] for name in ("omega", "unique_orders", "mean_intensity", "mean_alpha")
-        )
-        places = range(len(omegas))
-        left.bar(places, orders, width=0.7, color="#0072b2")
-        left.set(xlabel="omega", ylabel="orders of techniques in a last population")
-        right.plot(places, intensities, "o-", color="#0072b2", label="mean intensity")
-        right.plot(places, alphas, "s--", color="#d55e00", label="mean alpha (mAP)")
-        right.set(xlabel="omega", ylim=(0, 1))
-        right.legend(frameon=False)
-        for axes in (left, right):
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.set_xticks(places, [f"{omega:g}" for omega in omegas])
-        figure.savefig(self._folder / "omega.png", dpi=120)
 
 
 def _tabulated(generations: int, population: int, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from brink.bench import simood_searches
 from brink.bench.measurement import Row
 from brink.bench.simood import harmful_genes_row, measure_simood, prediction_rows
 from brink.bench.simood_costs import Times, time_rows
+from brink.bench.simood_figures import draw_pairs, is_only_together
 from brink.bench.simood_places import CONFIRMATION_PLACES, NamedChain
 from brink.bench.simood_searches import (
     PAPER,
@@ -312,3 +314,17 @@ def test_tables_of_a_detector_are_in_a_folder_of_its_name(tmp_path: Path) -> Non
     rows = measure_simood(["A1"], tmp_path, processes=1, progress=lambda *_: None, detector="brink-det@1")
     assert (tmp_path / "brink-det@1").is_dir()
     assert all(row.met for row in rows)
+
+
+def test_pairs_that_are_hazardous_only_together_are_framed(tmp_path: Path) -> None:
+    rain, snow, smoke = ("rain", 5), ("snow", 2), ("smoke", 3)
+    parts: dict[NamedChain, float] = {(rain,): 0.2, (snow,): 0.0, (smoke,): 0.4}
+    together: dict[NamedChain, float] = {(rain, snow): 0.8, (snow, rain): 0.6, (snow, smoke): 1.0}
+    assert [is_only_together(chain, share, parts) for chain, share in together.items()] == [
+        True,
+        False,
+        False,
+    ]
+    draw_pairs(together, parts, tmp_path / "pairs.png")
+    with Image.open(tmp_path / "pairs.png") as picture:
+        assert (0, 114, 178) in {colour for _, colour in picture.convert("RGB").getcolors(1 << 24) or []}
