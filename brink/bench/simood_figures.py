@@ -1,5 +1,6 @@
 """Figures of the SiMOOD criteria: which techniques are hazardous together (A3, A4), and Fig. 4 of the paper (A6)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -46,10 +47,12 @@ def draw_pairs(together: Mapping[NamedChain, float], parts: Mapping[NamedChain, 
     shares[:, 0] = [parts[(step,)] for step in steps]
     for (first, second), share in together.items():
         shares[places[first], places[second] + 1] = share
-    figure = Figure(figsize=(9, 7.2), layout="constrained")
+    figure = Figure(figsize=(8, 7.4), layout="constrained")
     axes = figure.subplots()
     axes.set_facecolor("#eeeeee")
     axes.imshow(shares, cmap="Oranges", vmin=0, vmax=1.25)
+    for place in range(len(steps)):  # no technique follows itself
+        axes.add_patch(Rectangle((place + 0.5, place - 0.5), 1, 1, color="white"))
     for (row, column), share in np.ndenumerate(shares):
         if np.isfinite(share):
             colour = "white" if share >= HAZARDOUS else "black"
@@ -66,13 +69,14 @@ def draw_pairs(together: Mapping[NamedChain, float], parts: Mapping[NamedChain, 
     axes.set_xticks(range(len(steps) + 1), ["alone", *names], rotation=90)
     axes.xaxis.tick_top()
     axes.xaxis.set_label_position("top")
-    axes.set(xlabel="second", ylabel="first")
+    axes.set(xlabel="applied second", ylabel="applied first")
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
+    least, most = math.ceil(HAZARDOUS * _PLACES - 1e-9), math.floor(SAFE * _PLACES + 1e-9)
     words = (
         f"In how many of {_PLACES} streets a drive is unsafe; each perturbation at its highest level that is",
-        "harmless in other streets. Framed: hazardous only together. Grey: not simulated, since both orders are safe",
-        "in another street.",
+        f"harmless in three other streets. Framed, hazardous only together: {least} or more, and each alone {most} at most.",
+        "Grey: not simulated in these streets, since both orders are safe in another one.",
     )
     figure.supxlabel("\n".join(words), fontsize=9, x=0.02, ha="left")
     figure.savefig(path, dpi=120)

@@ -172,7 +172,10 @@ class PairView(View):
     change: Annotated[str, Field(description="The change, in words.")]
     common: Annotated[
         str,
-        Field(description="What both sides share, such as the scenario, in words; empty if that is nothing."),
+        Field(
+            description="What the descriptions of both sides share: clauses, such as the scenario, and steps of a "
+            "chain of perturbations. Empty if that is nothing."
+        ),
     ]
     distance: float
     checked: Annotated[

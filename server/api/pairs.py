@@ -268,8 +268,8 @@ def _chance(pairs: CampaignPairs, again: int, changed: int, *, not_confirmed: in
         )
     if not_confirmed and not_confirmed == len(pairs.found.pairs):
         told.append(
-            "No pair held with other seeds: a step this small changes how likely a violation is, not the verdict. "
-            "With more checks, edge@1 drops such pairs"
+            "No pair held with other seeds, so chance may decide in all of them. With more checks, edge@1 drops such "
+            "pairs during the search"
         )
     return tuple(told)
 
@@ -614,7 +614,7 @@ def _result_words(
         if counts["tried"]:
             words += f"; of {counts['tried']:,} simulated again with other seeds, "
             words += (
-                "none confirmed, so they are no limits"
+                "none confirmed"
                 if counts["not_confirmed"] == len(found.pairs)
                 else f"{counts['confirmed']:,} confirmed and {counts['not_confirmed']:,} not confirmed"
             )

@@ -1,7 +1,6 @@
 """Read-only SQL for views of campaigns: progress, series, solutions."""
 
 import itertools
-import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -16,11 +15,11 @@ from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 RATE_WINDOW: Final = 5
 """Generations over which the rate of a running campaign is measured."""
-LATEST_JOBS: Final = 200
+LATEST_JOBS: Final = 2_000
 """Jobs, those with the highest numbers, among which a break is looked for."""
-SHORTEST_BREAK_S: Final = 60.0
-BREAK_IN_GAPS: Final = 20
-"""A time without results is a break if it is this many times the median time between two results."""
+SHORTEST_BREAK_S: Final = 300.0
+BREAK_IN_GAPS: Final = 5
+"""A time without results is a break if it is this many times the next longest one: results may come in bursts."""
 
 # Every open page runs this every few seconds, and SQLAlchemy takes longer to build it than the database to run it.
 _VERSION = select(CampaignRow.sequence, CampaignRow.finished_at).where(
@@ -56,8 +55,9 @@ class CampaignProgress:
         queued: Queued jobs.
         leased: Leased jobs.
         quarantined: Jobs in quarantine.
-        rate_per_s: Candidates per second over the last generations, since the first one was simulated, or since the
-            last break, as when the campaign was paused, without those from the cache; None if there are none yet.
+        rate_per_s: Candidates per second over the last generations, or since the first one was simulated, without
+            those from the cache. While the campaign runs, only what came after a break counts, as when it was paused
+            for a night. None if there are none yet.
         cached: Candidates in the same time whose results came from the cache: no worker simulated them.
         remaining_s: Time for the rest of the budget at this rate; None while the campaign waits.
         elapsed_s: Time since the submission, or between submission and end.
@@ -117,7 +117,7 @@ def _rate(
     elif (first := _first_simulated(connection, campaign.id)) is not None:
         # Until then, the campaign may have waited for a worker.
         start, before = max(start, first), 1
-    resumed = _first_after_break(connection, campaign.id) if running else None
+    resumed = _latest_since_break(connection, campaign.id, end) if running else None
     if resumed is not None and resumed.at > start:
         start, simulated, cached = resumed
     else:
@@ -127,7 +127,7 @@ def _rate(
     return (simulated / elapsed if elapsed > 0 and simulated > 0 else None), cached
 
 
-class _Resumption(NamedTuple):
+class _SinceBreak(NamedTuple):
     """When the first simulation after a break ended, and how many results there are since, cached ones apart."""
 
     at: datetime
@@ -135,8 +135,8 @@ class _Resumption(NamedTuple):
     cached: int
 
 
-def _first_after_break(connection: Connection, campaign_id: str) -> _Resumption | None:
-    """Return what has happened since the last long time without results; None if the latest jobs have had none."""
+def _latest_since_break(connection: Connection, campaign_id: str, end: datetime) -> _SinceBreak | None:
+    """Return what has come since the last break; None if there is none among the latest jobs."""
     query = (
         select(JobRow.finished_at, JobRow.attempt)
         .where(JobRow.campaign_id == campaign_id, IS_EVALUATION, JobRow.status == JobStatus.DONE)
@@ -145,15 +145,31 @@ def _first_after_break(connection: Connection, campaign_id: str) -> _Resumption 
     )
     ended = connection.execute(query).all()
     times = sorted(row.finished_at for row in ended if row.attempt > 0)
-    gaps_s = [(after - before).total_seconds() for before, after in itertools.pairwise(times)]
+    first = first_after_break(times, end)
+    if first is None:
+        return None
+    at = [*times, end][first]
+    cached = sum(row.attempt == 0 and row.finished_at > at for row in ended)
+    return _SinceBreak(at, max(0, len(times) - first - 1), cached)
+
+
+def first_after_break(times: Sequence[datetime], end: datetime) -> int | None:
+    """Return the place of the first result after a break: after by far the longest time without results.
+
+    Args:
+        times: When results came, ascending.
+        end: Until when none has come since.
+
+    Returns:
+        The place; the number of times if none has come since the break; None if there was no break.
+    """
+    gaps_s = [(after - before).total_seconds() for before, after in itertools.pairwise([*times, end])]
     if not gaps_s:
         return None
-    shortest_s = max(SHORTEST_BREAK_S, BREAK_IN_GAPS * statistics.median(gaps_s))
-    last = max((place for place, gap_s in enumerate(gaps_s, start=1) if gap_s > shortest_s), default=None)
-    if last is None:
+    second_s, longest_s = sorted([0.0, *gaps_s])[-2:]
+    if longest_s < max(SHORTEST_BREAK_S, BREAK_IN_GAPS * second_s):
         return None
-    cached = sum(row.attempt == 0 and row.finished_at > times[last] for row in ended)
-    return _Resumption(times[last], len(times) - last - 1, cached)
+    return gaps_s.index(longest_s) + 1
 
 
 _NEVER_LEASED: Final = (IS_EVALUATION, JobRow.status == JobStatus.DONE, JobRow.attempt == 0)

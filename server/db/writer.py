@@ -2,9 +2,9 @@
 
 Callers submit *units*, functions of a connection. The thread runs all waiting units in one transaction and resolves
 their futures after the commit. If a unit fails, the transaction is rolled back. If it refused what it was asked, as
-with an unknown id, the others run again together, and it runs alone; after any other error, each unit runs again in
-a transaction of its own. So only the faulty one fails. Units must therefore depend on nothing but the database and
-their arguments.
+with an unknown id, the others run again together, and it runs alone. After the third refusal, or any other error,
+each unit runs again in a transaction of its own. So only the faulty one fails. Units must therefore depend on nothing
+but the database and their arguments.
 """
 
 import asyncio
@@ -75,10 +75,10 @@ class _Waiting:
 
 
 class _Refusal(Exception):
-    """A unit of a batch, or several that share a call, refused what they were asked.
+    """A unit of a batch, or one of several that share a call, refused what it was asked.
 
     Args:
-        units: Their places in the batch.
+        units: Place of the unit, or of those that share the call, in the batch.
     """
 
     def __init__(self, units: slice) -> None:

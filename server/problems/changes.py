@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from typing import Final
 
 from brink.search.features import Unit
@@ -109,8 +110,10 @@ def common_words(safe: str, unsafe: str) -> str:
     """Return what two descriptions share: clauses, such as the scenario, and steps of a chain of perturbations."""
     common: list[str] = []
     for one, other in zip(safe.split("; "), unsafe.split("; "), strict=False):
-        steps = zip(one.split(_NEXT_STEP), other.split(_NEXT_STEP), strict=False)
-        common += [one] if one == other else [step for step, other_step in steps if step == other_step]
+        steps, other_steps = one.split(_NEXT_STEP), other.split(_NEXT_STEP)
+        blocks = SequenceMatcher(None, steps, other_steps, autojunk=False).get_matching_blocks()
+        shared = [step for block in blocks for step in steps[block.a : block.a + block.size]]
+        common += [_NEXT_STEP.join(shared)] if shared else []
     return "; ".join(common)
 
 

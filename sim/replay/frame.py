@@ -16,9 +16,9 @@ from brink.sim.replay.story import (
     Judged,
     Story,
     ViolatedHere,
-    brakes_with_reason,
     margin_name,
     measured_words,
+    no_needless_braking,
     perturbation_words,
     report_word,
     reported,
@@ -71,6 +71,8 @@ SPEED_BAR_TO_MPS: Final = 14.0
 LAMPS: Final = ("red", "amber", "green")
 _ROW: Final = 13
 """Height of a row of the time bar, in units."""
+_FEW_LETTERS: Final = 16
+"""A longer text in the panel is written smaller."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,7 +220,7 @@ class FramePainter:
         if self.story.violated:
             return "; ".join(map(self._told, self.story.violations))
         held = held_words([name])
-        if brakes_with_reason(name, self.story.least):
+        if no_needless_braking(name, self.story.least):
             return self.story.words
         if not np.isfinite(self.story.least):
             return self.story.words.replace(held, f"{name.replace('-', ' ')} never applied", 1)
@@ -338,7 +340,12 @@ class _Panel:
         finite = bool(np.isfinite(value))
         text, note = measured_words(self._story.requirement, value) if finite else ("not applicable", "")
         colour = VIOLATION if value < 0 else INK
-        draw.text((middle, top), text, fill=colour, font=self._number if note else self._word)
+        draw.text(
+            (middle, top),
+            text,
+            fill=colour,
+            font=self._number if note and len(text) <= _FEW_LETTERS else self._word,
+        )
         draw.text(
             (middle, top + 21 * self._unit), note, fill=colour if value < 0 else MUTED, font=self._small
         )

@@ -31,7 +31,7 @@ from brink.sim.replay.scene import (
     plain_name,
     spec_part,
 )
-from brink.sim.replay.story import Judged, Story, brakes_with_reason, measured_words, story_of, unit_of
+from brink.sim.replay.story import Judged, Story, measured_words, no_needless_braking, story_of, unit_of
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import FloatArray, Trace
 from brink.sim.verdict import clock_words
@@ -350,7 +350,7 @@ def _margin_words(title: str, value: float) -> str:
     if plain_name(title) == "front-gap":
         gap, note = measured_words(title, value)
         return f"front gap {gap}, {note}" if note else gap
-    if brakes_with_reason(title, value):
+    if no_needless_braking(title, value):
         return measured_words(title, value)[0]
     shown = next(
         (text for digits in range(1, _MOST_DIGITS) if float(text := f"{abs(value):.{digits}f}") > 0), "just"

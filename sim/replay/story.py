@@ -434,8 +434,8 @@ def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
         requirement: Its id, with or without version.
         robustness: Its robustness, finite.
     """
-    if brakes_with_reason(requirement, robustness):
-        return "no needless braking", ""
+    if no_needless_braking(requirement, robustness):
+        return "no needless braking", "at this moment"
     if plain_name(requirement) != "front-gap":
         return with_unit(robustness, requirement), "violated" if robustness < 0 else "to spare"
     if robustness > _NO_VEHICLE_M:
@@ -451,8 +451,8 @@ def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
     return gap, f"{REQUIRED_GAP_M - float(shown):.{digits}f} m short of {required}"
 
 
-def brakes_with_reason(requirement: str, robustness: float) -> bool:
-    """Return whether this is `no-dangerous-stop` while the ego does not brake, or brakes with a reason: no margin."""
+def no_needless_braking(requirement: str, robustness: float) -> bool:
+    """Return whether this is the margin of `no-dangerous-stop` while the ego does not brake, or has a reason to."""
     return plain_name(requirement) == "no-dangerous-stop" and robustness >= NoDangerousStop.horizon
 
 

@@ -1,7 +1,7 @@
 """The one writer: many units a commit, each answered for itself, none before its commit."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from typing import Any
 
@@ -12,7 +12,7 @@ from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import TraceRow
 from brink.server.db.sql import database_now
-from brink.server.db.writer import MAX_UNITS_A_COMMIT, TRIES, Writer
+from brink.server.db.writer import MAX_UNITS_A_COMMIT, TRIES, BatchedUnit, Writer
 from brink.server.errors import NotFound, Unavailable
 
 WAIT_S = 30.0
@@ -152,14 +152,39 @@ def test_the_others_share_a_commit_where_units_refuse(
 
 
 def test_a_refusal_costs_no_connection(engines: Engines, writer: Writer) -> None:
-    def connection_id(connection: Connection) -> int:
-        return id(connection.connection.dbapi_connection)
+    taken = []
+    writer.submit(writes("before")).result(WAIT_S)
 
-    before = writer.submit(connection_id).result(WAIT_S)
+    @event.listens_for(engines.writer, "checkout")
+    def count(*_: Any) -> None:
+        taken.append(1)
+
     with pytest.raises(NotFound):
         writer.submit(refuses).result(WAIT_S)
-    assert writer.submit(connection_id).result(WAIT_S) == before
-    assert written(engines) == set()
+    writer.submit(writes("after")).result(WAIT_S)
+    assert not taken
+    assert written(engines) == {"before", "after"}
+
+
+def test_those_that_share_a_call_run_alone_where_one_of_them_refuses(
+    engines: Engines, writer: Writer
+) -> None:
+    def run(connection: Connection, names: Sequence[str]) -> list[str]:
+        if "unknown" in names:
+            raise NotFound("no such campaign")
+        return [writes(name)(connection) for name in names]
+
+    gate = Gate()
+    writer.submit(gate)
+    assert gate.entered.wait(WAIT_S)
+    other = writer.submit(writes("other"))
+    answers = [writer.submit(BatchedUnit(run, name)) for name in ("one", "unknown", "two")]
+    gate.open.set()
+    assert other.result(WAIT_S) == "other"
+    assert [answers[place].result(WAIT_S) for place in (0, 2)] == ["one", "two"]
+    with pytest.raises(NotFound):
+        answers[1].result(WAIT_S)
+    assert written(engines) == {"other", "one", "two"}
 
 
 def test_a_statement_that_the_database_refuses_fails_alone(engines: Engines, writer: Writer) -> None:

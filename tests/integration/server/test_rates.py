@@ -1,12 +1,14 @@
 """Rates count simulations alone, and nobody is told a time left that waiting makes nonsense of."""
 
-from datetime import timedelta
+from collections.abc import Iterable
+from datetime import UTC, datetime, timedelta
 
 import httpx
 import pytest
 from sqlalchemy import create_engine, select, update
 from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, submit
 
+from brink.server.campaigns.view_store import first_after_break
 from brink.server.db.models import CampaignRow, JobRow
 
 
@@ -77,24 +79,41 @@ def test_time_before_the_first_worker_is_no_part_of_the_rate(client: httpx.Clien
     assert found["rate_per_s"] > (found["simulations"] - 1) / (found["elapsed_s"] - waited)
 
 
-def test_a_break_is_no_part_of_the_rate(client: httpx.Client, database_url: str) -> None:
+@pytest.mark.parametrize(("since_s", "rate"), [([], None), ([60.0], None), ([60.0, 40.0, 20.0, 0.0], 0.05)])
+def test_a_break_is_no_part_of_the_rate(
+    client: httpx.Client, database_url: str, since_s: list[float], rate: float | None
+) -> None:
     campaign, worker = submit(client, ball()), FakeWorker(client)
-    worker.report(worker.lease(max_jobs=8))
-    a_day = timedelta(days=1)
-    engine = create_engine(database_url)
+    worker.report(worker.lease(max_jobs=4 + len(since_s)))
+    a_day_s = 24 * 3600.0
+    ago_s = [a_day_s + 60.0, a_day_s + 40.0, a_day_s + 20.0, a_day_s, *since_s]
+    engine, now = create_engine(database_url), datetime.now(UTC)
     with engine.begin() as connection:
-        for row in connection.execute(
-            select(JobRow.id, JobRow.finished_at).where(JobRow.finished_at.is_not(None))
-        ):
-            earlier = row.finished_at - a_day
-            connection.execute(update(JobRow).where(JobRow.id == row.id).values(finished_at=earlier))
-        created_at = connection.execute(select(CampaignRow.created_at)).scalar_one() - a_day
-        connection.execute(update(CampaignRow).values(created_at=created_at))
+        jobs = connection.execute(
+            select(JobRow.id).where(JobRow.finished_at.is_not(None)).order_by(JobRow.id)
+        )
+        for job, ago in zip(jobs.scalars().all(), ago_s, strict=True):
+            ended = now - timedelta(seconds=ago)
+            connection.execute(update(JobRow).where(JobRow.id == job).values(finished_at=ended))
+        connection.execute(update(CampaignRow).values(created_at=now - timedelta(seconds=2 * a_day_s)))
     engine.dispose()
-    assert progress(client, campaign)["rate_per_s"] < 1
-    for _ in range(3):
-        worker.report(worker.lease(max_jobs=1))
     found = progress(client, campaign)
-    assert found["simulations"] == 11
-    assert found["rate_per_s"] > 1
-    assert found["cached"] == 0
+    assert found["simulations"] == len(ago_s)
+    assert found["rate_per_s"] == (None if rate is None else pytest.approx(rate, rel=0.3))
+
+
+def test_a_break_is_by_far_the_longest_time_without_results() -> None:
+    begin = datetime(2026, 1, 1, tzinfo=UTC)
+
+    def place(seconds: Iterable[float], end_s: float) -> int | None:
+        times = [begin + timedelta(seconds=second) for second in seconds]
+        return first_after_break(times, begin + timedelta(seconds=end_s))
+
+    night_s = 36_000.0
+    assert place([*range(50), *(night_s + second for second in range(1_000))], night_s + 1_001) == 50
+    assert place(range(50), night_s) == 50, "nothing has come since"
+    assert place(range(50), 60.0) is None
+    bursts = [400.0 * burst + 0.1 * job for burst in range(4) for job in range(32)]
+    assert place(bursts, 1_500.0) is None, "long episodes that end together"
+    assert place([0.0, 1_000.0, 2_000.0], 2_100.0) is None, "long episodes"
+    assert place([], night_s) is None

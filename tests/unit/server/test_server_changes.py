@@ -384,8 +384,10 @@ def test_a_perturbed_picture_changes_by_the_level_of_a_perturbation(
     [
         ("town road, night; no errors", "town road, night; person missed", "town road, night"),
         ("snow 1/5, then rain 2/5; noon, dry", "snow 1/5, then rain 3/5; noon, dry", "snow 1/5; noon, dry"),
-        ("rain 2/5, then snow 1/5; noon, dry", "snow 1/5, then rain 2/5; noon, wet", ""),
+        ("rain 2/5, then snow 1/5; noon, dry", "snow 1/5, then dirty 2/5; noon, wet", "snow 1/5"),
+        ("rain 2/5; noon, dry", "snow 1/5; noon, wet", ""),
         ("smoke 8/10; noon, dry", "smoke 8/10, then rain 2/5; noon, wet", "smoke 8/10"),
+        ("rain 2/5; noon", "snow 1/5, then rain 2/5; noon", "rain 2/5; noon"),
     ],
 )  # fmt: skip
 def test_what_both_sides_of_a_pair_share_is_told(safe: str, unsafe: str, common: str) -> None:

@@ -83,7 +83,7 @@ def test_a_reported_person_is_not_there_where_a_parked_car_is() -> None:
         ("lane-keeping@1", 0.5, ("+0.5 m", "to spare")),
         ("no-dangerous-stop@1", -0.5, ("−0.5 m/s", "violated")),
         ("no-dangerous-stop@1", 0.5, ("+0.5 m/s", "to spare")),
-        ("no-dangerous-stop@1", 8.0, ("no needless braking", "")),
+        ("no-dangerous-stop@1", 8.0, ("no needless braking", "at this moment")),
     ],
 )
 def test_the_front_gap_is_a_distance_and_everything_else_a_margin(
