@@ -75,7 +75,7 @@ def draw_pairs(together: Mapping[NamedChain, float], parts: Mapping[NamedChain, 
     least, most = math.ceil(HAZARDOUS * _PLACES - 1e-9), math.floor(SAFE * _PLACES + 1e-9)
     words = (
         f"In how many of {_PLACES} streets a drive is unsafe; each perturbation at its highest level that is",
-        f"harmless in three other streets. Framed, hazardous only together: {least} or more, and each alone {most} at most.",
+        f"harmless in three other streets. Framed, hazardous only together: {least} or more, alone {most} at most.",
         "Grey: not simulated in these streets, since both orders are safe in another one.",
     )
     figure.supxlabel("\n".join(words), fontsize=9, x=0.02, ha="left")

@@ -263,11 +263,15 @@ class AebCrossing(JudgedByRequirements):
             if f"scenario.{name}" in changed:
                 values = (word.replace("_", " ") for word in different(new[name], old[name]))
                 clauses.append(template.format(*values))
-        steps = (self.perturbations(one.vectors) for one in (safe, unsafe))
-        for place, (before, after) in enumerate(zip(*steps, strict=True), start=1):
-            was, now = (describe_perturbations([step]) or "none" for step in (before, after))
-            if was != now:
-                clauses.append(f"perturbation {place} is {now} instead of {was}")
+        was, now = (
+            [describe_perturbations([step]) or "none" for step in self.perturbations(one.vectors)]
+            for one in (safe, unsafe)
+        )
+        several = sum({before, after} != {"none"} for before, after in zip(was, now, strict=True)) > 1
+        for place, (before, after) in enumerate(zip(was, now, strict=True), start=1):
+            if before != after:
+                which = f"perturbation {place}" if several else "the perturbation"
+                clauses.append(f"{which} is {after} instead of {before}")
         return "; ".join(clauses)
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:

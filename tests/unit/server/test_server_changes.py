@@ -354,7 +354,7 @@ def test_the_urban_problem_explains_what_reported_means() -> None:
     ("changed", "expected"),
     [
         ({"perturbation": {"intensity_2": 0.2}}, "Perturbation 2 is snow 1/5 instead of none"),
-        ({"perturbation": {"gene_1": "contrast"}}, "Perturbation 1 is contrast 5/10 instead of brightness 5/10"),
+        ({"perturbation": {"gene_1": "contrast"}}, "The perturbation is contrast 5/10 instead of brightness 5/10"),
         (
             {"scenario": {"time_of_day": "night", "crossing_m": 50.25}},
             "At night instead of noon; the pedestrian crosses after 50.2 m instead of 50.1 m",
