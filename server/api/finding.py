@@ -30,7 +30,7 @@ from brink.server.api.findings import combinations_view, violation_types, violat
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView, PairView
 from brink.server.api.pairs import follow_up_view, pairs_view
 from brink.server.api.repeats import DEFAULT_REPEATS, repeats_view
-from brink.server.api.schemas import View, listed_words
+from brink.server.api.schemas import Combinations, View, listed_words
 from brink.server.api.solutions import boundary_words
 from brink.server.api.tolerance import tolerance_view
 from brink.server.campaigns.archives import ReadArchive
@@ -279,6 +279,7 @@ class _Known:
         reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
         stored: Its follow-ups.
         violations: Its violations, if its problem reports them.
+        chains: Its chains of techniques, if its problem has them; None otherwise.
         pairs: Its first pairs; None if there are too many to tell, or the search was for tolerances.
         too_many: Why there are too many.
         rings: The sides of all its pairs if it searched for them.
@@ -291,6 +292,7 @@ class _Known:
     reported: tuple[int, int]
     stored: Sequence[StoredRepeats]
     violations: Sequence[FoundViolation]
+    chains: Combinations | None
     pairs: PairsView | None
     too_many: str
     rings: list[tuple[int, int]]
@@ -327,10 +329,22 @@ async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _
     chosen = await asyncio.to_thread(distinct_boundary, found.archive, DEFAULT_T_B, DEFAULT_D_TH)
     return _Known(
         campaign=campaign, found=found, outcomes=await services.outcomes.get(campaign.id, found),
-        reported=(len(reported.results), reported.unsafe), stored=stored, violations=violations, pairs=view,
-        too_many=too_many, rings=rings,
+        reported=(len(reported.results), reported.unsafe), stored=stored, violations=violations,
+        chains=await asyncio.to_thread(_chains, found), pairs=view, too_many=too_many, rings=rings,
         boundary=(len(chosen), int(np.count_nonzero(has_evidence(found.archive)[chosen]))),
     )  # fmt: skip
+
+
+def _chains(found: ReadArchive) -> Combinations | None:
+    """Return the chains of techniques of an archive; None if it has none, or the problem reports violations."""
+    problem = found.plan.problem
+    if isinstance(problem, ReportsViolations) or not len(found.archive):
+        return None
+    try:
+        slots_of(problem.space)
+    except UnsupportedSpace:
+        return None
+    return combinations_view(problem.space, found.archive)
 
 
 def _followed(connection: Connection, campaign: Campaign) -> FollowedView | None:
@@ -357,7 +371,7 @@ async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
         tolerances = await services.tolerances.get(campaign, found)
         view = await asyncio.to_thread(tolerance_view, campaign, found.plan, tolerances)
         return _so_far(campaign, view.note), [view.caveat]
-    special = await _special_words(known)
+    special = _special_words(known)
     also = [pairs] if known.pairs is not None and known.pairs.distinct else []
     if special:
         return _so_far(campaign, special), [outcomes.sentence(), *also]
@@ -396,16 +410,11 @@ def _so_far(campaign: Campaign, words: str) -> str:
     return f"so far, after {campaign.evaluated:,} of {campaign.budget:,} simulations: {words}"
 
 
-async def _special_words(known: _Known) -> str:
+def _special_words(known: _Known) -> str:
     """Return the sentence about violations or combinations, if the problem is about these."""
-    found, problem = known.found, known.found.plan.problem
-    if isinstance(problem, ReportsViolations):
+    if isinstance(known.found.plan.problem, ReportsViolations):
         return violations_words(known.violations)
-    try:
-        slots_of(problem.space)
-    except UnsupportedSpace:
-        return ""
-    return (await asyncio.to_thread(combinations_view, problem.space, found.archive)).words
+    return "" if known.chains is None else known.chains.words
 
 
 async def _follow_up_words(services: Context, of_id: str, kind: FollowUpKind, campaign: Campaign) -> str:
@@ -445,6 +454,15 @@ def _steps(known: _Known) -> list[StepView]:
                 words="Lists all types of violations, and names them.", command=f"brink violations {campaign.id}",
             )
         )  # fmt: skip
+    if not known.searched_for_pairs and (number := example_of(known.chains)) is not None:
+        steps.append(
+            StepView(
+                kind=StepKind.LOOK, question="What do the perturbations do?", label=f"Open solution {number}",
+                words="Shows an unsafe drive that is safe with each part of its chain alone, or in another order.",
+                place=f"campaigns/{campaign.id}/solutions/{number}",
+                command=f"brink replay {campaign.id} {number} --out hazard.mp4",
+            )
+        )  # fmt: skip
     if searches_for_tolerances(campaign.body.algorithm.id):
         steps.append(
             StepView(
@@ -465,6 +483,14 @@ def _steps(known: _Known) -> list[StepView]:
     if not any(step.kind in _QUESTIONS_LEFT for step in steps):
         steps += _leading_on(known)
     return steps
+
+
+def example_of(chains: Combinations | None) -> int | None:
+    """Return an unsafe solution of the most informative chain whose hazard is due to the combination or its order."""
+    if chains is None:
+        return None
+    numbers = (number for one in chains.combinations for number in (*one.together, *one.turned))
+    return next(numbers, None)
 
 
 def _leading_on(known: _Known) -> list[StepView]:

@@ -26,6 +26,7 @@ from brink.search.algorithms.simood import SimoodConfig
 from brink.search.archive import Archive, Neighbourhood, archive_digest
 from brink.search.slots import ChainGenome, Step
 from brink.search.space import Categorical
+from brink.server.api.finding import example_of
 from brink.server.api.findings import combinations_view
 from brink.server.api.schemas import Combinations, CombinationView
 from brink.server.campaigns.body import parse_body
@@ -294,6 +295,25 @@ def test_errors_count_as_added_harm() -> None:
     assert (found.margin, found.combinations[0].interacts) == (None, None), "not a search for interaction"
     found = combinations_view(space, archive, {}, SimoodConfig())
     assert (found.combinations[0].interacts, found.explanation) == (None, "")
+
+
+def test_a_drive_that_is_unsafe_only_together_is_the_one_to_look_at() -> None:
+    space = Slotted(NoParams()).space
+    genome = ChainGenome.of(space)
+    place = space.sample(np.random.default_rng(0))
+    steps = (Step(0, 4), Step(1, 12))
+    chains = [(), (steps[0],), (steps[1],), steps]
+    rows = np.stack([space.join([place[0], genome.row(chain)]) for chain in chains])
+    empty = Archive.empty(space, Neighbourhood(radius=0.3, p_th=0.1, z=1.96))
+
+    def example(*unsafe: bool) -> int | None:
+        archive = empty.grown(np.arange(4), rows, np.array(unsafe), np.where(unsafe, -1.0, 1.0))
+        return example_of(combinations_view(space, archive))
+
+    assert example(False, False, False, True) == 3
+    assert example(False, True, False, True) is None, "one part is unsafe alone"
+    assert example(False, False, False, False) is None
+    assert example_of(None) is None
 
 
 def test_variants_of_a_solution_end_with_the_solution(finished: Finished) -> None:
