@@ -7,7 +7,7 @@ from celery import Celery
 
 URL_VARIABLE = "BENCH_REDIS_URL"
 
-app = Celery("bench", broker=os.environ[URL_VARIABLE], backend=os.environ[URL_VARIABLE])
+app = Celery("bench", broker=os.environ.get(URL_VARIABLE), backend=os.environ.get(URL_VARIABLE))
 app.conf.update(
     task_acks_late=True,
     task_reject_on_worker_lost=True,
