@@ -279,7 +279,7 @@ class _Known:
         reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
         stored: Its follow-ups.
         violations: Its violations, if its problem reports them.
-        chains: Its chains of techniques, if its problem has them; None otherwise.
+        chains: Its chains of techniques, if its problem has them and the search was not for pairs; None otherwise.
         pairs: Its first pairs; None if there are too many to tell, or the search was for tolerances.
         too_many: Why there are too many.
         rings: The sides of all its pairs if it searched for them.
@@ -330,7 +330,8 @@ async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _
     return _Known(
         campaign=campaign, found=found, outcomes=await services.outcomes.get(campaign.id, found),
         reported=(len(reported.results), reported.unsafe), stored=stored, violations=violations,
-        chains=await asyncio.to_thread(_chains, found), pairs=view, too_many=too_many, rings=rings,
+        chains=None if searches_for_pairs(campaign.body.algorithm.id) else await asyncio.to_thread(_chains, found),
+        pairs=view, too_many=too_many, rings=rings,
         boundary=(len(chosen), int(np.count_nonzero(has_evidence(found.archive)[chosen]))),
     )  # fmt: skip
 
@@ -454,7 +455,7 @@ def _steps(known: _Known) -> list[StepView]:
                 words="Lists all types of violations, and names them.", command=f"brink violations {campaign.id}",
             )
         )  # fmt: skip
-    if not known.searched_for_pairs and (number := example_of(known.chains)) is not None:
+    if (number := example_of(known.chains)) is not None:
         steps.append(
             StepView(
                 kind=StepKind.LOOK, question="What do the perturbations do?", label=f"Open solution {number}",
