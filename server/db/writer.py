@@ -221,6 +221,7 @@ class Writer:
 
     def _commit(self, batch: list[_Waiting]) -> None:
         batch = [waiting for waiting in batch if waiting.answer.set_running_or_notify_cancel()]
+        tries = TRIES if len(batch) > 1 else 1 + TRIES
         refused: list[_Waiting] = []
         for _ in range(GROUP_TRIES):
             if len(batch) <= 1:
@@ -238,10 +239,10 @@ class Writer:
                     waiting.answer.set_result(result)
                 batch = []
         for waiting in batch + refused:
-            self._commit_alone(waiting)
+            self._commit_alone(waiting, tries)
 
-    def _commit_alone(self, waiting: _Waiting) -> None:
-        for tries_left in reversed(range(TRIES)):
+    def _commit_alone(self, waiting: _Waiting, tries: int) -> None:
+        for tries_left in reversed(range(tries)):
             try:
                 with self._transaction() as connection:
                     result = waiting.unit(connection)
