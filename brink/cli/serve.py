@@ -9,7 +9,13 @@ from typing import Annotated
 import typer
 
 from brink.cli.options import Database, LogFormatOption, LogLevelOption, console, settings_with
-from brink.server.runtime.coordinator import CoordinatorServer, allow_many_open_files, listen, url_of
+from brink.server.runtime.coordinator import (
+    CoordinatorServer,
+    allow_many_open_files,
+    freeze_loaded_objects,
+    listen,
+    url_of,
+)
 from brink.server.runtime.database import prepare_database, shown_url
 from brink.sim.catalogue import import_plugin_modules
 from brink.worker.log import LogFormat, configure_logging
@@ -55,7 +61,9 @@ def serve(
             f"coordinator at {url} on {shown_url(settings)}; dashboard at {url}/, API documentation at {url}/docs; "
             "stop it with Ctrl-C"
         )
-        CoordinatorServer(settings).run(sockets=[listener])
+        server = CoordinatorServer(settings)
+        freeze_loaded_objects()
+        server.run(sockets=[listener])
 
 
 def _announcer(log_format: LogFormat) -> Callable[[str], None]:

@@ -33,11 +33,13 @@ MAX_EXPIRED = 1000
 # Built once: building a statement takes longer than running it.
 _TWIN = JobRow.__table__.alias("twin")
 _HAS_TWINS = exists(
-    select(_TWIN.c.id).where(
+    select(_TWIN.c.id)
+    .where(
         _TWIN.c.spec_hash == JobRow.spec_hash,
         _TWIN.c.kind == JobRow.kind,
         _TWIN.c.status == constant(JobStatus.QUEUED),
     )
+    .offset(0)  # forces one lookup for each job: Postgres would first collect all queued jobs
 )
 _REPORTED_JOBS = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token, JobRow.lost_token,

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import gc
 import logging
 import os
 import resource
@@ -38,6 +39,15 @@ class CannotListen(ServerError):
 
 class PortInUse(CannotListen):
     """Another program listens on the configured port."""
+
+
+def freeze_loaded_objects() -> None:
+    """Exempt all objects that exist now from garbage collection, in a process that only serves.
+
+    They are some 200,000, and each full collection would stop all requests for a tenth of a second to visit them.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def check_exposed(settings: Settings) -> None:

@@ -70,7 +70,7 @@ class TimeoutProtocol(HttpToolsProtocol):
         self._head_open, self._body_open = False, True
         super().on_headers_complete()
         if self.cycle is not None:
-            self.cycle.transport = _LingeringTransport(self.transport, self.close_after_response)
+            self.cycle.transport = _ResponseTransport(self.transport, self.close_after_response, self.loop)
 
     def on_message_complete(self) -> None:
         """Record that a body has ended."""
@@ -124,21 +124,44 @@ class TimeoutProtocol(HttpToolsProtocol):
             self._timer = None
 
 
-class _LingeringTransport(asyncio.Transport):
-    """A transport as a response sees it, which ends the connection only after the client could read the response."""
+class _ResponseTransport(asyncio.Transport):
+    """A transport as a response sees it.
 
-    def __init__(self, transport: asyncio.Transport, close: Callable[[], None]) -> None:
+    The head and the beginning of the body are sent together, which wakes the client once instead of twice. The
+    connection ends only after the client could read the response.
+    """
+
+    def __init__(
+        self, transport: asyncio.Transport, close: Callable[[], None], loop: asyncio.AbstractEventLoop
+    ) -> None:
         super().__init__()
         self._transport = transport
         self._close = close
+        self._loop = loop
+        self._head: bytes | bytearray | memoryview | None = None
+        self._has_begun = False
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send data."""
-        self._transport.write(data)
+        """Send data; what comes first may wait for the next data or the loop's next turn."""
+        if not self._has_begun:
+            self._has_begun = True
+            self._head = data
+            self._loop.call_soon(self._send_head)
+        elif self._head is not None:
+            head, self._head = self._head, None
+            self._transport.writelines([head, data])
+        else:
+            self._transport.write(data)
 
     def close(self) -> None:
         """End the connection."""
+        self._send_head()
         self._close()
+
+    def _send_head(self) -> None:
+        head, self._head = self._head, None
+        if head is not None and not self._transport.is_closing():
+            self._transport.write(head)
 
     def is_closing(self) -> bool:
         """Return whether the connection has ended or is about to."""
