@@ -52,8 +52,8 @@ _TWIN = JobRow.__table__.alias("twin")
 _TWIN_RUNS = exists(
     select(_TWIN.c.id)
     .where(
-        _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind,
-        _TWIN.c.status == constant(JobStatus.LEASED),
+        # A parameter, so that Postgres looks up the digest, and does not read the index of leased jobs for each job.
+        _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED,
     )
     .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
 )  # fmt: skip
@@ -203,10 +203,11 @@ _GRANT = BulkUpdate(
     interrupted=False,
     not_before=None,
 )
-_LEASED_JOBS = select(JobRow.id, JobRow.lease_token, _NOW.label("now")).where(
-    in_list(JobRow.id, "jobs"), IS_LEASED
+_HELD_JOBS = select(JobRow.id, JobRow.status, JobRow.lease_token, _NOW.label("now")).where(
+    # Not of their status as well, for which Postgres may read the index of leased jobs instead.
+    in_list(JobRow.id, "jobs")
 )
-_LEASED = Statement(_LEASED_JOBS, postgres=_LEASED_JOBS.order_by(JobRow.id).with_for_update(of=JobRow))
+_HELD = Statement(_HELD_JOBS, postgres=_HELD_JOBS.order_by(JobRow.id).with_for_update(of=JobRow))
 _RENEW = Statement(
     update(JobRow)
     .where(in_list(JobRow.id, "jobs"))
@@ -329,8 +330,12 @@ def count_due_retries(connection: Connection, capabilities: Iterable[str]) -> in
 def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -> list[int]:
     """Renew leases; return the ids of the jobs that are still held, ascending."""
     wanted = {held.job: held.token for held in leases}
-    (rows,) = read(connection, (_LEASED, {"jobs": sorted(wanted), "now": datetime.now(UTC)}))
-    held = [row for row in rows if secrets.compare_digest(row.lease_token, wanted[row.id])]
+    (rows,) = read(connection, (_HELD, {"jobs": sorted(wanted), "now": datetime.now(UTC)}))
+    held = [
+        row
+        for row in rows
+        if row.status == JobStatus.LEASED and secrets.compare_digest(row.lease_token, wanted[row.id])
+    ]
     if held:
         until = driver_time(held[0].now) + timedelta(seconds=lease_s)
         write(connection, _RENEW, {"jobs": [row.id for row in held], "until": until})

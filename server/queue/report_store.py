@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeAlias
 from sqlalchemy import Connection, bindparam, case, exists, insert, select, update
 
 from brink.server.db.models import JobRow, TraceRow
-from brink.server.db.sql import constant, driver_time, in_list, storable, transaction_time
+from brink.server.db.sql import driver_time, in_list, storable, transaction_time
 from brink.server.db.statements import BulkUpdate, Statement, Values, read
 from brink.server.queue.job_store import IS_LEASED, idle_campaigns
 from brink.server.queue.lease_policy import LeaseTerms
@@ -37,7 +37,7 @@ _HAS_TWINS = exists(
     .where(
         _TWIN.c.spec_hash == JobRow.spec_hash,
         _TWIN.c.kind == JobRow.kind,
-        _TWIN.c.status == constant(JobStatus.QUEUED),
+        _TWIN.c.status == JobStatus.QUEUED,  # a parameter, as in `lease_store`
     )
     .offset(0)  # forces one lookup for each job: Postgres would first collect all queued jobs
 )
