@@ -14,6 +14,7 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Row,
+    Select,
     bindparam,
     delete,
     func,
@@ -371,22 +372,35 @@ def unsafe_outcomes(connection: Connection, campaign_id: str) -> list[JobOutcome
 
 
 def _outcomes(connection: Connection, campaign_id: str, condition: ColumnElement[bool]) -> list[JobOutcome]:
-    query = (
-        select(JobRow.number, SolutionRow.generation, JobRow.status, JobRow.result, JobRow.last_error)
-        .join(
-            SolutionRow,
-            (SolutionRow.campaign_id == JobRow.campaign_id) & (SolutionRow.number == JobRow.number),
-        )
-        .where(JobRow.campaign_id == campaign_id, condition, IS_EVALUATION)
-        .order_by(JobRow.number)
+    # Not with a join: while Postgres has no statistics of the campaign, it may read all its jobs for each solution.
+    solutions = select(SolutionRow.number, SolutionRow.generation).where(
+        SolutionRow.campaign_id == campaign_id, condition
     )
+    generations = {row.number: row.generation for row in connection.execute(solutions)}
     return [
         JobOutcome(
-            number=row.number, generation=row.generation, status=JobStatus(row.status),
+            number=row.number, generation=generations[row.number], status=JobStatus(row.status),
             result=row.result, error=row.last_error,
         )
-        for row in connection.execute(query)
+        for some in _chunks(sorted(generations))
+        for row in connection.execute(_jobs_among(campaign_id, some))
     ]  # fmt: skip
+
+
+def _jobs_among(campaign_id: str, numbers: Sequence[int]) -> Select[int, str, str | None, str | None]:
+    """Return a query for the evaluations of some of a campaign's solutions.
+
+    Args:
+        campaign_id: The campaign.
+        numbers: Numbers of solutions, at least one, ascending.
+    """
+    first, last = numbers[0], numbers[-1]
+    query = select(JobRow.number, JobRow.status, JobRow.result, JobRow.last_error).where(
+        JobRow.campaign_id == campaign_id, IS_EVALUATION, JobRow.number.between(first, last)
+    )
+    if len(numbers) <= last - first:
+        query = query.where(JobRow.number.in_(numbers))
+    return query.order_by(JobRow.number)
 
 
 _JOB = (

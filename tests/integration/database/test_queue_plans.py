@@ -308,6 +308,42 @@ def test_without_statistics_no_hot_question_looks_through_all_that_waits(databas
         queue.engines.dispose()
 
 
+@on_postgres
+def test_outcomes_are_read_once_whatever_is_known_of_a_campaign(databases: Databases) -> None:
+    with databases.database() as url:
+        queue = Queue(engines=open_engines(url))
+        for _ in range(200):
+            queue.campaign(1)
+        queue.run(lambda connection: connection.execute(text("ANALYZE")))
+        campaign = queue.campaign(DONE)
+        reader = queue.engines.reader
+        with reader.connect() as connection:
+            said = statements_of(
+                reader, lambda: job_store.generation_outcomes(connection, campaign, generation=0)
+            )
+            driver = connection.connection.driver_connection
+            plans = [run_and_explain(driver, words, given) for words, given in said]
+        queue.engines.dispose()
+    assert sum(map(rows_read, plans)) == 2 * DONE, json.dumps(plans, indent=1)
+
+
+def run_and_explain(driver: Any, words: str, parameters: Any) -> Any:
+    """Run a statement on Postgres, and return how that went."""
+    assert isinstance(driver, psycopg.Connection)
+    with psycopg.ClientCursor(driver) as cursor:
+        ((plan,),) = cursor.execute(f"EXPLAIN (ANALYZE, FORMAT JSON) {words}", parameters).fetchall()
+    return plan
+
+
+def rows_read(plan: Any) -> int:
+    """Return how many rows of tables a statement looked at."""
+    return sum(
+        (node["Actual Rows"] + node.get("Rows Removed by Filter", 0)) * node["Actual Loops"]
+        for node in nodes(plan)
+        if "Relation Name" in node
+    )
+
+
 def assert_hot_questions_read_few(queue: Queue) -> None:
     """Check that no frequent query reads the jobs that wait one and all."""
     engines = queue.engines
@@ -324,13 +360,7 @@ def assert_hot_questions_read_few(queue: Queue) -> None:
             known = prepare(connection, (words, given))
             call = f"EXECUTE looked_at({', '.join(['%s'] * len(known))})" if known else words
             driver = connection.connection.driver_connection
-            assert isinstance(driver, psycopg.Connection)
-            with psycopg.ClientCursor(driver) as cursor:
-                ((plan,),) = cursor.execute(f"EXPLAIN (ANALYZE, FORMAT JSON) {call}", known).fetchall()
+            plan = run_and_explain(driver, call, known)
             connection.exec_driver_sql("DEALLOCATE looked_at")
-            read = sum(
-                (node["Actual Rows"] + node.get("Rows Removed by Filter", 0)) * node["Actual Loops"]
-                for node in nodes(plan)
-                if "Relation Name" in node
-            )
+            read = rows_read(plan)
             assert read < READS, f"{words}\n\n{json.dumps(plan, indent=1)}"
