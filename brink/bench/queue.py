@@ -49,6 +49,8 @@ CAMPAIGN_JOBS = 5000
 """Jobs per campaign. The time of the last generation step, not measured here, grows quadratically with them."""
 CELERY_PREFETCH = 8
 PICKUP_SAMPLES = 200
+PICKUP_WARM_UP = 5
+"""Jobs before these: the first ones of a process also wait for what it loads and prepares."""
 SETTINGS = {
     SQLITE: "journal_mode WAL, synchronous FULL",
     POSTGRES: ", ".join(f"{name} {value}" for name, value in DURABLE_POSTGRES.items()),
@@ -345,7 +347,7 @@ class _BrinkQueue:
                 httpx.AsyncClient(base_url=self._coordinator.url, timeout=60.0) as http,
             ):
                 waiting = asyncio.create_task(client.lease())
-                for index in range(PICKUP_SAMPLES):
+                for index in range(PICKUP_WARM_UP + PICKUP_SAMPLES):
                     await asyncio.sleep(0.05)  # until the client is idle and its request waits
                     start = time.time()
                     reply = asyncio.create_task(
@@ -363,7 +365,7 @@ class _BrinkQueue:
                 waiting.cancel()
         finally:
             engines.dispose()
-        return submitted, stored
+        return submitted[PICKUP_WARM_UP:], stored[PICKUP_WARM_UP:]
 
     @contextlib.contextmanager
     def _campaigns(self, jobs: int) -> Iterator[list[str]]:
@@ -472,12 +474,11 @@ class _CeleryQueue(_OtherQueue):
         """Measure how soon an idle worker runs a new task."""
         times_ms = []
         with self._workers(1):
-            self._run_times([self._no_op.delay()])
-            for _ in range(PICKUP_SAMPLES):
+            for _ in range(PICKUP_WARM_UP + PICKUP_SAMPLES):
                 time.sleep(0.05)  # until the worker is idle
                 start = time.time()
                 times_ms.append(1e3 * (self._run_times([self._no_op.delay()])[0] - start))
-        return Pickup(system=CELERY, since="sent", times_ms=tuple(times_ms))
+        return Pickup(system=CELERY, since="sent", times_ms=tuple(times_ms[PICKUP_WARM_UP:]))
 
     def _command(self, workers: int) -> list[str]:
         return [
@@ -546,12 +547,12 @@ class _ProcrastinateQueue(_OtherQueue):
         times_ms = []
         self._clear()
         async with self._app.open_async():
-            for number in range(PICKUP_SAMPLES + 1):
+            for number in range(PICKUP_WARM_UP + PICKUP_SAMPLES):
                 await asyncio.sleep(0.05)  # until the worker is idle
                 start = time.time()
                 job = await self._no_op.defer_async(number=number)
                 times_ms.append(1e3 * (await self._start_time(job) - start))
-        return times_ms[1:]
+        return times_ms[PICKUP_WARM_UP:]
 
     async def _start_time(self, job: int) -> float:
         deadline = time.monotonic() + _TIMEOUT_S
