@@ -50,7 +50,7 @@ CAMPAIGN_JOBS = 5000
 CELERY_PREFETCH = 8
 PICKUP_SAMPLES = 200
 PICKUP_WARM_UP = 5
-"""Jobs before these: the first ones of a process also wait for what it loads and prepares."""
+"""Jobs before these, not counted: the first ones of a process also wait for what it loads and prepares."""
 SETTINGS = {
     SQLITE: "journal_mode WAL, synchronous FULL",
     POSTGRES: ", ".join(f"{name} {value}" for name, value in DURABLE_POSTGRES.items()),

@@ -14,7 +14,6 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Row,
-    Select,
     bindparam,
     delete,
     func,
@@ -382,25 +381,29 @@ def _outcomes(connection: Connection, campaign_id: str, condition: ColumnElement
             number=row.number, generation=generations[row.number], status=JobStatus(row.status),
             result=row.result, error=row.last_error,
         )
-        for some in _chunks(sorted(generations))
-        for row in connection.execute(_jobs_among(campaign_id, some))
+        for row in _jobs_among(connection, campaign_id, sorted(generations))
     ]  # fmt: skip
 
 
-def _jobs_among(campaign_id: str, numbers: Sequence[int]) -> Select[int, str, str | None, str | None]:
-    """Return a query for the evaluations of some of a campaign's solutions.
+def _jobs_among(
+    connection: Connection, campaign_id: str, numbers: Sequence[int]
+) -> Iterable[Row[int, str, str | None, str | None]]:
+    """Return the evaluations of some of a campaign's solutions, ascending by number.
 
     Args:
+        connection: In a transaction.
         campaign_id: The campaign.
-        numbers: Numbers of solutions, at least one, ascending.
+        numbers: Numbers of solutions, ascending.
     """
+    if not numbers:
+        return ()
     first, last = numbers[0], numbers[-1]
     query = select(JobRow.number, JobRow.status, JobRow.result, JobRow.last_error).where(
         JobRow.campaign_id == campaign_id, IS_EVALUATION, JobRow.number.between(first, last)
     )
     if len(numbers) <= last - first:
-        query = query.where(JobRow.number.in_(numbers))
-    return query.order_by(JobRow.number)
+        query = query.where(in_list(JobRow.number, "numbers"))
+    return connection.execute(query.order_by(JobRow.number), {"numbers": numbers})
 
 
 _JOB = (

@@ -59,7 +59,7 @@ _TWIN_RUNS = exists(
 )  # fmt: skip
 _NOW = transaction_time("now")
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)
-_ELIGIBLE = (_IS_QUEUED, in_list(JobRow.needs, "capabilities"), _DUE, ~(_TWIN_RUNS & JobRow.cache))
+_ELIGIBLE = (_IS_QUEUED, in_list(JobRow.needs, "capabilities"), _DUE, ~(JobRow.cache & _TWIN_RUNS))
 """A worker with these capabilities could run the job now, and no worker is running the same simulation."""
 
 _GRANTED = (

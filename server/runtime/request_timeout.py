@@ -5,6 +5,8 @@ The bodies of requests that are being served have their own timeout, in `brink.s
 A response may be complete while the client still sends the body, for example if the body is too large. Closing a
 connection with unread data resets it, and clients that send everything before they read would never see the response.
 So the rest of the body is read and discarded for a limited time, as nginx does (``lingering_close``).
+
+The head of a response and the beginning of its body leave together.
 """
 
 import asyncio
@@ -70,7 +72,7 @@ class TimeoutProtocol(HttpToolsProtocol):
         self._head_open, self._body_open = False, True
         super().on_headers_complete()
         if self.cycle is not None:
-            self.cycle.transport = _ResponseTransport(self.transport, self.close_after_response, self.loop)
+            self.cycle.transport = ResponseTransport(self.transport, self.close_after_response, self.loop)
 
     def on_message_complete(self) -> None:
         """Record that a body has ended."""
@@ -124,11 +126,16 @@ class TimeoutProtocol(HttpToolsProtocol):
             self._timer = None
 
 
-class _ResponseTransport(asyncio.Transport):
+class ResponseTransport(asyncio.Transport):
     """A transport as a response sees it.
 
     The head and the beginning of the body are sent together, which wakes the client once instead of twice. The
     connection ends only after the client could read the response.
+
+    Args:
+        transport: The connection's transport.
+        close: Ends the connection.
+        loop: The event loop.
     """
 
     def __init__(
@@ -149,7 +156,8 @@ class _ResponseTransport(asyncio.Transport):
             self._loop.call_soon(self._send_head)
         elif self._head is not None:
             head, self._head = self._head, None
-            self._transport.writelines([head, data])
+            # Nothing but the head if the body is empty: some event loops never finish sending an empty part.
+            self._transport.writelines([head, data] if data else [head])
         else:
             self._transport.write(data)
 

@@ -67,12 +67,12 @@ FAULTS = {
         lease_store, "or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)",
         "JobRow.id.is_not(None)",
     ),
-    "equal simulations run at once": Fault(lease_store, "~(_TWIN_RUNS & JobRow.cache),", ""),
+    "equal simulations run at once": Fault(lease_store, "~(JobRow.cache & _TWIN_RUNS),", ""),
     "equal simulations are granted together": Fault(
         lease_policy, "if job.cache and job.spec_hash in seen: continue", "",
     ),
     "equal simulations without a cache wait for each other": Fault(
-        lease_store, "~(_TWIN_RUNS & JobRow.cache)", "~_TWIN_RUNS",
+        lease_store, "~(JobRow.cache & _TWIN_RUNS)", "~_TWIN_RUNS",
     ),
     "paused campaigns hand out work": Fault(
         lease_store,
