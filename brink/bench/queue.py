@@ -380,9 +380,23 @@ class _BrinkQueue:
             ids.append(str(response.raise_for_status().json()["id"]))
         try:
             yield ids
+            for campaign in ids:
+                self._await_ended(campaign)
         finally:
             for campaign in ids:
                 httpx.post(f"{self._coordinator.url}/api/v1/campaigns/{campaign}/cancel")
+
+    def _await_ended(self, campaign: str) -> None:
+        """Wait for the last step of a campaign, so that it does not slow down the next measurement."""
+        deadline = time.monotonic() + _TIMEOUT_S
+        while time.monotonic() < deadline:
+            found = httpx.get(
+                f"{self._coordinator.url}/api/v1/campaigns/{campaign}", timeout=_TIMEOUT_S
+            ).json()
+            if found["status"] not in ("running", "paused"):
+                return
+            time.sleep(0.1)
+        raise MeasurementFailed(f"campaign {campaign} did not end in {_TIMEOUT_S:g} s")
 
     def _await_workers(self, count: int) -> None:
         deadline = time.monotonic() + _TIMEOUT_S

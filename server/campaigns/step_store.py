@@ -15,7 +15,6 @@ from brink.search.metric import METRIC_VERSION
 from brink.search.space import FloatArray
 from brink.server.campaigns.store import CAMPAIGNS, Campaign, set_status
 from brink.server.db.models import (
-    LAST_TURN,
     NEXT_SEQUENCE,
     CampaignRow,
     CheckpointRow,
@@ -23,7 +22,7 @@ from brink.server.db.models import (
     GenerationRow,
     SolutionRow,
 )
-from brink.server.db.sql import database_now, note_change
+from brink.server.db.sql import LAST_TURN, database_now, note_change
 from brink.server.errors import Damaged
 from brink.server.queue import job_store
 from brink.server.queue.job_store import NewJob

@@ -24,8 +24,6 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
     false,
-    func,
-    select,
     text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -384,10 +382,6 @@ class TraceRow(Base):
     data: Mapped[bytes]
     created_at: Mapped[datetime]
 
-
-_EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
-LAST_TURN = select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery()
-"""The turn of a campaign that moves to the back of the queue."""
 
 NEXT_SEQUENCE = CampaignRow.sequence + 1
 """The new value of a campaign's change counter; a client that knows the previous value notices the change."""

@@ -21,6 +21,7 @@ from sqlalchemy import (
     String,
     Text,
     bindparam,
+    func,
     literal_column,
     select,
     text,
@@ -38,6 +39,7 @@ from sqlalchemy.types import TypeDecorator, TypeEngine
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow
 from brink.server.db.types import UtcDateTime
 from brink.server.errors import SHORTEST_ID, NotFound
+from brink.server.states import CampaignStatus
 
 V = TypeVar("V")
 MAX_ID = 16
@@ -79,6 +81,16 @@ def constant(value: str | int) -> ColumnClause[Any]:
     if not value.isidentifier():
         raise ValueError(f"expected a plain word, got {value!r}")
     return literal_column(f"'{value}'", String())
+
+
+_EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
+LAST_TURN = (
+    select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1)
+    # A literal, which lets the database use the index of running campaigns instead of reading all there ever were.
+    .where(_EVERY_CAMPAIGN.c.status == constant(CampaignStatus.RUNNING))
+    .scalar_subquery()
+)
+"""The turn of a campaign that moves to the back of the queue, behind all that run."""
 
 
 class _TransactionTime(FunctionElement[datetime]):

@@ -28,8 +28,8 @@ from sqlalchemy import (
     update,
 )
 
-from brink.server.db.models import LAST_TURN, CampaignRow, JobRow
-from brink.server.db.sql import constant, database_now, driver_time, in_list, transaction_time
+from brink.server.db.models import CampaignRow, JobRow
+from brink.server.db.sql import LAST_TURN, constant, database_now, driver_time, in_list, transaction_time
 from brink.server.db.statements import BulkUpdate, Statement, Values, is_pipelined, read, write
 from brink.server.queue import lease_policy
 from brink.server.queue.job_store import IS_EVALUATION, IS_LEASED

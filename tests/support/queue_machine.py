@@ -162,7 +162,8 @@ class Model:
                 break
             stands[campaign.id] = (campaign.turn, campaign.served + len(its))
             if campaign.served + len(its) >= TURN * live_workers:
-                last = max(one.turn for one in self.campaigns.values())
+                running = [one for one in self.campaigns.values() if one.status is CampaignStatus.RUNNING]
+                last = max(one.turn for one in running)
                 stands[campaign.id] = (max([last, *(turn for turn, _ in stands.values())]) + 1, 0)
         seen: set[str] = set()
         kept = []
