@@ -190,6 +190,7 @@ def compare_queues(
         measures += [partial(_measure_other, queue, plan) for queue in others]
         for place in counted(progress, "measurements", rounds * len(measures)):
             turn, which = divmod(place, len(measures))
+            os.sync()  # what the system before has written does not delay the commits of this one
             rates, times = measures[which](turn)
             throughput += rates
             pickups += times
