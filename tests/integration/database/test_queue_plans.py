@@ -353,12 +353,13 @@ def run_and_explain(driver: Any, words: str, parameters: Any) -> Any:
 
 def rows_read(plan: Any) -> int:
     """Return how many rows of tables a statement looked at, and how many pairs of rows it joined in vain."""
-    joined = sum(node.get("Rows Removed by Join Filter", 0) * node["Actual Loops"] for node in executed(plan))
-    return joined + sum(
-        (node["Actual Rows"] + node.get("Rows Removed by Filter", 0)) * node["Actual Loops"]
-        for node in executed(plan)
-        if "Relation Name" in node
-    )
+    total = 0
+    for node in executed(plan):
+        rows = node.get("Rows Removed by Join Filter", 0)
+        if "Relation Name" in node:
+            rows += node["Actual Rows"] + node.get("Rows Removed by Filter", 0)
+        total += int(rows * node["Actual Loops"])
+    return total
 
 
 def executed(plan: Any) -> Iterator[dict[str, Any]]:
