@@ -50,7 +50,7 @@ CAMPAIGN_JOBS = 5000
 CELERY_PREFETCH = 8
 PICKUP_SAMPLES = 200
 PICKUP_WARM_UP = 5
-"""Jobs before these, not counted: the first ones of a process also wait for what it loads and prepares."""
+"""Jobs that run first and are not counted, because a new process is still loading and preparing things."""
 SETTINGS = {
     SQLITE: "journal_mode WAL, synchronous FULL",
     POSTGRES: ", ".join(f"{name} {value}" for name, value in DURABLE_POSTGRES.items()),
@@ -190,7 +190,7 @@ def compare_queues(
         measures += [partial(_measure_other, queue, plan) for queue in others]
         for place in counted(progress, "measurements", rounds * len(measures)):
             turn, which = divmod(place, len(measures))
-            os.sync()  # what the system before has written does not delay the commits of this one
+            os.sync()  # so that writes of the previous system do not delay the commits of this one
             rates, times = measures[which](turn)
             throughput += rates
             pickups += times
@@ -390,14 +390,11 @@ class _BrinkQueue:
     def _await_ended(self, campaign: str) -> None:
         """Wait for the last step of a campaign, so that it does not slow down the next measurement."""
         deadline = time.monotonic() + _TIMEOUT_S
-        while time.monotonic() < deadline:
-            found = httpx.get(
-                f"{self._coordinator.url}/api/v1/campaigns/{campaign}", timeout=_TIMEOUT_S
-            ).json()
-            if found["status"] not in ("running", "paused"):
-                return
+        url = f"{self._coordinator.url}/api/v1/campaigns/{campaign}/progress"
+        while httpx.get(url, timeout=_TIMEOUT_S).json()["status"] == "running":
+            if time.monotonic() > deadline:
+                raise MeasurementFailed(f"campaign {campaign} did not end in {_TIMEOUT_S:g} s")
             time.sleep(0.1)
-        raise MeasurementFailed(f"campaign {campaign} did not end in {_TIMEOUT_S:g} s")
 
     def _await_workers(self, count: int) -> None:
         deadline = time.monotonic() + _TIMEOUT_S

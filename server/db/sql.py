@@ -86,11 +86,11 @@ def constant(value: str | int) -> ColumnClause[Any]:
 _EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
 LAST_TURN = (
     select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1)
-    # A literal, which lets the database use the index of running campaigns instead of reading all there ever were.
+    # A literal, so that the index of running campaigns is used: ended campaigns need not be read.
     .where(_EVERY_CAMPAIGN.c.status == constant(CampaignStatus.RUNNING))
     .scalar_subquery()
 )
-"""The turn of a campaign that moves to the back of the queue, behind all that run."""
+"""The turn of a campaign that moves to the back of the queue, behind all running ones."""
 
 
 class _TransactionTime(FunctionElement[datetime]):

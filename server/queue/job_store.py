@@ -371,7 +371,7 @@ def unsafe_outcomes(connection: Connection, campaign_id: str) -> list[JobOutcome
 
 
 def _outcomes(connection: Connection, campaign_id: str, condition: ColumnElement[bool]) -> list[JobOutcome]:
-    # Not with a join: while Postgres has no statistics of the campaign, it may read all its jobs for each solution.
+    # Two queries: while Postgres has no statistics on the campaign, a join may scan all its jobs for each solution.
     solutions = select(SolutionRow.number, SolutionRow.generation).where(
         SolutionRow.campaign_id == campaign_id, condition
     )

@@ -52,7 +52,7 @@ _TWIN = JobRow.__table__.alias("twin")
 _TWIN_RUNS = exists(
     select(_TWIN.c.id)
     .where(
-        # A parameter, so that Postgres looks up the digest, and does not read the index of leased jobs for each job.
+        # The status is a parameter: with a literal, Postgres may scan the index of leased jobs for each job.
         _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED,
     )
     .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
@@ -204,7 +204,7 @@ _GRANT = BulkUpdate(
     not_before=None,
 )
 _HELD_JOBS = select(JobRow.id, JobRow.status, JobRow.lease_token, _NOW.label("now")).where(
-    # Not of their status as well, for which Postgres may read the index of leased jobs instead.
+    # By id alone: with a condition on the status, Postgres may scan all leased jobs instead.
     in_list(JobRow.id, "jobs")
 )
 _HELD = Statement(_HELD_JOBS, postgres=_HELD_JOBS.order_by(JobRow.id).with_for_update(of=JobRow))

@@ -39,7 +39,7 @@ _HAS_TWINS = exists(
         _TWIN.c.kind == JobRow.kind,
         _TWIN.c.status == JobStatus.QUEUED,  # a parameter, as in `lease_store`
     )
-    .offset(0)  # forces one lookup for each job: Postgres would first collect all queued jobs
+    .offset(0)  # forces one lookup for each job: Postgres might otherwise collect all queued jobs first
 )
 _REPORTED_JOBS = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token, JobRow.lost_token,

@@ -42,9 +42,9 @@ class PortInUse(CannotListen):
 
 
 def freeze_loaded_objects() -> None:
-    """Exempt all objects that exist now from garbage collection, in a process that only serves.
+    """Exempt all existing objects from garbage collection; for processes that do nothing but serve.
 
-    They are some 200,000, and each full collection would stop all requests for a tenth of a second to visit them.
+    There are some 200,000 of them. Visiting them in each full collection would stall all requests for .1 s.
     """
     gc.collect()
     gc.freeze()

@@ -6,7 +6,7 @@ A response may be complete while the client still sends the body, for example if
 connection with unread data resets it, and clients that send everything before they read would never see the response.
 So the rest of the body is read and discarded for a limited time, as nginx does (``lingering_close``).
 
-The head of a response and the beginning of its body leave together.
+The head of a response and the beginning of its body are sent in one write.
 """
 
 import asyncio
@@ -129,7 +129,7 @@ class TimeoutProtocol(HttpToolsProtocol):
 class ResponseTransport(asyncio.Transport):
     """A transport as a response sees it.
 
-    The head and the beginning of the body are sent together, which wakes the client once instead of twice. The
+    The head and the beginning of the body are sent in one write, which wakes the client once instead of twice. The
     connection ends only after the client could read the response.
 
     Args:
@@ -149,14 +149,14 @@ class ResponseTransport(asyncio.Transport):
         self._has_begun = False
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send data; what comes first may wait for the next data or the loop's next turn."""
+        """Send data. The first data waits for more, until the event loop's next iteration at the latest."""
         if not self._has_begun:
             self._has_begun = True
             self._head = data
             self._loop.call_soon(self._send_head)
         elif self._head is not None:
             head, self._head = self._head, None
-            # Nothing but the head if the body is empty: some event loops never finish sending an empty part.
+            # Only the head if the body is empty: some event loops never finish sending an empty buffer.
             self._transport.writelines([head, data] if data else [head])
         else:
             self._transport.write(data)
