@@ -9,6 +9,7 @@ from brink.cli.bench.monitors import guard, monitor, monitor_accuracy
 from brink.cli.bench.perception import detector, perturbations, rendering, simood
 from brink.cli.bench.searches import heredity, mumoea, paper, search
 from brink.cli.bench.service import archive, chaos, dashboard, queue, scale, soak, turns
+from brink.cli.bench.statistics import coverage
 from brink.cli.bench.urban import control, difficulty, drivers, sim
 
 bench = typer.Typer(
@@ -18,7 +19,7 @@ for _command in (
     difficulty, drivers, control, sim,
     detector, simood, rendering, perturbations,
     search, paper, heredity, mumoea,
-    monitor, monitor_accuracy, guard,
+    monitor, monitor_accuracy, guard, coverage,
     queue, scale, turns, archive, soak, chaos, dashboard,
 ):  # fmt: skip
     bench.command()(_command)
