@@ -124,7 +124,7 @@ def classification_metrics(
     return ClassificationMetrics(
         solutions=int(unsafe.size),
         unsafe=int(unsafe.sum()),
-        auroc=a12(probability[unsafe].tolist(), probability[~unsafe].tolist()),
+        auroc=a12(probability[unsafe], probability[~unsafe]),
         brier=float(np.mean((probability - unsafe) ** 2)),
         bins=bins,
         calibration_error=sum(one.solutions * abs(one.predicted - one.observed) for one in bins)

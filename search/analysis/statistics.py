@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from brink.search.space import FloatArray
+
 # scipy.stats takes half a second to import, so the functions below import it.
 
 
@@ -67,16 +69,21 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> MeanInte
     return MeanInterval(mean=mean, low=mean - half, high=mean + half, repeats=int(sample.size))
 
 
-def a12(first: Sequence[float], second: Sequence[float]) -> float:
+def a12(first: Sequence[float] | FloatArray, second: Sequence[float] | FloatArray) -> float:
     """Return the probability that a value of the first sample exceeds one of the second, counting ties as one half.
 
+    The values are ranked, so memory grows with their number and not with the number of pairs. Counts are exact.
+
     Raises:
-        ValueError: A sample is empty.
+        ValueError: A sample is empty, or a value is not a number.
     """
     if not len(first) or not len(second):
         raise ValueError("expected at least one value in each sample")
-    a, b = np.asarray(first, np.float64)[:, None], np.asarray(second, np.float64)[None]
-    return float((np.count_nonzero(a > b) + 0.5 * np.count_nonzero(a == b)) / (a.size * b.size))
+    a, b = np.asarray(first, np.float64), np.sort(np.asarray(second, np.float64))
+    if np.isnan(a).any() or np.isnan(b[-1]):
+        raise ValueError("expected numbers in each sample, got nan")
+    below, up_to = np.searchsorted(b, a, side="left"), np.searchsorted(b, a, side="right")
+    return int(below.sum() + up_to.sum()) / (2 * a.size * b.size)
 
 
 def compared(first: Sequence[float], second: Sequence[float]) -> Comparison:

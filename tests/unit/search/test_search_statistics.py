@@ -1,6 +1,7 @@
 """Statistics of repeated campaigns, and classification metrics."""
 
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -56,6 +57,25 @@ def test_empty_samples_are_rejected() -> None:
         compared([], [1.0])
     with pytest.raises(ValueError, match="expected at least one value"):
         mean_interval([])
+
+
+def test_a12_of_many_values_needs_no_table_of_all_pairs() -> None:
+    rng = np.random.default_rng(1)
+    first, second = rng.integers(0, 50, 10_000).astype(float), rng.integers(0, 60, 10_000).astype(float)
+    tracemalloc.start()
+    effect = a12(first, second)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    at_first, at_second = np.bincount(first.astype(int), minlength=60), np.bincount(second.astype(int))
+    lower = np.concatenate([[0], np.cumsum(at_second)[:-1]])
+    assert effect == (at_first @ (2 * lower + at_second)) / (2 * 10_000 * 10_000)
+    assert peak < 5e6, "all pairs would need 100 MB a comparison"
+
+
+def test_values_that_are_not_numbers_have_no_rank() -> None:
+    for first, second in (([np.nan], [1.0]), ([1.0], [0.0, np.nan])):
+        with pytest.raises(ValueError, match="expected numbers in each sample, got nan"):
+            a12(first, second)
 
 
 COUNTS = st.lists(st.integers(0, 6).map(float), min_size=1, max_size=9)
