@@ -36,7 +36,7 @@ from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError, InvalidInput
 from brink.server.operations.doctor import State, examine
-from brink.server.operations.prune import prune
+from brink.server.operations.prune import Pruned, prune
 from brink.server.operations.transfer import export_campaign, import_campaign
 from brink.server.runtime.database import check_database, check_exists, prepare_database, shown_url
 from brink.server.settings import Settings
@@ -168,8 +168,12 @@ def prune_(
         bool, typer.Option("--yes", help="Delete; without it, only show what would be deleted.")
     ] = False,
     database: Database = None,
+    as_json: AsJson = False,
 ) -> None:
     """Delete old campaigns and traces. Without --yes, only show what would be deleted.
+
+    A campaign goes together with its follow-ups, and with the other campaigns of its experiment, once all of them
+    ended that long ago.
 
     Example: brink db prune --ended-days 90 --traces-days 14 --yes
     """
@@ -190,14 +194,29 @@ def prune_(
             )
         if confirmed:
             erase_all(engines)
-    for campaign, name in found.campaigns:
-        print_line(f"{campaign}  {name}")
-    outcome = "deleted" if confirmed else "would be deleted; add --yes"
+    _print_pruned(found, deleted=confirmed, as_json=as_json)
+    if confirmed and settings.sqlite_file is not None:
+        _shrink(settings.sqlite_file)
+
+
+def _print_pruned(found: Pruned, *, deleted: bool, as_json: bool) -> None:
+    if as_json:
+        campaigns = [
+            {
+                **fields(one, "id", "name", "status", "follow_up_of"),
+                "finished_at": one.finished_at.isoformat() if one.finished_at else None,
+            }
+            for one in found.campaigns
+        ]
+        print_json({"deleted": deleted, "campaigns": campaigns, **fields(found, "solutions", "traces")})
+        return
+    for one in found.campaigns:
+        of = f"  follow-up of {one.follow_up_of}" if one.follow_up_of else ""
+        print_line(f"{one.id}  {one.name}{of}")
+    outcome = "deleted" if deleted else "would be deleted; add --yes"
     print_line(
         f"{len(found.campaigns)} campaigns with {found.solutions} solutions, {found.traces} traces: {outcome}"
     )
-    if confirmed and settings.sqlite_file is not None:
-        _shrink(settings.sqlite_file)
 
 
 def _shrink(file: Path) -> None:

@@ -302,7 +302,7 @@ def with_api(server: str | None, database: str | None, work: Callable[[Api], Awa
 def delete_confirmed(
     path: str, what: str, *, confirmed: bool, server: str | None, database: str | None
 ) -> None:
-    """Delete a resource after the user has confirmed the deletion.
+    """Delete a campaign or an experiment after the user has confirmed that, with its follow-ups named.
 
     Args:
         path: Path of the resource.
@@ -314,8 +314,15 @@ def delete_confirmed(
     Raises:
         CoordinatorError: The resource cannot be deleted.
     """
+    from brink.server.api.schemas import Deletion
+
     if not confirmed:
-        typer.confirm(f"delete {what}? This cannot be undone", abort=True)
+        doomed = with_api(server, database, lambda api: api.read(Deletion, f"{path}/deletion"))
+        follow_ups = [one for one in doomed.campaigns if one.follow_up_of]
+        for one in follow_ups:
+            print_line(f"{one.id}  {one.name}  follow-up of {one.follow_up_of}")
+        also = f" and {len(follow_ups)} follow-ups" if follow_ups else ""
+        typer.confirm(f"delete {what}{also}? This cannot be undone", abort=True)
     with_api(server, database, lambda api: api.request("DELETE", path))
     print_line(f"{what} is deleted")
 

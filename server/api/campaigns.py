@@ -1,7 +1,7 @@
 """Routes of campaigns: submission, control, progress, the overview of all, and language-model calls."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from typing import Annotated
@@ -29,6 +29,8 @@ from brink.server.api.schemas import (
     MAX_NUMBER,
     CampaignList,
     CampaignView,
+    Deletion,
+    DoomedCampaign,
     GenerationView,
     KnownView,
     LlmCall,
@@ -48,6 +50,7 @@ from brink.server.campaigns.body import (
     check_notes,
     parse_body,
 )
+from brink.server.campaigns.deletion import TreeMember
 from brink.server.campaigns.known import count_known
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import looks_for_boundary
@@ -194,8 +197,14 @@ async def cancel_campaign(campaign_id: str, services: Services) -> CampaignView:
 
 @router.delete("/{campaign_id}", status_code=204)
 async def delete_campaign(campaign_id: str, services: Services) -> None:
-    """Delete an ended campaign and all of its data."""
+    """Delete a campaign with all of its data, and with its follow-ups; all of them must have ended."""
     await services.campaigns.delete(campaign_id)
+
+
+@router.get("/{campaign_id}/deletion")
+async def get_deletion(campaign_id: str, services: Services) -> Deletion:
+    """Return the campaigns that deleting a campaign would delete: itself, its follow-ups, and theirs."""
+    return deletion_view(await services.campaigns.doomed(campaign_id))
 
 
 @router.get("/{campaign_id}/progress", responses=NOT_MODIFIED)
@@ -265,6 +274,16 @@ async def _final_archive(services: Context, campaign: Campaign) -> ReadArchive |
         return await services.archives.get(campaign)
     except InvalidInput:
         return None
+
+
+def deletion_view(doomed: Sequence[TreeMember]) -> Deletion:
+    """Return the response schema of what a deletion would delete."""
+    return Deletion(
+        campaigns=[
+            DoomedCampaign(id=one.id, name=one.name, status=one.status, follow_up_of=one.follow_up_of)
+            for one in doomed
+        ]
+    )
 
 
 def campaign_view(campaign: Campaign) -> CampaignView:

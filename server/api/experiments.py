@@ -12,6 +12,7 @@ from sqlalchemy import Connection
 from brink.search.analysis.comparison import Duel, Repeat, conclusion, duels, standings, with_low_controls
 from brink.search.analysis.paper import D_THS, LEVEL, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control
+from brink.server.api.campaigns import deletion_view
 from brink.server.api.context import Context, Services
 from brink.server.api.experiment_pairs import ExperimentPairs, find_experiment_pairs
 from brink.server.api.responses import (
@@ -31,6 +32,7 @@ from brink.server.api.responses import (
 )
 from brink.server.api.schemas import (
     ControlView,
+    Deletion,
     ExperimentList,
     ExperimentProgress,
     ExperimentSummary,
@@ -215,8 +217,14 @@ async def cancel_experiment(experiment_id: str, services: Services) -> Experimen
 
 @router.delete("/{experiment_id}", status_code=204)
 async def delete_experiment(experiment_id: str, services: Services) -> None:
-    """Delete an ended experiment and all of its campaigns."""
+    """Delete an experiment with its campaigns and their follow-ups; all of them must have ended."""
     await services.experiments.delete(experiment_id)
+
+
+@router.get("/{experiment_id}/deletion")
+async def get_deletion(experiment_id: str, services: Services) -> Deletion:
+    """Return the campaigns that deleting an experiment would delete: its own, their follow-ups, and theirs."""
+    return deletion_view(await services.experiments.doomed(experiment_id))
 
 
 @router.get("/{experiment_id}/results", responses=COMPUTING)

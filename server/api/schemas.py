@@ -110,6 +110,23 @@ class KnownView(View):
     ] = 0
 
 
+class DoomedCampaign(View):
+    """A campaign that would be deleted."""
+
+    id: str
+    name: str
+    status: CampaignStatus
+    follow_up_of: Annotated[
+        str | None, Field(description="The campaign of this list that it is a follow-up of; null if of none.")
+    ]
+
+
+class Deletion(View):
+    """What a deletion would delete: nothing if a campaign of the list has not ended."""
+
+    campaigns: list[DoomedCampaign]
+
+
 class Progress(View):
     """Counts, rates, and the generations since a cursor."""
 

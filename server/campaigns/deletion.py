@@ -1,15 +1,18 @@
 """Deletes campaigns: at once for everybody who looks, and piece by piece in the database.
 
+A campaign goes with its follow-ups, theirs, and so on: a tree. `read_trees` says what a deletion would take along.
+`mark_deleted` alone decides whether it may: every campaign of a tree must have ended. All ways to delete use it.
+
 A campaign may have gigabytes of rows, and deleting them in one transaction would keep all other requests waiting. So
-the first transaction only marks it, together with its follow-ups: from then on nobody finds it. An `Eraser` then
-deletes the rows in small transactions. Whatever interrupts it, the mark stays, and the next coordinator that runs on
-the database goes on.
+the first transaction only marks the tree: from then on nobody finds it. An `Eraser` then deletes the rows in small
+transactions. Whatever interrupts it, the mark stays, and the next coordinator that runs on the database goes on.
 """
 
 import asyncio
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
 from typing import Any, Final
 
@@ -17,6 +20,7 @@ from sqlalchemy import Connection, delete, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import InstrumentedAttribute
 
+from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import Engines, read
 from brink.server.db.models import (
     NEXT_SEQUENCE,
@@ -32,8 +36,9 @@ from brink.server.db.models import (
 )
 from brink.server.db.sql import database_now, in_list, lock_rows
 from brink.server.db.writer import Writer
-from brink.server.errors import Unavailable
+from brink.server.errors import Conflict, Unavailable
 from brink.server.queue import job_store
+from brink.server.states import CampaignStatus
 
 PIECE_ROWS: Final = 200
 PIECE_BYTES: Final = 8 * 1024 * 1024
@@ -48,19 +53,81 @@ the row of the campaign."""
 log = logging.getLogger(__name__)
 
 
-def mark_deleted(connection: Connection, campaigns: Sequence[str]) -> None:
-    """Mark campaigns and their follow-ups as deleted: nobody finds them any more.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TreeMember:
+    """A campaign of a tree of follow-ups.
+
+    Attributes:
+        follow_up_of: The campaign of the same tree that it is a follow-up of; None for the root.
+    """
+
+    id: str
+    name: str
+    status: CampaignStatus
+    finished_at: datetime | None
+    follow_up_of: str | None
+
+
+_MEMBERS: Final = (
+    select(CampaignRow.id, CampaignRow.name, CampaignRow.status, CampaignRow.finished_at)
+    .where(in_list(CampaignRow.id, "ids"), CampaignRow.deleted_at.is_(None))
+    .order_by(CampaignRow.id)
+)
+_FOLLOW_UPS: Final = (
+    select(RepeatsRow.campaign_id, RepeatsRow.of_id)
+    .where(in_list(RepeatsRow.of_id, "ids"))
+    .order_by(RepeatsRow.campaign_id)
+)
+
+
+def read_trees(connection: Connection, roots: Sequence[str], *, lock: bool = False) -> list[TreeMember]:
+    """Return campaigns with all their follow-ups, each tree in one piece, and every campaign after what it follows.
+
+    Args:
+        connection: To read from; in a write transaction if `lock` is set.
+        roots: Ids of the campaigns.
+        lock: Whether to lock all rows until the transaction ends. No follow-up can then be added: storing one locks
+            the campaign that it is about.
+    """
+    members = lock_rows(_MEMBERS, connection, CampaignRow) if lock else _MEMBERS
+    found = dict[str, TreeMember]()
+    level = dict[str, str | None].fromkeys(roots)
+    while level:
+        for row in connection.execute(members, {"ids": list(level)}):
+            found[row.id] = TreeMember(
+                id=row.id, name=row.name, status=CampaignStatus(row.status), finished_at=row.finished_at,
+                follow_up_of=level[row.id],
+            )  # fmt: skip
+        below = connection.execute(_FOLLOW_UPS, {"ids": list(level)}).all()
+        level = {row.campaign_id: row.of_id for row in below if row.campaign_id not in found}
+    children = dict[str | None, list[TreeMember]]()
+    for one in found.values():
+        children.setdefault(one.follow_up_of, []).append(one)
+    ordered, waiting = list[TreeMember](), [found[one] for one in reversed(roots) if one in found]
+    while waiting:
+        ordered.append(waiting.pop())
+        waiting += reversed(children.get(ordered[-1].id, []))
+    return ordered
+
+
+def mark_deleted(connection: Connection, roots: Sequence[str]) -> list[TreeMember]:
+    """Mark campaigns and all their follow-ups as deleted: nobody finds them any more; return what is marked.
 
     Args:
         connection: In a write transaction.
-        campaigns: Campaigns that have ended, as have all their follow-ups.
+        roots: Ids of the campaigns.
+
+    Raises:
+        Conflict: One of them, or of their follow-ups, has not ended. Nothing is marked.
     """
-    gone, waiting = list(campaigns), list(campaigns)
-    while waiting:
-        follow_ups = select(RepeatsRow.campaign_id).where(RepeatsRow.of_id == waiting.pop())
-        found = list(connection.execute(follow_ups).scalars())
-        gone += found
-        waiting += found
+    doomed = read_trees(connection, roots, lock=True)
+    for one in doomed:
+        if one.status not in ENDED:
+            which = f"campaign {one.id}" + (
+                f", a follow-up of {one.follow_up_of}," if one.follow_up_of else ""
+            )
+            raise Conflict(f"{which} is {one.status}: cancel it before deleting it")
+    gone = [one.id for one in doomed]
     # The key is free for another submission.
     values = {"deleted_at": database_now(connection), "idempotency_key": None, "sequence": NEXT_SEQUENCE}
     ids = {"ids": gone}
@@ -69,6 +136,7 @@ def mark_deleted(connection: Connection, campaigns: Sequence[str]) -> None:
     connection.execute(
         delete(ExperimentCampaignRow).where(in_list(ExperimentCampaignRow.campaign_id, "ids")), ids
     )
+    return doomed
 
 
 def marked_campaigns(connection: Connection) -> list[str]:

@@ -32,10 +32,10 @@ from brink.server.campaigns.plan import (
     prepare_campaign,
     store_campaign,
 )
-from brink.server.campaigns.store import ENDED, Campaign, campaigns_of
+from brink.server.campaigns.store import Campaign, campaigns_of
 from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
 from brink.server.db.sql import note_change
-from brink.server.errors import Conflict, FieldError, InvalidInput
+from brink.server.errors import FieldError, InvalidInput
 from brink.server.states import CampaignStatus, SolutionVerdict
 
 MOST = 1_000
@@ -336,23 +336,6 @@ def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> lis
         .order_by(CampaignRow.created_at, CampaignRow.id)
     )  # fmt: skip
     return campaigns_of(connection, connection.execute(query).all())
-
-
-def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:
-    """Check that all repeats of a campaign, which are deleted with it, have ended.
-
-    Raises:
-        Conflict: One of them has not ended.
-    """
-    query = select(CampaignRow.id, CampaignRow.status).join(
-        RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id
-    )
-    for row in connection.execute(query.where(RepeatsRow.of_id == campaign_id)).all():
-        if row.status not in ENDED:
-            raise Conflict(
-                f"campaign {row.id} repeats the boundary of {campaign_id} and is {row.status}: cancel it first"
-            )
-        check_no_open_repeats(connection, row.id)
 
 
 def _verdicts(connection: Connection, campaign_id: str) -> Sequence[tuple[int, bool]]:

@@ -18,7 +18,7 @@ from brink.search.archive import Archive
 from brink.server.campaigns import store, traces
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.body import CampaignBody, CampaignChange
-from brink.server.campaigns.deletion import Eraser, mark_deleted
+from brink.server.campaigns.deletion import Eraser, TreeMember, mark_deleted, read_trees
 from brink.server.campaigns.plan import (
     Plan,
     PreparedCampaign,
@@ -28,7 +28,6 @@ from brink.server.campaigns.plan import (
 )
 from brink.server.campaigns.repeats import (
     PlannedRepeats,
-    check_no_open_repeats,
     plan_boundary_repeats,
     plan_named_repeats,
     store_repeats,
@@ -108,8 +107,11 @@ class DocumentService(ABC, Generic[B, S]):
         """Start campaigns that were just stored; advance those without open jobs immediately."""
 
     @abstractmethod
-    def _delete(self, connection: Connection, stored: S) -> None:
-        """Delete a row, and mark its campaigns as deleted, unless repeats of these have not ended."""
+    def _roots(self, stored: S) -> Sequence[str]:
+        """Return the campaigns that are deleted with a row, without their follow-ups."""
+
+    def _delete_row(self, connection: Connection, stored: S) -> None:
+        """Delete what is left of a row when its campaigns are marked as deleted."""
 
     async def submit(self, body: B, key: str | None = None) -> tuple[S, bool]:
         """Check a submission and store it with all of its campaigns, all or nothing.
@@ -192,19 +194,33 @@ class DocumentService(ABC, Generic[B, S]):
 
         Raises:
             NotFound: No id matches, or several do.
-            Conflict: It has not ended, or repeats of it have not.
+            Conflict: It has not ended, or a follow-up has not.
         """
         exact_id, kind = (await self.get(name)).id, self.table.kind
 
-        def unit(connection: Connection) -> None:
+        def unit(connection: Connection) -> int:
             stored = self.table.get(connection, exact_id, lock=True)
             if stored.status not in ENDED:
                 raise Conflict(f"{kind} {exact_id} is {stored.status}: cancel it before deleting it")
-            self._delete(connection, stored)
+            deleted = mark_deleted(connection, self._roots(stored))
+            self._delete_row(connection, stored)
+            return len(deleted)
 
-        await self.writer.write(unit)
-        logging.getLogger(type(self).__module__).info("%s deleted", kind, extra={kind: exact_id})
+        campaigns = await self.writer.write(unit)
+        about = {kind: exact_id, "campaigns": campaigns}
+        logging.getLogger(type(self).__module__).info("%s deleted", kind, extra=about)
         self.eraser.start()
+
+    async def doomed(self, name: str) -> Sequence[TreeMember]:
+        """Return the campaigns that `delete` would delete.
+
+        Raises:
+            NotFound: No id matches, or several do.
+        """
+        return await read(
+            self.engines,
+            lambda connection: read_trees(connection, self._roots(self.table.get(connection, name))),
+        )
 
 
 def check_threads() -> ThreadPoolExecutor:
@@ -249,9 +265,8 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
     def _start(self, stored: Campaign, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
         self.start(campaigns, idle)
 
-    def _delete(self, connection: Connection, stored: Campaign) -> None:
-        check_no_open_repeats(connection, stored.id)
-        mark_deleted(connection, [stored.id])
+    def _roots(self, stored: Campaign) -> Sequence[str]:
+        return [stored.id]
 
     def start(self, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
         """Start campaigns that were just stored.

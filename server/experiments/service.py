@@ -13,7 +13,6 @@ from brink.search.analysis.comparison import Repeat
 from brink.search.analysis.scores import Scores, scored
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.plan import PreparedCampaign, prepare_campaign, store_campaign
-from brink.server.campaigns.repeats import check_no_open_repeats
 from brink.server.campaigns.service import CampaignService, DocumentService
 from brink.server.campaigns.store import Campaign
 from brink.server.db.sql import DocumentTable
@@ -70,10 +69,11 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
         log.info("experiment submitted", extra={"experiment": stored.id, "campaigns": len(campaigns)})
         self.campaigns.start(campaigns, idle)
 
-    def _delete(self, connection: Connection, stored: Experiment) -> None:
-        for member in stored.members:
-            check_no_open_repeats(connection, member.campaign.id)
-        store.delete_experiment(connection, stored)
+    def _roots(self, stored: Experiment) -> Sequence[str]:
+        return [member.campaign.id for member in stored.members]
+
+    def _delete_row(self, connection: Connection, stored: Experiment) -> None:
+        store.delete_experiment(connection, stored.id)
 
     async def pause(self, name: str) -> Experiment:
         """Pause the running campaigns of an experiment."""

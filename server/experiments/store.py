@@ -7,7 +7,6 @@ from typing import Final
 
 from sqlalchemy import Connection, Row, bindparam, delete, exists, func, insert, select
 
-from brink.server.campaigns.deletion import mark_deleted
 from brink.server.campaigns.store import Campaign, campaigns_of
 from brink.server.db.models import (
     CampaignRow,
@@ -238,7 +237,6 @@ _CACHED_AFTER: Final = (
 """Counts the candidates of a campaign in generations after the given one whose results no worker reported."""
 
 
-def delete_experiment(connection: Connection, experiment: Experiment) -> None:
-    """Delete an experiment, and mark its campaigns as deleted."""
-    mark_deleted(connection, [member.campaign.id for member in experiment.members])
-    connection.execute(delete(ExperimentRow).where(ExperimentRow.id == experiment.id))
+def delete_experiment(connection: Connection, experiment_id: str) -> None:
+    """Delete an experiment, whose campaigns are marked as deleted."""
+    connection.execute(delete(ExperimentRow).where(ExperimentRow.id == experiment_id))

@@ -1,17 +1,20 @@
 """Retention: deletes campaigns that ended long ago, and traces, which can be recorded again.
 
+What belongs together goes together: a campaign with its follow-ups, theirs, and so on, and the campaigns of an
+experiment. Nothing of it is deleted before all of it has ended, each campaign longer ago than the retention time.
+
 `prune` only marks the campaigns as deleted; `brink.server.campaigns.deletion.erase_piece` then erases them.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from sqlalchemy import ColumnElement, Connection, func, select
-from sqlalchemy.orm import aliased
+from sqlalchemy import Connection, func, select
 
-from brink.server.campaigns.deletion import mark_deleted
+from brink.server.campaigns.deletion import TreeMember, mark_deleted, read_trees
 from brink.server.campaigns.store import ENDED
-from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
+from brink.server.db.models import CampaignRow, ExperimentCampaignRow, RepeatsRow, SolutionRow
 from brink.server.db.sql import database_now
 from brink.server.queue.job_store import delete_traces
 
@@ -21,12 +24,12 @@ class Pruned:
     """Campaigns and traces that were deleted, or would be.
 
     Attributes:
-        campaigns: Ids and names of campaigns, oldest first.
+        campaigns: All campaigns that go, those that ended first before the others, each followed by its follow-ups.
         solutions: Number of their solutions.
         traces: Number of traces of other campaigns.
     """
 
-    campaigns: tuple[tuple[str, str], ...]
+    campaigns: tuple[TreeMember, ...]
     solutions: int
     traces: int
 
@@ -41,38 +44,45 @@ def prune(
         ended: Delete campaigns that ended longer ago than this; None keeps all.
         traces: Delete traces that were recorded longer ago than this; None keeps those of the remaining campaigns.
         really: Whether to delete; otherwise only find out what would be deleted.
+
+    Raises:
+        Conflict: A follow-up was just added to one of the campaigns; nothing is deleted.
     """
     now = database_now(connection)
-    found: list[tuple[str, str]] = []
-    if ended is not None:
-        query = (
-            select(CampaignRow.id, CampaignRow.name)
-            .where(
-                CampaignRow.status.in_(ENDED),
-                CampaignRow.finished_at < now - ended,
-                CampaignRow.deleted_at.is_(None),
-                ~_repeated_since(now - ended),
-            )
-            .order_by(CampaignRow.finished_at)
-        )
-        found = [(row.id, row.name) for row in connection.execute(query)]
+    roots = [] if ended is None else _old_trees(connection, now - ended)
+    found = mark_deleted(connection, roots) if really else read_trees(connection, roots)
     solutions = 0
-    for campaign_id, _ in found:
-        of_campaign = select(func.count()).where(SolutionRow.campaign_id == campaign_id)
+    for one in found:
+        of_campaign = select(func.count()).where(SolutionRow.campaign_id == one.id)
         solutions += connection.execute(of_campaign).scalar_one()
-    if really:
-        mark_deleted(connection, [campaign_id for campaign_id, _ in found])
     deleted = 0 if traces is None else delete_traces(connection, now - traces, dry_run=not really)
     return Pruned(campaigns=tuple(found), solutions=solutions, traces=deleted)
 
 
-def _repeated_since(moment: datetime) -> ColumnElement[bool]:
-    """Return the condition that a campaign has repeats that are still running or ended after a point in time."""
-    again = aliased(CampaignRow)
-    recent = again.finished_at.is_(None) | (again.finished_at >= moment)
-    return (
-        select(RepeatsRow.campaign_id)
-        .join(again, again.id == RepeatsRow.campaign_id)
-        .where(RepeatsRow.of_id == CampaignRow.id, recent)
-        .exists()
+def _old_trees(connection: Connection, moment: datetime) -> list[str]:
+    """Return the roots of the trees that ended before a point in time, as did all that belongs to them."""
+    query = (
+        select(CampaignRow.id, CampaignRow.status, CampaignRow.finished_at)
+        .where(CampaignRow.deleted_at.is_(None))
+        .order_by(CampaignRow.finished_at, CampaignRow.id)
     )
+    campaigns = connection.execute(query).all()
+    links = select(RepeatsRow.campaign_id, RepeatsRow.of_id)
+    above: dict[str, str] = {row.campaign_id: row.of_id for row in connection.execute(links)}
+    memberships = select(ExperimentCampaignRow.campaign_id, ExperimentCampaignRow.experiment_id)
+    experiments: dict[str, str] = {
+        row.campaign_id: row.experiment_id for row in connection.execute(memberships)
+    }
+    roots = defaultdict[tuple[str | None, str], list[str]](list)
+    kept = set[tuple[str | None, str]]()
+    for row in campaigns:
+        root = row.id
+        while root in above:
+            root = above[root]
+        experiment = experiments.get(root)
+        group = (experiment, "" if experiment else root)
+        if root == row.id:
+            roots[group].append(root)
+        if row.status not in ENDED or row.finished_at is None or row.finished_at >= moment:
+            kept.add(group)
+    return [root for group, members in roots.items() if group not in kept for root in members]

@@ -207,7 +207,8 @@ class Queue:
         self.run(lambda connection: store.retry_job(connection, job))
 
     def delete(self, campaign: str) -> None:
-        """Delete a campaign, and erase it."""
+        """End a campaign, delete it, and erase it."""
+        self.run(lambda c: store.set_status(c, campaign, CampaignStatus.CANCELLED, ""))
         self.run(lambda connection: mark_deleted(connection, [campaign]))
         erase_all(self.engines)
 

@@ -1,7 +1,10 @@
 """Deletion in pieces: at once for everybody who looks, without keeping others waiting, and finished in the end."""
 
+import json
 import threading
 from collections.abc import Callable
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +212,103 @@ def test_what_is_being_erased_is_neither_verified_nor_exported_nor_replaced(
         engines.dispose()
 
 
+def tree(client: httpx.Client) -> tuple[str, str, str]:
+    """Return a campaign that has ended, its repeats that have ended, and repeats of these that are running."""
+    first = finish(client, ball())
+    found = [first]
+    for repeats in (2, 3):
+        asked = client.post(f"{API}/{found[-1]}/repeats", json={"numbers": [0], "repeats": repeats})
+        found.append(expect(asked, 201)["campaign"])
+        if repeats == 2:
+            FakeWorker(client).work(found[-1])
+    return found[0], found[1], found[2]
+
+
+def let_end_long_ago(engines: Engines, *campaigns: str) -> None:
+    with engines.writer.begin() as connection:
+        ended = update(CampaignRow).where(CampaignRow.id.in_(campaigns))
+        connection.execute(ended.values(finished_at=datetime(2020, 1, 1, tzinfo=UTC)))
+
+
+def pruned(database_url: str, *options: str) -> list[str]:
+    """Run ``brink db prune`` for campaigns that ended a month ago; return the campaigns that it names."""
+    said = run("db", "prune", "--ended-days", "30", "--json", "--database", database_url, *options)
+    return [one["id"] for one in json.loads(said.stdout)["campaigns"]]
+
+
+def test_retention_deletes_a_tree_of_follow_ups_when_all_of_it_is_old(
+    client: httpx.Client, engines: Engines, database_url: str
+) -> None:
+    first, repeats, again = tree(client)
+    let_end_long_ago(engines, first, repeats)
+    held = FakeWorker(client).lease()
+    assert pruned(database_url, "--yes") == []
+    assert set(FakeWorker(client).report(held)) == {"accepted"}, "of the follow-up of a follow-up"
+    FakeWorker(client).work(again)
+    assert pruned(database_url, "--yes") == [], "the last of them ended just now"
+    let_end_long_ago(engines, again)
+    assert pruned(database_url) == [first, repeats, again], "all that goes is named"
+    said = run("db", "prune", "--ended-days", "30", "--database", database_url)
+    assert [line.split()[0] for line in said.stdout.splitlines()[:-1]] == [first, repeats, again]
+    assert f"follow-up of {repeats}" in said.stdout.splitlines()[2]
+    assert pruned(database_url, "--yes") == [first, repeats, again]
+    assert row_counts(engines)["campaigns"] == 0
+
+
+@on_sqlite
+def test_retention_deletes_an_experiment_when_all_of_it_is_old(
+    client: httpx.Client, engines: Engines, database_url: str
+) -> None:
+    one = ball()
+    document = {
+        "name": "small", "problems": [one["problem"]], "algorithms": [one["algorithm"]], "seeds": [1, 2],
+        "budget": one["budget"],
+    }  # fmt: skip
+    members = [
+        m["campaign"] for m in expect(client.post("/api/v1/experiments", json=document), 201)["members"]
+    ]
+    FakeWorker(client).work(members[0])
+    let_end_long_ago(engines, members[0])
+    assert pruned(database_url) == [], "the other campaign still runs"
+    FakeWorker(client).work(members[1])
+    let_end_long_ago(engines, members[1])
+    assert set(pruned(database_url)) == set(members)
+
+
+def test_nothing_deletes_a_tree_with_a_campaign_that_has_not_ended(
+    client: httpx.Client, engines: Engines
+) -> None:
+    first, repeats, again = tree(client)
+    queue = Queue(engines=engines)
+    for root in (first, repeats, again):
+        with pytest.raises(Conflict, match=f"campaign {again}.* is running: cancel it before deleting it"):
+            queue.run(partial(mark_deleted, roots=[root]))
+        assert again in expect(client.delete(f"{API}/{root}"), 409)["detail"]
+    doomed = expect(client.get(f"{API}/{first}/deletion"))["campaigns"]
+    assert [(one["id"], one["follow_up_of"]) for one in doomed] == [
+        (first, None), (repeats, first), (again, repeats),
+    ]  # fmt: skip
+    expect(client.post(f"{API}/{again}/cancel"))
+    expect(client.delete(f"{API}/{first}"), 204)
+    for one in (first, repeats, again):
+        expect(client.get(f"{API}/{one}"), 404)
+
+
+@on_sqlite
+@pytest.mark.usefixtures("small_problems")
+def test_what_goes_with_a_campaign_is_named_before_it_is_deleted(database_url: str) -> None:
+    with coordinator(database_url) as client:
+        first, repeats, again = tree(client)
+        expect(client.post(f"{API}/{again}/cancel"))
+    said = CliRunner().invoke(app, ["delete", first, "--database", database_url], input="n\n")
+    assert said.exit_code == 1
+    assert f"follow-up of {first}" in said.output
+    assert f"{again}  " in said.output
+    assert "and 2 follow-ups? This cannot be undone" in said.output
+    with coordinator(database_url) as client:
+        assert expect(client.get(f"{API}/{repeats}"))["status"] == "finished"
+
+
 def test_traces_and_large_distances_are_erased_a_few_at_a_time(
     queue: Queue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -231,6 +331,7 @@ def test_traces_and_large_distances_are_erased_a_few_at_a_time(
         connection.execute(insert(DistanceBlockRow), blocks)
 
     queue.run(fill)
+    queue.run(lambda c: c.execute(update(CampaignRow).values(status="finished")))
     queue.run(lambda connection: mark_deleted(connection, [campaign]))
     left = []
     while not queue.run(lambda connection: erase_piece(connection, campaign)):

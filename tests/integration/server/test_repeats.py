@@ -237,9 +237,7 @@ def test_a_campaign_is_deleted_with_its_repeats_once_they_ended(
     campaign = finished(client)
     view = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
     answer = expect(client.delete(f"{API}/{campaign}"), 409)
-    assert (
-        f"campaign {view['campaign']} repeats the boundary of {campaign} and is running" in answer["detail"]
-    )
+    assert f"campaign {view['campaign']}, a follow-up of {campaign}, is running" in answer["detail"]
     expect(client.post(f"{API}/{view['campaign']}/cancel"))
     expect(client.delete(f"{API}/{campaign}"), 204)
     await_erasure(engines)

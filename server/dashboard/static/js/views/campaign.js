@@ -105,7 +105,11 @@ export async function show(main, context, { parts, query }) {
 
   function remover() {
     return h("button.quiet", { type: "button", onclick: async () => {
-      if (!await sure(`Delete ${name} and all of its results? This cannot be undone.`, { yes: "Delete" })) return;
+      const doomed = await context.tell(() => context.get(`campaigns/${id}/deletion`));
+      if (doomed === undefined) return;
+      const followUps = doomed.campaigns.length - 1;
+      const what = followUps ? `${name} with its ${plural(followUps, "follow-up")}` : name;
+      if (!await sure(`Delete ${what} and all results? This cannot be undone.`, { yes: "Delete" })) return;
       if (await context.act("DELETE", `campaigns/${id}`, `${name} has been deleted.`) !== undefined) go("campaigns");
     } }, "Delete");
   }
