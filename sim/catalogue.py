@@ -145,7 +145,8 @@ def load_plugin(group: str, plugin_id: str) -> object:
 def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Callable[..., Any]:
     """Return a function or class of a plug-in module that a specification names, such as ``my_policies:drive``.
 
-    A specification may come from anybody who may submit campaigns, so it reaches no other modules.
+    A specification may come from anybody who may submit campaigns, so it reaches no other modules, and nothing that
+    such a module merely imports, unless the module lists it in `__all__`.
 
     Args:
         where: Where the name stands, for messages.
@@ -163,9 +164,15 @@ def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Cal
             f"{where}: expected MODULE:FUNCTION with a module that --plugin or {PLUGINS_VARIABLE} names, or one of "
             f"{', '.join(known) or 'none'}; got {name!r}"
         )
-    found = getattr(importlib.import_module(module), function, None)
+    source = importlib.import_module(module)
+    found = getattr(source, function, None)
     if not callable(found) or function.startswith("_"):
         raise InvalidEpisode(f"{where}: {module} has no function {function!r}")
+    if getattr(found, "__module__", None) != module and function not in getattr(source, "__all__", ()):
+        raise InvalidEpisode(
+            f"{where}: expected a function that {module} defines, or lists in __all__; {function!r} is from "
+            "elsewhere"
+        )
     return cast(Callable[..., Any], found)
 
 

@@ -144,15 +144,17 @@ def _check_calls(progress: Progress) -> None:
     """Check that a search has finished.
 
     Raises:
-        CampaignUnfinished: It was cancelled, or paused by a user or after too many failed calls.
+        CampaignUnfinished: It was cancelled, or paused by a user or after too many failed calls, or all calls failed.
     """
     failed = failures_of(progress)
-    if progress.status is not CampaignStatus.PAUSED or not progress.status_reason or not failed:
+    given_up = {CampaignStatus.PAUSED: "was paused", CampaignStatus.FAILED: "has no result"}
+    if progress.status not in given_up or not progress.status_reason or not failed:
         check_finished(progress)
         return
     first = (progress.failure or progress.status_reason).removeprefix("invalid: ")
     raise CampaignUnfinished(
-        f"{progress.name}: {failed:,} of {progress.simulations:,} calls failed, so the search was paused. The first: "
+        f"{progress.name}: {failed:,} of {progress.simulations:,} calls failed, so the search "
+        f"{given_up[progress.status]}. The first: "
         f"{first}. Correct the function and call brink.search() again. A failed call is neither safe nor unsafe: "
         "where the function has no result, leave such values out of the space, or "
         f"return what counts as safe or unsafe there. (campaign {progress.id})"

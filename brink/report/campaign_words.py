@@ -506,7 +506,7 @@ def standing(facts: Facts) -> str:
     """Return why the report is not final; empty if the campaign has finished."""
     progress = facts.progress
     done = f"{progress.simulations:,} of {count(progress.budget, 'simulation')}"
-    reason = f" Reason: {progress.status_reason}." if progress.status_reason else ""
+    reason = f" Reason: {progress.status_reason.removesuffix('.')}." if progress.status_reason else ""
     if facts.left_out:
         reason += (
             f" {count(facts.left_out, 'simulation')} of a generation that is not complete "

@@ -385,11 +385,12 @@ async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
 def _nothing_yet(known: _Known) -> str:
     reported, unsafe = known.reported
     if not reported:
-        return (
-            "no simulation has a verdict yet"
-            if known.campaign.status not in ENDED
-            else "no simulation had a verdict"
-        )
+        if known.campaign.status not in ENDED:
+            return "no simulation has a verdict yet"
+        failed = known.campaign.failed
+        if failed and not known.campaign.measured:
+            return f"all {failed:,} simulations failed"
+        return "no simulation had a verdict"
     return (
         f"{unsafe:,} of the first {reported:,} drives {_violated(known)}; the search is told once its first "
         "generation is complete"

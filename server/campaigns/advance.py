@@ -319,7 +319,7 @@ class Stepper:
         step_ms = round(1000 * step.summary.step_s, 1)
         log.info("generation told", extra={**_about(campaign), **counts, "step_ms": step_ms})
         if finished:
-            log.info("campaign finished", extra={**_about(campaign), **counts})
+            log.info("campaign %s", step.status, extra={**_about(campaign), **counts})
         return True  # also for the last step, which may have started repeats
 
     def _make_step(
@@ -336,29 +336,32 @@ class Stepper:
         boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH)
         strict = np.count_nonzero(has_evidence(archive)[boundary])
         fitness = told.fitness
+        summary = GenerationSummary(
+            number=campaign.generation,
+            evaluated=len(archive),
+            unsafe=int(np.count_nonzero(archive.unsafe)),
+            failed=campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values()),
+            measured=campaign.measured + sum(isinstance(e, Measured) for e in evaluations.values()),
+            best_fitness=_finite(fitness.min()) if fitness.size else None,
+            median_fitness=_finite(np.median(fitness)) if fitness.size else None,
+            dbs=len(boundary),
+            strict_dbs=int(strict),
+            step_s=time.perf_counter() - began,
+        )
+        status, reason = _status_after(summary, evaluations, finished=finished)
         return Step(
             campaign=campaign.id,
             generation=campaign.generation,
             results=[
                 _solution_result(number, evaluation) for number, evaluation in sorted(evaluations.items())
             ],
-            summary=GenerationSummary(
-                number=campaign.generation,
-                evaluated=len(archive),
-                unsafe=int(np.count_nonzero(archive.unsafe)),
-                failed=campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values()),
-                measured=campaign.measured + sum(isinstance(e, Measured) for e in evaluations.values()),
-                best_fitness=_finite(fitness.min()) if fitness.size else None,
-                median_fitness=_finite(np.median(fitness)) if fitness.size else None,
-                dbs=len(boundary),
-                strict_dbs=int(strict),
-                step_s=time.perf_counter() - began,
-            ),
+            summary=summary,
             block=self._distance_block(archive),
             checkpoint=_checkpoint(plan, told, campaign.generation + 1),
             asked=asked,
             traces=self._evidence(campaign, plan, archive, boundary) if finished else (),
-            status=CampaignStatus.FINISHED if finished else CampaignStatus.RUNNING,
+            status=status,
+            reason=reason,
         )
 
     def _distance_block(self, archive: Archive) -> DistanceBlock | None:
@@ -556,6 +559,25 @@ def _solution_result(number: int, evaluation: Evaluation) -> SolutionResult:
             number=number, verdict=SolutionVerdict.MEASURED, objectives=evaluation.objectives
         )
     return SolutionResult(number=number, verdict=SolutionVerdict.FAILED, failure=evaluation.reason)
+
+
+def _status_after(
+    summary: GenerationSummary, evaluations: Mapping[int, Evaluation], *, finished: bool
+) -> tuple[CampaignStatus, str]:
+    """Return the status of a campaign after a step, and the reason if it has failed: no simulation had a result.
+
+    Args:
+        summary: The campaign's counts after the step.
+        evaluations: The results of the step.
+        finished: Whether the search has ended.
+    """
+    if not finished:
+        return CampaignStatus.RUNNING, ""
+    if summary.evaluated or summary.measured or not summary.failed:
+        return CampaignStatus.FINISHED, ""
+    one = next((e.reason for e in evaluations.values() if isinstance(e, Failed)), "")
+    example = f". One of the errors: {first_line(one)}" if one else ""
+    return CampaignStatus.FAILED, f"all {summary.failed:,} simulations failed{example}"
 
 
 def _too_many_failures(

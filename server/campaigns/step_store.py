@@ -141,6 +141,7 @@ class Step:
         asked: The generations that the algorithm then asked for.
         traces: Numbers of solutions whose traces are recorded as evidence, at the end of the search.
         status: The campaign's status after the step.
+        reason: Why it has failed; empty otherwise.
     """
 
     campaign: str
@@ -152,6 +153,7 @@ class Step:
     asked: Asked
     traces: Sequence[int]
     status: CampaignStatus
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,7 +256,7 @@ def write_step(connection: Connection, step: Step) -> bool:
         )
     )  # fmt: skip
     if step.status is not CampaignStatus.RUNNING:
-        set_status(connection, campaign.id, step.status, "")
+        set_status(connection, campaign.id, step.status, step.reason)
     return True
 
 

@@ -232,7 +232,7 @@ def set_status(
     *,
     failures_accepted: int | None = None,
 ) -> None:
-    """Set a campaign's status. Cancelling also cancels its open jobs, except those that record traces.
+    """Set a campaign's status. A campaign that ends keeps no open jobs, except those that record traces.
 
     Args:
         connection: In a write transaction.
@@ -249,7 +249,7 @@ def set_status(
     connection.execute(update(CampaignRow).where(CampaignRow.id == campaign_id).values(values))
     if status is CampaignStatus.RUNNING:
         notify_coordinators(connection)
-    if status is CampaignStatus.CANCELLED:
+    if status in ENDED:
         job_store.cancel_evaluations(connection, campaign_id)
 
 

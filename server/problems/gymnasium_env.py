@@ -25,13 +25,16 @@ from brink.sim.adapters.gymnasium_env.specification import (
     MARGIN,
     MAX_PERTURBATIONS,
     MAX_STEPS,
+    OWN_MODULES,
     PERTURBED,
+    POLICIES,
     SIMULATOR_ID,
     SURVIVAL,
     WITHOUT_MAGNITUDE,
     Perturbation,
     PerturbationType,
 )
+from brink.sim.catalogue import load_function
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.urban.behaviour import steps_from_json
@@ -39,7 +42,6 @@ from brink.sim.urban.behaviour import steps_from_json
 NO_PERTURBATION: Final = "none"
 TYPES: Final = tuple(kind.value for kind in PerturbationType)
 CART_POLE: Final = "CartPole-v1"
-POLICIES: Final = "brink.sim.adapters.gymnasium_env.policies"
 _SCENARIO: Final = "scenario"
 _RESET_SEED: Final = "reset_seed"
 _FIELDS: Final = ("type", "dimension", "magnitude", "from_step", "steps")
@@ -246,6 +248,18 @@ class GymnasiumProblem(HasTrueVariant, JudgedByRequirements):
         self._observed = params.observed
         self._index = {name: index for index, (name, _) in enumerate(self._observed)}
         self._prefixes = _prefixes(params.perturbations)
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return what is wrong with the names of the policy and the margin; workers check them again."""
+        wrong = []
+        for name in ("policy", "margin"):
+            if not (given := getattr(self.params, name)) and name == "margin":
+                continue
+            try:
+                load_function(name, given, OWN_MODULES)
+            except InvalidEpisode as error:
+                wrong.append((name, str(error).removeprefix(f"{name}: ")))
+        return wrong
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and the perturbations in it."""

@@ -24,6 +24,7 @@ from brink.sim.adapters.gymnasium_env.specification import (
     EXTRA,
     MARGIN,
     MAX_DIMENSIONS,
+    OWN_MODULES,
     PERTURBED,
     SIMULATOR_ID,
     SURVIVAL,
@@ -42,7 +43,6 @@ if find_spec("gymnasium") is None:
 
 MAX_DURATION_S: Final = 1e6
 _SEEDS: Final = 2**31
-OWN_MODULES: Final = ("brink.sim.adapters.gymnasium_env.policies",)
 
 
 class GymnasiumSimulator:

@@ -18,6 +18,9 @@ MAX_STEPS: Final = 100_000
 MAX_PERTURBATIONS: Final = 8
 """Most perturbations in an episode."""
 MAX_DIMENSIONS: Final = 1024
+POLICIES: Final = "brink.sim.adapters.gymnasium_env.policies"
+OWN_MODULES: Final = (POLICIES,)
+"""Modules of Brink whose functions may be named, beside those of plug-ins."""
 SURVIVAL: Final = "survival@1"
 """The requirement that an episode does not terminate before a number of steps."""
 MARGIN: Final = "margin@1"

@@ -3,7 +3,9 @@
 import base64
 import hashlib
 import json
+import threading
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -23,7 +25,9 @@ from support.api import (
     row_counts,
     submit,
 )
+from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.search.algorithms.ga import GeneticAlgorithmConfig
 from brink.search.metric import Metric
 from brink.server.api import campaigns as campaign_routes
@@ -216,6 +220,49 @@ def test_failures_beside_successes_or_that_are_allowed_do_not_pause_it_early(
         assert stopped["status_reason"].startswith("6 of 20 candidates failed")
     else:
         assert (stopped["status"], stopped["failed"]) == ("finished", 6)
+
+
+def few(**changes: Any) -> dict[str, Any]:
+    """Return the body of a campaign so small that its failures never pause it."""
+    return ball(simulations=3, algorithm={"id": "random@1"}, **changes)
+
+
+def test_a_campaign_without_any_result_has_failed(listening_client: httpx.Client, tmp_path: Path) -> None:
+    worker = FakeWorker(listening_client, judge=fails_east_of(-9.0))
+    file = tmp_path / "few.json"
+    file.write_text(json.dumps(few()))
+    server = ["--server", str(listening_client.base_url)]
+
+    def simulate() -> None:
+        while len(worker.statuses) < 3:
+            worker.report(worker.lease(wait_s=5.0))
+
+    simulating = threading.Thread(target=simulate)
+    simulating.start()
+    watched = CliRunner().invoke(app, ["submit", str(file), "--watch", *server])
+    simulating.join()
+    assert watched.exit_code == 1, watched.output
+    (campaign,) = [one["id"] for one in expect(listening_client.get("/api/v1/campaigns"))["campaigns"]]
+    done = progress(listening_client, campaign)
+    reason = "all 3 simulations failed. One of the errors: invalid: no road here\N{REPLACEMENT CHARACTER}"
+    assert (done["status"], done["failed"], done["status_reason"]) == ("failed", 3, reason)
+    found = expect(listening_client.get(f"/api/v1/campaigns/{campaign}/finding"))
+    assert (found["words"], found["steps"]) == ("All 3 simulations failed.", [])
+    said = CliRunner().invoke(app, ["status", campaign, *server])
+    assert "is failed: all 3 simulations failed" in said.stdout
+    out = tmp_path / "report.html"
+    reported = CliRunner().invoke(app, ["report", campaign, "--out", str(out), *server])
+    assert reported.exit_code == 0, reported.output
+    assert "The campaign has failed after 3 of 3 simulations" in out.read_text()
+    assert "Reason: all 3 simulations failed." in out.read_text()
+
+
+def test_a_campaign_with_one_result_among_failures_has_finished(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client), submit(client, few())
+    worker.report(worker.lease(max_jobs=1))
+    worker.judge = fails_east_of(-9.0)
+    done = worker.work(campaign)
+    assert (done["status"], done["failed"], done["evaluated"]) == ("finished", 2, 1)
 
 
 def test_quarantined_jobs_can_be_retried_before_resuming(client: httpx.Client) -> None:

@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brink.search.space import Categorical
+from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.problems import gymnasium_env
 from brink.server.problems.base import (
@@ -27,7 +29,12 @@ from brink.server.problems.base import (
 )
 from brink.server.problems.catalogue import check_extra, make_problem
 from brink.server.problems.gymnasium_env import NO_PERTURBATION, GymnasiumParams, GymnasiumProblem
-from brink.sim.adapters.gymnasium_env.specification import GymnasiumEpisode, Perturbation, PerturbationType
+from brink.sim.adapters.gymnasium_env.specification import (
+    POLICIES,
+    GymnasiumEpisode,
+    Perturbation,
+    PerturbationType,
+)
 from brink.sim.catalogue import PLUGINS_VARIABLE, make_simulator
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -247,6 +254,30 @@ def test_the_example_finds_its_problem() -> None:
     assert isinstance(
         make_problem(campaign["problem"]["id"], campaign["problem"]["params"]), GymnasiumProblem
     )
+
+
+@pytest.mark.parametrize(
+    ("field", "given", "message"),
+    [
+        ("policy", "os:system", "expected MODULE:FUNCTION with a module that --plugin"),
+        ("policy", "balance_cart_pole", "expected MODULE:FUNCTION with a module that --plugin"),
+        ("policy", "", "expected MODULE:FUNCTION with a module that --plugin"),
+        ("policy", f"{POLICIES}:nobody", "has no function 'nobody'"),
+        ("policy", f"{POLICIES}:_CART_POLE_GAINS", "has no function '_CART_POLE_GAINS'"),
+        ("policy", f"{POLICIES}:dataclass", "expected a function that .* defines, or lists in __all__"),
+        ("margin", "os:system", "expected MODULE:FUNCTION with a module that --plugin"),
+    ],
+)
+def test_functions_that_no_worker_would_call_are_refused_at_submission(
+    field: str, given: str, message: str
+) -> None:
+    campaign: dict[str, Any] = {
+        "name": "poles", "problem": {"id": "gymnasium@1", "params": {field: given}},
+        "algorithm": {"id": "random@1"}, "budget": {"simulations": 3},
+    }  # fmt: skip
+    with pytest.raises(InvalidInput, match=message) as caught:
+        make_checked_plan(parse_body(campaign))
+    assert [one.pointer for one in caught.value.errors] == [f"/problem/params/{field}"]
 
 
 def test_the_policy_in_the_documentation_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

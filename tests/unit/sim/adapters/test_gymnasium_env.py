@@ -291,6 +291,7 @@ CASES: list[tuple[dict[str, Any], str]] = [
     ({"options": {"policy": "os:abort"}}, "options.policy: expected MODULE:FUNCTION with a module that --plugin"),
     ({"options": {"policy": f"{HERE}:_as_plugin"}}, "has no function '_as_plugin'"),
     ({"options": {"policy": f"{HERE}:nobody"}}, "has no function 'nobody'"),
+    ({"options": {"policy": f"{HERE}:replace"}}, "'replace' is from elsewhere"),
     ({"options": {"survive_steps": 301}}, "options.survive_steps: expected an integer in \\[1, 300\\]"),
     ({"options": {"step_s": 0.0}}, "options.step_s: expected a time above 0"),
     ({"options": {"margin": f"{HERE}:distance_margin"}}, "requirements: expected margin@1 alone"),
