@@ -25,6 +25,9 @@ MAX_ERRORS = 50
 """Maximum number of invalid fields that are described; a person corrects the first ones and tries again."""
 MANY_ERRORS = 1_000
 """Where there are more, none is described, since a document with so many was not written for this model."""
+LONGEST_NUMBER = 1_000
+"""Maximum number of characters of a number in a YAML file. JSON's are limited by Python. Longer ones take seconds to
+read, in hexadecimal, and cannot be written in a message."""
 LONGEST_SHOWN = 120
 """Maximum number of characters of an invalid value in a message."""
 
@@ -187,9 +190,8 @@ def parse_yaml(text: str, *, max_values: int = MAX_VALUES) -> object:
         document = _Loader(text).read(max_values)
     except yaml.YAMLError as error:
         raise InvalidInput.at("", _yaml_problem(error)) from None
-    except (ValueError, RecursionError) as error:  # an invalid date; unlimited nesting
-        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
-        raise InvalidInput.at("", f"not YAML: {reason}") from None
+    except RecursionError:
+        raise InvalidInput.at("", "not YAML: nested too deeply") from None
     return document
 
 
@@ -197,7 +199,8 @@ class _Loader(yaml.SafeLoader):
     """A YAML loader that rejects what would be misread, or would not fit into memory.
 
     These are duplicate keys, of which YAML would silently use the last, and aliases of aliases, with which a few
-    lines stand for billions of values.
+    lines stand for billions of values. Every scalar that cannot be read is a `yaml.YAMLError` with its place: PyYAML
+    itself raises whatever its conversion happens to raise.
     """
 
     _max_values = MAX_VALUES
@@ -231,13 +234,29 @@ class _Loader(yaml.SafeLoader):
         node: yaml.Node | None = super().compose_node(parent, index)
         return node
 
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        if not isinstance(node, yaml.ScalarNode):
+            return super().construct_object(node, deep)
+        kind = node.tag.rpartition(":")[2]
+        if kind in ("int", "float") and len(node.value) > LONGEST_NUMBER:
+            expected = f"expected a number of at most {LONGEST_NUMBER} characters, got {len(node.value)}"
+            raise yaml.constructor.ConstructorError(None, None, expected, node.start_mark)
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, ValueError):
+            expected = f"expected a value of type {kind}, got {_shown(node.value)}"
+            raise yaml.constructor.ConstructorError(None, None, expected, node.start_mark) from None
+
     def _too_many(self, mark: yaml.Mark) -> yaml.YAMLError:
         expected = f"expected at most {self._max_values} values, counting each alias as what it stands for"
         return yaml.constructor.ConstructorError(None, None, expected, mark)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-        for key, _ in reversed(node.value):
+        pairs = (
+            node.value if isinstance(node, yaml.MappingNode) else []
+        )  # a scalar may be tagged as a mapping
+        counts = Counter(key.value for key, _ in pairs if isinstance(key, yaml.ScalarNode))
+        for key, _ in reversed(pairs):
             if isinstance(key, yaml.ScalarNode) and key.value != "<<" and counts[key.value] > 1:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"{key.value!r} is given twice", key.start_mark

@@ -147,6 +147,30 @@ def test_invalid_json_is_rejected(client: httpx.Client, engines: Engines, conten
     assert row_counts(engines) == before
 
 
+@pytest.mark.parametrize(
+    "scalar",
+    ["0x" + "f" * 5_000, "0b" + "1" * 20_000, ":".join(["1"] * 3_000), "!!bool abc", "!!timestamp abc"],
+)
+@pytest.mark.parametrize("field", ["seed", "name", "budget", "odd"])
+def test_odd_scalars_of_yaml_are_rejected(client: httpx.Client, field: str, scalar: str) -> None:
+    text = json.dumps({**ball(), field: "HERE"}).replace('"HERE"', scalar)
+    answer = client.post(
+        "/api/v1/campaigns/check", content=text, headers={"Content-Type": "application/yaml"}
+    )
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert "line 1" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("number", ["9" * 5_000, "9" * 4_000, "-" + "9" * 4_000, "1e400", "-1e400", "NaN"])
+@pytest.mark.parametrize("field", ["seed", "name", "budget"])
+def test_odd_numbers_of_json_are_rejected(client: httpx.Client, field: str, number: str) -> None:
+    text = json.dumps({**ball(), field: "HERE"}).replace('"HERE"', number)
+    answer = client.post("/api/v1/campaigns", content=text, headers={"Content-Type": "application/json"})
+    assert answer.status_code in (400, 422), answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
 def test_answer_locates_the_error_in_broken_json(client: httpx.Client) -> None:
     answer = client.post(
         "/api/v1/campaigns", content=b'{"name": }', headers={"Content-Type": "application/json"}

@@ -142,6 +142,8 @@ def test_unknown_field_in_a_file_is_one_line(brink: Command, tmp_path: Path, com
         ("- 1", "expected a campaign with name"),
         ("\0", "not YAML: unacceptable character"),
         ("", "name, problem, algorithm and budget"),
+        (f"name: x\nseed: 0x{'f' * 5_000}", "line 2, column 7: expected a number of at most"),
+        ("name: x\nseed: !!bool abc", "line 2, column 7: expected a value of type bool, got 'abc'"),
     ],
 )
 def test_file_without_campaign_is_one_line(brink: Command, tmp_path: Path, content: str, words: str) -> None:
