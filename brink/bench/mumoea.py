@@ -568,9 +568,9 @@ class Comparison:
     def _draw_types(self, by_method: Mapping[str, Sequence[SearchRun]]) -> None:
         """Plot the number of types against the number of simulations: mean and range of each method."""
         # Imported here: matplotlib takes half a second to load.
-        from matplotlib.figure import Figure
+        from brink.sim.replay.figure import LiteralFigure
 
-        figure = Figure(figsize=(9, 4), layout="constrained")
+        figure = LiteralFigure(figsize=(9, 4), layout="constrained")
         axes = figure.subplots()
         found = {
             name: [[one.number for one in run.first_of_each_type().values()] for run in runs]
@@ -585,9 +585,9 @@ class Comparison:
 
     def _draw_violations(self, by_method: Mapping[str, Sequence[SearchRun]]) -> None:
         """Plot the number of violating solutions against simulations and CPU time, like the paper's Fig. 2b."""
-        from matplotlib.figure import Figure
+        from brink.sim.replay.figure import LiteralFigure
 
-        figure = Figure(figsize=(12, 4), layout="constrained")
+        figure = LiteralFigure(figsize=(12, 4), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         numbers = {
             name: [[one.number for one in run.found] for run in runs] for name, runs in by_method.items()

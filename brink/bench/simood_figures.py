@@ -35,8 +35,9 @@ def draw_pairs(together: Mapping[NamedChain, float], parts: Mapping[NamedChain, 
         path: The file.
     """
     # Imported here: matplotlib takes half a second to load.
-    from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
+
+    from brink.sim.replay.figure import LiteralFigure
 
     steps = sorted(
         (chain[0] for chain in parts),
@@ -47,7 +48,7 @@ def draw_pairs(together: Mapping[NamedChain, float], parts: Mapping[NamedChain, 
     shares[:, 0] = [parts[(step,)] for step in steps]
     for (first, second), share in together.items():
         shares[places[first], places[second] + 1] = share
-    figure = Figure(figsize=(8, 7.4), layout="constrained")
+    figure = LiteralFigure(figsize=(8, 7.4), layout="constrained")
     axes = figure.subplots()
     axes.set_facecolor("#eeeeee")
     axes.imshow(shares, cmap="Oranges", vmin=0, vmax=1.25)
@@ -89,9 +90,9 @@ def draw_omega(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         rows: A row for each omega, with `omega`, `unique_orders`, `mean_intensity` and `mean_alpha`.
         path: The file.
     """
-    from matplotlib.figure import Figure
+    from brink.sim.replay.figure import LiteralFigure
 
-    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    figure = LiteralFigure(figsize=(7, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     omegas, orders, intensities, alphas = (
         [row[name] for row in rows] for name in ("omega", "unique_orders", "mean_intensity", "mean_alpha")

@@ -16,6 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
+from brink.sim.replay.figure import LiteralFigure
+
 SAFE: Final = "#0072b2"
 UNSAFE: Final = "#d55e00"
 OTHER: Final = "#b0468c"
@@ -43,7 +45,7 @@ def new_figure(height_px: int, title: str, subtitle: str) -> Figure:
         title: The title.
         subtitle: One or two sentences that explain the figure, with line breaks.
     """
-    figure = Figure(figsize=(WIDTH_PX / DPI, height_px / DPI), dpi=DPI, facecolor=PAPER)
+    figure = LiteralFigure(figsize=(WIDTH_PX / DPI, height_px / DPI), dpi=DPI, facecolor=PAPER)
     FigureCanvasAgg(figure)
     left = MARGIN_PX / WIDTH_PX
     figure.text(

@@ -40,14 +40,14 @@ async def draw_gallery(found: Violations, drawing: Drawing, most: int) -> list[P
 def figure_types(found: Violations) -> "Figure":
     """Plot how the numbers of known types and of avoidable ones grow with the solutions."""
     # matplotlib takes half a second to load: only commands that draw wait for it.
-    from matplotlib.figure import Figure
+    from brink.sim.replay.figure import LiteralFigure
 
     firsts = sorted(kind.first for kind in found.types)
     curves = [(firsts, "#0072b2", "all types")]
     if any(kind.avoidable for kind in found.types):
         curves.append((_first_avoidable(found), "#d55e00", "avoidable by a careful driver"))
     last = max((one.number for one in found.violations), default=0)
-    figure = Figure(figsize=(6, 3.4), layout="constrained")
+    figure = LiteralFigure(figsize=(6, 3.4), layout="constrained")
     axes = figure.subplots()
     for numbers, colour, label in curves:
         axes.step(

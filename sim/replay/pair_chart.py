@@ -14,10 +14,10 @@ from typing import Final, TypeAlias
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
+from brink.sim.replay.figure import LiteralFigure
 from brink.sim.replay.guard import guard_words
 from brink.sim.replay.motion import distances, plan_words, scripts_of
 from brink.sim.replay.pair import Interval, Mark, Nearest, PairStory, ended_words
@@ -144,7 +144,9 @@ def draw_pair_chart(
         scale: Size of text and lanes.
     """
     width, height = size
-    figure = Figure(figsize=(width / DPI / scale, height / DPI / scale), dpi=DPI * scale, facecolor="white")
+    figure = LiteralFigure(
+        figsize=(width / DPI / scale, height / DPI / scale), dpi=DPI * scale, facecolor="white"
+    )
     canvas = FigureCanvasAgg(figure)
     wide, high = width / scale, height / scale
     rows = [row for row in _rows(story, window) if row.colour is not None or _is_in(row, story, window)]

@@ -8,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from brink.sim.replay.figure import LiteralFigure
 from brink.sim.replay.guard import guard_probability, guard_words
 from brink.sim.replay.motion import scripts_of
 from brink.sim.replay.scene import LABELS, PERSON, count_wrong, has_errors
@@ -59,7 +60,7 @@ def timeline_figure(
         ReplayError: The trace is empty, or lacks the requirement.
     """
     story = story_of(trace, requirement)
-    figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, facecolor="white")
+    figure = LiteralFigure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     left, right = 124 / size[0], 1 - 108 / size[0]
     grid = figure.add_gridspec(
