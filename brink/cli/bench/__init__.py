@@ -8,7 +8,7 @@ import typer
 from brink.cli.bench.monitors import guard, monitor, monitor_accuracy
 from brink.cli.bench.perception import detector, perturbations, rendering, simood
 from brink.cli.bench.searches import heredity, mumoea, paper, search
-from brink.cli.bench.service import archive, chaos, dashboard, queue, scale, soak, turns
+from brink.cli.bench.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns
 from brink.cli.bench.statistics import coverage
 from brink.cli.bench.urban import control, difficulty, drivers, sim
 
@@ -20,6 +20,6 @@ for _command in (
     detector, simood, rendering, perturbations,
     search, paper, heredity, mumoea,
     monitor, monitor_accuracy, guard, coverage,
-    queue, scale, turns, archive, soak, chaos, dashboard,
+    queue, scale, turns, archive, soak, chaos, stalls, dashboard,
 ):  # fmt: skip
     bench.command()(_command)

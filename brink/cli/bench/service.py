@@ -1,4 +1,4 @@
-"""`brink bench queue | chaos | scale | turns | archive | soak | dashboard`: the coordinator under load and faults."""
+"""`brink bench queue`, `chaos`, `stalls`, `scale`, `turns`, `archive`, `soak`, `dashboard`: load and faults."""
 
 from typing import Annotated
 
@@ -76,6 +76,54 @@ def queue(
     missed = any(ratio < TARGET_RATIO for *_, ratio in ratios) or any(met is False for _, met in pickups)
     shown = (throughput_table, "", ratio_table, "", pickup_table, "", *notes)
     conclude(document, *shown, as_json=as_json, missed=missed)
+
+
+def stalls(
+    seconds: Annotated[
+        float, typer.Option(min=1, max=600, help="How long others are timed beside each disturbance.")
+    ] = 20.0,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", help="Only disturbances whose title contains this text; may be repeated."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what a campaign or a request that stalls does to everybody else.
+
+    A health check, a heartbeat, a report with the next lease, the submission of another campaign, and a whole small
+    search are timed, first alone and then beside each disturbance, such as a plug-in that hangs. Each time is the
+    worst one. In the end, the disturbing campaign is cancelled, and the coordinator is told to exit.
+
+    Example: brink bench stalls --only plug-in
+    """
+    from brink.bench.stalls import DISTURBANCES, MOST_EXIT_S, MOST_LATENCY_S, PROBES, measure_stalls
+
+    chosen = [one for one in DISTURBANCES if not only or any(text in one.title for text in only)]
+    if not chosen:
+        expected = ", ".join(one.title for one in DISTURBANCES)
+        raise typer.BadParameter(f"expected part of one of: {expected}", param_hint="--only")
+    with show_progress() as progress:
+        found = list(measure_stalls(progress, chosen, seconds=seconds))
+    document = [
+        {**fields(one), "latencies": [{**fields(each), "ratio": each.ratio} for each in one.latencies]}
+        for one in found
+    ]
+    table = value_table(
+        (
+            "beside it, worst ms (of idle)", *PROBES, "cancel s", "exit s",
+            f"target: {MOST_LATENCY_S:g} s, exit {MOST_EXIT_S:g} s", "the campaign",
+        ),
+        (
+            (
+                one.title,
+                *(f"{each.worst_ms:,.0f} ({each.ratio:,.1f}x)" for each in one.latencies),
+                "" if one.cancel_s is None else f"{one.cancel_s:.2f}", f"{one.exit_s:.1f}", met_text(one.met),
+                one.fate,
+            )
+            for one in found
+        ),
+    )  # fmt: skip
+    conclude(document, table, as_json=as_json, missed=not all(one.met for one in found))
 
 
 def chaos(
