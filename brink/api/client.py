@@ -6,7 +6,7 @@ Either way the client speaks the REST API, so what works on this machine also wo
 from collections.abc import AsyncIterator, Iterable, Mapping
 from contextlib import asynccontextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import httpx
 from pydantic import TypeAdapter, ValidationError
@@ -36,6 +36,16 @@ class CoordinatorError(ServerError):
 
 class Missing(CoordinatorError):
     """The coordinator has nothing by this name."""
+
+
+class Refused(CoordinatorError):
+    """The state of the resource does not allow the request."""
+
+
+_KINDS: Final[Mapping[int, type[CoordinatorError]]] = {
+    httpx.codes.NOT_FOUND: Missing,
+    httpx.codes.CONFLICT: Refused,
+}
 
 
 class Api:
@@ -155,7 +165,7 @@ def _error_of(response: httpx.Response) -> CoordinatorError:
         for error in document.get("errors") or []
     ]
     if not errors:
-        kind = Missing if response.status_code == httpx.codes.NOT_FOUND else CoordinatorError
+        kind = _KINDS.get(response.status_code, CoordinatorError)
         return kind(str(document.get("detail", document)))
     return CoordinatorError("\n".join(map(str, errors)), errors)
 

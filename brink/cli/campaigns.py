@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from brink.api.client import Api, CoordinatorError
+from brink.api.client import Api, Refused
 from brink.api.live import CampaignDisplay, failures_of, spark, waits_words
 from brink.cli.options import (
     AsJson,
@@ -539,7 +539,8 @@ def cancel(campaign: CampaignId, database: Database = None, server: Server = Non
 def retry(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
     """Put the quarantined jobs of a campaign back into the queue, with all their attempts and losses restored.
 
-    Jobs of earlier generations stay quarantined: the search has moved on without them.
+    Jobs of earlier generations stay quarantined: the search has moved on without them. So do those of a campaign that
+    has ended. The exit code is 1 if no job could be retried.
 
     Example: brink retry 3f2a
     """
@@ -553,13 +554,15 @@ def retry(campaign: CampaignId, database: Database = None, server: Server = None
                 try:
                     await api.post(f"/jobs/{job.id}/retry")
                     queued += 1
-                except CoordinatorError as error:
+                except Refused as error:
                     refused, reason = refused + 1, str(error)
             page["after"] = jobs[-1].id
         return queued, f"; {refused} stay quarantined: {reason}" if refused else ""
 
     queued, rest = with_api(server, database, work)
     print_line(f"{queued} jobs are back in the queue{rest}")
+    if rest and not queued:
+        raise typer.Exit(1)
 
 
 def delete(

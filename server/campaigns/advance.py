@@ -298,7 +298,8 @@ class Stepper:
         told = algorithm.tell(live.state, evaluations)
         finished = algorithm.finished(told)
         next_state, asked = ask_next(live.plan, told, live.asked)
-        step = self._make_step(campaign, live.plan, evaluations, told, asked, finished, began)
+        without_result = [one.number for one in outcomes if one.status is not JobStatus.DONE]
+        step = self._make_step(campaign, live.plan, evaluations, without_result, told, asked, finished, began)
         repeats = self._repeats(campaign, live.plan, told.archive) if finished else None
 
         def unit(connection: Connection) -> bool:
@@ -327,6 +328,7 @@ class Stepper:
         campaign: Campaign,
         plan: Plan,
         evaluations: Mapping[int, Evaluation],
+        without_result: Sequence[int],
         told: Any,
         asked: Asked,
         finished: bool,
@@ -355,6 +357,7 @@ class Stepper:
             results=[
                 _solution_result(number, evaluation) for number, evaluation in sorted(evaluations.items())
             ],
+            without_result=without_result,
             summary=summary,
             block=self._distance_block(archive),
             checkpoint=_checkpoint(plan, told, campaign.generation + 1),

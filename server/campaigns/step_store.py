@@ -135,6 +135,7 @@ class Step:
         campaign: Id of the campaign.
         generation: The completed generation; the step is only written if the campaign is still in it.
         results: The results of its solutions.
+        without_result: Those of them that count as failed because their jobs ended without a result.
         summary: The campaign's counts and scores after it.
         block: Its distances, or None if they are not stored.
         checkpoint: The state after it.
@@ -147,6 +148,7 @@ class Step:
     campaign: str
     generation: int
     results: Sequence[SolutionResult]
+    without_result: Sequence[int]
     summary: GenerationSummary
     block: DistanceBlock | None
     checkpoint: Checkpoint
@@ -232,7 +234,7 @@ def write_step(connection: Connection, step: Step) -> bool:
 
     Returns:
         False, with nothing written, if the campaign has moved on, or was paused, cancelled or deleted, or if one of
-        the generation's jobs has been returned to the queue.
+        the generation's jobs has been returned to the queue, even if it has been completed since.
     """
     campaign = CAMPAIGNS.find(connection, step.campaign, lock=True)
     if (
@@ -240,6 +242,7 @@ def write_step(connection: Connection, step: Step) -> bool:
         or campaign.status is not CampaignStatus.RUNNING
         or campaign.generation != step.generation
         or job_store.has_open_jobs(connection, step.campaign, campaign.generation_end)
+        or job_store.any_done(connection, step.campaign, step.without_result)
     ):
         return False
     _write_results(connection, step)

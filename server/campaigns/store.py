@@ -256,6 +256,9 @@ def set_status(
 def retry_job(connection: Connection, job_id: int) -> None:
     """Return a quarantined job to the queue with fresh attempts and losses, each of which is leased alone.
 
+    An evaluation is retried only while its result can still count. The lock on the campaign decides between a retry
+    and a step that counts the solution as failed: whichever is written first; see `step_store.write_step`.
+
     Raises:
         NotFound: There is no such job.
         Conflict: The job is not in quarantine, its campaign has ended, or its generation continued without it.
@@ -266,7 +269,7 @@ def retry_job(connection: Connection, job_id: int) -> None:
         raise NotFound(f"job {job_id}: no such job")
     if job.status is not JobStatus.QUARANTINED:
         raise Conflict(f"job {job_id} is {job.status}; only a quarantined job can be retried")
-    if job.kind == JobKind.EPISODE:
+    if job.kind != JobKind.TRACE:
         if campaign.status in ENDED:
             raise Conflict(
                 f"job {job_id}: campaign {campaign.id} is {campaign.status}; nothing waits for the job"

@@ -172,9 +172,9 @@ def _leases(connection: Connection) -> Iterator[Finding]:
 def _jobs(connection: Connection) -> Iterator[Finding]:
     counts = job_store.count_by_status(connection, [CampaignStatus.RUNNING, CampaignStatus.PAUSED])
     found = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "none"
-    quarantined = counts.get(JobStatus.QUARANTINED, 0)
-    if quarantined:
-        advice = "see the reason with brink status ID; retry with POST /api/v1/jobs/ID/retry"
+    if retriable := job_store.count_retriable(connection):
+        found += f"; the campaigns have not gone on without {retriable} of those in quarantine"
+        advice = "see the reason with brink status ID; put them back into the queue with brink retry ID"
         yield Finding("jobs", State.LOOK, f"of running and paused campaigns: {found}", advice)
     else:
         yield Finding("jobs", State.FINE, f"of running and paused campaigns: {found}")
@@ -221,7 +221,7 @@ def _results(connection: Connection, limit: int | None) -> Iterator[Finding]:
         sound = False
         found = f"{name}: the jobs of {count} solutions are missing, the first of them of solution {first}"
         yield Finding("results", State.WRONG, found, RESTORE)
-    verified = 0
+    verified = late = 0
     names = connection.execute(_SHOWN.order_by(CampaignRow.created_at.desc())).scalars().all()
     for name in names:
         campaign = CAMPAIGNS.find(connection, name)
@@ -234,12 +234,14 @@ def _results(connection: Connection, limit: int | None) -> Iterator[Finding]:
             yield Finding("results", State.LOOK, f"{name} cannot be verified here: {error}", advice)
             sound, done = False, Verification()
         verified += done.verified
+        late += done.late
         for words in filter(None, (wrong, str(done))):
             sound = False
             yield Finding("results", State.WRONG, f"{name}: {words}", RESTORE)
     if sound:
         rest = "" if limit is None or verified < limit else ", the newest; --thorough verifies all"
-        yield Finding("results", State.FINE, f"verdicts of {verified} solutions verified{rest}")
+        retried = f"; {late} count as failed, since their jobs were retried too late" if late else ""
+        yield Finding("results", State.FINE, f"verdicts of {verified} solutions verified{rest}{retried}")
 
 
 def _stored(connection: Connection) -> Iterator[Finding]:

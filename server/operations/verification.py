@@ -18,7 +18,7 @@ from brink.server.campaigns.result_check import UNREADABLE, evaluate
 from brink.server.campaigns.store import Campaign
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow
 from brink.server.problems.base import InProcessProblem, SimulatedProblem
-from brink.server.queue.job_store import IS_EVALUATION
+from brink.server.queue.job_store import IS_EVALUATION, JobSettings
 from brink.server.states import JobKind, SolutionVerdict
 from brink.worker.wire import Completed
 
@@ -39,11 +39,13 @@ class Verification:
 
     Attributes:
         verified: Number of solutions.
+        late: Number of those that count as failed although their jobs, retried by hand, had a result later.
         damaged: Number of those that are damaged.
         words: What is wrong with the first of them.
     """
 
     verified: int = 0
+    late: int = 0
     damaged: int = 0
     words: list[str] = field(default_factory=list)
 
@@ -115,7 +117,8 @@ def verify_results(connection: Connection, campaign: Campaign, limit: int | None
     query = (
         select(
             SolutionRow.number, SolutionRow.verdict, SolutionRow.robustness, SolutionRow.objectives,
-            SolutionRow.spec_hash, JobRow.kind, JobRow.spec, JobRow.spec_hash.label("job_hash"), JobRow.result,
+            SolutionRow.spec_hash, SolutionRow.failure, JobRow.kind, JobRow.spec,
+            JobRow.spec_hash.label("job_hash"), JobRow.result, JobRow.max_attempts, JobRow.max_losses,
         )
         .join(JobRow, _ITS_JOB)
         .where(SolutionRow.campaign_id == campaign.id, SolutionRow.generation < campaign.generation)
@@ -125,15 +128,33 @@ def verify_results(connection: Connection, campaign: Campaign, limit: int | None
     with connection.execution_options(stream_results=True, yield_per=_ROWS_AT_ONCE).execute(query) as rows:
         for row in rows:
             done.verified += 1
+            if _is_late(row, campaign.job_settings):
+                done.late += 1
+                continue
             wrong = _wrong(problem, row)
             if wrong is not None:
                 done.note(f"solution {row.number}: {wrong}")
     return done
 
 
+def _is_late(row: _Stored, settings: JobSettings) -> bool:
+    """Return whether a solution counts as failed because its job had no result when its generation was completed.
+
+    Earlier versions accepted a retry even then. Only a retry by hand raises the limits of a job.
+    """
+    retried = row.max_attempts > settings.max_attempts or row.max_losses > settings.max_losses
+    failed = row.verdict == SolutionVerdict.FAILED and row.failure is not None
+    return retried and failed and row.result is not None and _spec_matches(row)
+
+
+def _spec_matches(row: _Stored) -> bool:
+    digest = hashlib.sha256(row.spec.encode()).hexdigest()
+    return bool(digest == row.job_hash == row.spec_hash)
+
+
 def _wrong(problem: SimulatedProblem, row: _Stored) -> str | None:
     """Return what is wrong with a solution, or None."""
-    if row.job_hash != row.spec_hash or hashlib.sha256(row.spec.encode()).hexdigest() != row.job_hash:
+    if not _spec_matches(row):
         return "the specification of its job does not match its hash"
     if row.result is None:
         return None if row.verdict == SolutionVerdict.FAILED else f"{row.verdict}, but its job has no result"

@@ -14,6 +14,7 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Row,
+    and_,
     bindparam,
     delete,
     func,
@@ -339,6 +340,17 @@ def has_open_jobs(connection: Connection, campaign_id: str, end: int | None) -> 
     return bool(connection.execute(select(_has_open_jobs(campaign_id, in_generation))).scalar_one())
 
 
+def any_done(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> bool:
+    """Return whether any evaluation of some of a campaign's solutions is done.
+
+    Args:
+        connection: In a transaction.
+        campaign_id: The campaign.
+        numbers: Numbers of solutions, ascending.
+    """
+    return any(row.status == JobStatus.DONE for row in _jobs_among(connection, campaign_id, numbers))
+
+
 def idle_campaigns(connection: Connection, campaigns: Iterable[str] | None = None) -> tuple[str, ...]:
     """Return the running campaigns whose current generation has no open evaluations.
 
@@ -539,6 +551,24 @@ def count_by_status(connection: Connection, campaign_statuses: Sequence[Campaign
         .group_by(JobRow.status)
     )
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
+def count_retriable(connection: Connection) -> int:
+    """Count the quarantined evaluations of running and paused campaigns whose results would still count."""
+    solution = and_(SolutionRow.campaign_id == JobRow.campaign_id, SolutionRow.number == JobRow.number)
+    query = (
+        select(func.count())
+        .select_from(JobRow)
+        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+        .join(SolutionRow, solution)
+        .where(
+            CampaignRow.status.in_([CampaignStatus.RUNNING, CampaignStatus.PAUSED]),
+            JobRow.status == JobStatus.QUARANTINED,
+            IS_EVALUATION,
+            SolutionRow.verdict == SolutionVerdict.PENDING,
+        )
+    )
+    return int(connection.execute(query).scalar_one())
 
 
 def queued_needs(connection: Connection, campaign_id: str) -> dict[str, int]:

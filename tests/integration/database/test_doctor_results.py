@@ -5,15 +5,20 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from sqlalchemy import delete, select, update
-from support.api import FakeWorker, ball, coordinator, submit
+from sqlalchemy import Connection, delete, select, update
+from support.api import FakeWorker, ball, completes, coordinator, submit, undisturbed_digest
 from support.databases import on_sqlite
-from support.problems import simulated
+from support.problems import SIMULATOR, simulated
+from support.queue import TERMS, lease, report
 
+from brink.server.campaigns import step_store, store
+from brink.server.campaigns.step_store import Step
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, SolutionRow
 from brink.server.operations import doctor
 from brink.server.operations.doctor import State, examine
+from brink.server.queue import job_store
+from brink.server.queue.report_store import Outcome
 from brink.server.settings import Settings
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
@@ -139,10 +144,81 @@ def test_a_deleted_job_is_found(
     )
 
 
-def test_failed_solutions_are_no_damage(database_url: str, engines: Engines, small_problems: None) -> None:
-    def fails_once(job: LeasedJob) -> Completed | JobFailed:
-        return JobFailed(reason="invalid", message="x") if job.job == 5 else simulated(job.spec)
+def fails_once(job: LeasedJob) -> Completed | JobFailed:
+    return JobFailed(reason="invalid", message="x") if job.job == 5 else simulated(job.spec)
 
+
+def jobs_words(database_url: str, engines: Engines) -> tuple[State, str]:
+    """Return what the doctor says of jobs."""
+    (found,) = (
+        one
+        for one in examine(Settings(database=database_url), engines, thorough=False)
+        if one.check == "jobs"
+    )
+    return found.state, found.found
+
+
+def test_a_job_is_worth_a_retry_until_the_search_has_gone_on_without_it(
+    database_url: str, engines: Engines, small_problems: None
+) -> None:
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball(simulations=40))
+        worker = FakeWorker(client, judge=fails_once)
+        worker.report(worker.lease(max_jobs=8))
+        state, words = jobs_words(database_url, engines)
+        assert (state, words.endswith("not gone on without 1 of those in quarantine")) == (State.LOOK, True)
+        worker.work(campaign, until=lambda now: now["generation"] >= 1)
+        assert jobs_words(database_url, engines)[0] is State.FINE
+
+
+def test_a_result_that_came_after_its_generation_was_told_is_history(
+    database_url: str, engines: Engines, small_problems: None
+) -> None:
+    """Earlier versions accepted such retries."""
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball(simulations=40))
+        worker = FakeWorker(client, judge=fails_once)
+        worker.work(campaign, until=lambda now: now["generation"] >= 1)
+        with engines.writer.begin() as connection:
+            assert job_store.requeue(connection, 5, more_attempts=3, more_losses=3)
+        worker.judge = completes
+        assert worker.work(campaign)["failed"] == 1
+    words = "; 1 count as failed, since their jobs were retried too late"
+    ((state, found),) = results(database_url, engines)
+    assert (state, found.endswith(words)) == (State.FINE, True)
+    with engines.writer.begin() as connection:
+        connection.execute(update(SolutionRow).where(SolutionRow.failure.is_not(None)).values(failure=None))
+    ((state, found),) = results(database_url, engines)
+    assert (state, "failed, but its result says" in found) == (State.WRONG, True)
+
+
+def test_a_job_that_is_retried_and_completed_during_the_step_counts(
+    database_url: str, engines: Engines, small_problems: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_step = step_store.write_step
+    retried: list[int] = []
+
+    def retry_first(connection: Connection, step: Step) -> bool:
+        """Retry and complete the failed job between the step's computation and its writing."""
+        if not retried:
+            store.retry_job(connection, 5)
+            (job,) = lease(connection, "another", (SIMULATOR,), 1, TERMS)
+            result = simulated(job.spec).model_dump_json()
+            report(connection, [Outcome(job=job.job, token=job.token, result=result)], TERMS)
+            retried.append(job.job)
+        return write_step(connection, step)
+
+    monkeypatch.setattr(step_store, "write_step", retry_first)
+    with coordinator(database_url, sweep_s=0.1) as client:
+        campaign = submit(client, ball(simulations=40))
+        done = FakeWorker(client, judge=fails_once).work(campaign)
+        undisturbed = undisturbed_digest(ball(simulations=40))
+    assert retried == [5]
+    assert (done["status"], done["failed"], done["digest"]) == ("finished", 0, undisturbed)
+    assert results(database_url, engines) == [(State.FINE, f"verdicts of {SOLUTIONS} solutions verified")]
+
+
+def test_failed_solutions_are_no_damage(database_url: str, engines: Engines, small_problems: None) -> None:
     with coordinator(database_url) as client:
         campaign = submit(client, ball(simulations=40))
         assert FakeWorker(client, judge=fails_once).work(campaign)["failed"] == 1

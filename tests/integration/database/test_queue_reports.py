@@ -391,12 +391,13 @@ def test_only_a_quarantined_job_can_be_retried_by_hand(queue: Queue, state: str)
         queue.run(lambda connection: retry_job(connection, row.id))
 
 
-def test_a_job_of_an_ended_campaign_cannot_be_retried_by_hand(queue: Queue) -> None:
+@pytest.mark.parametrize("ended", store.ENDED)
+def test_a_job_of_an_ended_campaign_cannot_be_retried_by_hand(queue: Queue, ended: CampaignStatus) -> None:
     campaign = queue.campaign(2)
     (job,) = queue.lease(max_jobs=1)
     queue.fail(job, final=True)
-    queue.set_status(campaign, CampaignStatus.CANCELLED)
-    with pytest.raises(Conflict, match="cancelled"):
+    queue.set_status(campaign, ended)
+    with pytest.raises(Conflict, match=ended):
         queue.run(lambda connection: retry_job(connection, job.job))
 
 
@@ -405,11 +406,12 @@ def test_retrying_an_unknown_job_is_not_found(queue: Queue) -> None:
         queue.run(lambda connection: retry_job(connection, 7))
 
 
-def test_cancelling_ends_open_jobs_and_keeps_the_others(queue: Queue) -> None:
+@pytest.mark.parametrize("ended", store.ENDED)
+def test_an_end_cancels_open_jobs_and_keeps_the_others(queue: Queue, ended: CampaignStatus) -> None:
     campaign = queue.campaign(3)
     done, _ = queue.lease(max_jobs=2)
     queue.complete(done)
-    queue.set_status(campaign, CampaignStatus.CANCELLED)
+    queue.set_status(campaign, ended)
     assert queue.states(campaign) == ["done", "cancelled", "cancelled"]
 
 

@@ -81,6 +81,23 @@ def search_without_coordinator() -> tuple[str, list[Candidate]]:
     return archive_digest(state.archive), asked
 
 
+def test_a_measurement_is_retried_only_while_its_result_counts(client: httpx.Client) -> None:
+    """Otherwise the campaign would wait for the job, and for ever if it has ended or no worker can run it."""
+
+    def fails_first(job: LeasedJob) -> Completed | JobFailed:
+        return JobFailed(reason="invalid", message="no picture") if job.job == 1 else outcome_of(job.spec)
+
+    worker, campaign = FakeWorker(client, judge=fails_first), submit(client, SMALL)
+    worker.work(campaign, until=lambda now: now["generation"] >= 1)
+    (job,) = expect(client.get("/api/v1/jobs", params={"status": "quarantined"}))["jobs"]
+    assert job["kind"] == "dataset-evaluation"
+    early = expect(client.post(f"/api/v1/jobs/{job['id']}/retry"), 409)
+    assert f"the campaign continued without solution {job['number']}" in early["detail"]
+    assert worker.work(campaign)["status"] == "finished"
+    late = expect(client.post(f"/api/v1/jobs/{job['id']}/retry"), 409)
+    assert f"campaign {campaign} is finished; nothing waits for the job" in late["detail"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finished:
     """A coordinator with a finished campaign that searched on data."""
