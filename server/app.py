@@ -53,6 +53,7 @@ from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
 from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
@@ -186,7 +187,8 @@ def _context(
             loop.call_soon_threadsafe(scheduler.advance_soon, [campaign_id])
 
     writer = Writer(engines.writer, on_commit=metrics.commits.observe)
-    seeds = LlmSeeds(engines, writer, on_seeds)
+    access = LlmAccess.parse(settings.llm_endpoints)
+    seeds = LlmSeeds(engines, writer, on_seeds, access)
     stepper = Stepper(
         engines,
         writer,
@@ -203,12 +205,7 @@ def _context(
     )  # fmt: skip
     eraser = Eraser(engines, writer)
     campaigns = CampaignService(
-        engines=engines,
-        writer=writer,
-        eraser=eraser,
-        scheduler=scheduler,
-        wakeups=wakeups,
-        llm_endpoints=settings.llm_endpoints,
+        engines=engines, writer=writer, eraser=eraser, scheduler=scheduler, wakeups=wakeups, access=access
     )
     archives = Archives(engines=engines, stepper=stepper)
     drawing = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw")

@@ -55,8 +55,9 @@ class Settings(BaseSettings):
     llm_endpoints: Annotated[
         str,
         Field(
-            description="Language models that campaigns may use: base URLs separated by commas, or * for any. "
-            "By default only models on this machine, without a key."
+            description="Language models that campaigns may use: base URLs separated by commas, each followed by "
+            "the environment variables whose keys may be sent there, or * for any without a key. By default only "
+            "models on this machine, without a key."
         ),
     ] = ""
     log_level: Annotated[LogLevel, Field(description="Minimum severity of log lines.")] = LogLevel.INFO

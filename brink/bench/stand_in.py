@@ -26,6 +26,7 @@ from brink.search.space import SearchSpace
 from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.participants import RoadLimits
 from brink.search.traffic.variation import TrafficGenome, hostile_solution, prolonged
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.calls import Breaker, CallKey, Spent, StoredCall, spent_on, tokens_of
 from brink.server.llm.client import LlmClient
 from brink.server.llm.replies import to_text
@@ -163,7 +164,9 @@ class StandInSeeds:
     async def _ask(self, request: SeedRequest) -> Sequence[Proposal]:
         problem = self._problem
         # Certificates, which this endpoint does not need, take longer to load than it takes to answer.
-        async with LlmClient(self._settings, transport=httpx.AsyncHTTPTransport(verify=False)) as client:
+        async with LlmClient(
+            self._settings, access=LlmAccess(), transport=httpx.AsyncHTTPTransport(verify=False)
+        ) as client:
             answered = await ask(
                 request, road=problem.road, max_participants=problem.max_participants, system=problem.system,
                 log=self._calls, client=client,

@@ -124,6 +124,7 @@ class ExperimentRun:
 
     def __init__(self, body: ExperimentBody) -> None:
         self.body = body
+        self.models = tuple(one.llm for one in body.algorithms)
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ExperimentProgress | None:
         """Return the latest experiment from this file with one of these statuses and no deleted campaign, if any."""

@@ -19,6 +19,7 @@ from brink.cli.options import (
     fields,
     plain_table,
     print_json,
+    settings_with,
     with_api,
 )
 from brink.search.algorithm import SeedRequest
@@ -26,6 +27,7 @@ from brink.server.api.schemas import LlmCalls
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
+from brink.server.llm.access import LlmAccess, with_endpoints
 from brink.server.llm.preflight import EndpointReport, check_endpoint, estimate
 from brink.server.llm.prompts import example, question
 from brink.server.llm.settings import LlmSettings
@@ -45,8 +47,9 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
     """
     with about_file(file):
         settings = _settings(read_campaign_file(file))
+    access = LlmAccess.parse(with_endpoints(settings_with().llm_endpoints, [settings]))
     with Steps(console(stderr=True), f"querying {settings.model}"):
-        report = asyncio.run(check_endpoint(settings))
+        report = asyncio.run(check_endpoint(settings, access=access))
     if as_json:
         print_json(
             {

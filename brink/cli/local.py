@@ -20,6 +20,8 @@ from brink.api.live import CampaignDisplay, earlier_words
 from brink.cli.options import database_option, database_place, naming_ids, program, settings_with
 from brink.server.api.schemas import ExperimentProgress, Progress
 from brink.server.errors import Conflict, Unavailable
+from brink.server.llm.access import with_endpoints
+from brink.server.llm.settings import LlmSettings
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
 from brink.server.settings import LOOPBACK, Settings
 from brink.server.states import CampaignStatus
@@ -131,10 +133,14 @@ class Workload(Protocol[ProgressT]):
     Attributes:
         noun: "campaign" or "experiment"; its plural is the REST resource.
         command: Command group of its own commands, with a trailing space; empty for campaigns.
+        models: The language models that it names.
     """
 
     noun: str
     command: str
+
+    @property
+    def models(self) -> Sequence[LlmSettings | None]: ...  # noqa: D102
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ProgressT | None:
         """Return the latest run of the file that has one of these statuses."""
@@ -233,8 +239,11 @@ def run_to_end(
     Raises:
         Conflict: An earlier run is unfinished, and neither `resume` nor `new` is set.
     """
-    # The user runs both the file and the coordinator, so every language model that the file names is allowed.
-    settings = settings_with(database=options.database, port=options.port, llm_endpoints="*")
+    settings = settings_with(database=options.database, port=options.port)
+    # The user runs both the file and the coordinator, so the language models that the file names are allowed. Keys
+    # are not, nor are the models of other campaigns in the database: the file and these may come from other people.
+    allowed = with_endpoints(settings.llm_endpoints, workload.models)
+    settings = settings.model_copy(update={"llm_endpoints": allowed})
 
     async def work(session: Session) -> T | None:
         name, ended = await _start(workload, options, session)

@@ -111,6 +111,7 @@ class CampaignRun:
     def __init__(self, body: CampaignBody, *, pictures: bool) -> None:
         untraced = body.model_copy(update={"execution": body.execution.model_copy(update={"keep_traces": 0})})
         self.body = body if pictures else untraced
+        self.models = (body.llm,)
         self._hashes = {body.document_hash(), untraced.document_hash()}
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> Progress | None:

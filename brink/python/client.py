@@ -14,6 +14,8 @@ from brink.python.connection import Connection, Coordinator, LocalDatabase, wait
 from brink.python.display import Display, display_of
 from brink.python.result import AsyncResult, CampaignUnfinished, Result
 from brink.server.api.schemas import CampaignList, CampaignView, Progress
+from brink.server.llm.access import with_endpoints
+from brink.server.llm.settings import LlmSettings
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus
 
@@ -270,13 +272,16 @@ def _connection(url: str | None, token: str | None, database: str | None) -> Con
     return LocalDatabase(settings_of(database))
 
 
-def settings_of(database: str | None) -> Settings:
+def settings_of(database: str | None, model: LlmSettings | None = None) -> Settings:
     """Return the settings of a local coordinator.
 
     Args:
         database: URL of its database, or the path of a SQLite file; None for the default one.
+        model: Language model of the campaign that the user runs with it, which is allowed without a key.
     """
-    if database is None:
-        return Settings(llm_endpoints="*")  # the user runs both the campaign and the coordinator
-    url = database if "://" in database else f"sqlite:///{database}"
-    return Settings(database=url, llm_endpoints="*")
+    settings = Settings()
+    allowed = with_endpoints(settings.llm_endpoints, [model])
+    changes = {"llm_endpoints": allowed}
+    if database is not None:
+        changes["database"] = database if "://" in database else f"sqlite:///{database}"
+    return settings.model_copy(update=changes)

@@ -104,7 +104,7 @@ async def run_body(
     Raises:
         CampaignUnfinished: The campaign was cancelled, or paused after too many failures.
     """
-    settings = settings_of(database)
+    settings = settings_of(database, body.llm)
     async with local_workers(settings, workers, environment) as (api, processes):
         campaign, earlier = await _start(api, body, statuses)
         try:

@@ -73,7 +73,6 @@ def plan_component(
                 campaign, plan, f"{_count(len(numbers), 'unsafe drive')} with ground truth", Repeats.id, len(numbers),
                 {"solutions": rows.tolist(), "seed_numbers": _seed_numbers(campaign, numbers, seeds)},
             ).model_copy(update={"ground_truth": True}),
-            llm_endpoints="",
         ),
     )  # fmt: skip
 
@@ -119,7 +118,6 @@ def plan_minimisation(
                 campaign, plan, f"{_count(len(open_pairs), 'pair')} minimised", Minimise.id,
                 most_trials(reduced), params,
             ),
-            llm_endpoints="",
         ),
     )  # fmt: skip
 

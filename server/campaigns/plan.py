@@ -3,7 +3,7 @@
 import secrets
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from sqlalchemy import Connection
@@ -34,7 +34,7 @@ from brink.server.campaigns.known import KnownRecord, given_records, insert_know
 from brink.server.campaigns.step_store import Asked, NewSolution, StoredArchive
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.llm.settings import LlmSettings
+from brink.server.llm.access import LlmAccess
 from brink.server.problems.base import (
     ChecksCriticality,
     ChecksInputs,
@@ -60,6 +60,8 @@ from brink.sim.episode import digest_of
 
 LLM_SEEDER = "llm"
 """Value of the algorithm parameter `seeder` that requests seeds from a language model."""
+NO_ACCESS: Final = LlmAccess()
+"""Access to language models on this machine alone, without a key."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,27 +252,6 @@ def _check_seeder(plan: Plan) -> None:
         raise InvalidInput.at("/problem/id", message)
 
 
-def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
-    """Check that campaigns may use a language model from this machine, with the API key that they name.
-
-    Otherwise, anyone allowed to submit campaigns could send any environment variable of this machine to any address.
-
-    Raises:
-        InvalidInput: The endpoint is not allowed.
-    """
-    if llm is None:
-        return
-    bases = [base for one in allowed.split(",") if (base := one.strip().rstrip("/"))]
-    own = llm.on_this_machine and llm.api_key_env is None
-    listed = any(base == "*" or f"{llm.endpoint}/".startswith(f"{base}/") for base in bases)
-    if not own and not listed:
-        message = (
-            f"this coordinator may use {', '.join(bases) or 'models on its own machine, without a key'}, not "
-            f"{llm.endpoint}; its operator can allow that in BRINK_LLM_ENDPOINTS"
-        )
-        raise InvalidInput.at("/llm/endpoint", message)
-
-
 def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[LiveSearch, Asked]:
     """Check that a campaign can run, and return its search with the first generations.
 
@@ -295,18 +276,20 @@ def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[Li
         raise InvalidInput.at("/budget/simulations", message) from None
 
 
-def prepare_campaign(body: CampaignBody, llm_endpoints: str, start: Start | None = None) -> PreparedCampaign:
+def prepare_campaign(
+    body: CampaignBody, start: Start | None = None, access: LlmAccess = NO_ACCESS
+) -> PreparedCampaign:
     """Check a campaign and ask for its first generations.
 
     Args:
         body: The campaign's body.
-        llm_endpoints: Endpoints of language models that campaigns may use.
         start: What it starts from; None for nothing.
+        access: The language models and keys that campaigns may use.
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
-    _check_endpoint(body.llm, llm_endpoints)
+    access.check(body.llm)
     live, asked = check_submission(body, start)
     known = () if start is None else start.records
     return PreparedCampaign(id=secrets.token_hex(4), body=body, live=live, asked=asked, known=known)

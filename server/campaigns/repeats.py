@@ -236,7 +236,7 @@ def _prepare(
     """Prepare the campaign that repeats solutions, given as positions in the archive."""
     params = {"solutions": archive.vectors[chosen].tolist()}
     body = follow_up_body(campaign, plan, again, Repeats.id, repeats * len(chosen), params)
-    return prepare_campaign(body.model_copy(update={"seed": seed}), llm_endpoints="")
+    return prepare_campaign(body.model_copy(update={"seed": seed}))
 
 
 def follow_up_body(

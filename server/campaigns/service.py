@@ -39,6 +39,7 @@ from brink.server.db.engine import Engines, read
 from brink.server.db.sql import DocumentTable
 from brink.server.db.writer import Writer
 from brink.server.errors import Conflict
+from brink.server.llm.access import LlmAccess
 from brink.server.queue.job_store import count_unfinished, idle_campaigns
 from brink.server.queue.wakeups import Wakeups
 from brink.server.states import CampaignStatus, JobStatus
@@ -233,14 +234,14 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
     """The campaigns of one coordinator process.
 
     Attributes:
-        llm_endpoints: Endpoints of language models that campaigns may use.
+        access: The language models and keys that campaigns may use.
     """
 
     table: DocumentTable[Campaign] = CAMPAIGNS
     checks: ThreadPoolExecutor = field(default_factory=check_threads)
     scheduler: Scheduler
     wakeups: Wakeups
-    llm_endpoints: str = ""
+    access: LlmAccess
 
     def close(self) -> None:
         """Finish the running checks, and start no more."""
@@ -251,7 +252,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         if body.start_from is not None:
             with self.engines.reader.connect() as connection:
                 start = find_start(connection, body)
-        return [prepare_campaign(body, self.llm_endpoints, start)]
+        return [prepare_campaign(body, start, self.access)]
 
     def _store(
         self,

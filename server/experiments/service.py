@@ -45,7 +45,7 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
         campaigns = []
         for cell in body.cells():
             try:
-                campaigns.append(prepare_campaign(cell.body, self.campaigns.llm_endpoints))
+                campaigns.append(prepare_campaign(cell.body, access=self.campaigns.access))
             except InvalidInput as error:
                 raise cell.in_experiment(error) from None
         check_pairs(body)

@@ -1,7 +1,7 @@
 """A client of one OpenAI-compatible endpoint: sends prompts, retries, and finds a reply format that works.
 
-Replies are bounded in size and time. The API key is read from the environment for each request, never stored, and
-removed from everything that the endpoint returns.
+Replies are bounded in size and time. `LlmAccess` says for each request whether it may be sent, and with which key.
+The key is never stored, never sent along a redirect, and removed from everything that the endpoint returns.
 """
 
 import asyncio
@@ -9,9 +9,8 @@ import itertools
 import json
 import logging
 import math
-import os
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from random import Random
@@ -19,13 +18,12 @@ from types import TracebackType
 from typing import Final, Self
 
 import httpx
-from pydantic import SecretStr
 
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.protocol import (
     Effort,
     EndpointUnavailable,
     JsonObject,
-    KeyMissing,
     LlmError,
     Messages,
     Mode,
@@ -113,31 +111,12 @@ class _Call:
     effort: Effort = field(default_factory=Effort)
 
 
-def api_key(settings: LlmSettings, environ: Mapping[str, str] | None = None) -> SecretStr | None:
-    """Return the API key, or None if the settings name none.
-
-    Raises:
-        KeyMissing: The environment variable is not set, or does not contain a valid key.
-    """
-    name = settings.api_key_env
-    if name is None:
-        return None
-    key = (os.environ if environ is None else environ).get(name, "").strip()
-    if not key:
-        raise KeyMissing(
-            f"the environment variable {name} is not set: export it before the coordinator starts"
-        )
-    if not all("!" <= letter <= "~" for letter in key):
-        raise KeyMissing(f"the environment variable {name} holds no key: expected printable ASCII, no spaces")
-    return SecretStr(key)
-
-
 class LlmClient:
     """A client of one endpoint, for use in one event loop.
 
     Args:
         settings: Endpoint, model, and retry limits.
-        environ: Environment with the API key; the environment of this process if None.
+        access: Decides whether the endpoint may be used, and has the key.
         transport: HTTP transport; the network if None.
         mode: The form to try first, such as the one that an earlier client found.
         backoff: Pauses between tries, unless the endpoint requests one.
@@ -151,7 +130,7 @@ class LlmClient:
         self,
         settings: LlmSettings,
         *,
-        environ: Mapping[str, str] | None = None,
+        access: LlmAccess,
         transport: httpx.AsyncBaseTransport | None = None,
         mode: Mode = Mode.JSON_SCHEMA,
         backoff: Backoff | None = None,
@@ -161,7 +140,7 @@ class LlmClient:
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self.settings = settings
-        self._environ = os.environ if environ is None else environ
+        self._access = access
         self._mode = mode
         self._proven = False
         self._backoff = backoff or Backoff(first_s=1.0, cap_s=30.0)
@@ -173,6 +152,7 @@ class LlmClient:
         self._http = httpx.AsyncClient(
             headers={"Accept": "application/json", "Accept-Encoding": "identity"},
             transport=transport,
+            follow_redirects=False,
             timeout=httpx.Timeout(settings.timeout_s, connect=min(CONNECT_TIMEOUT_S, settings.timeout_s)),
             trust_env=not settings.on_this_machine,
         )
@@ -219,7 +199,7 @@ class LlmClient:
             LlmFinal: Repeating the call would fail again; the subclass gives the reason.
             OverBudget: Raised by ``before_request``, or too little time is left, before any try failed.
         """
-        api_key(self.settings, self._environ)
+        self._access.key(self.settings)
         began = self.clock()
         call = _Call(
             tries=self.settings.retries + 1 if tries is None else tries, deadline_s=deadline_s,
@@ -364,7 +344,7 @@ class LlmClient:
     async def _exchange(self, method: str, path: str, body: JsonObject | None, limit_s: float) -> _Answer:
         """Send one request and read the response, within the limits of time and size."""
         settings = self.settings
-        key = api_key(settings, self._environ)
+        key = self._access.key(settings)
         secret = key.get_secret_value() if key is not None else ""
         headers = {"Authorization": f"Bearer {secret}"} if secret else {}
         secrets = [secret] if len(secret) >= MIN_SECRET_CHARS else []

@@ -1,6 +1,5 @@
 """Checks of `brink llm` before a campaign is submitted: whether an endpoint works, and the cost of its prompts."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -8,6 +7,7 @@ import httpx
 
 from brink.search.algorithm import SeedRequest
 from brink.search.traffic.participants import RoadLimits
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.calls import cost_of, tokens_of, worst_usage
 from brink.server.llm.client import LlmClient
 from brink.server.llm.prompts import example, question
@@ -18,6 +18,7 @@ from brink.server.llm.protocol import (
     LlmError,
     Messages,
     Mode,
+    NotAllowed,
     Usage,
 )
 from brink.server.llm.replies import SCHEMA, RoadChecker, parse, pointed, to_text
@@ -80,23 +81,20 @@ class EndpointReport:
 
 
 async def check_endpoint(
-    settings: LlmSettings,
-    *,
-    environ: Mapping[str, str] | None = None,
-    transport: httpx.AsyncBaseTransport | None = None,
+    settings: LlmSettings, *, access: LlmAccess, transport: httpx.AsyncBaseTransport | None = None
 ) -> EndpointReport:
     """Check an endpoint with a request for its models, and one small prompt for each form of reply.
 
     Args:
         settings: The endpoint; ``retries`` is ignored, and nothing is retried.
-        environ: Environment with the API key; the environment of this process if None.
+        access: Decides whether the endpoint may be used, and has the key.
         transport: HTTP transport; the network if None.
     """
     once = settings.model_copy(update={"retries": 0})
-    async with LlmClient(once, environ=environ, transport=transport) as client:
+    async with LlmClient(once, access=access, transport=transport) as client:
         try:
             models = await client.models()
-        except (EndpointUnavailable, KeyMissing) as error:
+        except (EndpointUnavailable, KeyMissing, NotAllowed) as error:
             return EndpointReport(reachable=False, trouble=str(error))
         except AccessRefused as error:
             return EndpointReport(reachable=True, trouble=str(error))

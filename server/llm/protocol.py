@@ -7,6 +7,7 @@ ServerError
 ├── LlmError                     no usable reply
 │   ├── EndpointUnavailable      retryable: no response, timeout, broken connection, 408, 409, 425, 429, 5xx
 │   └── LlmFinal                 repeating the call would fail again
+│       ├── NotAllowed           the operator allows neither the endpoint nor the key, or not the key
 │       ├── KeyMissing           the environment variable with the API key is not set
 │       ├── OverBudget           a budget, or the time for a request for seeds, does not allow another request
 │       ├── UnusableReply        2xx, but not a chat completion, or too large
@@ -117,6 +118,10 @@ class EndpointUnavailable(LlmError):
 
 class LlmFinal(LlmError):
     """Repeating the call would fail again."""
+
+
+class NotAllowed(LlmFinal):
+    """The operator of this coordinator does not allow the endpoint, or not with this key."""
 
 
 class KeyMissing(LlmFinal):

@@ -28,6 +28,7 @@ from brink.search.traffic.participants import RoadLimits, Solution
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
 from brink.server.errors import FieldError, Unavailable
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.calls import Breaker, CallKey, CallLog, Outcome, StoredCall, cost_of, worst_usage
 from brink.server.llm.client import LlmClient
 from brink.server.llm.prompts import question, repair
@@ -387,12 +388,16 @@ class LlmSeeds:
         engines: For reading stored calls.
         writer: For storing calls.
         on_seeds: Called from another thread with the id of a campaign whose seeds are available.
+        access: The language models and keys that campaigns may use.
     """
 
-    def __init__(self, engines: Engines, writer: Writer, on_seeds: Callable[[str], None]) -> None:
+    def __init__(
+        self, engines: Engines, writer: Writer, on_seeds: Callable[[str], None], access: LlmAccess
+    ) -> None:
         self._engines = engines
         self._writer = writer
         self._on_seeds = on_seeds
+        self._access = access
         self._owner = secrets.token_hex(8)
         self._lock = threading.Lock()
         self._pending: dict[str, _Pending] = {}
@@ -514,7 +519,7 @@ class LlmSeeds:
         calls = CampaignCalls(self._engines, self._writer, campaign_id, self._stopping)
         known = calls.every()
         mode = known[-1].mode if known else Mode.JSON_SCHEMA
-        async with LlmClient(settings, mode=mode) as client:
+        async with LlmClient(settings, access=self._access, mode=mode) as client:
             answer = await ask(
                 request, road=problem.road, max_participants=problem.max_participants, system=problem.system,
                 log=calls, client=client,

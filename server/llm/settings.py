@@ -14,7 +14,8 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 HIDDEN: Final = "[not shown]"
 _PATH: Final = "/chat/completions"
-_ENV_NAME: Final = re.compile(r"[A-Z_][A-Z0-9_]{0,99}")
+ENV_NAME: Final = re.compile(r"[A-Z_][A-Z0-9_]{0,99}")
+"""The name of an environment variable that may hold a key."""
 _SECRET_FIELD: Final = re.compile(r"key|token|secret|password|authorization", re.IGNORECASE)
 
 
@@ -51,7 +52,7 @@ def _endpoint(given: object) -> object:
 
 def _env_name(given: object) -> object:
     """Validate the name of an environment variable without quoting it in errors, as it may be the key itself."""
-    if isinstance(given, str) and not _ENV_NAME.fullmatch(given):
+    if isinstance(given, str) and not ENV_NAME.fullmatch(given):
         raise _hiding(
             "expected the name of an environment variable in capitals, such as OPENAI_API_KEY, not the key itself"
         )

@@ -20,6 +20,7 @@ import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.settings import LlmSettings
 
 MODEL = "test-model"
@@ -278,6 +279,11 @@ def llm_settings(endpoint: Endpoint, **changes: Any) -> LlmSettings:
     """Return settings for an endpoint."""
     given = {"endpoint": endpoint.url, "model": MODEL, "timeout_s": PATIENCE_S, "retries": 2, **changes}
     return LlmSettings.model_validate(given)
+
+
+def access_to(settings: LlmSettings, environ: Mapping[str, str] | None = None) -> LlmAccess:
+    """Return what an operator allows who trusts an endpoint with the key in ``MY_KEY``."""
+    return LlmAccess.parse(f"{settings.endpoint} MY_KEY", environ or {})
 
 
 def action(name: str = "keep", duration_s: float = 2.0, magnitude: float = 0.0) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import httpx
 import pytest
 import yaml
 from fastapi.responses import JSONResponse, Response
-from sqlalchemy import select
+from sqlalchemy import select, update
 from support.api import coordinator, eventually, expect, progress, submit
 from support.databases import on_sqlite
 from support.llm_endpoint import (
@@ -50,9 +50,10 @@ from brink.cli.commands import app
 from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody
 from brink.server.db.engine import Engines
-from brink.server.db.models import SeedClaimRow
+from brink.server.db.models import CampaignRow, SeedClaimRow
 from brink.server.db.writer import Writer
 from brink.server.errors import InvalidInput, Unavailable
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.calls import CallKey, Outcome, StoredCall
 from brink.server.llm.client import MAX_REPLY_BYTES
 from brink.server.llm.protocol import Mode
@@ -61,6 +62,8 @@ from brink.server.llm.store import CampaignCalls
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 
 pytestmark = pytest.mark.timeout(180)
+
+KEY = "sk-secret/0123456789"
 
 
 def scripted(asked: Asked) -> Response:
@@ -238,6 +241,71 @@ def test_requests_and_keys_go_only_to_allowed_endpoints(database_url: str, endpo
     assert endpoint.asked == []
 
 
+def test_a_key_goes_only_where_the_operator_pairs_it_with_the_endpoint(
+    database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODEL_KEY", KEY)
+    monkeypatch.setenv("OTHER_SECRET", "sk-another-0123456789")
+    endpoint.key = KEY
+    endpoint.then(says(reply_text(items(POPULATION))))
+    with coordinator(
+        database_url, llm_endpoints=f"http://10.0.0.5 OTHER_SECRET, {endpoint.url} MODEL_KEY"
+    ) as client:
+        other = client.post("/api/v1/campaigns", json=seeded(endpoint, {"api_key_env": "OTHER_SECRET"}))
+        [error] = expect(other, 422)["errors"]
+        assert error["pointer"] == "/llm/api_key_env"
+        assert "may not send the key in OTHER_SECRET" in error["message"]
+        campaign = submit(client, seeded(endpoint, {"api_key_env": "MODEL_KEY"}, differential="never"))
+        traffic_worker(client).work(campaign)
+        assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
+
+
+@on_sqlite
+def test_a_stored_campaign_gets_no_key_that_the_operator_did_not_name(
+    database_url: str, engines: Engines, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever filled the database, and whatever was allowed then: each request is checked."""
+    monkeypatch.setenv("OTHER_SECRET", KEY)
+    endpoint.then(*[scripted] * 40)
+    with coordinator(database_url) as client:
+        campaign = submit(client, seeded(endpoint, differential="always"))
+        worker = traffic_worker(client)
+        worker.report(worker.lease(max_jobs=2, wait_s=10))
+        expect(client.post(f"/api/v1/campaigns/{campaign}/pause"))
+    assert len(endpoint.asked) == 1
+    with engines.writer.begin() as connection:
+        document = connection.execute(select(CampaignRow.document)).scalar_one()
+        document["llm"]["api_key_env"] = "OTHER_SECRET"
+        connection.execute(update(CampaignRow).values(document=document))
+    with coordinator(database_url) as client:
+        expect(client.post(f"/api/v1/campaigns/{campaign}/resume"))
+        assert traffic_worker(client).work(campaign)["status"] == "finished"
+        refused = calls(client, campaign)["calls"][1]
+    assert len(endpoint.asked) == 1
+    assert refused["outcome"] == "refused"
+    assert "may not send the key in OTHER_SECRET" in refused["error"]
+
+
+@pytest.mark.parametrize("command", ["run", "llm check"])
+def test_commands_send_no_key_that_only_the_file_names(
+    endpoint: Endpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.setenv("OTHER_SECRET", KEY)
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "theirs.yaml"
+    file.write_text(yaml.safe_dump(seeded(endpoint, {"api_key_env": "OTHER_SECRET"})))
+    done = CliRunner().invoke(app, [*command.split(), str(file)])
+    said = f"{done.output} {done.exception}"
+    assert done.exit_code != 0
+    assert f"BRINK_LLM_ENDPOINTS='{endpoint.url} OTHER_SECRET'" in " ".join(said.split())
+    assert endpoint.asked == []
+    if command == "llm check":
+        monkeypatch.setenv("BRINK_LLM_ENDPOINTS", f"{endpoint.url} OTHER_SECRET")
+        endpoint.key = KEY
+        endpoint.then(*[says(reply_text(items(1)))] * len(Mode))
+        assert CliRunner().invoke(app, ["llm", "check", str(file)]).exit_code == 0
+
+
 def test_two_coordinators_send_each_request_once(database_url: str, endpoint: Endpoint) -> None:
     endpoint.then(*[scripted] * 40)
     with coordinator(database_url) as first, coordinator(database_url) as second:
@@ -291,7 +359,7 @@ def test_stopping_coordinator_leaves_no_claim_behind(
     body = CampaignBody.model_validate({**asks, "seed": 1})
     campaign: Any = SimpleNamespace(id=submit(client, plain), body=body)
     writer = Writer(engines.writer)
-    seeds = LlmSeeds(engines, writer, lambda campaign_id: None)
+    seeds = LlmSeeds(engines, writer, lambda campaign_id: None, LlmAccess())
     stopper = threading.Thread(target=seeds.close)
     original: Any = getattr(brink.server.llm.seeds, when.removesuffix("s"))
 

@@ -4,13 +4,14 @@ import asyncio
 import json
 import logging
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from random import Random
 from typing import Any, TypeVar
 
 import pytest
+from fastapi.responses import Response
 from hypothesis import given
 from hypothesis import strategies as st
 from support.llm_endpoint import (
@@ -19,6 +20,7 @@ from support.llm_endpoint import (
     ErrorForm,
     Server,
     Step,
+    access_to,
     completion,
     cut,
     error_body,
@@ -41,6 +43,7 @@ from brink.server.llm.protocol import (
     Message,
     Mode,
     ModelUnknown,
+    NotAllowed,
     OverBudget,
     Reply,
     RequestRefused,
@@ -221,6 +224,7 @@ def using(
     settings: LlmSettings,
     task: Callable[[LlmClient], Awaitable[R]],
     pauses: list[float] | None = None,
+    environ: Mapping[str, str] | None = None,
     **options: Any,
 ) -> R:
     """Run a task with a client that does not wait during pauses."""
@@ -230,7 +234,10 @@ def using(
         waits.append(seconds)
 
     async def run() -> R:
-        given = {"environ": {}, "transport": unencrypted(), "rng": Random(1), "now": lambda: NOW, **options}
+        given = {
+            "access": access_to(settings, environ), "transport": unencrypted(), "rng": Random(1),
+            "now": lambda: NOW, **options,
+        }  # fmt: skip
         async with LlmClient(settings, pause=pause, **given) as client:
             return await task(client)
 
@@ -560,3 +567,23 @@ def test_the_key_is_never_repeated(endpoint: Endpoint, caplog: pytest.LogCapture
 def test_every_model_list_is_parsed(endpoint: Endpoint, listed: Any, names: tuple[str, ...] | None) -> None:
     endpoint.models = listed
     assert using(llm_settings(endpoint), lambda client: client.models()) == names
+
+
+def test_a_redirect_is_not_followed(endpoint: Endpoint) -> None:
+    """Whoever answers must not choose where the prompt and the key go."""
+
+    def elsewhere(_: object) -> Response:
+        return Response(status_code=307, headers={"Location": f"{endpoint.url}/chat/completions"})
+
+    endpoint.then(elsewhere, OK)
+    with pytest.raises(RequestRefused, match="It redirects: set endpoint to the new address"):
+        using(llm_settings(endpoint, api_key_env="MY_KEY"), ask, environ={"MY_KEY": KEY})
+    assert len(endpoint.asked) == 1
+
+
+def test_what_the_operator_does_not_allow_is_not_sent(endpoint: Endpoint) -> None:
+    settings = llm_settings(endpoint, api_key_env="OTHER_SECRET")
+    for task in (ask, LlmClient.models):
+        with pytest.raises(NotAllowed, match="may not send the key in OTHER_SECRET"):
+            using(settings, task, environ={"OTHER_SECRET": KEY})
+    assert endpoint.asked == []

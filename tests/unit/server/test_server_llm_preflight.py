@@ -10,6 +10,7 @@ from support.llm_endpoint import (
     MODEL,
     Endpoint,
     Server,
+    access_to,
     gives,
     items,
     llm_settings,
@@ -162,7 +163,8 @@ GOOD = says(reply_text(items(1)))
 
 
 def checked(endpoint: Endpoint, **changes: Any) -> EndpointReport:
-    return asyncio.run(check_endpoint(llm_settings(endpoint, **changes), environ={}))
+    settings = llm_settings(endpoint, **changes)
+    return asyncio.run(check_endpoint(settings, access=access_to(settings)))
 
 
 def test_an_endpoint_that_supports_all_forms(endpoint: Endpoint) -> None:
@@ -235,7 +237,7 @@ def test_a_missing_key_stops_the_check(endpoint: Endpoint) -> None:
 
 def test_the_check_reports_an_unreachable_endpoint(endpoint: Endpoint) -> None:
     settings = llm_settings(Endpoint("http://127.0.0.1:1/v1"))
-    report = asyncio.run(check_endpoint(settings, environ={}))
+    report = asyncio.run(check_endpoint(settings, access=access_to(settings)))
     assert (report.reachable, report.modes) == (False, ())
     assert "no connection" in str(report.trouble)
 

@@ -17,6 +17,7 @@ from support.llm_endpoint import (
     Endpoint,
     Server,
     Step,
+    access_to,
     cut,
     gives,
     huge,
@@ -100,7 +101,7 @@ def asking(
 
     async def run() -> Answer:
         client = LlmClient(
-            settings, environ=environ or {}, transport=unencrypted(), pause=pause, rng=Random(1)
+            settings, access=access_to(settings, environ), transport=unencrypted(), pause=pause, rng=Random(1)
         )
         async with client:
             return await ask(request, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
@@ -371,7 +372,9 @@ def in_real_time(settings: LlmSettings, log: MemoryLog) -> tuple[Answer, float]:
     """Ask with real pauses; return also how long it took, in seconds."""
 
     async def run() -> Answer:
-        async with LlmClient(settings, environ={}, transport=unencrypted(), rng=Random(1)) as client:
+        async with LlmClient(
+            settings, access=access_to(settings), transport=unencrypted(), rng=Random(1)
+        ) as client:
             return await ask(REQUEST, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
 
     begun = time.monotonic()
@@ -533,7 +536,7 @@ def test_limits_apply_to_the_whole_campaign(endpoint: Endpoint) -> None:
     later = SeedRequest(number=4, count=WANTED)
 
     async def run() -> Answer:
-        async with LlmClient(settings, environ={}) as client:
+        async with LlmClient(settings, access=access_to(settings)) as client:
             return await ask(later, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
 
     assert asyncio.run(run()).words == "language model not asked: all 1 requests of max_calls are used up"
