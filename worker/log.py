@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Final, TypeVar, assert_never
 
 from brink.worker.errors import SettingsError
+from brink.worker.printable import printable
 
 FORMAT_VARIABLE: Final = "BRINK_LOG_FORMAT"
 LEVEL_VARIABLE: Final = "BRINK_LOG_LEVEL"
@@ -77,7 +78,7 @@ class LineFormatter(logging.Formatter):
         """Return the line, followed by the lines of the stack if there is one."""
         line, *stack = super().format(record).split("\n") if record.exc_info else [super().format(record)]
         pairs = [f"{key}={_as_text(value)}" for key, value in _fields(record, self._always).items()]
-        return "\n".join((" ".join((" ".join(line.split("\n")), *pairs)), *stack))
+        return printable("\n".join((" ".join((" ".join(line.split("\n")), *pairs)), *stack)))
 
 
 class JsonFormatter(logging.Formatter):
@@ -104,7 +105,7 @@ class JsonFormatter(logging.Formatter):
             document[f"{key}_" if key in _RESERVED else key] = _as_json(value)
         if record.exc_info:
             document["stack"] = self.formatException(record.exc_info)
-        return json.dumps(document, default=str, ensure_ascii=False)
+        return printable(json.dumps(document, default=str, ensure_ascii=False))
 
 
 def configure_logging(level: LogLevel, log_format: LogFormat, **always: object) -> None:

@@ -6,7 +6,6 @@ trained model is part of this comparison (`brink.bench.stand_in`). Source of the
 and Fig. 2b; types that reference drivers avoid are Brink's.
 """
 
-import csv
 import gzip
 import hashlib
 import itertools
@@ -41,6 +40,7 @@ from brink.search.streams import episode_seed
 from brink.search.traffic.motion import Distance, Rollouts, encounter_distances, positions
 from brink.search.traffic.participants import MAX_PARTICIPANTS
 from brink.search.traffic.variation import TrafficGenome
+from brink.server.csv_text import csv_text
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.errors import SimulatorError
@@ -554,10 +554,7 @@ class Comparison:
         self._write("searches.csv", header, rows)
 
     def _write(self, name: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        with (self._folder / name).open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows(rows)
+        (self._folder / name).write_text(csv_text([header, *rows]), encoding="utf-8", newline="")
 
     def _write_overlaps(self, overlaps: Sequence[Overlap]) -> None:
         header = ["method", "other", "types", "other found too", "share", "share in a single search"]

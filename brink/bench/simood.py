@@ -4,7 +4,6 @@ Outcomes of episodes are stored, and criteria share them.
 """
 
 import contextlib
-import csv
 import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +21,7 @@ from brink.bench.simood_searches import Searches
 from brink.bench.trials import Record, Records, code_fingerprint
 from brink.search.analysis.combinations import HAZARDOUS, SAFE
 from brink.search.analysis.statistics import a12
+from brink.server.csv_text import csv_text
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.aeb.dataset import Split, labelled_frames
 from brink.sim.perception.detector import Picture
@@ -215,17 +215,14 @@ class Hazards(Criteria):
         self._write("singles.csv", rows)
 
     def _write_pairs(self, together: Mapping[NamedChain, float], parts: Mapping[NamedChain, float]) -> None:
-        with (self._folder / "pairs.csv").open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(
-                ["first", "second", "hazardous_share", "first_alone", "second_alone", "other_order"]
-            )
-            for chain, share in sorted(together.items(), key=lambda item: -item[1]):
-                first, second = ((step,) for step in chain)
-                other = together.get(chain[::-1])
-                writer.writerow(
-                    [words_of(first), words_of(second), share, parts[first], parts[second], other]
-                )
+        rows: list[list[object]] = [
+            ["first", "second", "hazardous_share", "first_alone", "second_alone", "other_order"]
+        ]
+        for chain, share in sorted(together.items(), key=lambda item: -item[1]):
+            first, second = ((step,) for step in chain)
+            other = together.get(chain[::-1])
+            rows.append([words_of(first), words_of(second), share, parts[first], parts[second], other])
+        (self._folder / "pairs.csv").write_text(csv_text(rows), encoding="utf-8", newline="")
 
 
 def _equal(what: str, value: int, target: int, note: str) -> Row:

@@ -1,6 +1,5 @@
 """What the SiMOOD criteria have in common: chains, reproducible streets, and tables of what was run in them."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, Final, TypeAlias
 from brink.bench.measurement import Progress
 from brink.bench.trials import Record, Records
 from brink.search.streams import Stream, generator
+from brink.server.csv_text import csv_text
 from brink.server.problems.aeb_crossing import AebCrossing, AebCrossingParams
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perturbations import CATALOGUE
@@ -88,10 +88,9 @@ class Criteria:
         return {chain: records[index * width : (index + 1) * width] for index, chain in enumerate(chains)}
 
     def _write(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        with (self._folder / name).open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        header = list(rows[0])
+        text = csv_text([header, *([row[column] for column in header] for row in rows)])
+        (self._folder / name).write_text(text, encoding="utf-8", newline="")
 
 
 def words_of(chain: NamedChain) -> str:

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from brink.api.client import Api, Refused
 from brink.api.live import CampaignDisplay, failures_of, spark, waits_words
+from brink.api.terminal import echo
 from brink.cli.options import (
     AsJson,
     CampaignFile,
@@ -340,7 +341,7 @@ def results(
             else:
                 form = {**params, "format": out.suffix.removeprefix(".")}
                 out.write_bytes((await api.request("GET", path, params=form)).content)
-            typer.echo(f"{out}: {Boundary.model_validate(document).words}", err=as_json)
+            echo(f"{out}: {Boundary.model_validate(document).words}", err=as_json)
         if as_json:
             print_json(document)
         elif out is None:

@@ -17,6 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.models import DefaultPlaceholder
 
 from brink import __version__
+from brink.api.terminal import echo
 from brink.worker.log import LogLevel, configure_logging, environment_format
 
 SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
@@ -160,7 +161,7 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"brink {__version__}")
+        echo(f"brink {__version__}")
         raise typer.Exit
 
 

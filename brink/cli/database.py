@@ -14,6 +14,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from brink.api.terminal import echo
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -246,9 +247,9 @@ def db_upgrade(database: Database = None) -> None:
     before, after = prepare_database(settings)
     where = shown_url(settings)
     if before == after:
-        typer.echo(f"{where}: schema {after} is up to date")
+        echo(f"{where}: schema {after} is up to date")
     else:
-        typer.echo(f"{where}: upgraded from schema {before or 'none'} to {after}")
+        echo(f"{where}: upgraded from schema {before or 'none'} to {after}")
 
 
 @db.command("status")
@@ -263,7 +264,7 @@ def db_status(database: Database = None) -> None:
     if path is None or path.exists():
         with _opened(settings) as engines:
             revision = current_revision(engines)
-    typer.echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
+    echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
     if revision != head_revision():
         raise typer.Exit(1)
 
@@ -293,8 +294,8 @@ def create(
     prepare_database(settings)
     with _opened(settings) as engines, engines.writer.begin() as connection:
         created = create_token(connection, scope, name, None if days is None else timedelta(days=days))
-    typer.echo(created)
-    typer.echo(
+    echo(created)
+    echo(
         f"a token for {shown_url(settings)}, shown only once; pass it on as BRINK_TOKEN. "
         f"It becomes valid within {TOKEN_CACHE_S:g} s",
         err=True,

@@ -16,6 +16,7 @@ from brink.api.results import (
     read_all_pairs,
     run_episode,
 )
+from brink.api.terminal import echo
 from brink.cli.options import (
     RESULTS,
     AsJson,
@@ -77,7 +78,7 @@ def plot(
         print_json([str(path) for path in files])
     else:
         for path in files:
-            typer.echo(path)
+            echo(path)
 
 
 def replay(
@@ -112,7 +113,7 @@ def replay(
             await asyncio.to_thread(render, trace, out, requirement=requirement, on_progress=drawn)
 
     with_api(server, database, work)
-    typer.echo(out)
+    echo(out)
 
 
 async def write_results(

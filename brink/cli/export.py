@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 
 from brink.api.client import Api
 from brink.api.results import TRACE_TIMEOUT_S, fetch_requirements, fetch_trace, run_episode
+from brink.api.terminal import echo
 from brink.cli.database import export as export_campaign
 from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, with_api
 from brink.exchange.exportable import EXPORTED, MODULES, EgoControl, check_exportable
@@ -84,7 +85,7 @@ def scenario(
         print_json([str(path) for path in files])
     else:
         for path in files:
-            typer.echo(path)
+            echo(path)
 
 
 async def _export_scenario(

@@ -4,11 +4,9 @@ Each kind of findings is a class that prints, writes and draws itself.
 """
 
 import asyncio
-import csv
-import io
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Protocol
+from typing import Annotated, Final, Protocol
 
 import numpy as np
 import typer
@@ -56,6 +54,7 @@ from brink.server.api.schemas import (
     ViolationView,
 )
 from brink.server.campaigns.tolerance import searches_for_tolerances
+from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
 from brink.server.problems.npc_actions import UNAVOIDABLE_M, NpcActions
@@ -189,8 +188,8 @@ class CombinationFindings:
             [one.step.technique, one.step.level, one.step.levels, *(getattr(one, name) for name in tallies)]
             for one in self._found.steps
         ]
-        _write_csv(table, ["technique", "level", "levels", *tallies], rows)
-        _write_csv(chains, list(COLUMNS), [list(row.values()) for row in combination_rows(self._found)])
+        _write_csv(table, [["technique", "level", "levels", *tallies], *rows])
+        _write_csv(chains, [list(COLUMNS), *(list(row.values()) for row in combination_rows(self._found))])
         return [document, chains, table]
 
     async def draw(self, drawing: Drawing) -> list[Path]:
@@ -421,16 +420,13 @@ def write_violations(found: Violations, folder: Path) -> list[Path]:
         ]
         for one in found.violations
     ]  # fmt: skip
-    _write_csv(
-        table, ["number", "time_s", "type", "name", "avoidable", "avoided_by", "at_fault", *signature], rows
-    )
+    header = ["number", "time_s", "type", "name", "avoidable", "avoided_by", "at_fault", *signature]
+    _write_csv(table, [header, *rows])
     return [document, table]
 
 
-def _write_csv(file: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    file.write_text(text.getvalue(), encoding="utf-8")
+def _write_csv(file: Path, rows: Iterable[Sequence[object]]) -> None:
+    file.write_text(csv_text(rows), encoding="utf-8", newline="")
 
 
 def draw_types(found: Violations, folder: Path) -> Path:

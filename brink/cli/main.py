@@ -21,11 +21,13 @@ def _run() -> int:
     try:
         app()
     except Exception as error:
+        from brink.worker.printable import printable
+
         lines = _describe(error)
         if lines is None:
             raise
         for line in lines:
-            print(f"brink: {line}", file=sys.stderr)
+            print(f"brink: {printable(line)}", file=sys.stderr)
     return 1
 
 

@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError, Missing, connect, in_process
+from brink.api.terminal import PlainConsole, echo
 from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.server.documents import parse_yaml
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
@@ -347,7 +348,7 @@ def about_file(file: Path) -> Iterator[None]:
 
 def print_json(document: Any) -> None:
     """Print a value as JSON."""
-    typer.echo(json.dumps(document, indent=2))
+    echo(json.dumps(document, indent=2))
 
 
 def write_json(file: Path, document: Any) -> None:
@@ -361,14 +362,11 @@ def fields(value: Any, *names: str) -> dict[str, Any]:
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a console; one that is not a terminal is wide enough for the tables of all commands.
-
-    Text is shown as it is: names and messages may contain square brackets, which would otherwise be taken for markup.
-    """
-    screen = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+    """Return a console; one that is not a terminal is wide enough for the tables of all commands."""
+    screen = PlainConsole(stderr=stderr)
     if screen.is_terminal or stderr:
         return screen
-    return Console(highlight=False, markup=False, emoji=False, width=PLAIN_WIDTH)
+    return PlainConsole(width=PLAIN_WIDTH)
 
 
 def print_line(text: str) -> None:

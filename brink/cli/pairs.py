@@ -17,6 +17,7 @@ from brink.api.follow_ups import (
     follow_up_requests,
     pause_follow_up,
 )
+from brink.api.terminal import echo
 from brink.cli.local import Session, run_locally, stopping
 from brink.cli.options import (
     RESULTS,
@@ -179,7 +180,7 @@ def pairs(
             view = await fetch_pairs(api, campaign, **params, limit=MOST_PAIRS)
             for option, place, path, _ in drawn:
                 await draw_pair(api, view, chosen_pair(view, place, option), path, workers=server is not None)
-                typer.echo(path)
+                echo(path)
             return
         if wanted is Format.TABLE:
             if asked and limit is not None:
@@ -195,12 +196,12 @@ def pairs(
         params |= {"limit": limit or MOST_PAIRS, "format": wanted.value}
         written = await api.request("GET", f"/campaigns/{campaign}/pairs", params=params)
         if out is None:
-            typer.echo(written.content.decode(), nl=False)
+            echo(written.content.decode(), nl=False)
         else:
             out.write_bytes(written.content)
             view = await fetch_pairs(api, campaign, **{**params, "format": "json"})
             pairs = "pair" if view.distinct == 1 else "pairs"
-            typer.echo(f"{out}: {len(view.pairs)} of {view.distinct} distinct {pairs}")
+            echo(f"{out}: {len(view.pairs)} of {view.distinct} distinct {pairs}")
 
     async def show(api: Api) -> None:
         await work(api)

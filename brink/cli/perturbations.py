@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from brink.api.terminal import echo
 from brink.cli.options import AsJson, console, plain_table, print_json
 from brink.extras import install_command
 from brink.server.errors import FieldError, InvalidInput, nearest
@@ -91,7 +92,7 @@ def show(
     genes_per_row = 2 if len(genes) >= MANY_GENES else 1
     sheet = contact_sheet(picture, genes, seed=seed, tile_width=tile_width, genes_per_row=genes_per_row)
     write_picture(sheet, out)
-    typer.echo(out)
+    echo(out)
 
 
 def _genes(names: list[str] | None) -> list[Gene]:

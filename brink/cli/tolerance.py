@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api
+from brink.api.terminal import echo
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -164,7 +165,7 @@ def tolerance(
                 show_tolerance(console(), view)
             case Format.SENTENCES:
                 for cell in view.cells:
-                    typer.echo(cell.sentence)
+                    echo(cell.sentence)
             case Format.JSON:
                 document = view.model_dump(mode="json")
                 if out is None:
@@ -174,18 +175,18 @@ def tolerance(
             case Format.MARKDOWN:
                 text = requirement_document(view, None if picture is None else picture.name)
                 if out is None:
-                    typer.echo(text, nl=False)
+                    echo(text, nl=False)
                 else:
                     out.write_text(text, encoding="utf-8")
             case Format.CSV:
                 table = await fetch_csv(api, campaign)
                 if out is None:
-                    typer.echo(table.decode(), nl=False)
+                    echo(table.decode(), nl=False)
                 else:
                     out.write_bytes(table)
         for path in (out, picture):
             if path is not None:
-                typer.echo(path)
+                echo(path)
 
     with_api(server, database, work)
 

@@ -4,9 +4,8 @@ import html
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Protocol, Self
 
-from rich.console import Console
-
 from brink.api.live import CampaignDisplay, duration, failures_of, failures_words, rate_of
+from brink.api.terminal import PlainConsole
 from brink.server.api.schemas import Progress
 
 
@@ -86,7 +85,7 @@ def display_of(wanted: bool) -> AbstractContextManager[Display]:
         return nullcontext(Silent())
     if in_notebook():
         return NotebookDisplay()
-    return CampaignDisplay(Console(stderr=True, highlight=False))
+    return CampaignDisplay(PlainConsole(stderr=True))
 
 
 def in_notebook() -> bool:

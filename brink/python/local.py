@@ -5,10 +5,9 @@ import contextlib
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from rich.console import Console
-
 from brink.api.client import Api, CoordinatorError
 from brink.api.live import earlier_words
+from brink.api.terminal import PlainConsole
 from brink.python.campaign import CampaignLike, body_of
 from brink.python.client import check_finished, settings_of
 from brink.python.connection import LocalDatabase, local_workers, wait_for
@@ -117,7 +116,7 @@ async def run_body(
     if earlier:
         result.note = earlier_words(found)
         if progress and not in_notebook():  # a notebook shows the result, which says so itself
-            Console(stderr=True, highlight=False).print(f"{result.name}: {result.note}", soft_wrap=True)
+            PlainConsole(stderr=True).print(f"{result.name}: {result.note}", soft_wrap=True)
     return result
 
 

@@ -4,7 +4,6 @@ Detections are the boxes that the driving system received: injected by the searc
 perturbed image. In tables, ground truth is called ``seen``, detections ``said``, and false positives ``invented``.
 """
 
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.server.csv_text import csv_text
 from brink.sim.perception.boxes import overlaps
 from brink.sim.trace import Trace
 
@@ -83,7 +83,4 @@ def box_rows(trace: Trace) -> Iterator[tuple[float | str, ...]]:
 
 def write_boxes(trace: Trace, file: Path) -> None:
     """Write the boxes of an episode as CSV."""
-    with file.open("w", encoding="utf-8", newline="") as text:
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(box_rows(trace))
+    file.write_text(csv_text([COLUMNS, *box_rows(trace)]), encoding="utf-8", newline="")

@@ -1,6 +1,5 @@
 """Boundary solutions as a table with one row for each solution: CSV, JSON Lines or Parquet."""
 
-import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,7 @@ from brink.search.parameters import Categorical, Integer
 from brink.search.space import SearchSpace
 from brink.server.api.schemas import Boundary, SolutionView
 from brink.server.campaigns.body import CampaignBody
+from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
 
 Cell: TypeAlias = str | int | float | bool | None
@@ -145,14 +145,10 @@ def table_bytes(rows: Sequence[Row], form: str, columns: Mapping[str, type]) -> 
     """
     if form == "parquet":
         return _parquet(rows, columns)
-    text = io.StringIO()
     if form == "csv":
-        writer = csv.DictWriter(text, list(rows[0] if rows else columns), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    else:
-        text.writelines(json.dumps(row, allow_nan=False) + "\n" for row in rows)
-    return text.getvalue().encode()
+        header = list(rows[0] if rows else columns)
+        return csv_text([header, *([row[name] for name in header] for row in rows)]).encode()
+    return "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode()
 
 
 def has_parquet() -> bool:

@@ -1,8 +1,6 @@
 """Routes of tolerances: how gross an error may be before too many drives violate a requirement because of it."""
 
 import asyncio
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -24,6 +22,7 @@ from brink.server.campaigns.detector_check import MOST_DRIVES, CheckResult, Driv
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
+from brink.server.csv_text import csv_text
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import NamesRequirements, ScalesSeverity, SeverityScale
@@ -736,20 +735,18 @@ def _violated(requirements: list[str]) -> str:
 
 def tolerance_csv(view: ToleranceView) -> str:
     """Return the tolerances as CSV, one row for each cell."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
     names = list(view.cells[0].choices) if view.cells else []
     ends = ("value", "low", "high")
-    writer.writerow(
+    rows: list[list[object]] = [
         [
             *(name.rpartition(".")[2] for name in names), "error", "condition", "finding", "unit",
             *(f"tolerated_{end}" for end in ends), *(f"severity_{end}" for end in ends),
             "limit", "confidence", "screened", "vulnerable", "drives", "caused", "sentence",
         ]
-    )  # fmt: skip
+    ]  # fmt: skip
     for cell in view.cells:
         amounts = [getattr(cell.tolerated, end) for end in ends]
-        writer.writerow(
+        rows.append(
             [
                 *(cell.choices[name] for name in names), cell.error, cell.condition, cell.tolerated.finding.value,
                 cell.unit,
@@ -757,7 +754,7 @@ def tolerance_csv(view: ToleranceView) -> str:
                 view.limit, view.confidence, cell.screened, cell.vulnerable, cell.drives, cell.caused, cell.sentence,
             ]
         )  # fmt: skip
-    return out.getvalue()
+    return csv_text(rows)
 
 
 def _digits(value: float | None) -> str:

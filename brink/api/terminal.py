@@ -1,0 +1,44 @@
+"""The one place that writes to the terminal. Control characters in texts of others are shown, not obeyed."""
+
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+from rich.text import Text
+
+from brink.worker.printable import printable
+
+
+class PlainConsole(Console):
+    """A console that shows texts as they are: names and messages may contain square brackets and control characters.
+
+    Args:
+        settings: Those of `rich.console.Console`.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **settings)
+
+    def render_str(self, text: str, **settings: Any) -> Text:
+        """Return a string as text; the settings are those of `rich.console.Console.render_str`."""
+        return super().render_str(printable(text), **settings)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render something; the control sequences of rich itself are segments of their own."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text), style, control)
+
+
+def echo(text: object, *, nl: bool = True, err: bool = False) -> None:
+    """Write text as it is to a file or a pipe, and printable to a terminal.
+
+    Args:
+        text: The text.
+        nl: Whether to end it with a line feed.
+        err: Whether to write to standard error.
+    """
+    stream = sys.stderr if err else sys.stdout
+    stream.write((printable(str(text)) if stream.isatty() else str(text)) + "\n" * nl)
+    stream.flush()
