@@ -162,7 +162,7 @@ def test_the_example_in_the_guide_is_a_worker(tmp_path: Path) -> None:
     program_file = tmp_path / "minimal.py"
     program_file.write_text(source, encoding="utf-8")
     # The lost reply carried a lease too: that job is queued again when its lease expires.
-    with FakeCoordinator(lease_s=0.5) as coordinator:
+    with FakeCoordinator(lease_s=3.0) as coordinator:
         coordinator.faults["results"] += [Fault.DROP_REPLY, 503]
         good = [coordinator.add({"fog": fog}, simulator="my-simulator@1") for fog in (0.25, 1.5)]
         bad = coordinator.add({}, simulator="my-simulator@1")
