@@ -6,6 +6,7 @@ They load neither the search nor the server, so they start fast with ``--server`
 import asyncio
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -94,7 +95,9 @@ def submit(
             known = "" if response.status_code == 201 else " (submitted before with this key)"
             console().print(f"campaign {campaign.id}{known}")
             if not watch:
-                print_line(f"show its progress with: {program()} status {campaign.id} --server {server}")
+                print_line(
+                    f"show its progress with: {program()} status {campaign.id} --server {quote(server)}"
+                )
                 found = await api.read(Progress, f"/campaigns/{campaign.id}/progress")
                 if words := waiting_words(found, server):
                     console().print(words, soft_wrap=True, style="yellow")
@@ -153,7 +156,7 @@ def waiting_words(progress: Progress, server: str) -> str:
         return ""
     todo = "; ".join(start_words(needs, server, program()) for needs in progress.unrunnable)
     if not progress.workers:
-        todo = todo or f"start one with: {program()} worker --server {server}"
+        todo = todo or f"start one with: {program()} worker --server {quote(server)}"
         return f"waiting: no worker is connected; {todo}"
     if sum(progress.unrunnable.values()) == progress.queued:
         return f"waiting: no connected worker provides {', '.join(progress.unrunnable)}; {todo}"

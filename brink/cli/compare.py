@@ -1,13 +1,15 @@
-"""`brink compare`: DBS tables of campaigns side by side, each with its control."""
+"""`brink compare`: pairs and DBS of campaigns side by side, each with its control."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
 from brink.api.client import Api
-from brink.api.results import fetch_archive
+from brink.api.live import failures_of
+from brink.api.results import fetch_archive, read_all_pairs
 from brink.cli.campaigns import ALL_GENERATIONS, where_pairs_are
 from brink.cli.options import (
     AsJson,
@@ -24,6 +26,8 @@ from brink.report.comparison import compared_archives
 from brink.search.analysis.comparison import Row, control_summaries
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
+from brink.search.errors import TooManyPairs
+from brink.server.api.pair_views import PairsView
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput
@@ -49,7 +53,9 @@ def compare(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare campaigns: DBS and strict DBS at the paper's thresholds, each campaign with its control.
+    """Compare campaigns: their pairs, and DBS and strict DBS at the paper's thresholds, each with its control.
+
+    DBS is shown for campaigns that search for the boundary it measures, not for searches for pairs.
 
     Example: brink compare 3f2a 91bc 77d0
 
@@ -60,21 +66,49 @@ def compare(
             raise InvalidInput.at("--d-th", f"expected one of {', '.join(map(str, D_THS))}, got {value:g}")
     unique = list(dict.fromkeys(campaigns))
 
-    async def work(api: Api) -> tuple[list[Row], list[Progress]]:
+    async def work(api: Api) -> tuple[list[Row], list[Progress], dict[str, PairsView | TooManyPairs]]:
         rows = await compared(api, unique, control=control)
         since = {"since": ALL_GENERATIONS}
-        return rows, [await api.read(Progress, f"/campaigns/{one}/progress", since) for one in unique]
+        progress = [await api.read(Progress, f"/campaigns/{one}/progress", since) for one in unique]
+        return rows, progress, {one.id: await read_all_pairs(api, one.id) for one in progress}
 
-    rows, progress = with_api(server, database, work)
+    rows, progress, pairs = with_api(server, database, work)
     if as_json:
-        print_json(rows_json(rows))
+        print_json([row | {"pairs": _counts(pairs[row["campaign"]])} for row in rows_json(rows)])
         return
     screen = console()
-    print_rows(screen, rows, d_th or PAPER_D_THS)
+    screen.print(_pairs_table(progress, pairs))
+    screen.print()
+    boundary = {one.id for one in progress if one.looks_for_boundary and not one.looks_for_pairs}
+    if shown := [row for row in rows if row.campaign in boundary]:
+        print_rows(screen, shown, d_th or PAPER_D_THS)
     for one in progress:
         if one.looks_for_pairs:
             words = where_pairs_are(one, place_option(server, database))
             screen.print(f"{one.name}: {words}", soft_wrap=True)
+
+
+def _counts(pairs: PairsView | TooManyPairs) -> dict[str, int] | None:
+    """Return the numbers of distinct pairs by what is known of them; None if there are too many to tell apart."""
+    if isinstance(pairs, TooManyPairs):
+        return None
+    names = {"distinct", "checked", "tried", "confirmed", "not_confirmed"}
+    return pairs.model_dump(mode="json", include=names)
+
+
+def _pairs_table(progress: Sequence[Progress], pairs: Mapping[str, PairsView | TooManyPairs]) -> Table:
+    columns = ("simulations", "failed", "distinct pairs", "simulated again", "confirmed")
+    table = plain_table("", *columns, right=columns, title="Pairs across the boundary")
+    names = [one.name for one in progress]
+    for one in progress:
+        label = one.name if names.count(one.name) == 1 else f"{one.name} {one.id}"
+        cells = f"{one.simulations:,}", f"{failures_of(one):,}"
+        if (counts := _counts(pairs[one.id])) is None:
+            table.add_row(label, *cells, "too many to tell apart", "–", "–")
+        else:
+            confirmed = f"{counts['confirmed']:,}" if counts["tried"] else "–"
+            table.add_row(label, *cells, f"{counts['distinct']:,}", f"{counts['tried']:,}", confirmed)
+    return table
 
 
 async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:

@@ -279,7 +279,7 @@ def _readme(
 
 def _pairs_words(fetched: FetchedArchive) -> list[str]:
     return [
-        "This campaign searched for pairs across the boundary: two solutions that are almost the same, one safe and "
+        "This campaign searched for pairs across the boundary: two neighbouring solutions, one safe and "
         f"one unsafe. `brink pairs {fetched.id}` shows them, and simulates them again if it is asked to."
     ]
 

@@ -131,7 +131,7 @@ async def draw_pair_evidence(
         The pairs with their pictures, and a note for each that could not be drawn.
     """
     view = evidence.view
-    endings = ["png", *([film] if film and not view.computed else [])]
+    endings = ["png", *([film] if film and view.replayable else [])]
     drawn: dict[int, tuple[str, ...]] = {}
     notes = []
     for pair in view.pairs[:pictures]:

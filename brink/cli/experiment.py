@@ -203,7 +203,7 @@ def pairs(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare algorithms by the pairs that they found: two drives that are almost the same, one safe, one unsafe.
+    """Compare algorithms by the pairs that they found: two neighbouring drives, one safe, one unsafe.
 
     All campaigns are searched for pairs with the same --eps and --d-th. What --confirm and --component find out is
     stored and shown from then on. Without --server, the command runs a coordinator and workers until it is known;

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TypeAlias
 
 import numpy as np
@@ -98,7 +99,7 @@ def run_experiment(
             )  # fmt: skip
             if session.stop.is_set():
                 screen.print("stopped; nothing is lost")
-                session.hint("continue with", f"experiment run {options.file} --resume")
+                session.hint("continue with", f"experiment run {quote(str(options.file))} --resume")
                 return None
         results = await fetch_results(session.api, progress.id, screen, alpha=alpha)
         folder = options.out / f"{file_name(body.name)}-{progress.id}"

@@ -10,6 +10,7 @@ import signal
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Protocol, TypeVar
 
 import httpx
@@ -260,7 +261,7 @@ def run_to_end(
                 screen.print(
                     f"stopped at {progress.simulations:,} of {progress.budget:,} simulations; nothing is lost"
                 )
-                session.hint("continue with", f"{workload.command}run {options.file} --resume")
+                session.hint("continue with", f"{workload.command}run {quote(str(options.file))} --resume")
                 return None
             if progress.status is not CampaignStatus.FINISHED:
                 screen.print(f"{workload.noun} {name} is {progress.status}")

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Awaitable, Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
@@ -69,7 +70,9 @@ def check_ids(given: str | list[str] | None) -> str | list[str] | None:
                 f"expected an id, or at least its first {SHORTEST_ID} characters, such as 3f2a; got {one!r}"
             )
             if one.endswith((".yaml", ".yml", ".json")):
-                words += f"; the last run of a file is continued with: {program()} run {one} --resume"
+                words += (
+                    f"; the last run of a file is continued with: {program()} run {quote(str(one))} --resume"
+                )
             else:
                 words += f"; {program()} status lists campaigns, {program()} experiment list experiments"
             raise typer.BadParameter(words)
@@ -204,7 +207,7 @@ def program() -> str:
     else:
         name = min(os.path.relpath(called), str(called.absolute()), key=len)
     plugins = filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(","))
-    return " ".join([name, *(f"--plugin {plugin}" for plugin in plugins)])
+    return " ".join([quote(name), *(f"--plugin {quote(plugin)}" for plugin in plugins)])
 
 
 def database_option(settings: "Settings") -> str:
@@ -216,12 +219,12 @@ def database_option(settings: "Settings") -> str:
     from brink.server.settings import Settings
 
     usual = {Settings.model_fields["database"].default, os.environ.get("BRINK_DATABASE")}
-    return "" if settings.database in usual else f" --database {shown_url(settings)}"
+    return "" if settings.database in usual else f" --database {quote(shown_url(settings))}"
 
 
 def place_option(server: str | None, database: str | None) -> str:
     """Return the option that names a coordinator or a database in hints, as a command was given it."""
-    return f" --server {server}" if server else database_option(settings_with(database=database))
+    return f" --server {quote(server)}" if server else database_option(settings_with(database=database))
 
 
 def database_place(settings: "Settings") -> str:

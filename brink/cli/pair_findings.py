@@ -49,7 +49,7 @@ class PairFindings:
         self._fetched = fetched
         self._tables = tables
         self._no_picture = ""
-        self._replayable = not view.computed
+        self._replayable = view.replayable
 
     @property
     def view(self) -> PairsView:
@@ -82,7 +82,7 @@ class PairFindings:
         if view.pairs:
             what = "solutions" if view.computed else "drives"
             screen.print(
-                f"a pair is two {what} that are almost the same, on either side of the boundary",
+                f"a pair is two neighbouring {what}, one safe and one unsafe; it says how far each number moved",
                 soft_wrap=True,
                 style="dim",
             )

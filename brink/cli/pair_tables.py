@@ -17,8 +17,8 @@ def print_pairs(screen: Console, view: PairsView) -> None:
         return
     print_sentence(
         screen,
-        f"a safe and an unsafe drive at most {view.eps:g} apart, or one step; pairs at least {view.d_th:g} "
-        f"apart",
+        f"a safe and an unsafe drive at most {view.eps:g} apart on average over all parameters, or one step; pairs "
+        f"at least {view.d_th:g} apart",
         style="dim",
     )
     for words in view.chance:
@@ -48,6 +48,7 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     for pair in view.pairs[:shown]:
         lines = [
             as_sentence(pair.change),
+            *([f"({pair.moved})"] if pair.moved else []),
             *common_words(pair),
             f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
             f"safe, solution {pair.safe.number}: {pair.safe.outcome}",

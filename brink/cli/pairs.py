@@ -127,9 +127,10 @@ def pairs(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show the pairs of a campaign: two drives that are almost the same, one safe, one unsafe.
+    """Show the pairs of a campaign: two neighbouring drives, one safe, one unsafe.
 
-    Each pair says in words what the change between its two drives is, and what the unsafe one did. What --confirm,
+    Each pair says in words what the change between its two drives is, how far each number moved as a share of its
+    range, and what the unsafe one did. What --confirm,
     --component and --minimise find out is stored and shown from then on. Without --server, the command runs a
     coordinator and workers until it is known; calling it again continues. It also brings the files that `brink run`
     wrote up to date.

@@ -82,7 +82,7 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
     else:  # a search for pairs evaluates some solutions again, with other seeds
         dot = f"evaluation of a complete solution ({parts})"
         result = (
-            "\nThe rings are the result: pairs of almost equal solutions, one on either side of the boundary."
+            "\nThe rings are the result: pairs of neighbouring solutions, one on either side of the boundary."
         )
     figure = new_figure(
         HEIGHT_PX,

@@ -157,7 +157,7 @@ def _key_figures(facts: Facts) -> list[Term]:
     pairs = facts.pairs
     if facts.searched_pairs and isinstance(pairs, PairsView):
         distinct = "distinct pair" if pairs.distinct == 1 else "distinct pairs"
-        told.append(Term(f"{pairs.distinct:,}", f"{distinct}: almost the same, one safe, one unsafe"))
+        told.append(Term(f"{pairs.distinct:,}", f"{distinct}: neighbours, one safe, one unsafe"))
         if pairs.tried:
             told.append(
                 Term(

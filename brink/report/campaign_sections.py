@@ -150,7 +150,8 @@ def pairs_section(facts: Facts, album: Album, full: Sequence[PairView]) -> Secti
         return None
     many = f"{noun(facts)}s"
     told = [
-        f"A pair is two {many} at most {pairs.eps:g} apart (in [0, 1]), or one step, on either side of the boundary. "
+        f"A pair is two {many} on either side of the boundary, at most {pairs.eps:g} apart on average over all "
+        "parameters (in [0, 1]), or one step: one number may still move far, and each pair says how far. "
         f"Pairs that are at least {pairs.d_th:g} apart count as distinct.",
         *(f"{as_sentence(words)}." for words in legend(pairs)),
     ]
@@ -182,7 +183,7 @@ def _shown_pair(facts: Facts, pairs: PairsView, pair: PairView, album: Album) ->
         place=pair.place, change=as_sentence(pair.change), common=as_sentence(common[0]) if common else "",
         safe=_side_words(facts, pair.safe, pair.confirmation.safe),
         unsafe=_side_words(facts, pair.unsafe, pair.confirmation.unsafe),
-        evidence=[*evidence_words(pairs, pair).split(", "), extent_words(pair)],
+        evidence=[*evidence_words(pairs, pair).split(", "), *filter(None, (extent_words(pair), pair.moved))],
         sentences=[*pair_findings(pair), *smaller, *pair_facts(pairs, pair)[1:]],
         picture=picture[0] if picture else None,
     )  # fmt: skip
@@ -205,11 +206,14 @@ def _rest(facts: Facts, pairs: PairsView, full: Sequence[PairView]) -> Table | N
         return None
     rows = [
         (
-            str(pair.place), as_sentence(pair.change), f"{pair.unsafe.outcome} ({pair.unsafe.number})",
-            f"{pair.safe.outcome} ({pair.safe.number})", evidence_words(pairs, pair),
+            str(pair.place),
+            ": ".join(filter(None, (as_sentence(pair.change), pair.moved))),
+            f"{pair.unsafe.outcome} ({pair.unsafe.number})",
+            f"{pair.safe.outcome} ({pair.safe.number})",
+            evidence_words(pairs, pair),
         )
         for pair in rest[:MOST_ROWS]
-    ]  # fmt: skip
+    ]
     more = pairs.distinct - len(shown) - len(rows)
     return Table(
         label="Other pairs", columns=("", "change", "unsafe side", "safe side", "evidence"), rows=rows, right=(0,),

@@ -95,7 +95,7 @@ def purpose(facts: Facts) -> str:
         return _FOLLOW_UPS[of.kind].format(many=many, of=f"campaign {of.campaign} ({of.name})")
     if facts.searched_pairs:
         return (
-            f"Brink searched for pairs of {many} that are almost the same, although one is safe and the other is "
+            f"Brink searched for pairs of {many} that are neighbours, although one is safe and the other is "
             "not: the boundary of what the system can handle runs between them."
         )
     if facts.tolerance is not None:

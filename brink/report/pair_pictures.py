@@ -154,7 +154,9 @@ def _doubt(again: ConfirmationView) -> str:
 
 def facts(view: PairsView, pair: PairView) -> list[str]:
     """Return what else is known of a pair, in sentences."""
-    found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
+    found = [f"Pair {pair.place} of {view.distinct} of {view.name}."]
+    if pair.moved:
+        found.append(f"{as_sentence(pair.moved)}.")
     if not view.computed and pair.confirmation.state not in _REPEATED:
         found.append(_search_words(pair))
     if _CUT in pair.change:

@@ -1,4 +1,4 @@
-"""The pairs that an archive holds: two solutions that are almost the same, one safe and one unsafe.
+"""The pairs that an archive holds: two neighbouring solutions, one safe and one unsafe.
 
 Any archive may hold pairs, whichever search filled it. A solution that was simulated several times, with the same
 parameters and other seeds, counts once: it is safe if all its verdicts are, unsafe if all are, otherwise *chancy*.
@@ -62,7 +62,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """A safe and an unsafe solution that are almost the same.
+    """A safe and an unsafe solution that are neighbours.
 
     Attributes:
         safe: The safe side: every simulation of it was safe.

@@ -212,7 +212,8 @@ class ViolatedHereView(View):
 
     requirement: str
     sample: int
-    words: Annotated[str, Field(description="Such as `hit a pedestrian at 12.8 s`.")]
+    time_s: Annotated[float, Field(description="When, to the fraction of a sample if that was recorded.")]
+    words: Annotated[str, Field(description="Such as `hit a pedestrian at 12.8 s`, with this time.")]
 
 
 class GuardView(View):
@@ -569,7 +570,9 @@ def _story(trace: Trace, judged: Sequence[str]) -> StoryView | None:
     return StoryView.model_construct(
         requirement=story.requirement, violated=story.violated, decisive=story.decisive, words=story.words,
         violations=[
-            ViolatedHereView.model_construct(requirement=one.requirement, sample=one.sample, words=one.words)
+            ViolatedHereView.model_construct(
+                requirement=one.requirement, sample=one.sample, time_s=_length(one.time_s), words=one.words
+            )
             for one in story.violations
         ],
     )  # fmt: skip

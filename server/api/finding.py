@@ -44,7 +44,7 @@ from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.violations import read_violations
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import HasDetector, ReportsViolations
+from brink.server.problems.base import HasDetector, ReportsViolations, records_traces
 from brink.server.problems.catalogue import ODD, make_problem, problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
 from brink.server.problems.requirements import ANY
@@ -169,7 +169,7 @@ class FindingView(View):
         list[tuple[int, int]],
         Field(description="The sides of each of them, by place; empty if the search was not for pairs."),
     ]
-    computed: Annotated[bool, Field(description="Whether verdicts are computed: there is no drive to draw.")]
+    replayable: Annotated[bool, Field(description="Whether drives are recorded, so that they can be drawn.")]
     best: Annotated[
         list[BestPair],
         Field(
@@ -199,6 +199,8 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
     avoidable = await asyncio.to_thread(_avoidable_examples, known.violations)
     of = await read(services.engines, lambda c: _followed(c, campaign))
     view = known.pairs
+    if campaign.failed:
+        words = f"{words}; {_failures(campaign)}"
     if odd := known.outcomes.odd:
         words = f"within the ODD: {words}"
     if view is not None and view.searched and view.distinct:
@@ -207,7 +209,7 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
         campaign=campaign.id, complete=campaign.status in ENDED,
         words=_sentence(words), more=[_sentence(one) for one in more if one],
         of=of, pairs=None if view is None else view.distinct, rings=known.rings[:MOST_RINGS],
-        computed=view is not None and view.computed,
+        replayable=records_traces(found.plan.problem),
         best=[] if view is None else [_best_pair(view, pair) for pair in view.pairs],
         rule="" if view is None else _rule_words(view),
         avoidable=avoidable, explanation=EXPLANATION if avoidable else "",
@@ -380,6 +382,12 @@ async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
         words = boundary_words(*known.boundary, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
         return _so_far(campaign, words), [outcomes.sentence(), *also]
     return _so_far(campaign, _counts(known)), [outcomes.sentence(), *also]
+
+
+def _failures(campaign: Campaign) -> str:
+    """Return how many simulations failed: the finding does not rest on them."""
+    count = f"{campaign.failed:,} of {campaign.completed:,} simulations failed"
+    return f"{count} and count neither as safe nor as unsafe"
 
 
 def _nothing_yet(known: _Known) -> str:
@@ -601,8 +609,7 @@ def _pair_steps(known: _Known) -> list[StepView]:
                 follow_up=None if open_one is None else follow_up_view(open_one),
             )
         )  # fmt: skip
-    if not view.computed:
-        steps.append(_look_at_pairs(known, "What happens in them?"))
+    steps.append(_look_at_pairs(known, "What happens in them?"))
     return steps
 
 
@@ -626,11 +633,15 @@ def _look_at_pairs(known: _Known, question: str) -> StepView:
     view, campaign = known.pairs, known.campaign.id
     count = 0 if view is None else view.distinct
     best = view.pairs[0].place if view is not None and view.pairs else 1
+    films = view is not None and view.replayable
     return StepView(
-        kind=StepKind.LOOK, question=question, words="Shows both drives of each pair side by side.",
-        label="Open the pair" if count == 1 else f"Open all {count:,} pairs", place=f"campaigns/{campaign}/pairs",
-        command=f"brink pairs {campaign} --film {best} pair-{best}.mp4",
-    )  # fmt: skip
+        kind=StepKind.LOOK,
+        question=question,
+        words=f"Shows both {'drives' if films else 'sides'} of each pair side by side.",
+        label="Open the pair" if count == 1 else f"Open all {count:,} pairs",
+        place=f"campaigns/{campaign}/pairs",
+        command=f"brink pairs {campaign}" + (f" --film {best} pair-{best}.mp4" if films else ""),
+    )
 
 
 def _boundary_steps(known: _Known) -> list[StepView]:

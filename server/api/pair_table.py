@@ -8,10 +8,21 @@ from brink.server.api.boundary_table import Cell, Row, parameter_columns, table_
 from brink.server.api.pair_views import PairsView, PairView
 
 _PAIR: Final[Mapping[str, type]] = {
-    "campaign": str, "pair": int, "words": str, "change": str, "distance": float, "checked": bool, "same_seed": bool,
-    "confirmation": str, "component": str, "minimality": str, "component_outcome": str, "minimised_change": str,
+    "campaign": str,
+    "pair": int,
+    "words": str,
+    "change": str,
+    "moved": str,
+    "distance": float,
+    "checked": bool,
+    "same_seed": bool,
+    "confirmation": str,
+    "component": str,
+    "minimality": str,
+    "component_outcome": str,
+    "minimised_change": str,
     "differing": str,
-}  # fmt: skip
+}
 _SIDE: Final[Mapping[str, type]] = {
     "number": int, "robustness": float, "evaluated": int, "seed": int, "outcome": str, "words": str,
     "again_evaluated": int, "again_unsafe": int, "again_low": float, "again_high": float,
@@ -50,13 +61,21 @@ def pairs_table(view: PairsView, space: SearchSpace, form: str) -> bytes:
 
 def _flat(view: PairsView, pair: PairView) -> dict[str, Cell]:
     row: dict[str, Cell] = {
-        "campaign": view.campaign, "pair": pair.place, "words": pair.words, "change": pair.change,
-        "distance": pair.distance, "checked": pair.checked, "same_seed": pair.same_seed,
-        "confirmation": str(pair.confirmation.state), "component": str(pair.component.state),
-        "minimality": str(pair.minimality.state), "component_outcome": pair.component.outcome,
+        "campaign": view.campaign,
+        "pair": pair.place,
+        "words": pair.words,
+        "change": pair.change,
+        "moved": pair.moved,
+        "distance": pair.distance,
+        "checked": pair.checked,
+        "same_seed": pair.same_seed,
+        "confirmation": str(pair.confirmation.state),
+        "component": str(pair.component.state),
+        "minimality": str(pair.minimality.state),
+        "component_outcome": pair.component.outcome,
         "minimised_change": "" if pair.minimality.unsafe is None else pair.minimality.unsafe.change,
         "differing": "; ".join(change.words for change in pair.changes),
-    }  # fmt: skip
+    }
     for name, side, share in (
         ("safe", pair.safe, pair.confirmation.safe), ("unsafe", pair.unsafe, pair.confirmation.unsafe),
     ):  # fmt: skip

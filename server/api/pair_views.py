@@ -1,4 +1,4 @@
-"""Response schemas of pairs: two solutions that are almost the same, one safe and one unsafe."""
+"""Response schemas of pairs: two neighbouring solutions, one safe and one unsafe, and the change between them."""
 
 from enum import StrEnum
 from typing import Annotated, Any, Final, Literal, Self
@@ -89,6 +89,13 @@ class ChangeView(View):
         bool | None,
         Field(description="Whether it had a part in either drive; null if that was not recorded."),
     ]
+    moved: Annotated[
+        float | None,
+        Field(
+            description="How far it moved as a share of its range, in (0, 1]: the larger of the two, if a constraint "
+            "ties two together. Null for a category."
+        ),
+    ]
     words: str
 
 
@@ -159,7 +166,7 @@ class SideView(View):
 
 
 class PairView(View):
-    """A safe and an unsafe solution that are almost the same."""
+    """A safe and an unsafe solution that are neighbours."""
 
     place: Annotated[
         int,
@@ -170,6 +177,13 @@ class PairView(View):
     ]
     words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
     change: Annotated[str, Field(description="The change, in words.")]
+    moved: Annotated[
+        str,
+        Field(
+            description="How far the parameters that had a part moved, as shares of their ranges, in words: close "
+            "sides are close on average, and one number may still move far."
+        ),
+    ]
     common: Annotated[
         str,
         Field(
@@ -283,6 +297,10 @@ class PairsView(View):
     computed: Annotated[
         bool, Field(description="Whether verdicts are computed, not simulated: seeds have no part in them.")
     ]
+    replayable: Annotated[
+        bool,
+        Field(description="Whether the simulator records drives, so that pairs can be drawn and filmed."),
+    ] = True
     note: Annotated[
         str, Field(description="The result in one sentence; why there is no pair, if there is none.")
     ]

@@ -1,4 +1,4 @@
-"""Routes of pairs: two solutions that are almost the same, one safe and one unsafe, and the change between them."""
+"""Routes of pairs: two neighbouring solutions, one safe and one unsafe, and the change between them."""
 
 import asyncio
 import json
@@ -69,8 +69,16 @@ from brink.server.problems.base import (
     SimulatedSolution,
     describe_candidate,
     ignores_seeds,
+    records_traces,
 )
-from brink.server.problems.changes import Change, as_sentence, change_words, changes_between, common_words
+from brink.server.problems.changes import (
+    Change,
+    as_sentence,
+    change_words,
+    changes_between,
+    common_words,
+    moved_words,
+)
 from brink.server.states import CampaignStatus, SolutionVerdict
 from brink.sim.verdict import drives_held, unsafe_words
 
@@ -217,6 +225,7 @@ def pairs_view(
         complete=campaign.status in ENDED, generation=found.generation, evaluated=len(found.archive),
         eps=pairs.settings.eps, d_th=pairs.settings.d_th,
         searched=searches_for_pairs(campaign.body.algorithm.id), computed=ignores_seeds(problem),
+        replayable=records_traces(problem),
         note=_note(campaign, found, pairs, deciding, counts),
         terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
         caveat=with_odd(_caveat(campaign, problem), problem.space),
@@ -351,13 +360,13 @@ def _pair(
     place: int, pair: Pair, problem: Problem, rows: Mapping[int, Row[Any]], evidence: "_Evidence"
 ) -> PairView:
     safe, unsafe = (simulated(problem, rows[side.number]) for side in (pair.safe, pair.unsafe))
-    changes, change = _changes(problem, safe, unsafe, pair.units)
+    changes, change, moved = _changes(problem, safe, unsafe, pair.units)
     sides = [
         _side(side, problem, solution, rows[side.number])
         for side, solution in ((pair.safe, safe), (pair.unsafe, unsafe))
     ]
     return PairView(
-        place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change,
+        place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change, moved=moved,
         common=common_words(sides[0].words, sides[1].words), distance=pair.distance,
         checked=pair.checked, same_seed=pair.same_seed,
         confirmation=evidence.confirmation(pair), component=evidence.component(pair),
@@ -367,11 +376,12 @@ def _pair(
 
 def _changes(
     problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, units: Sequence[Unit]
-) -> tuple[list[ChangeView], str]:
-    """Return the differences between two solutions, active ones first, and the change in words."""
+) -> tuple[list[ChangeView], str, str]:
+    """Return the differences between two solutions, active ones first, the change in words, and how far it goes."""
     changes = sorted(changes_between(problem, safe, unsafe, units), key=lambda change: change.active is False)
     titles = problem.space.titles()
-    return [_change(change, titles) for change in changes], change_words(problem, safe, unsafe, changes)
+    views = [_change(change, titles) for change in changes]
+    return views, change_words(problem, safe, unsafe, changes), moved_words(changes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -497,7 +507,7 @@ class _Evidence:
         problem, steps = self.plan.problem, pairs.steps
         unsafe = simulated(problem, row)
         sides = pairs.safe[place], pairs.unsafe[place]
-        changes, change = _changes(problem, safe, unsafe, steps.differing(*sides))
+        changes, change, _ = _changes(problem, safe, unsafe, steps.differing(*sides))
         return MinimisedView(
             number=row.number, robustness=row.robustness, outcome=_outcome(problem, row).words(),
             parameters=problem.space.decode(tuple(unsafe.vectors)), distance=steps.distance(*sides),
@@ -541,7 +551,8 @@ def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, Componen
 def _change(change: Change, titles: Mapping[str, str]) -> ChangeView:
     return ChangeView(
         names=list(change.names), titles=[titles[name] for name in change.names], units=list(change.units),
-        safe=list(change.safe), unsafe=list(change.unsafe), active=change.active, words=change.words,
+        safe=list(change.safe), unsafe=list(change.unsafe), active=change.active, moved=change.moved,
+        words=change.words,
     )  # fmt: skip
 
 

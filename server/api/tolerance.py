@@ -507,7 +507,7 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
                 drives=int(curve.drives.sum()),
                 caused=int(curve.caused.sum()),
                 screened=0 if screening is None else screening.screened,
-                vulnerable=0 if screening is None else screening.vulnerable, tolerated=words.tolerated(curve),
+                vulnerable=0 if screening is None else screening.vulnerable, tolerated=words.tolerated(curve, basis),
                 curve=words.curve(curve), fall=words.fall(curve),
                 examples=[
                     ExampleView(number=number, severity=level / len(curve.drives),
@@ -533,6 +533,8 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
 def _note(cells: list[CellView], drives: int, limit: float, confidence: float) -> str:
     findings = [cell.tolerated.finding for cell in cells]
     reached, never = findings.count(Finding.LIMIT), findings.count(Finding.THROUGHOUT)
+    if not any(cell.basis for cell in cells):
+        return f"no drive with an error has been simulated yet; {len(cells)} cells are to be measured"
     return (
         f"{len(cells)} cells, {drives} drives with an error: in {reached} the error makes {limit:.0%} of drives "
         f"violate at some magnitude, in {never} at none; {len(cells) - reached - never} undecided; intervals of "
@@ -621,9 +623,9 @@ class _Words:
     def magnitude(self, severity: float) -> float | None:
         return None if self.scale is None else self.scale.at(severity)
 
-    def tolerated(self, curve: Curve) -> ToleratedView:
+    def tolerated(self, curve: Curve, basis: str) -> ToleratedView:
         value, low, high = (self._amount(one) for one in _ends(curve))
-        return ToleratedView(finding=_finding(curve), value=value, low=low, high=high)
+        return ToleratedView(finding=_finding(curve, basis), value=value, low=low, high=high)
 
     def _amount(self, severity: float) -> Amount:
         if math.isinf(severity):
@@ -675,7 +677,7 @@ class _Words:
         share = f"{self._limit:.0%}"
         violated = _violated(self._requirements)
         activity = self.activity(curve)
-        match _finding(curve):
+        match _finding(curve, basis):
             case Finding.LIMIT:
                 words = f"{activity} makes {share} of drives {violated}"
             case Finding.THROUGHOUT:
@@ -709,7 +711,10 @@ def _ends(curve: Curve) -> tuple[float, float, float]:
     return curve.tolerated.value, curve.tolerated.low, curve.tolerated.high
 
 
-def _finding(curve: Curve) -> Finding:
+def _finding(curve: Curve, basis: str) -> Finding:
+    """Return what is known of a cell: nothing before the first drive, whatever the prior says."""
+    if not basis:
+        return Finding.UNDECIDED
     if math.isinf(curve.tolerated.low):
         return Finding.THROUGHOUT
     return Finding.UNDECIDED if math.isinf(curve.tolerated.high) else Finding.LIMIT

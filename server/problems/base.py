@@ -225,7 +225,7 @@ class SimulatedSolution:
 
 @runtime_checkable
 class DescribesChanges(Protocol):
-    """A problem that can describe the change from one candidate to another that is almost the same."""
+    """A problem that can describe the change from one candidate to a neighbouring one."""
 
     def words_of_change(
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]

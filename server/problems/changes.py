@@ -1,4 +1,4 @@
-"""The change between two solutions that are almost the same, in values and in words."""
+"""The change between two solutions, in values and in words, and how far each parameter moved."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from difflib import SequenceMatcher
 from typing import Final
 
 from brink.search.features import Unit
-from brink.search.parameters import Categorical, Value
+from brink.search.parameters import Categorical, Parameter, Value
 from brink.server.problems.base import DescribesChanges, Problem, SimulatedSolution
 
 NOTHING_ACTIVE: Final = "the two differ in nothing that had a part in either drive"
@@ -25,6 +25,7 @@ class Change:
         safe: Value of each in the safe solution, as it was chosen.
         unsafe: The same in the unsafe solution.
         active: Whether it had a part in either episode; None if that was not recorded.
+        moved: How far it moved as a share of its range, in (0, 1], the larger of the two; None for a category.
     """
 
     names: tuple[str, ...]
@@ -32,6 +33,7 @@ class Change:
     safe: tuple[Value, ...]
     unsafe: tuple[Value, ...]
     active: bool | None
+    moved: float | None
 
     @property
     def words(self) -> str:
@@ -78,9 +80,50 @@ def changes_between(
                 safe=tuple(parameters[column].decode(float(rows[0][column])) for column in columns),
                 unsafe=tuple(parameters[column].decode(float(rows[1][column])) for column in columns),
                 active=active,
+                moved=_moved([(parameters[column], float(rows[0][column] - rows[1][column])) for column in columns]),
             )
         )  # fmt: skip
     return tuple(changes)
+
+
+def _moved(differences: Sequence[tuple[Parameter, float]]) -> float | None:
+    """Return the largest move of numbers as a share of their ranges; None for a category."""
+    shares = [
+        abs(difference) / parameter.range
+        for parameter, difference in differences
+        if not isinstance(parameter, Categorical)
+    ]
+    return max(shares, default=None)
+
+
+def moved_words(changes: Sequence[Change]) -> str:
+    """Return how far the differences that had a part in either episode moved, as shares of their ranges.
+
+    Returns:
+        Such as ``1 number moves by 24% of its range; 1 category changes``. Empty if nothing had a part.
+    """
+    shown = [change for change in changes if change.active is not False]
+    moved = [change for change in shown if change.moved is not None]
+    categories = sum(len(change.names) for change in shown if change.moved is None)
+    numbers = sum(len(change.names) for change in moved)
+    words = []
+    if numbers:
+        most = share_words(max(change.moved or 0.0 for change in moved))
+        words.append(
+            f"1 number moves by {most} of its range"
+            if numbers == 1
+            else f"{numbers} numbers move by up to {most} of their ranges"
+        )
+    if categories:
+        words.append("1 category changes" if categories == 1 else f"{categories} categories change")
+    return "; ".join(words)
+
+
+def share_words(share: float) -> str:
+    """Return a share in [0, 1] in percent, with one decimal place below 1%."""
+    if 0 < share < 0.0005:
+        return "less than 0.1%"
+    return f"{share:.1%}" if share < 0.01 else f"{share:.0%}"
 
 
 def change_words(

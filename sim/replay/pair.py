@@ -1,6 +1,6 @@
 """A pair of drives, one safe and one unsafe: what differs between them, and the moment at which that matters.
 
-The drives are two solutions that are almost the same, or the system's drive and that of a reference driver in its
+The drives are two neighbouring solutions, or the system's drive and that of a reference driver in its
 place (`brink.sim.replay.reference`). Both drives run on the same clock. The *moment* of a pair is the unsafe drive's
 first violation; the safe drive is shown at the same time. Reports *differ* while the driving systems of the two
 drives receive different boxes. What the moment is about is the road user that the unsafe drive hits, or to which its
@@ -53,7 +53,7 @@ _EVERY: Final = 5
 _ABSENT_PX: Final = 800.0
 """A box that is reported in one drive alone differs as much as two boxes at opposite sides of the image."""
 _ALMOST: Final = 0.999
-"""Of the times at which reports differ almost as much as ever, the earliest one is shown."""
+"""Of the times at which reports differ about as much as ever, the earliest one is shown."""
 _MOST_DIGITS: Final = 4
 _LOOK_AHEAD_M: Final = 7.0
 """How far ahead of its car the middle of a map lies."""
@@ -103,7 +103,7 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrivePair:
-    """Two drives that are almost the same, and the words that go with them.
+    """Two drives to compare, and the words that go with them.
 
     Attributes:
         safe: The safe drive.

@@ -134,7 +134,7 @@ def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(di
         "What was found", "The nearest pairs", "The boundary", "Requirements held and violated",
         "How far to trust it", "How it was computed", "Tags and notes",
     ]  # fmt: skip
-    assert "Brink searched for pairs of solutions that are almost the same" in found.text
+    assert "Brink searched for pairs of solutions that are neighbours" in found.text
     count = re.search(r"The result: (\d+) distinct pairs across the boundary", found.text)
     assert count
     assert [words.partition(":")[0] for _, words in found.pictures] == [

@@ -175,7 +175,7 @@ function campaignRow(first, here) {
     text(speed, row.status === "running" ? rate(row.rate_per_s) : "–");
     text(left, row.status === "running" ? span(row.remaining_s) : "–");
     text(unsafe, row.evaluated ? percent(row.unsafe / row.evaluated) : "–");
-    text(found, row.found ?? "…");
+    text(found, row.found ?? "being worked out");
     text(foundOnPhone, row.found ?? "");
     attribute(found, "title", row.found === null ? "Being worked out" : null);
     const line = row.about_boundary && row.dbs.some((one) => one > 0) ? row.dbs : [];

@@ -1,4 +1,4 @@
-/** Campaigns side by side: facts, convergence curves, DBS next to the controls, differences in their settings. */
+/** Campaigns side by side: facts, pairs, convergence curves, DBS next to the controls, differences in their settings. */
 
 import { ApiError, get, isOpen, rowsOf } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
@@ -82,12 +82,14 @@ function pageOf(context, query, changed, chooseFitness) {
   const says = h("ul.sentences");
   const settings = matrix("Settings that differ", "Setting", { right: false });
   const same = h("p.muted");
+  const dbsCard = h("div.card", null, dbsHeading, dbs, dbsHint);
+  const gridCard = h("div.card", null, gridHeading, grid, says, gridHint);
   const shown = h("div.stack", null, notes, choice,
     h("div.card", null, h("h2", null, "Side by side"), facts),
     h("div.grid-2", null,
-      h("div.card", null, dbsHeading, dbs, dbsHint),
+      dbsCard,
       h("div.card", null, h("div.inline.between", null, h("h2", null, "Fitness"), which), fitness, h("p.hint", null, "The quantity that each algorithm minimises; scales of different algorithms may differ."))),
-    h("div.card", null, gridHeading, grid, says, gridHint),
+    gridCard,
     h("div.card", null, h("h2", null, "Settings that differ"), settings, same));
 
   function draw(all, fitnessName, take) {
@@ -101,19 +103,21 @@ function pageOf(context, query, changed, chooseFitness) {
     const chosen = choice.chosen;
     const columns = all.map((one) => ({ key: `${one.id} ${one.name}`, head: () => h("span", null, swatch(one.colour), h("a", { href: link("campaigns", one.id) }, one.name)) }));
     note(notes, all);
+    const boundary = all.filter(searchesBoundary);
+    for (const node of [choice, dbsCard, gridCard]) node.hidden = boundary.length === 0 && all.every((one) => one.progress);
     facts.update(columns, factRows(all, chosen));
     text(dbsHeading, chosen.measure === "strict" ? "Strict DBS against the number of simulations" : "DBS against the number of simulations");
     const usual = all.find((one) => one.progress)?.progress;
     text(dbsHint, usual ? `After each generation, at t_b ${figure(usual.t_b)}, d_th ${figure(usual.d_th)}.` : "");
     const series = chosen.measure === "strict" ? "strict_dbs" : "dbs";
-    dbs.update(all.filter(begun).map((one) => lineOf(one, series)));
+    dbs.update(boundary.filter(begun).map((one) => lineOf(one, series)));
     which.update(FITNESS, fitnessName);
     fitness.update(all.filter(begun).map((one) => lineOf(one, fitnessName)));
     text(gridHeading, `DBS within the budget at d_th ${figure(chosen.d_th)}, strict DBS in brackets`);
     const draws = all.find((one) => one.scores?.control)?.scores.draws;
     text(gridHint, `${draws ? `Controls: verdicts redrawn independently of behaviour; means of ${draws} draws. ` : ""}${ALL_SAFE}`);
-    grid.update([{ key: "unsafe", head: "unsafe within the budget" }, ...(limits?.t_bs ?? []).map((t_b) => ({ key: t_b, head: `t_b ${figure(t_b)}` }))], gridRows(all, limits?.t_bs ?? [], chosen.j));
-    keyed(says, all.filter((one) => one.scores?.says.length), (one) => one.id, (first) => {
+    grid.update([{ key: "unsafe", head: "unsafe within the budget" }, ...(limits?.t_bs ?? []).map((t_b) => ({ key: t_b, head: `t_b ${figure(t_b)}` }))], gridRows(boundary, limits?.t_bs ?? [], chosen.j));
+    keyed(says, boundary.filter((one) => one.scores?.says.length), (one) => one.id, (first) => {
       const node = h("li");
       node.update = (one) => text(node, `${one.name}: ${one.scores.says[choice.chosen.i][choice.chosen.j]}.`);
       node.update(first);
@@ -152,12 +156,12 @@ function note(place, all) {
   const problems = new Set(bodies.map((body) => body.problem.id));
   const worlds = new Set(bodies.map((body) => JSON.stringify(body.problem)));
   const budgets = new Set(all.map((one) => one.progress?.budget).filter(Boolean));
-  const others = all.filter((one) => one.progress && !one.progress.looks_for_boundary);
+  const others = all.filter((one) => one.progress && !searchesBoundary(one));
   const words = [
     problems.size > 1 && ["warn", "The campaigns search different problems, so their results are not comparable."],
     problems.size === 1 && worlds.size > 1 && ["warn", "The problems of the campaigns have different parameters, which may explain differences."],
     problems.size === 1 && budgets.size > 1 && ["warn", "The budgets of the campaigns differ, and more simulations find more. The charts compare equal numbers of simulations."],
-    others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not search for the hazard boundary, so DBS does not measure ${others.length === 1 ? "its" : "their"} success.`],
+    others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not search for the hazard boundary, so DBS is not shown for ${others.length === 1 ? "it" : "them"}.`],
     ...all.filter((one) => one.trouble).map((one) => ["bad", `${one.name}: ${one.trouble}`]),
   ].filter(Boolean);
   const told = JSON.stringify(words);
@@ -167,8 +171,8 @@ function note(place, all) {
 }
 
 function factRows(all, { measure, t_b, d_th, i, j }) {
-  const row = (label, say) => ({ key: label, label, cells: all.map((one) => say(one) ?? (one.trouble ? "–" : "…")) });
-  const scored = (say, so_far) => (one) => (one.scores ? say(one.scores) : one.progress ? one.scoring || so_far?.(one) || "after the end" : null);
+  const row = (label, say) => ({ key: label, label, cells: all.map((one) => say(one) ?? (one.trouble ? "–" : "loading")) });
+  const scored = (say, so_far) => (one) => (one.progress && !searchesBoundary(one) ? "–" : one.scores ? say(one.scores) : one.progress ? one.scoring || so_far?.(one) || "after the end" : null);
   const latest = (name) => ({ progress, generations }) => (progress.t_b === t_b && progress.d_th === d_th && generations.length > 0 ? `${count(generations.at(-1)[name])} so far` : "");
   const control = (say) => scored((scores) => (scores.control ? say(scores.control) : "none"));
   return [
@@ -178,6 +182,10 @@ function factRows(all, { measure, t_b, d_th, i, j }) {
     row("Status", (one) => one.progress?.status),
     row("Simulations", (one) => one.progress && `${count(one.progress.simulations)} of ${count(one.progress.budget)}`),
     row("Unsafe share", (one) => one.progress && percent(one.progress.evaluated ? one.progress.unsafe / one.progress.evaluated : null)),
+    row("Failed", (one) => one.progress && count(one.progress.failed)),
+    row("Distinct pairs", (one) => one.pairs && (one.pairs.refused ?? count(one.pairs.distinct))),
+    row("Pairs simulated again", (one) => one.pairs && (one.pairs.refused || one.pairs.computed ? "–" : count(one.pairs.tried))),
+    row("Of these confirmed", (one) => one.pairs && (one.pairs.refused || one.pairs.tried === 0 ? "–" : count(one.pairs.confirmed))),
     row("DBS within the budget", scored((scores) => figure(scores.dbs.at(-1)[i][j]), latest("dbs"))),
     row("Strict DBS within the budget", scored((scores) => figure(scores.strict.at(-1)[i][j]), latest("strict_dbs"))),
     row(`${NAMES[measure]} of the control`, control((blind) => figure(blind[measure].at(-1)[i][j]))),
@@ -188,13 +196,18 @@ function factRows(all, { measure, t_b, d_th, i, j }) {
 function gridRows(all, t_bs, j) {
   return all.flatMap((one) => {
     const rows = (source, share, extra) => [percent(share), ...source.dbs.at(-1).map((row, i) => `${figure(row[j])} (${figure(source.strict.at(-1)[i][j])})${extra}`)];
-    if (!one.scores) return [{ key: `${one.id} ${one.name}`, label: one.name, cells: ["–", ...t_bs.map(() => (one.progress || one.trouble ? one.scoring || "–" : "…"))] }];
+    if (!one.scores) return [{ key: `${one.id} ${one.name}`, label: one.name, cells: ["–", ...t_bs.map(() => (one.progress || one.trouble ? one.scoring || "–" : "loading"))] }];
     const blind = one.scores.control;
     return [
       { key: `${one.id} ${one.name} scored`, label: one.name, cells: rows(one.scores, one.scores.unsafe_share, "") },
       ...(blind ? [{ key: `${one.id} ${one.name} control`, class: "muted", label: `${one.name}, control${blind.reads_low ? " (too low)" : ""}`, cells: rows(blind, blind.unsafe_share, "") }] : []),
     ];
   });
+}
+
+/** Return whether DBS measures what a campaign searches for; unknown until its progress has been read. */
+function searchesBoundary({ progress }) {
+  return Boolean(progress?.looks_for_boundary && !progress.looks_for_pairs);
 }
 
 function begun(one) {
@@ -266,13 +279,14 @@ function joined(lines) {
  * @param {string} id
  * @param {object} context Of the view.
  * @param {() => void} changed Called whenever one of them changes.
- * @returns {object} ``id``, and once they are known ``campaign``, ``progress``, ``generations``, ``scores``, ``scoring`` (words), ``trouble``;
+ * @returns {object} ``id``, and once they are known ``campaign``, ``progress``, ``generations``, ``scores``, ``scoring`` (words), ``pairs``
+ *   (``refused`` says why there are none to count), ``trouble``;
  *   ``leave()`` stops following.
  */
 function follow(id, context, changed) {
   const own = new AbortController();
   context.signal.addEventListener("abort", () => own.abort(), { signal: own.signal });
-  const followed = { id, campaign: null, progress: null, generations: [], scores: null, scoring: "", trouble: "", leave: () => own.abort() };
+  const followed = { id, campaign: null, progress: null, generations: [], scores: null, scoring: "", pairs: null, trouble: "", leave: () => own.abort() };
   const path = `campaigns/${encodeURIComponent(id)}`;
   const retrying = { ...context.retrying, signal: own.signal };
 
@@ -289,7 +303,19 @@ function follow(id, context, changed) {
     const [first] = read.generations;
     const known = first === undefined ? followed.generations : followed.generations.filter((one) => one.number < first.number);
     followed.generations = [...known, ...read.generations];
-    if (!isOpen(read.status) && !followed.scores && !followed.scoring) score();
+    if (!isOpen(read.status) && !followed.scores && !followed.scoring && searchesBoundary(followed)) score();
+    if (followed.pairs === null || (!isOpen(read.status) && !followed.pairs.complete)) countPairs();
+    changed();
+  }
+
+  async function countPairs() {
+    try {
+      followed.pairs = await withRetries(() => get(`${path}/pairs?limit=1`, retrying), retrying);
+    } catch (error) {
+      if (own.signal.aborted) return;
+      if (error.status !== 422) return void refuse(error);
+      followed.pairs = { refused: "too many to tell apart", complete: true };
+    }
     changed();
   }
 

@@ -55,15 +55,15 @@ export async function show(main, context, { parts, query }) {
   /** Show what is known of the pair, which follow-ups extend. */
   function tell(now) {
     replace(known, evidence(now, read.computed));
-    replace(change, h("h2", null, "The change"), h("p.lead", null, said(now.change)),
+    replace(change, h("h2", null, "The change"), h("p.lead", null, said(now.change)), now.moved && h("p", null, h("strong", null, "How far: "), `${now.moved}.`),
       h("p", null, h("strong", null, "What it does: "), `${now.unsafe.outcome}; without it: ${now.safe.outcome}.`),
       h("p.hint", null, [seeds(now, read.computed), evidenceWords(now, read)].filter(Boolean).join(" ")),
       findingsAtLength(now),
       h("p.hint", null, h("a", { href: link("campaigns", id, "pairs", asked) }, "Ask more about the pairs")));
-    replace(sides, SIDES.map((name) => sideCard(id, name, now, read.computed)));
+    replace(sides, SIDES.map((name) => sideCard(id, name, now, read)));
   }
 
-  if (read.computed) return;
+  if (!read.replayable) return;
   const paths = SIDES.map((name) => `campaigns/${id}/solutions/${pair[name].number}`);
   replace(place, loading(context, paths, (...episodes) => replace(place, both(context, episodes, paths))));
 }
@@ -80,13 +80,13 @@ function seeds(pair, computed) {
 }
 
 /** Return the card of one side: what happened, how often it is unsafe, and a link to its own page. */
-function sideCard(id, name, pair, computed) {
+function sideCard(id, name, pair, { computed, replayable }) {
   const side = pair[name];
   return h("section.card", { class: `side ${name}`, "aria-label": `The ${name} side` },
     h("div.headed", null, requirementBadge(side), h("h2", null, capital(side.outcome))),
     h("p", null, side.words),
     h("p.hint", null, !computed && (pair.confirmation[name].evaluated ? `Unsafe with other seeds in ${share(pair.confirmation[name])}. ` : "Not simulated again with other seeds. "),
-      h("a", { href: link("campaigns", id, "solutions", side.number) }, `Solution ${side.number}${computed ? "" : " with its replay"}`)));
+      h("a", { href: link("campaigns", id, "solutions", side.number) }, `Solution ${side.number}${replayable ? " with its replay" : ""}`)));
 }
 
 /** Return the cards of both drives: maps and cameras side by side, one clock for both, and the chart over time. */
@@ -108,6 +108,6 @@ function both(context, data, paths) {
 
 /** Return the marks of the scrubber: the violation that makes the unsafe drive unsafe. */
 function marks(episode) {
-  const { story, times } = episode;
-  return story?.violated ? [{ time_s: times[story.decisive], words: "the unsafe drive's violation", bad: true }] : [];
+  const { story } = episode;
+  return story?.violated ? [{ time_s: story.violations[0].time_s, words: "the unsafe drive's violation", bad: true }] : [];
 }

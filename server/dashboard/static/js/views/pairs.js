@@ -1,4 +1,4 @@
-/** The pairs of a campaign: two solutions that are almost the same, one safe and one unsafe, and the change in words. */
+/** The pairs of a campaign: two neighbouring solutions, one safe and one unsafe, and the change in words. */
 
 import { isOpen } from "../api.js";
 import { h, keyed, replace, text } from "../dom.js";
@@ -89,7 +89,7 @@ export function pairsCard(context, id) {
   const all = h("a.button", { href: link("campaigns", id, "pairs") }, "All pairs");
   const card = h("section.card", { "aria-label": "Pairs across the boundary", hidden: true },
     h("div.inline", null, h("h2", null, "Pairs across the boundary"), h("div.actions.push", null, all)),
-    h("p.hint", null, "Two solutions that are almost the same, one safe and one unsafe: the change between them decides."), words, table);
+    h("p.hint", null, "Two neighbouring solutions, one safe and one unsafe, what changes between them, and how far."), words, table);
   const load = loadOnNews(async () => {
     const read = await context.get(pairsPath(id, {}, FEW));
     card.hidden = read.evaluated === 0;
@@ -130,7 +130,7 @@ function pairTable(id, asked) {
   function row(pair, computed) {
     return h("tr", null,
       h("th", { scope: "row" }, h("a.row", { href: pairLink(id, pair, asked()), "aria-label": `Pair ${pair.place}: ${pair.change}` }, `Pair ${pair.place}`)),
-      h("td.change", null, h("div", null, capital(pair.change)), pair.common && h("div.small.muted", null, `In both: ${pair.common}`), ["unsafe", "safe"].map((side) => outcome(pair, side))),
+      h("td.change", null, h("div", null, capital(pair.change)), pair.moved && h("div.small", null, `${capital(pair.moved)}.`), pair.common && h("div.small.muted", null, `In both: ${pair.common}`), ["unsafe", "safe"].map((side) => outcome(pair, side))),
       h("td", null, evidence(pair, computed), findings(pair).map((words) => h("div.small", null, words))),
       h("td.right.wide-only", null, figure(pair.distance)));
   }

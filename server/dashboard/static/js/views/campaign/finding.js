@@ -21,7 +21,7 @@ const EVIDENCE = { confirmed: "confirmed", "not confirmed": "not-confirmed" };
  * @returns {HTMLElement} With ``news(progress, generations)``.
  */
 export function finding(context, id, found, changed) {
-  const words = h("p.lead", { "aria-live": "polite" }, "…");
+  const words = h("p.lead", { "aria-live": "polite" }, "Loading what was found so far…");
   const of = h("p", { hidden: true });
   const more = h("div.more");
   const bar = meter("Simulations done");
@@ -175,7 +175,7 @@ function avoidableViolations(context, id) {
 function bestPairs(context, id) {
   const meaning = h("span");
   const card = pictured(context, "Best pairs", h("p.hint", null,
-    "Two drives that are almost the same, from above at the moment that decides. Each outlines the car of the other one. ", meaning));
+    "Two neighbouring drives, one safe and one unsafe, from above at the moment that decides. Each outlines the car of the other one. ", meaning));
 
   function pair(one) {
     const path = `campaigns/${id}/pairs/${one.safe}-${one.unsafe}`;
@@ -196,7 +196,7 @@ function bestPairs(context, id) {
   }
 
   card.update = (read) => {
-    if (!read.complete || read.computed) return; // pairs change while it runs, and the workers have better things to do
+    if (!read.complete || !read.replayable) return; // pairs change while it runs, and the workers have better things to do
     text(meaning, read.rule);
     card.show(read.best, (one) => `${one.safe}-${one.unsafe}`, pair);
   };

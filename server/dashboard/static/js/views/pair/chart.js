@@ -71,7 +71,7 @@ export function overTime(player, episodes, differing) {
     }
     pen.fillText("time, s", (LEFT_PX + width_px) / 2, height - 16);
     if (!story?.violated) return;
-    const at = x(episodes[1].times[story.decisive]);
+    const at = x(story.violations[0].time_s);
     pen.strokeStyle = colours.violation;
     pen.setLineDash([4, 3]);
     drawLine(pen, at, TOP_PX, at, height - BOTTOM_PX);

@@ -76,10 +76,11 @@ export function differences(pair) {
   const several = pair.changes.some(({ names }) => names.length > 1) || pair.changes.length > 1;
   return h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of differences" }, h("table.differences", null,
     h("caption", null, `${several ? "Parameters" : "The parameter"} in which the two differ, ${figure(pair.distance)} apart.`),
-    h("thead", null, h("tr", null, ["Parameter", "Safe", "Unsafe", "Had a part"].map((name) => h("th", { scope: "col" }, name)))),
+    h("thead", null, h("tr", null, ["Parameter", "Safe", "Unsafe", "Moved, of its range", "Had a part"].map((name) => h("th", { scope: "col" }, name)))),
     h("tbody", null, pair.changes.map((change) => h("tr", { class: change.active === false ? "muted" : null },
       h("th", { scope: "row" }, change.titles.map((title) => h("div", null, title))),
       ["safe", "unsafe"].map((side) => h("td", null, change[side].map((value, place) => h("div", null, `${written(value)} ${change.units[place] ?? ""}`.trim())))),
+      h("td.right", null, change.moved === null ? "another category" : percent(change.moved)),
       h("td", null, change.active === null ? "not recorded" : change.active ? "yes" : "no"))))));
 }
 

@@ -159,7 +159,7 @@ function marks(episode, solution) {
     if (time_s !== null) found.push({ time_s, words, bad: true });
   }
   if (!found.some((mark) => mark.bad)) {
-    for (const { sample, words } of episode.story?.violations ?? []) found.push({ time_s: episode.times[sample], words, bad: true });
+    for (const { time_s, words } of episode.story?.violations ?? []) found.push({ time_s, words, bad: true });
   }
   return found.sort((a, b) => a.time_s - b.time_s);
 }
