@@ -197,7 +197,9 @@ class AsyncResult(CampaignResult):
         async with self._connection.open() as api:
             view = await api.read(PairsView, f"/campaigns/{self.id}/pairs", params)
         rows = pair_rows(view)
-        return typed_frame(rows, {} if rows else pair_columns((await self.archive()).plan.problem.space))
+        frame = typed_frame(rows, {} if rows else pair_columns((await self.archive()).plan.problem.space))
+        frame.insert(0, "words", frame.pop("words"))  # print() leaves out the columns in the middle
+        return frame
 
     async def check_pairs(
         self,

@@ -482,7 +482,7 @@ class Opposite(View):
     outcome: Annotated[str, Field(description="What its simulation showed, in words, with moments.")]
     kind: OutcomeKind
     change: Annotated[str, Field(description="What differs in the unsafe one of the two, in words.")]
-    differences: Annotated[int, Field(description="Number of parameters, or groups of them, that differ.")]
+    differences: Annotated[int, Field(description="Number of parameters that differ.")]
     same_seed: Annotated[
         bool, Field(description="Whether both had the same episode seed, so that chance has no part.")
     ]
@@ -559,7 +559,8 @@ def _opposite(connection: Connection, campaign_id: str, found: ReadArchive, plac
     )  # fmt: skip
     return Opposite(
         number=shown.number, distance=distance, unsafe=bool(archive.unsafe[other]), outcome=outcome.words(),
-        kind=outcome.kind, change=change_words(problem, *sides, changes), differences=len(changes),
+        kind=outcome.kind, change=change_words(problem, *sides, changes),
+        differences=sum(len(change.names) for change in changes),
         same_seed=safe.seed == unsafe.seed,
     )  # fmt: skip
 

@@ -24,7 +24,7 @@ BALL = ball(
 
 
 def written(folder: Path, body: dict[str, Any]) -> str:
-    file = folder / "campaign.yaml"
+    file = folder / "my campaign.yaml"
     file.write_text(yaml.safe_dump(body))
     return str(file)
 
@@ -108,7 +108,7 @@ def test_a_stopped_run_reaches_the_same_end(
             running.signal(stop)
             assert running.wait() == 1
         assert "nothing is lost" in running.output
-        assert re.search(rf"continue with: .*brink( --plugin \S+)+ run {file} --resume", running.output)
+        assert re.search(rf"continue with: .*brink( --plugin \S+)+ run '{file}' --resume", running.output)
         assert "Traceback" not in running.output
         refused = brink("run", file, *options, cwd=tmp_path, env=TOY)
         assert refused.returncode == 1

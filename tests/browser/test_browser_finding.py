@@ -122,3 +122,16 @@ def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, browse: Brow
     shown(page.get_by_role("heading", name="Settings that differ")).to_be_visible()
     chosen.filter(has_text="night rain").get_by_role("button").click()
     shown(chosen).to_have_count(1)
+
+
+def test_searches_for_pairs_are_compared_by_their_pairs(own: httpx.Client, visit: Visits) -> None:
+    edge = {"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}}
+    campaigns = [submit(own, ball(name=f"seed {seed}", seed=seed, algorithm=edge)) for seed in (1, 2)]
+    pairs = []
+    for campaign in campaigns:
+        FakeWorker(own).work(campaign)
+        pairs.append(expect(own.get(f"/api/v1/campaigns/{campaign}/pairs"))["distinct"])
+    page = visit(origin(own), f"#/compare?ids={','.join(campaigns)}")
+    row = page.get_by_role("row").filter(has_text="Distinct pairs")
+    shown(row.locator("td")).to_have_text([str(count) for count in pairs])
+    shown(page.get_by_role("heading", name=re.compile("DBS"))).to_have_count(0)

@@ -111,6 +111,8 @@ def test_a_pair_opens_at_the_violation_and_jumps_back_to_it(pair: Page) -> None:
     opened = clock(pair)
     jump = pair.get_by_role("button", name="the unsafe drive's violation")
     shown(jump).to_contain_text(f"{opened:.1f} s")
+    unsafe = pair.locator("section[aria-label='The unsafe side'] h2")
+    shown(unsafe).to_contain_text(f"at {opened:.1f} s")
     pair.get_by_label("Time in the episode").press("End")
     assert clock(pair) > opened
     jump.click()

@@ -17,6 +17,7 @@ from support.databases import on_sqlite
 import brink
 from brink.api.client import CoordinatorError
 from brink.python.picture import Picture
+from brink.python.connection import wait_for
 from brink.python.result import CampaignUnfinished
 from brink.search import surrogate
 from brink.search.errors import SpaceError
@@ -67,7 +68,19 @@ def test_a_search_finds_the_known_boundary_of_a_function(circle: brink.Result) -
         same = pair["safe.parameters.side"] == pair["unsafe.parameters.side"]
         assert not same or max(map(abs, margins)) < 0.02
     assert "instead of" in pairs["words"][0]
+    assert pairs["words"][0][:40] in str(pairs), "print() shows what changed"
     assert circle.finding.startswith(f"{len(pairs)} distinct pairs across the boundary")
+
+
+def test_no_film_is_offered_of_calls_of_a_function(circle: brink.Result) -> None:
+    async def steps() -> list[dict[str, Any]]:
+        async with circle._async._connection.open() as api:
+            found: list[dict[str, Any]] = (await api.get(f"/campaigns/{circle.id}/finding"))["steps"]
+            return found
+
+    commands = [step["command"] for step in wait_for(steps)]
+    assert f"brink pairs {circle.id}" in commands
+    assert not [command for command in commands if "--film" in command or "replay" in command]
 
 
 def test_a_data_frame_has_a_column_for_each_parameter(circle: brink.Result) -> None:

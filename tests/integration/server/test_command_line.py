@@ -1,6 +1,7 @@
 """The command line: help with examples for every command, and one clear line for every failure."""
 
 import json
+import shlex
 import socket
 import sqlite3
 import sys
@@ -405,6 +406,13 @@ def test_hints_do_not_show_the_password_of_the_database(monkeypatch: pytest.Monk
     assert database_option(Settings()) == ""
     monkeypatch.setenv("BRINK_DATABASE", url)
     assert database_option(Settings()) == "", "the next command inherits it"
+
+
+@pytest.mark.parametrize("database", ["sqlite:///my runs.db", "sqlite:///a;b.db"])
+def test_hints_can_be_pasted(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("BRINK_DATABASE", raising=False)
+    option = database_option(Settings(database=database))
+    assert len(shlex.split(f"brink status{option}")) == 4, option
 
 
 def test_database_error_is_one_line(brink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -240,3 +240,17 @@ def test_a_simulator_without_traces_has_no_pictures(client: httpx.Client) -> Non
     worker.report(worker.lease())
     assert picture(client, campaign).status_code == 204
     assert SIMULATOR in worker.capabilities
+
+
+def fails_in_part(job: LeasedJob) -> Completed | JobFailed:
+    """Return what the simulator of the ball would give, but fail in one run of seven."""
+    return JobFailed(reason="error", message="no road") if job.spec["seed"] % 7 == 0 else completes(job)
+
+
+def test_a_finding_names_the_failures_that_it_does_not_rest_on(client: httpx.Client) -> None:
+    lenient = ball(**{**PAIRS, "execution": {"max_failed_share": 1.0, "max_attempts": 1}})
+    campaign = submit(client, lenient)
+    failed = FakeWorker(client, judge=fails_in_part).work(campaign)["failed"]
+    assert failed > 0
+    assert f"{failed} of 60 simulations failed" in finding(client, campaign)["words"]
+    assert "failed" not in finding(client, finish(client, PAIRS))["words"]

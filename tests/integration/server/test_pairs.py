@@ -325,3 +325,16 @@ def test_options_that_contradict_each_other_are_refused(options: list[str], mess
     shown = CliRunner().invoke(app, ["pairs", "3f2a", *options])
     assert shown.exit_code == 1
     assert message in str(shown.exception)
+
+
+def test_comparing_searches_for_pairs_counts_their_pairs(listening_client: httpx.Client) -> None:
+    edge = {"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}}
+    campaign = finish(listening_client, body(60, algorithm=edge))
+    distinct = expect(listening_client.get(f"/api/v1/campaigns/{campaign}/pairs"))["distinct"]
+    server = str(listening_client.base_url)
+    shown = CliRunner().invoke(app, ["compare", campaign, "--server", server])
+    assert shown.exit_code == 0, shown.output
+    assert "Pairs across the boundary" in shown.stdout
+    assert "DBS" not in shown.stdout, "it did not search for that boundary"
+    written = CliRunner().invoke(app, ["compare", campaign, "--server", server, "--json", "--no-control"])
+    assert [row["pairs"]["distinct"] for row in json.loads(written.stdout)] == [distinct]

@@ -253,6 +253,7 @@ def test_a_running_search_has_tolerances(service: Service) -> None:
     assert not view["complete"]
     assert {cell["tolerated"]["finding"] for cell in view["cells"]} == {"undecided"}
     assert all("nothing is known yet" in cell["sentence"] for cell in view["cells"])
+    assert view["note"].startswith("no drive with an error has been simulated yet")
     expect(service.client.post(f"{API}/{campaign}/cancel"))
 
 

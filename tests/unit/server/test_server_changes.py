@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 
 from brink.search.pairs import Steps
+from brink.search.parameters import Categorical
 from brink.server.problems.aeb_crossing import AebCrossing
 from brink.server.problems.base import ExplainsChanges, SimulatedSolution, activity_of
 from brink.server.problems.benchmarks import Mtq
 from brink.server.problems.changes import (
     NOTHING_ACTIVE,
+    Change,
     as_sentence,
     change_words,
     changes_between,
     common_words,
     different,
+    moved_words,
 )
 from brink.server.problems.urban_changes import AFTERWARDS
 from brink.server.problems.urban_injected import UrbanInjected
@@ -72,6 +75,32 @@ def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
     rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
     units = Steps(URBAN.space).differing(*rows)
     return change_words(URBAN, safe, unsafe, changes_between(URBAN, safe, unsafe, units))
+
+
+def test_a_change_says_how_far_each_number_moved_of_its_range() -> None:
+    safe, unsafe = drive(report("person", 130, 250), NONE), unsafe_drive(report("person", 156, 250), NONE)
+    rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
+    [change] = changes_between(URBAN, safe, unsafe, Steps(URBAN.space).differing(*rows))
+    [step] = [one for one in URBAN.space.components[1].parameters if one.name == "trajectory_1.t0_step"]
+    assert not isinstance(step, Categorical)
+    assert change.moved == pytest.approx(26 / step.range)
+    assert moved_words([change]) == f"1 number moves by {26 / step.range:.0%} of its range"
+
+
+def test_how_far_the_numbers_moved_is_told_of_those_that_had_a_part() -> None:
+    near, far, idle, category = (
+        Change(names=(name,), units=("",), safe=(0.0,), unsafe=(1.0,), active=active, moved=moved)
+        for name, active, moved in (
+            ("a", True, 0.004),
+            ("b", True, 0.41),
+            ("c", False, 0.9),
+            ("d", None, None),
+        )
+    )
+    assert moved_words([near]) == "1 number moves by 0.4% of its range"
+    assert moved_words([near, far, idle]) == "2 numbers move by up to 41% of their ranges"
+    assert moved_words([far, category]) == "1 number moves by 41% of its range; 1 category changes"
+    assert moved_words([idle]) == ""
 
 
 def test_of_several_alike_a_description_counts() -> None:
