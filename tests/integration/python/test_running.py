@@ -16,8 +16,8 @@ from support.databases import on_sqlite
 
 import brink
 from brink.api.client import CoordinatorError
-from brink.python.picture import Picture
 from brink.python.connection import wait_for
+from brink.python.picture import Picture
 from brink.python.result import CampaignUnfinished
 from brink.search import surrogate
 from brink.search.errors import SpaceError

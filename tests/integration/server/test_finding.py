@@ -11,7 +11,7 @@ from PIL import Image
 from support.api import FakeWorker, ball, completes, expect, finish, submit
 from support.problems import REQUIREMENT, SIMULATOR
 from support.traces import make_trace
-from support.urban_pairs import SAFE, UNSAFE, judged
+from support.urban_pairs import SAFE, UNSAFE, judged, row
 
 from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
@@ -190,16 +190,24 @@ def filmed(job: LeasedJob) -> Completed | JobFailed:
     return outcome.model_copy(update={"trace": base64.b64encode(make_trace().to_bytes()).decode()})
 
 
-def urban(client: httpx.Client) -> str:
+def urban(client: httpx.Client, unsafe: list[float] = UNSAFE) -> str:
     """Return a finished campaign with one pair, without traces."""
     body = {
         "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 2},
-        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, unsafe]}},
         "execution": {"keep_traces": 0},
     }  # fmt: skip
     campaign = submit(client, body)
     FakeWorker(client, capabilities=(URBAN,), judge=filmed).work(campaign)
     return campaign
+
+
+def test_a_solution_and_its_pair_count_the_same_parameters(client: httpx.Client) -> None:
+    campaign = urban(client, row(148, x_min_0_px=302.0, x_max_0_px=402.0))
+    [pair] = expect(client.get(f"{API}/{campaign}/pairs"))["pairs"]
+    opposite = expect(client.get(f"{API}/{campaign}/solutions/0/neighbours"))["opposite"]
+    assert opposite["number"] == pair["unsafe"]["number"]
+    assert opposite["differences"] == sum(len(change["names"]) for change in pair["changes"]) == 3
 
 
 def picture(client: httpx.Client, campaign: str, side: str = "safe", **query: Any) -> httpx.Response:
