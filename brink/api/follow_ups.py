@@ -31,7 +31,7 @@ def follow_up_requests(
 
     Args:
         settings: ``eps`` and ``d_th``, where they are not the campaign's own.
-        confirm: Simulations of each side with other seeds; None or 0 for none.
+        confirm: Most simulations of each side with other seeds; None or 0 for none.
         component: Whether to ask if the component is to blame.
         minimise: Whether to revert differences.
         limit: Most pairs to ask about, first ones first; None for as many as a follow-up takes.

@@ -211,7 +211,7 @@ def pairs(
 
     Example: brink experiment pairs 3f2a
 
-    Example: brink experiment pairs 3f2a --confirm 10 --component
+    Example: brink experiment pairs 3f2a --confirm 30 --component
     """
     from brink.cli.experiment_pairs import fetch_experiment_pairs, follow_up_here, print_experiment_pairs
 

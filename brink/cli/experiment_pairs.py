@@ -87,7 +87,7 @@ async def ask_follow_ups(
         api: The coordinator.
         pairs: The pairs of the experiment.
         screen: Told why a follow-up is refused.
-        confirm: Simulations of each side with other seeds; 0 for none.
+        confirm: Most simulations of each side with other seeds; 0 for none.
         component: Whether to ask if the component is to blame.
         stop: Ends this early.
 
@@ -126,6 +126,8 @@ def _is_known(one: PairRepeatView, request: dict[str, Any]) -> bool:
         return True
     if request["kind"] == FollowUpKind.COMPONENT:
         return one.component + one.scenario == one.distinct
+    if (one.confirmed or 0) + one.refuted == one.distinct:
+        return True
     return one.tried == one.distinct and one.drives >= int(request["repeats"])
 
 
@@ -135,7 +137,7 @@ async def run_follow_ups(session: Session, pairs: ExperimentPairs, *, confirm: i
     Args:
         session: The coordinator and its workers.
         pairs: The pairs of the experiment.
-        confirm: Simulations of each side with other seeds; 0 for none.
+        confirm: Most simulations of each side with other seeds; 0 for none.
         component: Whether to ask if the component is to blame.
 
     Returns:
@@ -180,7 +182,7 @@ def follow_up_here(
         experiment: Its id.
         settings: ``eps`` and ``d_th``, where they are not the experiment's own, and ``alpha``.
         screen: Console for progress and hints.
-        confirm: Simulations of each side with other seeds; 0 for none.
+        confirm: Most simulations of each side with other seeds; 0 for none.
         component: Whether to ask if the component is to blame.
         workers: Number of worker processes.
         server: URL of a coordinator; None runs one here.
@@ -208,9 +210,10 @@ def follow_up_here(
         pairs = await fetch_experiment_pairs(api, experiment, screen, **settings)
         asked, complete = await ask_follow_ups(api, pairs, screen, confirm=confirm, component=component)
         if running := [one for one in asked if one.status in OPEN]:
+            most = sum(one.budget for one in running)
             screen.print(
-                f"{len(running)} campaigns simulate them, {sum(one.budget for one in running):,} simulations; the "
-                "same command shows what is known so far",
+                f"{len(running)} campaigns simulate them, at most {most:,} simulations; the same command shows what "
+                "is known so far",
                 soft_wrap=True,
             )
         return complete

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError, Missing, connect, in_process
 from brink.api.terminal import PlainConsole, echo
-from brink.search.analysis.confirmation import LEAST_DRIVES
+from brink.search.sequential import FIRST
 from brink.server.documents import parse_yaml
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
@@ -132,8 +132,9 @@ Port = Annotated[
 ConfirmPairs = Annotated[
     int | None,
     typer.Option(
-        "--confirm", metavar="R", min=LEAST_DRIVES, max=10_000, show_default=False,
-        help="Simulate both sides of every pair R times with other seeds first, such as 10.",
+        "--confirm", metavar="R", min=2, max=10_000, show_default=False,
+        help="Simulate both sides of every pair up to R times with other seeds first, such as 30, until it is "
+        f"confirmed or refuted. Fewer than {FIRST} can refute pairs, but confirm none.",
     ),
 ]  # fmt: skip
 WithGroundTruth = Annotated[

@@ -137,7 +137,7 @@ def pairs(
 
     Example: brink pairs 3f2a
 
-    Example: brink pairs 3f2a --confirm 10 --component --minimise
+    Example: brink pairs 3f2a --confirm 30 --component --minimise
 
     Example: brink pairs 3f2a --out pairs.jsonl
 

@@ -214,7 +214,7 @@ class AsyncResult(CampaignResult):
         asked = follow_up_requests({}, confirm, component=component, minimise=minimise, limit=limit)
         if not asked:
             raise InvalidInput.at(
-                "confirm", "expected confirm=10, component=True or minimise=True; got neither"
+                "confirm", "expected confirm=30, component=True or minimise=True; got neither"
             )
         with environment_with(self.function) as environment:
             async with with_workers(self._connection, workers, environment) as api:
@@ -358,7 +358,7 @@ class Result(CampaignResult):
         """Simulate sides of the pairs again to find out more about them.
 
         Args:
-            confirm: Simulations of each side with other seeds: does the pair hold?
+            confirm: Most simulations of each side with other seeds: does the pair hold?
             component: Whether to simulate the unsafe sides with ground truth in place of the component: who is to
                 blame?
             minimise: Whether to revert the differences one by one: which of them matter?

@@ -159,12 +159,7 @@ def _key_figures(facts: Facts) -> list[Term]:
         distinct = "distinct pair" if pairs.distinct == 1 else "distinct pairs"
         told.append(Term(f"{pairs.distinct:,}", f"{distinct}: neighbours, one safe, one unsafe"))
         if pairs.tried:
-            told.append(
-                Term(
-                    f"{pairs.confirmed:,} of {pairs.tried:,}",
-                    f"pairs confirmed with at least {pairs.rule.least_drives} other seeds each side",
-                )
-            )
+            told.append(Term(f"{pairs.confirmed:,} of {pairs.tried:,}", "pairs confirmed with other seeds"))
         told += _blamed_figures(pairs)
     elif facts.tolerance is not None:
         told += _tolerance_figures(facts.tolerance)

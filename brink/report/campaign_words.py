@@ -256,7 +256,7 @@ def _chance(facts: Facts) -> str:
         if pairs.tried:
             return (
                 f"{pairs.confirmed:,} of {count(pairs.tried, 'pair')} that were simulated again with other seeds are "
-                f"confirmed; for {pairs.not_confirmed:,}, chance may decide."
+                f"confirmed, {pairs.refuted:,} are refuted: chance decides there. {pairs.undecided:,} are undecided."
             )
         checked = ""
         if pairs.checked:
@@ -317,9 +317,11 @@ def _repeated(facts: Facts) -> list[Term]:
             pending = f", {pairs.pending:,} are being simulated" if pairs.pending else ""
             words = (
                 f"Simulated again with other seeds: {pairs.tried:,} of {count(pairs.distinct, 'pair')}. "
-                f"{pairs.confirmed:,} confirmed (the safe side unsafe in at most {pairs.rule.safe_at_most:.0%}, the "
-                f"unsafe side in at least {pairs.rule.unsafe_at_least:.0%} of at least {pairs.rule.least_drives} "
-                f"drives each), {pairs.not_confirmed:,} not{pending}."
+                f"{pairs.confirmed:,} confirmed, {pairs.refuted:,} refuted, {pairs.undecided:,} undecided{pending}. "
+                f"Confirmed means that the safe side is unsafe with a probability of at most "
+                f"{pairs.rule.safe_at_most:.0%}, and the unsafe side with one of at least "
+                f"{pairs.rule.unsafe_at_least:.0%}; "
+                f"the error rate of either claim is {pairs.rule.error:.0%}."
             )
         else:
             words = "No pair has been simulated again with other seeds after the search."

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from brink.report.text import interval_text, p_text, table_row
-from brink.search.analysis.confirmation import LEAST_DRIVES, SAFE_AT_MOST, UNSAFE_AT_LEAST
 from brink.search.analysis.pair_comparison import (
     PairDuel,
     PairMeasure,
@@ -19,6 +18,7 @@ from brink.search.analysis.pair_comparison import (
     pair_standings,
 )
 from brink.search.analysis.paper import LEVEL
+from brink.search.sequential import ERROR, FIRST, FURTHER, LIMIT
 from brink.server.api.experiment_pairs import LeftOutView
 
 COLUMNS: Final = (
@@ -178,7 +178,7 @@ def _duels_table(duels: Sequence[PairDuel]) -> str:
 
 def _campaigns(repeats: Sequence[PairRepeat]) -> str:
     names = [
-        "campaign", "method", "seed", "distinct", "checked", "tried", "confirmed", "checked and tried",
+        "campaign", "method", "seed", "distinct", "checked", "tried", "confirmed", "refuted", "checked and tried",
         "checked and confirmed", "component's", "scenario's",
     ]  # fmt: skip
     rows = [table_row(names), table_row(["---"] * len(names))]
@@ -189,7 +189,8 @@ def _campaigns(repeats: Sequence[PairRepeat]) -> str:
         figures = [
             counts.tried or none,
             counts.confirmed if counts.tried else none,
-            counts.checked_decided if counts.tried else none,
+            counts.refuted if counts.tried else none,
+            counts.checked_judged if counts.tried else none,
             counts.checked_confirmed if counts.tried else none,
             counts.component if blamed else none,
             counts.scenario if blamed else none,
@@ -213,10 +214,12 @@ def pair_methods(repeats: Sequence[PairRepeat]) -> Iterator[str]:
     if all(one.computed for one in repeats):
         return
     yield (
-        f"**Tried**: simulated again after the search, with other seeds. **Confirmed**: at least {LEAST_DRIVES} such "
-        f"drives of each side, of which at most {SAFE_AT_MOST:.0%} of the safe side's and at least "
-        f"{UNSAFE_AT_LEAST:.0%} of the unsafe side's are unsafe; drives of the search do not count. Pairs with fewer "
-        "drives are neither confirmed nor not."
+        "**Tried**: simulated again after the search, with other seeds; drives of the search do not count. "
+        f"**Confirmed**: the safe side is unsafe with a probability of at most {LIMIT:.0%}, and the unsafe side with "
+        f"one of at least {1 - LIMIT:.0%}. It takes {FIRST} drives of a side, and {FURTHER} more for each with the "
+        "other verdict. **Refuted**: a side is beyond its limit. Either claim is wrong with a probability of at most "
+        f"{ERROR:.0%}. A pair that is neither is undecided; it counts as not confirmed once each side had {FIRST} "
+        "drives."
     )
     yield (
         "**The component's**: with ground truth in its place, the episode of the unsafe side is safe. **The "

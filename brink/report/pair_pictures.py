@@ -15,7 +15,8 @@ from brink.api.results import (
     fetch_trace,
     run_episode,
 )
-from brink.search.analysis.confirmation import SAFE_AT_MOST, UNSAFE_AT_LEAST, Confirmation
+from brink.search.analysis.confirmation import Confirmation
+from brink.search.sequential import Verdict, verdict_of
 from brink.server.api.pair_views import (
     ComponentPart,
     ConfirmationView,
@@ -34,7 +35,7 @@ _MOST_LETTERS: Final = 230
 _CUT: Final = " more difference"
 """In a change in words that leaves differences out."""
 _GAP_HELD: Final = held_words(["front-gap"])
-_REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
+_REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.REFUTED, Confirmation.UNDECIDED)
 _ONE_SEED: Final = "the {} is to blame, judged with this one seed"
 _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
 
@@ -117,9 +118,11 @@ def findings(pair: PairView) -> list[str]:
     again = pair.confirmation
     if again.state is Confirmation.CONFIRMED:
         found.append(f"Confirmed with {_drives_a_side(again)} other seeds each side.")
-    elif again.state is Confirmation.NOT_CONFIRMED:
+    elif again.state is Confirmation.REFUTED:
         # First, because it limits what the rest says.
-        found.insert(0, f"Not confirmed, so chance may decide: with other seeds, {_doubt(again)}.")
+        found.insert(0, f"Refuted, so chance decides: with other seeds, {_doubt(again)}.")
+    elif again.state is Confirmation.UNDECIDED:
+        found.insert(0, f"Undecided with {_drives_a_side(again)} other seeds each side: chance may decide.")
     return found
 
 
@@ -142,11 +145,11 @@ def _drives_a_side(again: ConfirmationView) -> str:
 
 
 def _doubt(again: ConfirmationView) -> str:
-    """Say which side did not keep its verdict with other seeds."""
-    said = []
-    if again.safe.unsafe > SAFE_AT_MOST * again.safe.evaluated:
+    """Say which side does not keep its verdict with other seeds."""
+    said, safe, unsafe = [], again.safe, again.unsafe
+    if verdict_of(safe.unsafe, safe.evaluated, safe.failed) is Verdict.REFUTED:
         said.append(f"the safe side was unsafe in {again.safe.unsafe} of {again.safe.evaluated}")
-    if again.unsafe.unsafe < UNSAFE_AT_LEAST * again.unsafe.evaluated:
+    if verdict_of(unsafe.evaluated - unsafe.unsafe, unsafe.evaluated, unsafe.failed) is Verdict.REFUTED:
         was = "" if said else " was unsafe"
         said.append(f"the unsafe side{was} in only {again.unsafe.unsafe} of {again.unsafe.evaluated}")
     return " and ".join(said)

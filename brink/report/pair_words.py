@@ -1,6 +1,6 @@
 """What is known of pairs, in words for tables: what both sides share, the evidence, and what the terms mean."""
 
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share
+from brink.search.analysis.confirmation import Confirmation, Share
 from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView
 
 
@@ -28,21 +28,29 @@ def legend(view: PairsView) -> list[str]:
     if any(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs):
         found.append("minimal: none of the differences can go without losing the opposite verdicts")
     if view.tried or view.pending:
-        found.append(
-            "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations after the search "
-            f"and the unsafe side in 9 of 10; at most 20% and at least 80% confirm a pair, from {LEAST_DRIVES} each"
+        rule, first, second = (
+            view.rule,
+            view.rule.least_drives,
+            view.rule.least_drives + view.rule.further_drives,
         )
         found.append(
-            f"95% intervals of these shares: {_interval(0, LEAST_DRIVES)} after 0/{LEAST_DRIVES}, "
-            f"{_interval(LEAST_DRIVES, LEAST_DRIVES)} after {LEAST_DRIVES}/{LEAST_DRIVES}; those of each pair are on "
-            "its picture and in the files"
+            f"confirmed 0/{first} {second - 1}/{second}: with other seeds, the safe side was unsafe in 0 of {first} "
+            f"simulations after the search and the unsafe side in {second - 1} of {second}. Confirmed: the safe side "
+            f"is unsafe with a probability of at most {rule.safe_at_most:.0%}, the unsafe side with one of at least "
+            f"{rule.unsafe_at_least:.0%}. It takes {first} simulations of a side, and {rule.further_drives} more for "
+            f"each with the other verdict; the error rate is {rule.error:.0%}"
         )
-    if Confirmation.NOT_CONFIRMED in states:
-        found.append("not confirmed: these shares are beyond those limits, so chance may decide")
-    if Confirmation.TOO_FEW in states:
         found.append(
-            f"too few drives: less than {LEAST_DRIVES} of a side have a verdict, and that may matter"
+            f"exact {rule.interval:.0%} intervals of these shares: {_interval(0, first)} after 0/{first}, "
+            f"{_interval(second - 1, second)} after {second - 1}/{second}; those of each pair are on its picture and "
+            "in the files"
         )
+    if Confirmation.REFUTED in states:
+        found.append(
+            f"refuted: a side is beyond its limit, with the same error rate ({view.rule.error:.0%}): chance decides"
+        )
+    if Confirmation.UNDECIDED in states:
+        found.append("undecided: neither confirmed nor refuted by these simulations; more may tell")
     if any(pair.minimality.state is Minimality.DIFFERENT_SEEDS for pair in view.pairs):
         found.append(
             "different seeds: the sides also differ in their episode seeds, so chance may be the reason rather than "
@@ -53,8 +61,8 @@ def legend(view: PairsView) -> list[str]:
             "hazard: the component's if the unsafe side keeps the requirement with ground truth in place of the "
             "component, otherwise the scenario's; judged in one drive, with the seed of the search"
         )
-    if Confirmation.CONFIRMED in states or Confirmation.NOT_CONFIRMED in states:
-        found.append("confirmed pairs come first, those not confirmed last; a pair keeps its number")
+    if Confirmation.CONFIRMED in states or Confirmation.REFUTED in states:
+        found.append("confirmed pairs come first, refuted ones last; a pair keeps its number")
     return found
 
 

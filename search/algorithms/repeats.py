@@ -1,9 +1,13 @@
 """Repeated simulation of given solutions with different seeds, without any search.
 
 One episode tells whether a solution was unsafe once. Estimating the probability that it is unsafe takes repeated
-episodes with other seeds: other pedestrians, other noise, another phase of the traffic lights. Candidate number i is
-solution ``i mod n`` of the n given ones. Each round is completed before the next begins, so a stopped campaign has
-equally many episodes of each solution, to within one.
+episodes with other seeds: other pedestrians, other noise, another phase of the traffic lights. Each round is
+completed before the next begins, so a stopped campaign has equally many episodes of each solution, to within one:
+candidate number i is solution ``i mod n`` of the n given ones.
+
+With verdicts to confirm (`keep`), a solution is left out of further rounds once its verdict is confirmed or refuted
+(`brink.search.sequential`). `schedule` says which candidate is which solution; nothing is drawn at random, so it
+follows from the verdicts alone, also of a stored campaign.
 
 The archive holds every solution many times, so its neighbourhoods and boundary are meaningless; use `tallied`.
 """
@@ -12,6 +16,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
@@ -27,8 +32,11 @@ from brink.search.algorithms.ledger import (
 from brink.search.document import Document
 from brink.search.errors import ConfigError
 from brink.search.fitness import Z_95, fitness_of_interval, wilson_interval
+from brink.search.sequential import Verdict, drives_to_confirm, verdict_of
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, SearchSpace
+
+GENERATION_SIZE: Final = 120
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +54,15 @@ class RepeatsConfig(BoundaryConfig):
             "their own. Then each is simulated once."
         },
     )
+    keep: list[bool] = field(
+        default_factory=list,
+        metadata={
+            "help": "For each solution, whether it is unsafe. Then each is simulated until that is confirmed or "
+            "refuted, and at most budget / n times; empty to simulate all of them equally often."
+        },
+    )
     generation_size: int = setting(
-        120, help="Candidates per generation; at least one round.", ge=1, le=10_000
+        GENERATION_SIZE, help="Candidates per generation; at least one round.", ge=1, le=10_000
     )
 
 
@@ -75,6 +90,11 @@ class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):
             raise ConfigError("solutions", "expected at least one solution, as a row of its numbers")
         check_given_rows(space, "solutions", config.solutions)
         check_seed_numbers(config.seed_numbers, len(config.solutions), "solutions")
+        if config.keep and len(config.keep) != len(config.solutions):
+            raise ConfigError(
+                "keep",
+                f"expected one for each of {len(config.solutions)} solutions, or none; got {len(config.keep)}",
+            )
         return len(config.solutions)
 
     def check(self, space: SearchSpace, config: RepeatsConfig, *, budget: int) -> None:
@@ -100,15 +120,76 @@ class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):
 
 def _planned(config: RepeatsConfig, ledger: Ledger) -> RepeatsState:
     """Return the state with complete rounds queued; the budget may cut the last one short."""
-    given = np.asarray(config.solutions, np.float64)
-    rounds = max(1, config.generation_size // len(given))
-    first = ledger.spent
-    last = min(first - first % len(given) + rounds * len(given), ledger.budget)
-    rows = [given[number % len(given)] for number in range(first, last)]
-    seeds: list[int | None] = [
-        config.seed_numbers[number] if config.seed_numbers else None for number in range(first, last)
-    ]
-    return RepeatsState(config=config, ledger=ledger.plan(rows, seed_numbers=seeds))
+    given, first = np.asarray(config.solutions, np.float64), ledger.spent
+    if config.keep:
+        archive = ledger.archive
+        ended: dict[int, bool | None] = dict.fromkeys(range(first))
+        ended |= dict(zip(archive.numbers.tolist(), archive.unsafe.tolist(), strict=True))
+        planned = schedule(config.keep, ended, ledger.budget, config.generation_size)[first:]
+    else:
+        rounds = max(1, config.generation_size // len(given))
+        last = min(first - first % len(given) + rounds * len(given), ledger.budget)
+        planned = [number % len(given) for number in range(first, last)]
+    seeds: list[int | None] = [config.seed_numbers[one] if config.seed_numbers else None for one in planned]
+    return RepeatsState(
+        config=config, ledger=ledger.plan([given[one] for one in planned], seed_numbers=seeds)
+    )
+
+
+def schedule(
+    keep: Sequence[bool],
+    ended: Mapping[int, bool | None],
+    budget: int,
+    generation_size: int = GENERATION_SIZE,
+) -> list[int]:
+    """Return the index of the solution of each candidate, up to the first generation that has not ended.
+
+    Args:
+        keep: The verdict of each solution that is to be confirmed: whether it is unsafe.
+        ended: Whether each candidate that has ended was unsafe, by number; None for one that failed.
+        budget: The campaign's budget.
+        generation_size: Its setting.
+    """
+    most, done = budget // len(keep), 0
+    tallies = [_Tally(unsafe=unsafe) for unsafe in keep]
+    active = list(range(len(keep)))
+    planned: list[int] = []
+    while active and done < most:
+        first = len(planned)
+        needed = min(tallies[one].needed for one in active)
+        rounds = min(max(1, generation_size // len(active)), most - done, needed)
+        planned += active * rounds
+        if any(number not in ended for number in range(first, len(planned))):
+            break
+        for number in range(first, len(planned)):
+            tallies[planned[number]].add(ended[number])
+        done += rounds
+        active = [one for one in active if tallies[one].verdict is Verdict.UNDECIDED]
+    return planned
+
+
+@dataclass(slots=True)
+class _Tally:
+    """Drives of a solution with other seeds, and the verdict that is to be confirmed."""
+
+    unsafe: bool
+    other: int = 0
+    evaluated: int = 0
+    failed: int = 0
+
+    def add(self, unsafe: bool | None) -> None:
+        self.failed += unsafe is None
+        self.evaluated += unsafe is not None
+        self.other += unsafe is not None and unsafe != self.unsafe
+
+    @property
+    def verdict(self) -> Verdict:
+        return verdict_of(self.other, self.evaluated, self.failed)
+
+    @property
+    def needed(self) -> int:
+        """Fewest further drives that confirm its verdict."""
+        return drives_to_confirm(self.other + self.failed) - self.evaluated - self.failed
 
 
 class Conclusion(StrEnum):
@@ -176,18 +257,18 @@ class Tallies:
         ]  # fmt: skip
 
 
-def tallied(numbers: Sequence[int], unsafe: Sequence[bool], solutions: int, z: float = Z_95) -> Tallies:
+def tallied(which: Sequence[int], unsafe: Sequence[bool], solutions: int, z: float = Z_95) -> Tallies:
     """Count the verdicts of a `Repeats` campaign by solution.
 
     Args:
-        numbers: Numbers of the evaluated candidates.
+        which: Index of the solution of each evaluated candidate.
         unsafe: Their verdicts.
         solutions: Number of given solutions.
         z: Quantile of the standard normal for the interval.
     """
-    which = np.asarray(numbers, np.int64) % solutions
-    n = np.bincount(which, minlength=solutions)
-    k = np.bincount(which[np.asarray(unsafe, np.bool_)], minlength=solutions)
+    solution = np.asarray(which, np.int64)
+    n = np.bincount(solution, minlength=solutions)
+    k = np.bincount(solution[np.asarray(unsafe, np.bool_)], minlength=solutions)
     low, high = np.zeros(solutions), np.ones(solutions)
     known = n > 0
     if known.any():

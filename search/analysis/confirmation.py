@@ -1,43 +1,34 @@
-"""Whether a pair holds: how often each of its sides was unsafe when it was simulated again with other seeds.
+"""Whether a pair holds: what drives of both sides with other seeds say of it.
 
 The simulations of the search do not count: a pair is reported because of their verdicts, so they cannot speak against
-it.
+it. A pair is confirmed if the verdicts of both sides are, and refuted if one of them is. A wrong claim of either kind
+has a probability of at most `brink.search.sequential.ERROR`, however many drives there are.
 
 Source: ours; docs/explanation/pairs.md.
 """
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Self
+from typing import Self
 
-SAFE_AT_MOST: Final = 0.2
-"""Largest unsafe share of the safe side of a confirmed pair."""
-UNSAFE_AT_LEAST: Final = 0.8
-"""Smallest unsafe share of the unsafe side of a confirmed pair."""
-LEAST_DRIVES: Final = 10
-"""Simulations of each side that say whether a pair is confirmed.
-
-Those that are missing, as after a failure, may have had either verdict. If the answer depends on them, there is none.
-"""
+from brink.search.sequential import FIRST, Verdict, exact_interval, verdict_of
 
 
 class Confirmation(StrEnum):
-    """What simulations with other seeds say of a pair.
-
-    One that is not confirmed is not refuted: with few drives, the interval of a side may well reach the limit.
-    """
+    """What simulations with other seeds say of a pair."""
 
     CONFIRMED = "confirmed"
-    NOT_CONFIRMED = "not confirmed"
-    TOO_FEW = "too few drives"
+    REFUTED = "refuted"
+    UNDECIDED = "undecided"
+    """Neither confirmed nor refuted by the drives that there are."""
     PENDING = "pending"
-    """Too few drives so far, but more are being simulated."""
+    """Undecided so far, but more is being simulated."""
     NOT_TRIED = "not tried"
 
     @property
     def rank(self) -> int:
         """Place in the order of evidence: 0 speaks for the pair, 1 says nothing, 2 speaks against it."""
-        return {Confirmation.CONFIRMED: 0, Confirmation.NOT_CONFIRMED: 2}.get(self, 1)
+        return {Confirmation.CONFIRMED: 0, Confirmation.REFUTED: 2}.get(self, 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,28 +38,37 @@ class Share:
     Attributes:
         evaluated: Simulations with a verdict.
         unsafe: Unsafe ones among them.
-        low: Lower limit of the Wilson interval of the unsafe share; 0 without a verdict.
+        failed: Simulations without a verdict.
+        low: Lower limit of the exact 90% interval of the unsafe share; 0 without a verdict.
         high: Its upper limit; 1 without a verdict.
     """
 
     evaluated: int
     unsafe: int
+    failed: int
     low: float
     high: float
 
     @classmethod
-    def of(cls, unsafe: int, evaluated: int) -> Self:
-        """Return the share of counts, with its 95% interval."""
-        # Commands that only need the limits above start without NumPy.
-        from brink.search.fitness import wilson_interval
-
-        low, high = wilson_interval(unsafe, evaluated) if evaluated else (0.0, 1.0)
-        return cls(evaluated=evaluated, unsafe=unsafe, low=float(low), high=float(high))
+    def of(cls, unsafe: int, evaluated: int, failed: int = 0) -> Self:
+        """Return the share of counts, with its interval."""
+        low, high = exact_interval(unsafe, evaluated)
+        return cls(evaluated=evaluated, unsafe=unsafe, failed=failed, low=low, high=high)
 
     @property
     def probability(self) -> float | None:
         """Unsafe share; None without a verdict."""
         return self.unsafe / self.evaluated if self.evaluated else None
+
+    @property
+    def drives(self) -> int:
+        """All simulations, with a verdict or without."""
+        return self.evaluated + self.failed
+
+    def keeps(self, *, unsafe: bool) -> Verdict:
+        """Return whether these drives confirm that the solution is unsafe, or safe."""
+        other = self.evaluated - self.unsafe if unsafe else self.unsafe
+        return verdict_of(other, self.evaluated, self.failed)
 
 
 def confirmation_of(safe: Share, unsafe: Share, *, pending: bool = False) -> Confirmation:
@@ -77,25 +77,18 @@ def confirmation_of(safe: Share, unsafe: Share, *, pending: bool = False) -> Con
     Args:
         safe: How often the safe side was unsafe.
         unsafe: How often the unsafe side was.
-        pending: Whether the sides that have too few drives are being simulated again.
+        pending: Whether a side is being simulated again.
     """
-    if pending and min(safe.evaluated, unsafe.evaluated) < LEAST_DRIVES:
-        return Confirmation.PENDING
-    if not safe.evaluated and not unsafe.evaluated:
-        return Confirmation.NOT_TRIED
-    if _most_unsafe(safe) <= SAFE_AT_MOST and _least_unsafe(unsafe) >= UNSAFE_AT_LEAST:
+    sides = safe.keeps(unsafe=False), unsafe.keeps(unsafe=True)
+    if Verdict.REFUTED in sides:
+        return Confirmation.REFUTED
+    if set(sides) == {Verdict.HOLDS}:
         return Confirmation.CONFIRMED
-    if _least_unsafe(safe) > SAFE_AT_MOST or _most_unsafe(unsafe) < UNSAFE_AT_LEAST:
-        return Confirmation.NOT_CONFIRMED
-    return Confirmation.TOO_FEW
+    if pending:
+        return Confirmation.PENDING
+    return Confirmation.UNDECIDED if safe.drives or unsafe.drives else Confirmation.NOT_TRIED
 
 
-def _least_unsafe(side: Share) -> float:
-    """Return the unsafe share if all simulations that are missing had been safe."""
-    return side.unsafe / max(side.evaluated, LEAST_DRIVES)
-
-
-def _most_unsafe(side: Share) -> float:
-    """Return the unsafe share if all simulations that are missing had been unsafe."""
-    missing = max(0, LEAST_DRIVES - side.evaluated)
-    return (side.unsafe + missing) / max(side.evaluated, LEAST_DRIVES)
+def is_judged(safe: Share, unsafe: Share) -> bool:
+    """Return whether both sides have enough drives to be confirmed, or the pair is refuted."""
+    return confirmation_of(safe, unsafe) is Confirmation.REFUTED or min(safe.drives, unsafe.drives) >= FIRST

@@ -1,9 +1,9 @@
 """Methods compared by the pairs across the boundary that their campaigns found.
 
-A pair is confirmed if simulations of both sides with other seeds say so (`brink.search.analysis.confirmation`). Pairs
-that were not simulated again are neither confirmed nor not: the confirmed pairs of a campaign are known only once all
-of its distinct pairs were tried. Where verdicts are computed, seeds have no part in them, and there is nothing to
-confirm.
+A pair is confirmed if simulations of both sides with other seeds say so (`brink.search.analysis.confirmation`); one
+that they leave undecided is not. Pairs that were not simulated often enough are neither: the confirmed pairs of a
+campaign are known only once all of its distinct pairs were judged. Where verdicts are computed, seeds have no part in
+them, and there is nothing to confirm.
 
 Methods are compared on confirmed distinct pairs if these are known for every campaign of a problem, otherwise on
 distinct ones.
@@ -15,10 +15,10 @@ import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Self
+from typing import Self
 
 from brink.search.analysis.comparison import difference, is_significant
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
+from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of, is_judged
 from brink.search.analysis.paper import LEVEL
 from brink.search.analysis.statistics import (
     Comparison,
@@ -29,8 +29,7 @@ from brink.search.analysis.statistics import (
     mean_interval,
 )
 from brink.search.fitness import wilson_interval
-
-_DECIDED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
+from brink.search.sequential import FIRST
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,9 +55,10 @@ class PairCounts:
         distinct: Distinct pairs.
         checked: Those of which the search simulated each side again, and both kept their verdicts.
         tried: Those simulated again with other seeds after the search.
-        decided: Tried ones with enough drives of both sides to say whether they are confirmed.
+        judged: Tried ones with enough drives of both sides to be confirmed, or too many of the other verdict.
         confirmed: Those that were confirmed.
-        checked_decided: Checked ones among the decided.
+        refuted: Those that were refuted.
+        checked_judged: Checked ones among the judged.
         checked_confirmed: Checked ones among the confirmed.
         component: Unsafe sides that are safe with ground truth in place of the component.
         scenario: Unsafe sides that are unsafe with ground truth, too.
@@ -68,9 +68,10 @@ class PairCounts:
     distinct: int
     checked: int
     tried: int
-    decided: int
+    judged: int
     confirmed: int
-    checked_decided: int
+    refuted: int
+    checked_judged: int
     checked_confirmed: int
     component: int
     scenario: int
@@ -78,8 +79,8 @@ class PairCounts:
 
     @property
     def is_tried(self) -> bool:
-        """Whether the number of confirmed pairs is known: every pair was tried, with enough drives."""
-        return self.decided == self.distinct
+        """Whether the number of confirmed pairs is known: every pair was judged."""
+        return self.judged == self.distinct
 
     @classmethod
     def of(
@@ -98,15 +99,17 @@ class PairCounts:
         tried = [
             both for both, state in zip(sides, states, strict=True) if state is not Confirmation.NOT_TRIED
         ]
+        judged = [is_judged(*both) for both in sides]
         checked = [state for pair, state in zip(pairs, states, strict=True) if pair.checked]
         blamed = [scenario[pair.unsafe] for pair in pairs if pair.unsafe in scenario]
         return cls(
             distinct=len(pairs),
             checked=len(checked),
             tried=len(tried),
-            decided=sum(state in _DECIDED for state in states),
+            judged=sum(judged),
             confirmed=states.count(Confirmation.CONFIRMED),
-            checked_decided=sum(state in _DECIDED for state in checked),
+            refuted=states.count(Confirmation.REFUTED),
+            checked_judged=sum(done and pair.checked for pair, done in zip(pairs, judged, strict=True)),
             checked_confirmed=checked.count(Confirmation.CONFIRMED),
             component=blamed.count(False),
             scenario=blamed.count(True),
@@ -279,8 +282,8 @@ def _standing(problem: str, method: str, counts: Sequence[PairCounts], *, comput
         pairs=sum(one.distinct for one in counts), checked=sum(one.checked for one in counts),
         tried=sum(one.tried for one in counts), distinct=mean_interval([one.distinct for one in counts]),
         confirmed=mean_interval([one.confirmed for one in counts]) if known == len(counts) else None,
-        precision=Proportion.pooled((one.checked_confirmed, one.checked_decided) for one in counts),
-        overall=Proportion.pooled((one.confirmed, one.decided) for one in counts),
+        precision=Proportion.pooled((one.checked_confirmed, one.checked_judged) for one in counts),
+        overall=Proportion.pooled((one.confirmed, one.judged) for one in counts),
         component=Proportion.pooled((one.component, one.component + one.scenario) for one in counts),
     )  # fmt: skip
 
@@ -310,10 +313,10 @@ def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
             f"Compared on distinct pairs, confirmed or not: only {tried:,} of {distinct:,} were simulated again "
             "with other seeds."
         )
-    undecided = tried - sum(one.counts.decided for one in ours)
+    few = tried - sum(one.counts.judged for one in ours)
     return (
-        f"Compared on distinct pairs, confirmed or not: {undecided:,} of {distinct:,} have too few simulations with "
-        f"other seeds. To simulate them again, confirm with more than {LEAST_DRIVES}."
+        f"Compared on distinct pairs, confirmed or not: {few:,} of {distinct:,} have too few simulations with other "
+        f"seeds. To confirm a pair takes at least {FIRST} of each side."
     )
 
 

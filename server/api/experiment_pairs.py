@@ -57,10 +57,10 @@ class PairStandingView(View):
     confirmed: Annotated[
         MeanView | None,
         Field(
-            description="Confirmed distinct pairs of a campaign; null unless all pairs of all campaigns were tried."
+            description="Confirmed distinct pairs of a campaign; null unless all pairs of all campaigns were judged."
         ),
     ]
-    known: Annotated[int, Field(description="Campaigns of whose pairs all were tried, or that have none.")]
+    known: Annotated[int, Field(description="Campaigns of whose pairs all were judged, or that have none.")]
     pairs: Annotated[int, Field(description="Distinct pairs of all campaigns.")]
     checked: Annotated[int, Field(description="Checked ones among them.")]
     tried: Annotated[int, Field(description="Those simulated again with other seeds after the search.")]
@@ -120,17 +120,17 @@ class PairRepeatView(View):
     tried: Annotated[
         int, Field(description="Distinct pairs that were simulated again with other seeds after the search.")
     ]
-    decided: Annotated[
-        int, Field(description="Tried ones with enough drives to say whether they are confirmed.")
+    judged: Annotated[
+        int, Field(description="Tried ones with enough drives to be confirmed, or that are refuted.")
     ]
     confirmed: Annotated[
         int | None,
         Field(
-            description="Those whose safe side was unsafe in at most 20% and whose unsafe side in at least 80% of "
-            "the drives with other seeds; null if there are pairs, and none was tried."
+            description="Those that are confirmed, as `rule` says; null if there are pairs, and none was tried."
         ),
     ]
-    checked_decided: Annotated[int, Field(description="Checked ones among the decided.")]
+    refuted: Annotated[int, Field(description="Those that are refuted.")]
+    checked_judged: Annotated[int, Field(description="Checked ones among the judged.")]
     checked_confirmed: Annotated[int, Field(description="Checked ones among the confirmed.")]
     component: Annotated[int, Field(description="Unsafe sides that are safe with ground truth.")]
     scenario: Annotated[int, Field(description="Unsafe sides that are unsafe with ground truth, too.")]

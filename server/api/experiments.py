@@ -300,7 +300,10 @@ def _follow_up_summary(experiment: Experiment, campaigns: Sequence[Campaign]) ->
         "deleted": 0,
         "finished": sum(campaign.status is CampaignStatus.FINISHED for campaign in campaigns),
         "simulations": sum(campaign.completed for campaign in campaigns),
-        "budget": sum(campaign.budget for campaign in campaigns),
+        "budget": sum(
+            campaign.completed if campaign.status is CampaignStatus.FINISHED else campaign.budget
+            for campaign in campaigns
+        ),
         "failed": sum(campaign.failed for campaign in campaigns),
         "created_at": min((one.created_at for one in campaigns), default=experiment.created_at),
     }

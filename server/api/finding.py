@@ -173,7 +173,7 @@ class FindingView(View):
     best: Annotated[
         list[BestPair],
         Field(
-            description="The first pairs: confirmed ones, then those that were not tried, refuted ones last."
+            description="The first pairs: confirmed ones, then undecided ones and those not tried, refuted ones last."
         ),
     ]
     rule: Annotated[str, Field(description="What it takes for a pair to hold, in a sentence.")]
@@ -239,8 +239,8 @@ def _best_pair(view: PairsView, pair: PairView) -> BestPair:
     again = f"unsafe in {counts} drives with other seeds"
     evidence = {
         Confirmation.CONFIRMED: f"confirmed: {again}",
-        Confirmation.NOT_CONFIRMED: f"not confirmed: {again}",
-        Confirmation.TOO_FEW: "too few drives to tell",
+        Confirmation.REFUTED: f"refuted: {again}",
+        Confirmation.UNDECIDED: f"undecided: {again}",
         Confirmation.PENDING: "being simulated again",
         Confirmation.NOT_TRIED: "not simulated again yet",
     }[state]
@@ -260,9 +260,9 @@ def _rule_words(view: PairsView) -> str:
     if view.computed:
         return "Verdicts are computed, not simulated: every pair holds."
     return (
-        f"A pair holds if both drives keep their verdicts when they are simulated again with other seeds, at least "
-        f"{rule.least_drives} times each: the safe one is then unsafe in at most {rule.safe_at_most:.0%} of the "
-        f"simulations, the unsafe one in at least {rule.unsafe_at_least:.0%}."
+        f"A pair holds if, with other seeds, the safe drive is unsafe in at most {rule.safe_at_most:.0%} of the "
+        f"simulations and the unsafe one in at least {rule.unsafe_at_least:.0%}. It is confirmed or refuted with an "
+        f"error rate of {rule.error:.0%}, and undecided where the simulations show neither."
     )
 
 
@@ -595,7 +595,7 @@ def _pair_steps(known: _Known) -> list[StepView]:
             continue
         question, label, option, what = _QUESTIONS[offer.kind]
         simulations = offer.simulations * (DEFAULT_CONFIRMATIONS if offer.kind is FollowUpKind.CONFIRM else 1)
-        most = "at most " if offer.kind is FollowUpKind.MINIMISE else ""
+        most = "" if offer.kind is FollowUpKind.COMPONENT else "at most "
         steps.append(
             StepView(
                 kind=StepKind(offer.kind.value), question=question, label=label,
@@ -616,7 +616,7 @@ def _pair_steps(known: _Known) -> list[StepView]:
 _QUESTIONS: Final = {
     FollowUpKind.CONFIRM: (
         "Do the pairs hold?", "Confirm the pairs", f"--confirm {DEFAULT_CONFIRMATIONS}",
-        f"Simulates both sides of each pair with {DEFAULT_CONFIRMATIONS} other seeds.",
+        f"Simulates both sides of each pair with up to {DEFAULT_CONFIRMATIONS} other seeds.",
     ),
     FollowUpKind.COMPONENT: (
         "Is the component to blame?", "Blame the component", "--component",

@@ -5,7 +5,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from brink.search.analysis.confirmation import LEAST_DRIVES, SAFE_AT_MOST, UNSAFE_AT_LEAST, Confirmation
+from brink.search.analysis.confirmation import Confirmation
+from brink.search.sequential import ERROR, FIRST, FURTHER, INTERVAL, LIMIT
 from brink.server.api.schemas import ActivityView, View
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.repeats import FollowUpKind
@@ -14,7 +15,8 @@ from brink.server.states import CampaignStatus, OutcomeKind
 
 MOST_PAIRS: Final = 1_000
 DEFAULT_PAIRS: Final = 100
-DEFAULT_CONFIRMATIONS: Final = 10
+DEFAULT_CONFIRMATIONS: Final = 30
+"""Most simulations of each side, to confirm pairs; a clear side takes 15, or 4."""
 
 
 class ShareView(View):
@@ -23,8 +25,11 @@ class ShareView(View):
     evaluated: Annotated[int, Field(description="Simulations with a verdict.")]
     unsafe: int
     probability: Annotated[float | None, Field(description="Unsafe share; null without a verdict.")]
-    low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
+    low: Annotated[float, Field(description="Lower limit of its exact 90% interval.")]
     high: float
+    failed: Annotated[
+        int, Field(description="Simulations without a verdict: each may have had either one.")
+    ] = 0
 
 
 class ConfirmationView(View):
@@ -33,9 +38,9 @@ class ConfirmationView(View):
     state: Annotated[
         Confirmation,
         Field(
-            description="Confirmed if the safe side was unsafe in at most 20% and the unsafe side in at least 80% of "
-            f"the simulations with other seeds, at least {LEAST_DRIVES} each. Pending while there are fewer and "
-            "follow-ups simulate more."
+            description="Confirmed: with other seeds, each side has the other verdict with a probability of at most "
+            "20%. Refuted: a side has it with a larger one. The error rate of either claim is 5%. Undecided if the "
+            "simulations show neither; pending while follow-ups simulate more."
         ),
     ]
     safe: ShareView
@@ -45,13 +50,22 @@ class ConfirmationView(View):
 class ConfirmationRule(View):
     """When a pair is confirmed."""
 
-    least_drives: Annotated[int, Field(description="Smallest number of simulations of each side.")] = (
-        LEAST_DRIVES
-    )
-    safe_at_most: Annotated[float, Field(description="Largest unsafe share of the safe side.")] = SAFE_AT_MOST
-    unsafe_at_least: Annotated[float, Field(description="Smallest unsafe share of the unsafe side.")] = (
-        UNSAFE_AT_LEAST
-    )
+    safe_at_most: Annotated[
+        float, Field(description="Largest probability that a safe side which holds is unsafe.")
+    ] = LIMIT
+    unsafe_at_least: Annotated[
+        float, Field(description="Smallest probability that an unsafe side which holds is unsafe.")
+    ] = 1 - LIMIT
+    error: Annotated[
+        float, Field(description="Largest probability that a pair is confirmed, or refuted, wrongly.")
+    ] = ERROR
+    least_drives: Annotated[
+        int, Field(description="Simulations of a side, all with its own verdict, that confirm it.")
+    ] = FIRST
+    further_drives: Annotated[
+        int, Field(description="Further ones that it takes for each simulation with the other verdict.")
+    ] = FURTHER
+    interval: Annotated[float, Field(description="Confidence of the intervals of shares.")] = INTERVAL
 
 
 class ComponentPart(StrEnum):
@@ -255,8 +269,13 @@ class FollowUpBody(Body):
         ),
     ]
     repeats: Annotated[
-        int, Field(ge=LEAST_DRIVES, le=10_000, description="Simulations of each side, to confirm pairs.")
-    ] = DEFAULT_CONFIRMATIONS
+        int,
+        Field(
+            ge=2, le=10_000,
+            description="Most simulations of each side, to confirm pairs. It takes fewer once a side is confirmed or "
+            f"refuted; fewer than {FIRST} confirm none.",
+        ),
+    ] = DEFAULT_CONFIRMATIONS  # fmt: skip
     eps: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
     d_th: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
     limit: Annotated[
@@ -336,8 +355,7 @@ class PairsView(View):
         ),
     ]
     pending: Annotated[
-        int,
-        Field(description="Distinct pairs that are being simulated again and have too few drives so far."),
+        int, Field(description="Distinct pairs that are being simulated again and are undecided so far.")
     ]
     repeated: Annotated[
         int, Field(description="Sides of distinct pairs that were simulated again with other seeds.")
@@ -346,8 +364,9 @@ class PairsView(View):
         int, Field(description="Those among them that did not always keep the verdict of the search.")
     ] = 0
     confirmed: Annotated[int, Field(description="Distinct pairs that are confirmed.")]
-    not_confirmed: Annotated[
-        int, Field(description="Distinct pairs that simulations with other seeds did not confirm.")
+    refuted: Annotated[int, Field(description="Distinct pairs that are refuted.")]
+    undecided: Annotated[
+        int, Field(description="Distinct pairs that were tried and are neither confirmed nor refuted.")
     ]
     component: Annotated[
         int,
@@ -376,6 +395,6 @@ class PairsView(View):
     pairs: Annotated[
         list[PairView],
         Field(
-            description="Confirmed ones first, not confirmed ones last; otherwise in the order of their numbers."
+            description="Confirmed ones first, refuted ones last; otherwise in the order of their numbers."
         ),
     ]

@@ -161,7 +161,7 @@ async def follow_up_pairs(
     if kind is FollowUpKind.CONFIRM:
         again, new = await services.campaigns.repeat(
             campaign, found.plan, found.archive, repeats=body.repeats, t_b=EVERY_T_B, d_th=EVERY_D_TH,
-            numbers=sides_of(chosen),
+            numbers=sides_of(chosen), until_decided=True,
         )  # fmt: skip
     else:
         numbers = [pair.unsafe.number for pair in chosen]
@@ -214,7 +214,8 @@ def pairs_view(
         "tried": sum(state not in (Confirmation.NOT_TRIED, Confirmation.PENDING) for state in states),
         "pending": states.count(Confirmation.PENDING),
         "confirmed": states.count(Confirmation.CONFIRMED),
-        "not_confirmed": states.count(Confirmation.NOT_CONFIRMED),
+        "refuted": states.count(Confirmation.REFUTED),
+        "undecided": states.count(Confirmation.UNDECIDED),
         "component": parts.count(ComponentPart.COMPONENT),
         "scenario": parts.count(ComponentPart.SCENARIO),
         "component_confirmed": blamed.count(ComponentPart.COMPONENT),
@@ -231,7 +232,7 @@ def pairs_view(
         caveat=with_odd(_caveat(campaign, problem), problem.space),
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
         without_part=pairs.found.without_part, repeated=sides[0], changed=sides[1],
-        chance=_chance(pairs, *sides, not_confirmed=counts["not_confirmed"]),
+        chance=_chance(pairs, *sides, refuted=counts["refuted"]),
         tight=pairs.found.tight, distinct=len(pairs.found.pairs), checked=pairs.found.checked, **counts,
         nearest=None if pairs.nearest is None else NearestView(
             safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
@@ -256,7 +257,7 @@ def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:
     return len(shares), sum(changed)
 
 
-def _chance(pairs: CampaignPairs, again: int, changed: int, *, not_confirmed: int) -> tuple[str, ...]:
+def _chance(pairs: CampaignPairs, again: int, changed: int, *, refuted: int) -> tuple[str, ...]:
     """Return what is known of the part of chance: from the search, and from simulations after it."""
     chancy, alike, told = pairs.found.chancy, pairs.found.without_part, []
     if chancy:
@@ -275,9 +276,9 @@ def _chance(pairs: CampaignPairs, again: int, changed: int, *, not_confirmed: in
         told.append(
             f"After the search, {what} simulated again with other seeds; {had} had the other verdict at least once"
         )
-    if not_confirmed and not_confirmed == len(pairs.found.pairs):
+    if refuted and refuted == len(pairs.found.pairs):
         told.append(
-            "No pair held with other seeds, so chance may decide in all of them. With more checks, edge@1 drops such "
+            "No pair held with other seeds, so chance decides in all of them. With more checks, edge@1 drops such "
             "pairs during the search"
         )
     return tuple(told)
@@ -559,7 +560,7 @@ def _change(change: Change, titles: Mapping[str, str]) -> ChangeView:
 def _share(share: Share) -> ShareView:
     return ShareView(
         evaluated=share.evaluated, unsafe=share.unsafe, probability=share.probability, low=share.low,
-        high=share.high,
+        high=share.high, failed=share.failed,
     )  # fmt: skip
 
 
@@ -606,6 +607,15 @@ def _note(
     return f"so far, after {len(found.archive):,} of {campaign.budget:,} simulations: {words}"
 
 
+def _tried_words(counts: Mapping[str, int]) -> str:
+    """Return how many of the pairs that were simulated again are confirmed, refuted and undecided."""
+    states = ("confirmed", "refuted", "undecided")
+    if counts["refuted"] == counts["tried"]:
+        return "all refuted" if counts["tried"] > 1 else "refuted"
+    told = [f"{counts[state]:,} {state}" for state in states if counts[state] or state == "confirmed"]
+    return " and ".join([*([", ".join(told[:-1])] if told[1:] else []), told[-1]])
+
+
 def _result_words(
     pairs: CampaignPairs, deciding: tuple[str, ...], counts: Mapping[str, int], *, computed: bool
 ) -> str:
@@ -623,12 +633,7 @@ def _result_words(
             elif not counts["tried"] and not counts["pending"]:
                 words += f", {'not' if single else 'none'} simulated again yet"
         if counts["tried"]:
-            words += f"; of {counts['tried']:,} simulated again with other seeds, "
-            words += (
-                "none confirmed"
-                if counts["not_confirmed"] == len(found.pairs)
-                else f"{counts['confirmed']:,} confirmed and {counts['not_confirmed']:,} not confirmed"
-            )
+            words += f"; of {counts['tried']:,} simulated again with other seeds, {_tried_words(counts)}"
         if counts["pending"]:
             words += f"; {counts['pending']:,} being simulated again"
         if blamed := counts["component"] + counts["scenario"]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from brink.search.algorithms.edge import Edge
 from brink.search.algorithms.minimise import most_trials
-from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation, Share, confirmation_of
+from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
 from brink.search.analysis.pairs import FoundPairs, Opposites, Pair, find_pairs, nearest_opposites
 from brink.search.archive import Archive
 from brink.search.errors import TooManyPairs
@@ -212,25 +212,23 @@ class Repeated:
 
     def state(self, safe: int, unsafe: int) -> Confirmation:
         """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
-        shares = self.shares_of(safe, unsafe)
-        pending = all(
-            number in self.under_way or share.evaluated >= LEAST_DRIVES
-            for number, share in zip((safe, unsafe), shares, strict=True)
+        return confirmation_of(
+            *self.shares_of(safe, unsafe), pending=safe in self.under_way or unsafe in self.under_way
         )
-        return confirmation_of(*shares, pending=pending)
 
 
 def shares_of(stored: Sequence[StoredRepeats]) -> Mapping[int, Share]:
     """Return how often each repeated solution was unsafe, over all repeats of a campaign, by number."""
     evaluated: Counter[int] = Counter()
     unsafe: Counter[int] = Counter()
+    failed: Counter[int] = Counter()
     for repeats in stored:
-        count = len(repeats.numbers)
-        for candidate, verdict in zip(repeats.evaluated, repeats.unsafe, strict=True):
-            number = repeats.numbers[candidate % count]
-            evaluated[number] += 1
-            unsafe[number] += verdict
-    return {number: Share.of(unsafe[number], evaluated[number]) for number in evaluated}
+        for place, verdict in repeats.drives():
+            number = repeats.numbers[place]
+            failed[number] += verdict is None
+            evaluated[number] += verdict is not None
+            unsafe[number] += bool(verdict)
+    return {number: Share.of(unsafe[number], evaluated[number], failed[number]) for number in evaluated}
 
 
 def blames_scenario(stored: Sequence[StoredRepeats]) -> Mapping[int, bool]:

@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, insert, select
 
 from brink.search.algorithms.minimise import MinimiseConfig
-from brink.search.algorithms.repeats import Repeats, RepeatsConfig, Tallies, tallied
+from brink.search.algorithms.repeats import (
+    GENERATION_SIZE,
+    Repeats,
+    RepeatsConfig,
+    Tallies,
+    schedule,
+    tallied,
+)
 from brink.search.archive import Archive
 from brink.search.errors import BoundaryTooLarge
 from brink.search.streams import Stream, generator
@@ -96,6 +103,7 @@ class StoredRepeats:
         numbers: Numbers of the solutions, best first.
         evaluated: Numbers of the candidates of that campaign that were evaluated so far.
         unsafe: Whether each of these was unsafe.
+        failed: Numbers of those that have no verdict.
     """
 
     campaign: Campaign
@@ -105,6 +113,7 @@ class StoredRepeats:
     numbers: tuple[int, ...]
     evaluated: tuple[int, ...]
     unsafe: tuple[bool, ...]
+    failed: tuple[int, ...]
 
     @property
     def kind(self) -> FollowUpKind:
@@ -116,9 +125,25 @@ class StoredRepeats:
         """Whether the solutions are a boundary rather than named by number."""
         return (self.t_b, self.d_th) != (EVERY_T_B, EVERY_D_TH)
 
+    def drives(self) -> list[tuple[int, bool | None]]:
+        """Return the place, among the numbers, and the verdict of each simulation of repeats that has ended.
+
+        The verdict says whether it was unsafe; None if it failed.
+        """
+        ended: dict[int, bool | None] = dict(zip(self.evaluated, self.unsafe, strict=True))
+        ended |= dict.fromkeys(self.failed)
+        params, count = self.campaign.body.algorithm.params, len(self.numbers)
+        keep, size = params.get("keep"), params.get("generation_size", GENERATION_SIZE)
+        if not keep:
+            return [(number % count, unsafe) for number, unsafe in ended.items()]
+        places = dict(enumerate(schedule(keep, ended, self.campaign.budget, size)))
+        return [(places[number], unsafe) for number, unsafe in ended.items() if number in places]
+
     def tallies(self, z: float) -> Tallies:
         """Return how often each solution was unsafe, with intervals at `z` standard deviations."""
-        return tallied(self.evaluated, self.unsafe, len(self.numbers), z)
+        judged = [(place, unsafe) for place, unsafe in self.drives() if unsafe is not None]
+        places, verdicts = [place for place, _ in judged], [unsafe for _, unsafe in judged]
+        return tallied(places, verdicts, len(self.numbers), z)
 
 
 def _kind_of(repeats: int) -> FollowUpKind:
@@ -138,7 +163,9 @@ def is_follow_up(plan: Plan, repeats: int, numbers: Sequence[int]) -> bool:
     config = plan.config
     if _kind_of(repeats) is FollowUpKind.MINIMISE:
         return isinstance(config, MinimiseConfig) and 2 * len(config.safe) == len(numbers)
-    return isinstance(config, RepeatsConfig) and len(config.solutions) == len(numbers)
+    if not isinstance(config, RepeatsConfig) or len(config.keep) not in (0, len(numbers)):
+        return False
+    return len(config.solutions) == len(numbers)
 
 
 def followed_by(connection: Connection, campaign_id: str) -> tuple[str, FollowUpKind] | None:
@@ -184,7 +211,13 @@ def plan_boundary_repeats(
 
 
 def plan_named_repeats(
-    campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, numbers: Sequence[int]
+    campaign: Campaign,
+    plan: Plan,
+    archive: Archive,
+    *,
+    repeats: int,
+    numbers: Sequence[int],
+    until_decided: bool = False,
 ) -> PlannedRepeats:
     """Plan repeats of solutions named by number.
 
@@ -194,6 +227,8 @@ def plan_named_repeats(
         archive: Its archive.
         repeats: Simulations of each solution.
         numbers: Distinct numbers in any order, at most `MOST`.
+        until_decided: Whether to simulate each only until its verdict is confirmed or refuted; `repeats` is then the
+            largest number of simulations of each.
 
     Raises:
         InvalidInput: The repeats cannot run, or a number is not an evaluated solution of the campaign.
@@ -211,8 +246,9 @@ def plan_named_repeats(
     named = np.array([places[number] for number in numbers], np.intp)
     chosen = named[np.lexsort((archive.numbers[named], archive.fitness[named]))]
     ordered = tuple(archive.numbers[chosen].tolist())
-    # With the seed of the boundary's repeats, some of these would be the same episodes.
-    seed = int(generator(campaign.body.seed, Stream.REPEATS, repeats, *sorted(ordered)).integers(2**53))
+    # With the seed of other repeats, some of these would be the same episodes.
+    index = (repeats, *sorted(ordered), *([len(ordered), 1] if until_decided else []))
+    seed = int(generator(campaign.body.seed, Stream.REPEATS, *index).integers(2**53))
     again = f"solution {ordered[0]} again" if len(ordered) == 1 else f"{len(ordered)} solutions again"
     return PlannedRepeats(
         of=campaign.id,
@@ -220,7 +256,7 @@ def plan_named_repeats(
         d_th=EVERY_D_TH,
         repeats=repeats,
         numbers=ordered,
-        campaign=_prepare(campaign, plan, archive, chosen, repeats, seed, again),
+        campaign=_prepare(campaign, plan, archive, chosen, repeats, seed, again, until_decided=until_decided),
     )
 
 
@@ -232,9 +268,13 @@ def _prepare(
     repeats: int,
     seed: int,
     again: str,
+    *,
+    until_decided: bool = False,
 ) -> PreparedCampaign:
     """Prepare the campaign that repeats solutions, given as positions in the archive."""
     params = {"solutions": archive.vectors[chosen].tolist()}
+    if until_decided:
+        params["keep"] = archive.unsafe[chosen].tolist()
     body = follow_up_body(campaign, plan, again, Repeats.id, repeats * len(chosen), params)
     return prepare_campaign(body.model_copy(update={"seed": seed}))
 
@@ -278,9 +318,13 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
             CampaignRow.status.not_in((CampaignStatus.CANCELLED, CampaignStatus.FAILED)),
         )
     )  # fmt: skip
-    known = next((row for row in candidates if tuple(row.numbers) == planned.numbers), None)
+    equal = campaigns_of(connection, [row for row in candidates if tuple(row.numbers) == planned.numbers])
+    seed = (
+        planned.campaign.body.seed
+    )  # tells repeats of all solutions from those until a verdict is confirmed
+    known = next((campaign for campaign in equal if campaign.body.seed == seed), None)
     if known is not None:
-        return campaigns_of(connection, [known])[0], False
+        return known, False
     campaign = store_campaign(connection, planned.campaign)
     connection.execute(
         insert(RepeatsRow).values(
@@ -310,11 +354,15 @@ def read_follow_ups(connection: Connection, campaign_id: str) -> list[StoredRepe
     rows = connection.execute(query).all()
     for row, campaign in zip(rows, campaigns_of(connection, rows), strict=True):
         verdicts = _verdicts(connection, campaign.id)
+        evaluated = {
+            number: verdict for number, verdict in verdicts.items() if verdict != SolutionVerdict.FAILED
+        }
         found.append(
             StoredRepeats(
                 campaign=campaign, t_b=row.t_b, d_th=row.d_th, repeats=row.repeats,
-                numbers=tuple(row.numbers), evaluated=tuple(number for number, _ in verdicts),
-                unsafe=tuple(unsafe for _, unsafe in verdicts),
+                numbers=tuple(row.numbers), evaluated=tuple(evaluated),
+                unsafe=tuple(verdict == SolutionVerdict.UNSAFE for verdict in evaluated.values()),
+                failed=tuple(number for number in verdicts if number not in evaluated),
             )
         )  # fmt: skip
     return found
@@ -338,9 +386,10 @@ def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> lis
     return campaigns_of(connection, connection.execute(query).all())
 
 
-def _verdicts(connection: Connection, campaign_id: str) -> Sequence[tuple[int, bool]]:
+def _verdicts(connection: Connection, campaign_id: str) -> dict[int, str]:
+    """Return whether each simulation of a campaign that has ended was safe or unsafe, or failed, by number."""
+    ended = (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE, SolutionVerdict.FAILED)
     query = select(SolutionRow.number, SolutionRow.verdict).where(
-        SolutionRow.campaign_id == campaign_id,
-        SolutionRow.verdict.in_((SolutionVerdict.SAFE, SolutionVerdict.UNSAFE)),
+        SolutionRow.campaign_id == campaign_id, SolutionRow.verdict.in_(ended)
     )
-    return [(row.number, row.verdict == SolutionVerdict.UNSAFE) for row in connection.execute(query)]
+    return {row.number: row.verdict for row in connection.execute(query)}

@@ -356,6 +356,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         t_b: float,
         d_th: float,
         numbers: Sequence[int] | None = None,
+        until_decided: bool = False,
     ) -> tuple[Campaign, bool]:
         """Repeat solutions of a campaign with other seeds, in a separate campaign.
 
@@ -367,6 +368,8 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             t_b: Maximum fitness of the solutions of its distinct boundary.
             d_th: Minimum distance between two of them.
             numbers: Distinct numbers of solutions to repeat instead of the boundary.
+            until_decided: Whether to simulate each of these only until its verdict is confirmed or refuted, at most
+                `repeats` times.
 
         Returns:
             The campaign of the repeats, and whether it is new.
@@ -382,7 +385,9 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
 
         def look() -> PlannedRepeats:
             if numbers is not None:
-                return plan_named_repeats(campaign, plan, archive, repeats=repeats, numbers=numbers)
+                return plan_named_repeats(
+                    campaign, plan, archive, repeats=repeats, numbers=numbers, until_decided=until_decided
+                )
             found = plan_boundary_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
             if found is None:
                 raise Conflict(

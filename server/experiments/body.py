@@ -74,7 +74,7 @@ class PairsChoice(Body):
         int,
         Field(
             ge=0, le=10_000,
-            description="Simulations of each side of each distinct pair with other seeds: none, or at least 10.",
+            description="Most simulations of each side of each distinct pair with other seeds: 0, or at least 15.",
         ),
     ] = 0  # fmt: skip
     component: Annotated[

@@ -11,9 +11,9 @@ from dataclasses import InitVar, dataclass, field
 
 from sqlalchemy import Connection
 
-from brink.search.analysis.confirmation import LEAST_DRIVES
 from brink.search.analysis.pair_comparison import DistinctPair, PairCounts, PairRepeat
 from brink.search.errors import TooManyPairs
+from brink.search.sequential import FIRST
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.pairs import PairSettings, blames_scenario, find_stored_pairs, shares_of
 from brink.server.campaigns.plan import check_repeatable, make_plan, with_truth
@@ -40,11 +40,11 @@ def check_pairs(body: ExperimentBody) -> None:
     wanted = body.pairs
     if wanted is None:
         return
-    if 0 < wanted.confirm < LEAST_DRIVES:
+    if 0 < wanted.confirm < FIRST:
         raise InvalidInput.at(
             "/pairs/confirm",
-            f"expected 0, or at least {LEAST_DRIVES} simulations of each side, got {wanted.confirm}: fewer confirm "
-            "nothing",
+            f"expected 0, or at least {FIRST}, got {wanted.confirm}: it takes {FIRST} simulations of each side to "
+            "confirm a pair",
         )
     for place in range(len(body.problems)):
         plan = make_plan(body.cells()[place * len(body.algorithms)].body)

@@ -165,8 +165,8 @@ def test_what_cannot_be_asked_is_disabled_with_the_reason(own: httpx.Client, vis
     shown(page.get_by_role("button", name="Confirm")).to_be_enabled(timeout=20_000)
     cost = page.get_by_role("group", name="Do they hold?").locator("#cost-confirm")
     before = cost.inner_text()
-    page.get_by_label("Simulations of each side").fill("20")
-    assert int(cost.inner_text().split()[0].replace(",", "")) == 2 * int(before.split()[0].replace(",", ""))
+    page.get_by_label("Most simulations of each side").fill("60")
+    assert int(cost.inner_text().split()[2].replace(",", "")) == 2 * int(before.split()[2].replace(",", ""))
     shown(page.get_by_role("button", name="Ask")).to_be_disabled()
     shown(page.get_by_text("Ball@1 has no component that ground truth can replace.")).to_be_visible()
 

@@ -285,7 +285,7 @@ def test_confirmation_and_blame_of_pairs_are_told(database_url: str) -> None:
     assert "What safe means here" in found.text
     assert "The ego keeps at least 1.5 m to the nearest vehicle ahead" in found.text
     assert "Simulated again with other seeds: 1 of 1 pair. 1 confirmed" in found.text
-    assert "Confirmed with 10 other seeds each side." in found.text
+    assert "Confirmed with 15 other seeds each side." in found.text
     assert re.search(r"the (component|scenario) is to blame", found.text)
 
 

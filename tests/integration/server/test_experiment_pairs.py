@@ -20,7 +20,7 @@ from brink.server.problems.urban_injected import SIMULATOR
 API = "/api/v1/experiments"
 FINDS = {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE]}}
 FINDS_NOTHING = {"id": "repeat@1", "params": {"solutions": [SAFE, ICY_SAFE, SAFE, ICY_SAFE]}}
-PAIRS = {"d_th": 0.01, "confirm": 10, "component": True}
+PAIRS = {"d_th": 0.01, "confirm": 30, "component": True}
 
 
 def experiment(**changes: Any) -> dict[str, Any]:
@@ -82,15 +82,19 @@ def test_pairs_are_counted_and_compared_once_they_are_tried(client: httpx.Client
     assert duel["measure"] == "distinct"
     assert "none of them was simulated again" in before["problems"][0]["says"]
 
-    follow_up(client, before, kind="confirm", repeats=10)
+    follow_up(client, before, kind="confirm", repeats=30)
     follow_up(client, before, kind="component")
     progress = expect(client.get(f"{API}/{name}/follow-ups"))
-    assert (progress["status"], progress["campaigns"], progress["budget"]) == ("running", 8, 4 * (40 + 2))
+    assert (progress["status"], progress["campaigns"], progress["budget"]) == ("running", 8, 4 * (120 + 2))
     running = pairs_of(client, name)
     assert {repeat["tried"] for repeat in running["repeats"]} == {0}, "only what has ended counts"
     work(client)
     progress = expect(client.get(f"{API}/{name}/follow-ups"))
-    assert (progress["status"], progress["finished"], progress["simulations"]) == ("finished", 8, 168)
+    assert (progress["status"], progress["finished"], progress["simulations"]) == (
+        "finished",
+        8,
+        4 * (60 + 2),
+    )
     after = results_of(client, name)["pairs"]
     assert after == pairs_of(client, name)
     [finds, other] = after["standings"]
@@ -104,8 +108,8 @@ def test_pairs_are_counted_and_compared_once_they_are_tried(client: httpx.Client
     assert duel["says"] == "finds finds more"
     assert after["problems"][0]["says"] == "Compared on confirmed distinct pairs."
     first = after["repeats"][0]
-    assert {key: first[key] for key in ("distinct", "checked", "tried", "decided", "confirmed", "drives")} == {
-        "distinct": 2, "checked": 0, "tried": 2, "decided": 2, "confirmed": 2, "drives": 10,
+    assert {key: first[key] for key in ("distinct", "checked", "tried", "judged", "confirmed", "drives")} == {
+        "distinct": 2, "checked": 0, "tried": 2, "judged": 2, "confirmed": 2, "drives": 15,
     }  # fmt: skip
     one = expect(client.get(f"/api/v1/campaigns/{first['campaign']}/pairs", params={"d_th": 0.01}))
     assert (one["distinct"], one["confirmed"], one["component"], one["scenario"]) == (2, 2, 1, 1)
@@ -147,8 +151,8 @@ def test_a_campaign_with_too_many_pairs_is_left_out_and_named(
 @pytest.mark.parametrize(
     ("problem", "pairs", "pointer"),
     [
-        ("urban-injected@1", {"confirm": 9}, "/pairs/confirm"),
-        ("mtq@1", {"confirm": 10}, "/pairs/confirm"),
+        ("urban-injected@1", {"confirm": 14}, "/pairs/confirm"),
+        ("mtq@1", {"confirm": 30}, "/pairs/confirm"),
         ("mtq@1", {"component": True}, "/pairs/component"),
     ],
 )
@@ -179,10 +183,10 @@ def test_the_command_follows_up_all_campaigns_and_the_report_begins_with_pairs(
     before = said("pairs", name)
     assert "not tried" in before
     assert "0 confirmed" not in before
-    asked = said("pairs", name, "--confirm", "10", "--component")
-    assert "8 campaigns simulate them, 168 simulations" in asked
+    asked = said("pairs", name, "--confirm", "30", "--component")
+    assert "8 campaigns simulate them, at most 488 simulations" in asked
     work(listening_client)
-    after = said("pairs", name, "--confirm", "10", "--component")
+    after = said("pairs", name, "--confirm", "30", "--component")
     assert "simulate them" not in after, "nothing is asked twice"
     assert "finds and other: 2.0 confirmed distinct pairs against 0.0, A12 1.00 (large)" in after
     assert "50% [22%, 78%], 4 of 8" in after
@@ -205,7 +209,7 @@ def test_what_cannot_be_asked_is_said_once(listening_client: httpx.Client) -> No
     )  # fmt: skip
     name = expect(listening_client.post(API, json=mtq), 201)["id"]
     work(listening_client)
-    arguments = ["experiment", "pairs", name, "--eps", "0.1", "--confirm", "10", "--server"]
+    arguments = ["experiment", "pairs", name, "--eps", "0.1", "--confirm", "30", "--server"]
     result = CliRunner(env={"COLUMNS": "300"}).invoke(app, [*arguments, str(listening_client.base_url)])
     assert result.exit_code == 1
     assert result.output.count("other seeds give the same verdicts") == 1

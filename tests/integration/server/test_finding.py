@@ -83,7 +83,7 @@ def test_a_search_for_pairs_says_how_many_it_found_and_asks_what_has_not_been_as
     assert "component" not in kinds(found), "the ball has no component"
 
     confirm = next(step for step in found["steps"] if step["kind"] == "confirm")
-    assert confirm["command"] == f"brink pairs {campaign} --confirm 10"
+    assert confirm["command"] == f"brink pairs {campaign} --confirm 30"
     again = take(client, confirm)
     waiting = next(step for step in finding(client, campaign)["steps"] if step["kind"] == "confirm")
     assert waiting["follow_up"]["campaign"] == again["campaign"]
@@ -116,11 +116,11 @@ def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: ht
     FakeWorker(client, judge=refuting).work(again)
     found = finding(client, campaign)
     assert [one["place"] for one in found["best"]] == [2, 3]
-    assert found["best"][0]["evidence"] == "confirmed: unsafe in 0/10 and 10/10 drives with other seeds"
-    assert "unsafe drive in 10 of 10." in found["best"][0]["shares"]
+    assert found["best"][0]["evidence"] == "confirmed: unsafe in 0/15 and 15/15 drives with other seeds"
+    assert "unsafe drive in 15 of 15." in found["best"][0]["shares"]
     assert (found["best"][1]["state"], found["best"][1]["shares"]) == ("not tried", "")
     assert found["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], "places stay"
-    assert "at least 10 times each" in found["rule"]
+    assert "with an error rate of 5%" in found["rule"]
 
 
 def test_without_a_pair_the_next_step_is_a_larger_budget(client: httpx.Client) -> None:

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from brink.cli.commands import app
 from brink.cli.pair_tables import print_pairs
 from brink.report.pair_words import evidence_words, legend
-from brink.search.fitness import wilson_interval
+from brink.search.sequential import exact_interval
 from brink.server.api.pair_views import PairsView
 from brink.server.campaigns.body import parse_body
 from brink.server.db.engine import Engines
@@ -77,7 +77,7 @@ def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
 def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: httpx.Client) -> None:
     campaign = finished(client)
     asked = ask(client, campaign, kind="confirm", d_th=0.01)
-    assert (asked["kind"], asked["budget"]) == ("confirm", 40)
+    assert (asked["kind"], asked["budget"]) == ("confirm", 4 * 30)
     assert ask(client, campaign, 200, kind="confirm", d_th=0.01)["campaign"] == asked["campaign"]
     waiting = pairs_of(client, campaign)
     assert {pair["confirmation"]["state"] for pair in waiting["pairs"]} == {"pending"}
@@ -89,12 +89,11 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     rain, clear = by_weather["hard_rain"], by_weather["clear"]
     assert clear["confirmation"]["state"] == "confirmed"
     safe, unsafe = (clear["confirmation"][side] for side in ("safe", "unsafe"))
-    assert (safe["evaluated"], safe["unsafe"], unsafe["unsafe"]) == (10, 0, 10)
-    low, high = wilson_interval(10, 10, 1.96)
-    assert (unsafe["low"], unsafe["high"]) == pytest.approx((float(low), float(high)))
-    assert rain["confirmation"]["state"] == "not confirmed"
-    assert (view["tried"], view["confirmed"], view["not_confirmed"]) == (2, 1, 1)
-    assert "of 2 simulated again with other seeds, 1 confirmed and 1 not confirmed" in view["note"]
+    assert (safe["evaluated"], safe["unsafe"], unsafe["unsafe"]) == (15, 0, 15), "no more than it takes"
+    assert (unsafe["low"], unsafe["high"]) == pytest.approx(exact_interval(15, 15))
+    assert rain["confirmation"]["state"] == "refuted"
+    assert (view["tried"], view["confirmed"], view["refuted"], view["undecided"]) == (2, 1, 1, 0)
+    assert "of 2 simulated again with other seeds, 1 confirmed and 1 refuted" in view["note"]
     assert view["chance"] == [
         "After the search, 4 sides of pairs were simulated again with other seeds; 2 had the other verdict at least "
         "once"
@@ -105,7 +104,7 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     assert len(set(after)) == len(after), "each with a seed of its own"
     assert not set(before) & set(after)
 
-    more = ask(client, campaign, kind="confirm", repeats=15, d_th=0.01)
+    more = ask(client, campaign, kind="confirm", repeats=10, d_th=0.01)
     worked(client, more["campaign"])
     last = pairs_of(client, campaign)
     clear = next(pair for pair in last["pairs"] if pair["confirmation"]["state"] == "confirmed")
@@ -120,7 +119,7 @@ def test_a_boundary_of_which_no_pair_holds_is_called_chance(client: httpx.Client
     again, none = pairs_of(client, campaign)["chance"]
     assert again.endswith("2 had the other verdict at least once")
     assert none.startswith("No pair held with other seeds")
-    assert "of 1 simulated again with other seeds, none confirmed" in pairs_of(client, campaign)["note"]
+    assert "of 1 simulated again with other seeds, refuted" in pairs_of(client, campaign)["note"]
 
 
 def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Client) -> None:
@@ -132,7 +131,7 @@ def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Clien
     worked(client, asked["campaign"], by_chance)
     after = pairs_of(client, campaign)["pairs"]
     assert [(pair["place"], pair["confirmation"]["state"]) for pair in after] == [
-        (2, "not tried"), (1, "not confirmed"),
+        (2, "not tried"), (1, "refuted"),
     ]  # fmt: skip
     best = expect(client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01, "limit": 1}))["pairs"]
     assert [pair["place"] for pair in best] == [2]
@@ -141,13 +140,12 @@ def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Clien
     table = client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01, "format": "csv"}).text
     assert [row["pair"] for row in csv.DictReader(io.StringIO(table))] == ["2", "1"]
     words = legend(PairsView.model_validate(pairs_of(client, campaign)))
-    assert [term.partition(":")[0] for term in words if term.startswith(("conf", "not conf"))] == [
-        "confirmed 0/10 9/10", "not confirmed", "confirmed pairs come first, those not confirmed last; a pair keeps "
-        "its number",
+    assert [term.partition(":")[0] for term in words if term.startswith(("conf", "ref", "undec"))] == [
+        "confirmed 0/15 26/27", "refuted", "confirmed pairs come first, refuted ones last; a pair keeps its number",
     ]  # fmt: skip
 
 
-def test_a_pair_is_pending_until_ten_drives_of_each_side_are_in(client: httpx.Client) -> None:
+def test_a_pair_is_pending_while_it_is_undecided_and_drives_are_coming(client: httpx.Client) -> None:
     campaign = finished(client)
     few = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [0, 1, 2, 3], "repeats": 5}), 201)
     worked(client, few["campaign"])
@@ -156,26 +154,63 @@ def test_a_pair_is_pending_until_ten_drives_of_each_side_are_in(client: httpx.Cl
         found = [pair["confirmation"] for pair in pairs_of(client, campaign)["pairs"]]
         return {(one["state"], one["safe"]["evaluated"]) for one in found}
 
-    assert states() == {("too few drives", 5)}
-    one_side = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [0, 2], "repeats": 10}), 201)
-    assert states() == {("too few drives", 5)}, "nothing more is coming for the other side"
+    assert states() == {("undecided", 5)}
     asked = ask(client, campaign, kind="confirm", d_th=0.01)["campaign"]
     assert states() == {("pending", 5)}
     expect(client.post(f"{API}/{asked}/cancel"))
-    assert states() == {("too few drives", 5)}
-    worked(client, one_side["campaign"])
-    worked(client, ask(client, campaign, kind="confirm", d_th=0.01)["campaign"])
-    assert states() == {("confirmed", 25)}
+    assert states() == {("undecided", 5)}
+    again = worked(client, ask(client, campaign, kind="confirm", d_th=0.01)["campaign"])
+    assert states() == {("confirmed", 20)}
+    wanted = {"numbers": [0, 1, 2, 3], "repeats": 30}
+    more = expect(client.post(f"{API}/{campaign}/repeats", json=wanted), 201)["campaign"]
+    assert more != again, "this one does not end earlier"
+    worked(client, more)
+    assert states() == {("confirmed", 50)}
+    seeds = [one["seed"] for name in (again, more) for one in solutions(client, name)]
+    assert len(set(seeds)) == len(seeds) == 4 * (15 + 30), "no episode counts twice"
 
 
-def test_intervals_of_pairs_are_those_of_95_percent(client: httpx.Client) -> None:
+@on_sqlite
+def test_few_drives_refute_a_pair_but_confirm_none(client: httpx.Client) -> None:
+    campaign = finished(client)
+    worked(client, ask(client, campaign, kind="confirm", repeats=10, d_th=0.01)["campaign"], by_chance)
+    view = pairs_of(client, campaign)
+    assert sorted(pair["confirmation"]["state"] for pair in view["pairs"]) == ["refuted", "undecided"]
+    assert "0 confirmed, 1 refuted and 1 undecided" in view["note"]
+    words = legend(PairsView.model_validate(view))
+    assert any(term.startswith("undecided: neither") for term in words)
+
+
+@on_sqlite
+def test_drives_that_failed_do_not_confirm_a_pair(client: httpx.Client) -> None:
+    """They may have failed because of what happened in them."""
+    campaign = finished(client)
+
+    def fails(job: LeasedJob) -> Completed | JobFailed:
+        if job.spec["seed"] % 4 == 0:
+            return JobFailed(reason="invalid", message="no")
+        return judged(job)
+
+    asked = ask(client, campaign, kind="confirm", repeats=18, d_th=0.01)["campaign"]
+    worker = FakeWorker(client, capabilities=(SIMULATOR,), judge=fails)
+    while worker.work(asked)["status"] == "paused":
+        expect(client.post(f"{API}/{asked}/resume"))
+    for pair in pairs_of(client, campaign)["pairs"]:
+        again = pair["confirmation"]
+        assert again["safe"]["failed"] > 0, "else this shows nothing"
+        assert again["safe"]["evaluated"] + again["safe"]["failed"] == 18, (
+            "simulated as often as was asked for"
+        )
+        assert again["state"] == "undecided"
+
+
+def test_intervals_of_pairs_are_exact_whatever_the_campaign_says(client: httpx.Client) -> None:
     given = body(SAFE, UNSAFE, seed_numbers=[0, 0], z=1.0)
     campaign = worked(client, submit(client, given))
     worked(client, ask(client, campaign, kind="confirm")["campaign"])
     [pair] = pairs_of(client, campaign)["pairs"]
-    low, high = wilson_interval(10, 10, 1.96)
     unsafe = pair["confirmation"]["unsafe"]
-    assert (unsafe["low"], unsafe["high"]) == pytest.approx((float(low), float(high)))
+    assert (unsafe["low"], unsafe["high"]) == pytest.approx(exact_interval(15, 15))
 
 
 @on_sqlite
@@ -309,7 +344,7 @@ def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client)
     assert offers(campaign) == {"confirm": (4, ""), "component": (2, ""), "minimise": (6, "")}
     for kind, (simulations, _) in offers(campaign).items():
         asked = ask(client, campaign, kind=kind, d_th=0.01)
-        assert asked["budget"] == simulations * (10 if kind == "confirm" else 1)
+        assert asked["budget"] == simulations * (30 if kind == "confirm" else 1)
         same = f"this has been requested: campaign {asked['campaign']} is running"
         assert offers(campaign)[kind] == (0, same)
         worked(client, asked["campaign"])
@@ -372,7 +407,7 @@ def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> N
     ("wanted", "message"),
     [
         ({"kind": "improve"}, "'confirm', 'component' or 'minimise'"),
-        ({"kind": "confirm", "repeats": 9}, "greater than or equal to 10"),
+        ({"kind": "confirm", "repeats": 1}, "greater than or equal to 2"),
         ({"kind": "component", "repeats": 10}, "expected repeats only to confirm pairs"),
         ({"kind": "minimise", "eps": 2}, "less than or equal to 1"),
     ],
@@ -411,7 +446,7 @@ def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines
 @on_sqlite
 def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Client) -> None:
     campaign = finished(listening_client)
-    options = ["--d-th", "0.01", "--confirm", "10", "--component", "--minimise"]
+    options = ["--d-th", "0.01", "--confirm", "30", "--component", "--minimise"]
 
     def shown(*more: str) -> str:
         arguments = ["pairs", campaign, *options, *more, "--server", str(listening_client.base_url)]
@@ -432,8 +467,8 @@ def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Clien
     confirms = [one for one in pairs_of(listening_client, campaign)["follow_ups"] if one["kind"] == "confirm"]
     assert confirms[-1]["budget"] == 22, "both sides of the first pair"
     assert {evidence_words(view, pair) for pair in view.pairs} == {
-        "found once, confirmed 0/10 10/10, component's hazard (one seed), 1 of 3 differences is enough",
-        "found once, confirmed 0/10 10/10, scenario's hazard (one seed), minimal",
+        "found once, confirmed 0/15 15/15, component's hazard (one seed), 1 of 3 differences is enough",
+        "found once, confirmed 0/15 15/15, scenario's hazard (one seed), minimal",
     }
 
 

@@ -216,13 +216,17 @@ def test_the_findings_say_what_is_to_blame(
     [
         (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds each side."),
         (
-            Confirmation.NOT_CONFIRMED, 7, 10,
-            "Not confirmed, so chance may decide: with other seeds, the safe side was unsafe in 7 of 10.",
+            Confirmation.REFUTED, 7, 10,
+            "Refuted, so chance decides: with other seeds, the safe side was unsafe in 7 of 10.",
         ),
         (
-            Confirmation.NOT_CONFIRMED, 3, 7,
-            "Not confirmed, so chance may decide: with other seeds, the safe side was unsafe in 3 of 10 and the "
-            "unsafe side in only 7 of 10.",
+            Confirmation.REFUTED, 6, 3,
+            "Refuted, so chance decides: with other seeds, the safe side was unsafe in 6 of 10 and the unsafe side "
+            "in only 3 of 10.",
+        ),
+        (
+            Confirmation.UNDECIDED, 1, 9,
+            "Undecided with 10 other seeds each side: chance may decide.",
         ),
     ],
 )  # fmt: skip

@@ -116,9 +116,9 @@ def test_the_table_says_what_both_sides_share_and_explains_its_terms(searched: S
     assert legend(view)[0] == "reported: true or not"
     assert "by the requirement of the campaign alone" in legend(view)[1]
     assert legend(found.model_copy(update={"pairs": []})) == [], "nothing to explain"
-    assert not [words for words in legend(view) if words.startswith("confirmed 0/10")]
+    assert not [words for words in legend(view) if words.startswith("confirmed 0/15")]
     pending = legend(view.model_copy(update={"pending": 1}))
-    assert [words for words in pending if words.startswith("confirmed 0/10")], (
+    assert [words for words in pending if words.startswith("confirmed 0/15")], (
         "the counts stand there already"
     )
 

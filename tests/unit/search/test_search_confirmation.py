@@ -2,48 +2,58 @@
 
 import pytest
 
-from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
-from brink.search.fitness import wilson_interval
+from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of, is_judged
+from brink.search.sequential import exact_interval
 
 
 @pytest.mark.parametrize(
     ("safe", "unsafe", "expected"),
     [
         ((0, 0), (0, 0), Confirmation.NOT_TRIED),
-        ((0, 4), (10, 10), Confirmation.TOO_FEW),
-        ((0, 10), (0, 0), Confirmation.TOO_FEW),
-        ((2, 10), (8, 10), Confirmation.CONFIRMED),
-        ((3, 10), (10, 10), Confirmation.NOT_CONFIRMED),
-        ((0, 10), (7, 10), Confirmation.NOT_CONFIRMED),
-        # Missing drives may have had either verdict.
-        ((0, 9), (9, 9), Confirmation.CONFIRMED),
-        ((0, 8), (8, 8), Confirmation.CONFIRMED),
-        ((0, 7), (10, 10), Confirmation.TOO_FEW),
-        ((2, 9), (10, 10), Confirmation.TOO_FEW),
-        ((3, 9), (10, 10), Confirmation.NOT_CONFIRMED),
-        ((0, 10), (6, 9), Confirmation.NOT_CONFIRMED),
-        ((0, 10), (7, 9), Confirmation.TOO_FEW),
+        ((0, 15), (15, 15), Confirmation.CONFIRMED),
+        ((0, 10), (10, 10), Confirmation.UNDECIDED),
+        ((0, 14), (15, 15), Confirmation.UNDECIDED),
+        ((0, 15), (0, 0), Confirmation.UNDECIDED),
+        ((1, 27), (26, 27), Confirmation.CONFIRMED),
+        ((1, 26), (27, 27), Confirmation.UNDECIDED),
+        ((2, 10), (8, 10), Confirmation.UNDECIDED),
+        ((4, 4), (15, 15), Confirmation.REFUTED),
+        ((0, 15), (0, 4), Confirmation.REFUTED),
+        ((0, 0), (4, 10), Confirmation.REFUTED),
+        ((3, 10), (10, 10), Confirmation.UNDECIDED),
     ],
 )
-def test_a_pair_is_confirmed_by_clear_shares_of_both_sides(
+def test_a_pair_is_confirmed_if_both_sides_are_and_refuted_if_one_is(
     safe: tuple[int, int], unsafe: tuple[int, int], expected: Confirmation
 ) -> None:
     assert confirmation_of(Share.of(*safe), Share.of(*unsafe)) is expected
 
 
-def test_a_pair_is_pending_until_enough_drives_are_in() -> None:
+def test_a_pair_is_pending_while_it_is_undecided() -> None:
     def state(safe: tuple[int, int], unsafe: tuple[int, int]) -> Confirmation:
         return confirmation_of(Share.of(*safe), Share.of(*unsafe), pending=True)
 
     assert state((0, 0), (0, 0)) is Confirmation.PENDING
-    assert state((0, 9), (10, 10)) is Confirmation.PENDING
-    assert state((0, 10), (10, 10)) is Confirmation.CONFIRMED
-    assert state((9, 10), (10, 10)) is Confirmation.NOT_CONFIRMED
+    assert state((0, 14), (15, 15)) is Confirmation.PENDING
+    assert state((0, 15), (15, 15)) is Confirmation.CONFIRMED
+    assert state((9, 10), (10, 10)) is Confirmation.REFUTED
 
 
-def test_a_share_has_a_wilson_interval() -> None:
+def test_drives_that_failed_speak_against_every_claim() -> None:
+    assert confirmation_of(Share.of(0, 15, 1), Share.of(15, 15)) is Confirmation.UNDECIDED
+    assert confirmation_of(Share.of(4, 4, 2), Share.of(15, 15)) is Confirmation.UNDECIDED
+    assert confirmation_of(Share.of(0, 0, 3), Share.of(0, 0)) is Confirmation.UNDECIDED
+
+
+def test_a_pair_is_judged_with_enough_drives_of_each_side_to_confirm_it() -> None:
+    assert not is_judged(Share.of(0, 15), Share.of(10, 10))
+    assert is_judged(Share.of(2, 15), Share.of(15, 15)), "undecided all the same"
+    assert is_judged(Share.of(0, 1), Share.of(0, 5)), "refuted"
+
+
+def test_a_share_has_an_exact_interval() -> None:
     share = Share.of(8, 10)
     assert share.probability == 0.8
-    assert (share.low, share.high) == tuple(float(limit) for limit in wilson_interval(8, 10))
+    assert (share.low, share.high) == exact_interval(8, 10)
     nothing = Share.of(0, 0)
     assert (nothing.probability, nothing.low, nothing.high) == (None, 0.0, 1.0)

@@ -21,9 +21,9 @@ from brink.search.analysis.pair_comparison import (
 from brink.search.analysis.statistics import holm, mean_interval
 
 SHARES = {
-    1: Share.of(0, 10), 2: Share.of(10, 10),  # holds
-    3: Share.of(2, 10), 4: Share.of(8, 10),  # only just holds
-    5: Share.of(3, 10), 6: Share.of(10, 10),  # the safe side does not hold
+    1: Share.of(0, 15), 2: Share.of(15, 15),  # confirmed
+    3: Share.of(2, 20), 4: Share.of(20, 20),  # undecided
+    5: Share.of(7, 10), 6: Share.of(10, 10),  # refuted
     7: Share.of(0, 4), 8: Share.of(4, 4),  # too few drives
 }  # fmt: skip
 PAIRS = [
@@ -34,9 +34,9 @@ PAIRS = [
 def counts(distinct: int, *, tried: int = 0, confirmed: int = 0, checked: int = 0) -> PairCounts:
     """Return counts of pairs, of which the first `checked` are checked, and the first `confirmed` confirmed."""
     return PairCounts(
-        distinct=distinct, checked=checked, tried=tried, decided=tried, confirmed=confirmed,
-        checked_decided=min(checked, tried), checked_confirmed=min(checked, confirmed), component=0, scenario=0,
-        drives=10 if tried else 0,
+        distinct=distinct, checked=checked, tried=tried, judged=tried, confirmed=confirmed, refuted=0,
+        checked_judged=min(checked, tried), checked_confirmed=min(checked, confirmed), component=0, scenario=0,
+        drives=15 if tried else 0,
     )  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def repeats(methods: Mapping[str, list[PairCounts]], *, computed: bool = False) 
 def test_pairs_are_counted_by_what_is_known_of_them() -> None:
     found = PairCounts.of(PAIRS, SHARES, {2: False, 4: True, 6: False, 99: True})
     assert found == PairCounts(
-        distinct=5, checked=4, tried=4, decided=3, confirmed=2, checked_decided=2, checked_confirmed=1,
+        distinct=5, checked=4, tried=4, judged=3, confirmed=1, refuted=1, checked_judged=2, checked_confirmed=1,
         component=2, scenario=1, drives=4,
     )  # fmt: skip
     assert not found.is_tried, "the last pair was not"

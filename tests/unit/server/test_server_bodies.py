@@ -126,8 +126,8 @@ def test_experiments_without_pairs_are_stored_as_they_always_were() -> None:
 @pytest.mark.parametrize(
     ("problem", "pairs", "pointer", "message"),
     [
-        ("urban-injected@1", {"confirm": 4}, "/pairs/confirm", "expected 0, or at least 10"),
-        ("mtq@1", {"confirm": 10}, "/pairs/confirm", "computed, not simulated"),
+        ("urban-injected@1", {"confirm": 4}, "/pairs/confirm", "expected 0, or at least 15"),
+        ("mtq@1", {"confirm": 30}, "/pairs/confirm", "computed, not simulated"),
         ("mtq@1", {"component": True}, "/pairs/component", "no component that ground truth can replace"),
     ],
 )

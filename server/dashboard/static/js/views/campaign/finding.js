@@ -9,7 +9,7 @@ import { badge, callout, command, facts, meter, requirementBadge, workerCommand 
 import { follower } from "../pair/follow_ups.js";
 
 const FOLLOW_MS = 3_000;
-const EVIDENCE = { confirmed: "confirmed", "not confirmed": "not-confirmed" };
+const EVIDENCE = { confirmed: "confirmed", refuted: "refuted", undecided: "undecided" };
 
 /**
  * Return the cards in one element.

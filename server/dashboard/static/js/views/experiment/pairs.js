@@ -24,7 +24,7 @@ export function pairsSection(path, context) {
     keyed(leftOut, read.left_out, (one) => one.campaign, leftOutItem);
     keyed(problems, read.problems.map((one) => problemOf(one, read)), (one) => one.problem, problemPart);
     text(about, `The sides of a pair are at most ${figure(read.eps)} apart, or differ in one step of one parameter; pairs are at least ${figure(read.d_th)} apart. `
-      + `Confirmed: with at least ${count(read.rule.least_drives)} other seeds a side, the safe side was unsafe in at most ${percent(read.rule.safe_at_most)}, and the unsafe side in at least ${percent(read.rule.unsafe_at_least)}. `
+      + `Confirmed: with other seeds, the safe side is unsafe with a probability of at most ${percent(read.rule.safe_at_most)}, and the unsafe side with one of at least ${percent(read.rule.unsafe_at_least)}, with an error rate of ${percent(read.rule.error)}. `
       + "Precision: the share of the checked pairs that were confirmed. Component: the share of the unsafe sides that are safe with ground truth in place of the component.");
     repeats.update(read.repeats);
   });
@@ -94,7 +94,7 @@ function repeatsTable() {
     const cells = [0, 0, 1, 1, 1, 1].map((right) => h(right ? "td.right" : "td"));
     const row = h("tr", null, h("th", { scope: "row" }, h("a", { href: link("campaigns", first.campaign, "pairs") }, first.campaign)), cells);
     row.update = (one) => {
-      const values = [one.method, one.problem, one.seed, count(one.distinct), count(one.checked), one.confirmed === null ? "–" : `${count(one.confirmed)} of ${plural(one.decided, "pair")}`];
+      const values = [one.method, one.problem, one.seed, count(one.distinct), count(one.checked), one.confirmed === null ? "–" : `${count(one.confirmed)} of ${plural(one.judged, "pair")}`];
       cells.forEach((cell, index) => text(cell, values[index]));
     };
     row.update(first);

@@ -7,11 +7,11 @@ import { link } from "../../router.js";
 import { badge, meter } from "../../parts/elements.js";
 import { said } from "./words.js";
 
-const USUAL_REPEATS = 10;
+const USUAL_REPEATS = 30;
 const MOST_REPEATS = 10_000;
 
 const QUESTIONS = {
-  confirm: { title: "Do they hold?", go: "Confirm", what: "Simulates both sides of each pair with other seeds. It shows how often each is unsafe." },
+  confirm: { title: "Do they hold?", go: "Confirm", what: "Simulates both sides of each pair with other seeds, until it is confirmed or refuted that each keeps its verdict." },
   component: { title: "Is the component to blame?", go: "Ask", what: "Simulates each unsafe side once more, in the same episode, with ground truth in place of the component." },
   minimise: { title: "Which differences matter?", go: "Minimise", what: "Reverts the differences of each pair one by one, in the unsafe side's episode, as long as it stays unsafe." },
 };
@@ -25,7 +25,7 @@ const QUESTIONS = {
  * @param {() => void} news Called when something has been requested.
  */
 export function followUps(context, id, asked, news) {
-  const repeats = h("input", { id: "confirmations", type: "number", min: 1, max: MOST_REPEATS, step: 1, value: USUAL_REPEATS, required: true, oninput: () => last && update(last) });
+  const repeats = h("input", { id: "confirmations", type: "number", min: 2, max: MOST_REPEATS, step: 1, value: USUAL_REPEATS, required: true, oninput: () => last && update(last) });
   const rows = Object.keys(QUESTIONS).map((kind) => question(kind));
   const card = h("section.card", { "aria-label": "Ask more about these pairs", hidden: true }, h("h2", null, "Ask more about these pairs"),
     h("p.hint", null, "Each question is simulated as a campaign of its own; the pairs above follow it."), rows.map(({ node }) => node));
@@ -36,7 +36,7 @@ export function followUps(context, id, asked, news) {
     const cost = h("span.small.muted", { id: `cost-${kind}` });
     const button = h("button", { type: "submit", "aria-describedby": `cost-${kind}` }, go);
     const form = context.may.steer && h("form.inline", { onsubmit: (event) => { event.preventDefault(); ask(kind, button); } },
-      kind === "confirm" && [h("label", { for: "confirmations" }, "Simulations of each side"), repeats], button, cost);
+      kind === "confirm" && [h("label", { for: "confirmations" }, "Most simulations of each side"), repeats], button, cost);
     const told = h("div");
     const node = h("div.question", { role: "group", "aria-label": title }, h("h3", null, title), h("p", null, what), form || null, told);
     return { kind, node, button, cost, told };
@@ -53,7 +53,6 @@ export function followUps(context, id, asked, news) {
 
   function update(read) {
     last = read;
-    repeats.min = read.rule.least_drives;
     card.hidden = read.evaluated === 0 || (read.complete && read.pairs.length === 0);
     for (const { kind, button, cost, told } of rows) {
       const offer = read.offers.find((one) => one.kind === kind);
@@ -69,8 +68,8 @@ export function followUps(context, id, asked, news) {
 
 function costWords({ kind, simulations, left_out }, repeats) {
   const others = left_out ? ` Leaves out ${plural(left_out, "pair")} with different seeds on the two sides.` : "";
-  if (kind === "minimise") return `At most ${plural(simulations, "simulation")}.${others}`;
-  return `${plural(kind === "confirm" ? simulations * repeats : simulations, "simulation")}.`;
+  if (kind === "component") return `${plural(simulations, "simulation")}.`;
+  return `At most ${plural(kind === "confirm" ? simulations * repeats : simulations, "simulation")}.${others}`;
 }
 
 /** Return one line about a follow-up: its status and, while it is open, how far it is. */
@@ -79,7 +78,7 @@ export function follower(one) {
   const bar = isOpen(one.status) ? meter("Simulations done") : null;
   const node = h("div.follow-up", null, h("div.inline", null, badge(one.status), words, h("a.small", { href: link("campaigns", one.campaign) }, "Campaign")), bar);
   node.update = (next) => {
-    const done = next.kind === "minimise" && !isOpen(next.status) ? plural(next.simulations, "simulation") : `${count(next.simulations)} of ${plural(next.budget, "simulation")}`;
+    const done = next.status === "finished" ? plural(next.simulations, "simulation") : `${count(next.simulations)} of ${plural(next.budget, "simulation")}`;
     text(words, next.status_reason ? `${done}: ${next.status_reason}` : done);
     bar?.update(next.budget ? next.simulations / next.budget : 0);
   };

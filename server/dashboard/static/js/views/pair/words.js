@@ -5,7 +5,7 @@ import { capital, count, figure, percent, plural, sentence } from "../../format.
 import { link } from "../../router.js";
 import { badge } from "../../parts/elements.js";
 
-const STATES = { confirmed: "confirmed", "not confirmed": "not-confirmed" };
+const STATES = { confirmed: "confirmed", refuted: "refuted", undecided: "undecided" };
 
 /** Return a badge of how well a pair is established. */
 export function evidence(pair, computed) {
@@ -19,11 +19,13 @@ export function evidence(pair, computed) {
 export function evidenceWords(pair, { computed, rule }) {
   if (computed) return "Verdicts of this problem are computed, so both sides always keep theirs.";
   const { state } = pair.confirmation;
-  if (state === "confirmed") return `Confirmed: with other seeds, the safe side was unsafe in at most ${percent(rule.safe_at_most)} of the simulations and the unsafe side in at least ${percent(rule.unsafe_at_least)}.`;
-  if (state === "not confirmed") return `Not confirmed: with other seeds, the safe side was unsafe in more than ${percent(rule.safe_at_most)} of the simulations, or the unsafe side in less than ${percent(rule.unsafe_at_least)}.`;
+  const wrong = `The error rate of this claim is ${percent(rule.error)}.`;
+  if (state === "confirmed") return `Confirmed: with other seeds, the safe side is unsafe with a probability of at most ${percent(rule.safe_at_most)}, and the unsafe side with one of at least ${percent(rule.unsafe_at_least)}. ${wrong}`;
+  if (state === "refuted") return `Refuted: with other seeds, the safe side is unsafe with a probability of more than ${percent(rule.safe_at_most)}, or the unsafe side with one of less than ${percent(rule.unsafe_at_least)}. ${wrong}`;
+  if (state === "undecided") return `Undecided: the simulations with other seeds neither confirm nor refute it. It takes ${count(rule.least_drives)} of each side to confirm a pair, and ${count(rule.further_drives)} more for each with the other verdict.`;
   const search = pair.checked ? "Checked: both sides kept their verdicts with another seed in the search." : "Found once: each side was simulated once.";
   if (state === "pending") return `${search} Both sides are being simulated again with other seeds.`;
-  return state === "too few drives" ? `${search} There are too few simulations with other seeds to confirm it.` : `${search} Not simulated again with other seeds.`;
+  return `${search} Not simulated again with other seeds.`;
 }
 
 const COMPONENT = {
