@@ -176,7 +176,9 @@ class EdgeState(LedgerState):
         brackets: All brackets, in the order in which they were opened.
         jobs: The purpose of each candidate in flight or queued, in the order of asking.
         seeds: Number of the candidate whose episode seed a solution shares, for those that have none of their own.
-        tries: How often a partner of a solution was simulated, by its number.
+        tries: How often a partner of a solution was looked for, by its number. Not each was simulated: where numbers
+            are few, the best draw may be known already.
+        partnered: Number of partners that were simulated, also those that failed.
         resolved: Positions of the brackets that were kept or found chancy, in the order in which that was known.
         surrogate: Estimates how likely a solution is unsafe; None until it is needed.
         chance: Estimates how likely a pair is a chancy place; None until enough is known.
@@ -190,6 +192,7 @@ class EdgeState(LedgerState):
     jobs: tuple[Job, ...] = ()
     seeds: Mapping[int, int]
     tries: Mapping[int, int]
+    partnered: int = 0
     resolved: tuple[int, ...] = ()
     surrogate: Surrogate | None = None
     chance: Surrogate | None = None
@@ -206,6 +209,7 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
         "Pairs across the boundary: one safe, one unsafe solution, and the smallest change between them."
     )
     config_type = EdgeConfig
+    layout = 2
 
     def _min_budget(self, space: SearchSpace, config: EdgeConfig) -> int:
         if not is_available():
@@ -241,7 +245,7 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
             "tries": np.reshape(sorted(state.tries.items()), (-1, 2)).astype(np.float64),
             "resolved": np.reshape(state.resolved, (-1, 1)).astype(np.float64),
         }
-        return {}, arrays
+        return {"partnered": state.partnered}, arrays
 
     def _restored(self, ledger: Ledger, config: EdgeConfig, document: Document) -> EdgeState:
         def table(name: str, width: int) -> list[tuple[int, ...]]:
@@ -263,6 +267,11 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
             )
         seeds, tries = ({a: b for a, b in table(name, 2)} for name in ("seeds", "tries"))  # noqa: C416
         resolved = tuple(place for (place,) in table("resolved", 1))
+        partnered = document.header.get("partnered")
+        if not isinstance(partnered, int) or not 0 <= partnered <= ledger.spent:
+            raise DocumentError(
+                f"partnered: expected a number from 0 to {ledger.spent}, got {partnered!r:.80}"
+            )
         known = set(ledger.archive.numbers.tolist())
         unsafe = set(ledger.archive.numbers[ledger.archive.unsafe].tolist())
         numbered = set(range(ledger.spent + ledger.in_flight + len(ledger.queue)))
@@ -281,7 +290,7 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
                 _check_references("jobs", {side}, {0, 1})
         return EdgeState(
             config=config, ledger=ledger, brackets=brackets, jobs=jobs, seeds=seeds, tries=tries,
-            resolved=resolved, prior=_Prior.of(ledger.known, Steps(ledger.space), config.eps),
+            partnered=partnered, resolved=resolved, prior=_Prior.of(ledger.known, Steps(ledger.space), config.eps),
         )  # fmt: skip
 
 
@@ -436,7 +445,10 @@ def _learnt(
                 if brackets[of].status in (Status.KEPT, Status.CHANCY):
                     resolved.append(of)
     _drop_near(brackets, known, steps, state)
-    return replace(state, brackets=tuple(brackets), seeds=seeds, resolved=tuple(resolved))
+    partnered = state.partnered + sum(purpose is Purpose.PARTNER for purpose, _, _ in jobs)
+    return replace(
+        state, brackets=tuple(brackets), seeds=seeds, partnered=partnered, resolved=tuple(resolved)
+    )
 
 
 def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, state: EdgeState) -> None:
@@ -562,10 +574,8 @@ def _checks_left(bracket: Bracket, config: EdgeConfig) -> int:
 
 
 def _hits(state: EdgeState) -> float:
-    """Return the expected share of partners that open a bracket, estimated from those already evaluated."""
-    waiting = sum(purpose is Purpose.PARTNER for purpose, _, _ in state.jobs)
-    told = sum(state.tries.values()) - waiting
-    return (_EXPECTED_HITS * _FEW + len(state.brackets)) / (_FEW + max(told, 0))
+    """Return the expected share of partners that open a bracket, estimated from those already simulated."""
+    return (_EXPECTED_HITS * _FEW + len(state.brackets)) / (_FEW + state.partnered)
 
 
 def _reachable(ledger: Ledger) -> int:

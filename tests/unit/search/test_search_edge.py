@@ -267,3 +267,17 @@ def test_settings_are_those_of_the_documented_defaults() -> None:
     assert {name: given[name] for name in ("eps", "d_th", "explore", "margin", "checks", "vary")} == {
         "eps": 0.02, "d_th": 0.2, "explore": 0.4, "margin": 0.2, "checks": 1, "vary": "all",
     }  # fmt: skip
+
+
+def test_a_partner_that_is_known_already_is_no_miss() -> None:
+    """In a small space, many draws are; counted as misses, they made the reserve for open brackets too small."""
+    space = SearchSpace((Component("all", tuple(Categorical(f"c{i}", ("a", "b", "c")) for i in range(5))),))
+
+    def answer(candidate: Candidate) -> Scored:
+        unsafe = int(space.join(candidate.vectors).sum()) > 4
+        return Scored(unsafe=unsafe, robustness=-1.0 if unsafe else 1.0)
+
+    state, asked = search(space, answer, budget=150, d_th=0.0, eps=0.001, explore=0.2)
+    partners = sum(purpose is Purpose.PARTNER for _, (purpose, _, _) in asked)
+    assert sum(state.tries.values()) > partners > 0, "else this shows nothing"
+    assert edge._hits(state) == pytest.approx((0.8 * 20 + len(state.brackets)) / (20 + partners))
