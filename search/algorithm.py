@@ -356,6 +356,8 @@ class Origin(StrEnum):
     LLM_REPAIR = "llm_repair"
     IMMIGRANT = "immigrant"
     """A random solution in place of children that were known already."""
+    AGAIN = "again"
+    """A known solution, simulated once more under another seed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,15 +9,23 @@ Parents are elites of the best rank, and now and then of the next one: near miss
 elite's chance falls with the number of solutions that were in its niche. Otherwise one easily repeated mechanism,
 which varies over many niches, would get most of the budget.
 
+One drive may be luck, and a niche that keeps the best of many drives keeps lucky ones. So every unsafe elite of the
+best rank, which is what is reported, is simulated once more under another seed. Its value is then the mean of both
+drives. If it is not in its niche again, at that rank, the next solution there replaces it, whatever the values.
+Elites get their second drive first. Children get the rest of a generation, and no more of the budget than leaves a
+second drive for the elites that they are expected to give.
+
 Several generations may be in flight. A problem that names no niches is searched at random.
 
-Source: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015.
+Sources: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015. Elites are simulated again as in
+Justesen, Risi and Mouret, "MAP-Elites for noisy domains by adaptive sampling", 2019, in its simplest form.
 """
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Any, ClassVar, Final, assert_never
 
 import numpy as np
@@ -116,20 +124,35 @@ class Elite:
     """The best solution of a niche so far.
 
     Attributes:
-        niche: Name, rank and value.
+        niche: Name, rank and value; the mean value of the drives that were in the niche.
         number: Number of the solution.
         hits: Number of solutions that were in the niche so far.
+        evaluations: Drives of the solution with a verdict: one, or two once it was simulated again.
+        seen: Those of them that were in the niche, at its rank.
     """
 
     niche: Niche
     number: int
     hits: int
+    evaluations: int = 1
+    seen: int = 1
 
     def after(self, niche: Niche, number: int) -> "Elite":
         """Return the elite after one more solution was in the niche: this one, unless the other is better."""
-        better = (niche.rank, niche.value) < (self.niche.rank, self.niche.value)
+        mine = self.niche.rank, self.seen < self.evaluations, self.niche.value
         hits = self.hits + 1
-        return Elite(niche=niche, number=number, hits=hits) if better else replace(self, hits=hits)
+        if (niche.rank, False, niche.value) < mine:
+            return Elite(niche=niche, number=number, hits=hits)
+        return replace(self, hits=hits)
+
+    def again(self, niche: Niche | None) -> "Elite":
+        """Return the elite after its second drive, which was in the niche, or not (None)."""
+        if niche is None or niche.rank > self.niche.rank:
+            return replace(self, evaluations=self.evaluations + 1)
+        value = (self.seen * self.niche.value + niche.value) / (self.seen + 1)
+        return replace(
+            self, niche=replace(self.niche, value=value), evaluations=self.evaluations + 1, seen=self.seen + 1
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,11 +163,13 @@ class QdState(LedgerState):
         config: Settings.
         elites: One for each niche, in the order in which the niches were discovered.
         queue_origins: The origin of each solution in flight or queued, ascending by number.
+        again: Number of the solution that a candidate simulates once more, by the candidate's number.
     """
 
     config: QdConfig
     elites: tuple[Elite, ...]
     queue_origins: tuple[Origin, ...]
+    again: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def fitness(self) -> FloatArray:
@@ -158,6 +183,7 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
     id = "qd@1"
     summary = "MAP-Elites: as many kinds of violations as possible, the most critical of each."
     config_type: type[Any] = QdConfig
+    layout = 2
 
     def _min_budget(self, space: SearchSpace, config: QdConfig) -> int:
         TrafficGenome.of(space)
@@ -176,7 +202,7 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
         """
         told = state.ledger.pending
         ledger = state.ledger.tell(evaluations)
-        elites = with_elites(state.elites, told, evaluations)
+        elites = with_elites(state.elites, told, evaluations, state.again)
         origins = state.queue_origins[len(told) :]
         return _planned(replace(state, ledger=ledger, elites=elites, queue_origins=origins))
 
@@ -184,13 +210,18 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
         return _planned(state)
 
     def _content(self, state: QdState) -> tuple[dict[str, Any], dict[str, Any]]:
-        columns = [(elite.niche.rank, elite.niche.value, elite.number, elite.hits) for elite in state.elites]
+        columns = [
+            (e.niche.rank, e.niche.value, e.number, e.hits, e.evaluations, e.seen) for e in state.elites
+        ]
         return (
             {
                 "niches": [list(elite.niche.name) for elite in state.elites],
                 "queue_origins": [origin.value for origin in state.queue_origins],
             },
-            {"elites": np.reshape(columns, (len(columns), 4)).astype(np.float64)},
+            {
+                "elites": np.reshape(columns, (-1, 6)).astype(np.float64),
+                "again": np.reshape(sorted(state.again.items()), (-1, 2)).astype(np.float64),
+            },
         )
 
     def _restored(self, ledger: Ledger, config: QdConfig, document: Document) -> QdState:
@@ -198,12 +229,16 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
             config=config,
             ledger=ledger,
             elites=_stored_elites(ledger, document),
+            again=_stored_again(ledger, document),
             queue_origins=stored_origins(document, ledger.in_flight + len(ledger.queue)),
         )
 
 
 def with_elites(
-    elites: Sequence[Elite], candidates: Sequence[Candidate], evaluations: Mapping[int, Evaluation]
+    elites: Sequence[Elite],
+    candidates: Sequence[Candidate],
+    evaluations: Mapping[int, Evaluation],
+    again: Mapping[int, int] = MappingProxyType({}),
 ) -> tuple[Elite, ...]:
     """Return the elites after a generation was evaluated. Solutions without a verdict never become elites.
 
@@ -211,13 +246,17 @@ def with_elites(
         elites: The elites so far.
         candidates: The generation.
         evaluations: Its evaluations, by number.
+        again: Number of the solution that a candidate simulates once more, by the candidate's number.
     """
     best = {elite.niche.name: elite for elite in elites}
     for candidate in candidates:
         evaluation = evaluations[candidate.number]
         if not isinstance(evaluation, Scored):
             continue
-        for niche in _best_by_name(evaluation.niches):
+        niches = {niche.name: niche for niche in _best_by_name(evaluation.niches)}
+        same = [name for name, elite in best.items() if elite.number == again.get(candidate.number)]
+        best |= {name: best[name].again(niches.pop(name, None)) for name in same}
+        for niche in niches.values():
             known = best.get(niche.name)
             best[niche.name] = (
                 Elite(niche=niche, number=candidate.number, hits=1)
@@ -236,9 +275,51 @@ def _best_by_name(niches: Sequence[Niche]) -> Iterable[Niche]:
 def _planned(state: QdState) -> QdState:
     """Return the state with the next generation queued if there is room in flight, as budget and space allow."""
     config, ledger = state.config, state.ledger
-    room = len(ledger.flight) < config.in_flight
-    wanted = int(min(config.generation_size, max(0, ledger.left))) if room else 0
-    breeding = _Breeding(state)
+    if len(ledger.flight) >= config.in_flight or ledger.left <= 0:
+        return replace(state, ledger=ledger.plan([]))
+    waiting = _waiting(state)
+    second = waiting[: min(config.generation_size, int(ledger.left))]
+    chosen = _children(state, min(config.generation_size - len(second), _affordable(state, len(waiting))))
+    first = ledger.spent + ledger.in_flight
+    return replace(
+        state,
+        ledger=ledger.plan([*(_row(state, number) for number in second), *(row for row, _ in chosen)]),
+        queue_origins=(
+            *state.queue_origins,
+            *[Origin.AGAIN] * len(second),
+            *(origin for _, origin in chosen),
+        ),
+        again={**state.again, **dict(enumerate(second, first))},
+    )
+
+
+def _waiting(state: QdState) -> list[int]:
+    """Return the numbers of the unsafe elites of the best rank that were not simulated again, oldest niche first."""
+    asked = {*state.again, *state.again.values()}
+    unsafe = set(state.archive.numbers[state.archive.unsafe].tolist())
+    numbers = dict.fromkeys(elite.number for elite in parents_of(state.elites)[0])
+    return [number for number in numbers if number in unsafe and number not in asked]
+
+
+def _affordable(state: QdState, waiting: int) -> int:
+    """Return how many children leave enough of the budget for second drives, expected ones included.
+
+    Args:
+        state: The state.
+        waiting: Elites that wait for their second drive.
+    """
+    ledger = state.ledger
+    elites = len(state.again) + waiting
+    share = elites / max(1, ledger.spent + ledger.in_flight)
+    left = ledger.left - waiting - share * ledger.in_flight
+    if waiting or ledger.in_flight:
+        return max(0, math.floor(left / (1 + share)))
+    return max(1, math.floor(left / (1 + share)))  # else the last of the budget would be left
+
+
+def _children(state: QdState, wanted: int) -> list[Child]:
+    """Return new children of the elites, with their origins, as many as wanted unless the space is used up."""
+    ledger, breeding = state.ledger, _Breeding(state)
     rng = generator(ledger.seed, Stream.BREEDING, ledger.planned_generation)
     chosen: dict[bytes, Child] = {}
     for _ in range(_MAX_FILLS):
@@ -250,11 +331,14 @@ def _planned(state: QdState) -> QdState:
         }
         fresh = ledger.unseen([row for row, _ in children.values()])
         chosen |= {key: children[key] for row in fresh if (key := row.tobytes()) not in chosen}
-    return replace(
-        state,
-        ledger=ledger.plan([row for row, _ in chosen.values()]),
-        queue_origins=(*state.queue_origins, *(origin for _, origin in chosen.values())),
-    )
+    return list(chosen.values())
+
+
+def _row(state: QdState, number: int) -> FloatArray:
+    """Return an archived solution."""
+    archive = state.archive
+    row: FloatArray = archive.vectors[int(np.searchsorted(archive.numbers, number))]
+    return row
 
 
 class _Breeding:
@@ -285,13 +369,13 @@ class _Breeding:
         if operator is Operator.PATTERN:
             return genome.row(hostile_solution(genome.road, genome.max_participants, rng), None, rng), origin
         parent = self._parent(rng)
-        row = self._row(parent)
+        row = _row(self._state, parent.number)
         return genome.row(self._varied(operator, parent, rng), row, rng), origin
 
     def _varied(self, operator: Operator, parent: Elite, rng: np.random.Generator) -> Solution:
         """Return a variant of an elite's participants."""
         genome = self._genome
-        solution = genome.solution(self._row(parent))
+        solution = genome.solution(_row(self._state, parent.number))
         match operator:
             case Operator.SMALL:
                 return tuple(small_change(one, rng) for one in solution)
@@ -301,7 +385,7 @@ class _Breeding:
             case Operator.EDIT:
                 return mutated_randomly(solution, self._newcomer(rng), genome.max_participants, rng)
             case Operator.CROSSOVER:
-                other = genome.solution(self._row(self._parent(rng)))
+                other = genome.solution(_row(self._state, self._parent(rng).number))
                 return crossed_uniformly(solution, other, rng)[int(rng.integers(2))]
             case Operator.RANDOM | Operator.PATTERN:
                 raise AssertionError(f"{operator} varies no elite")
@@ -320,11 +404,6 @@ class _Breeding:
         rarity = np.array([1.0 / elite.hits for elite in parents])
         return parents[int(rng.choice(len(parents), p=rarity / rarity.sum()))]
 
-    def _row(self, elite: Elite) -> FloatArray:
-        archive = self._state.archive
-        row: FloatArray = archive.vectors[int(np.searchsorted(archive.numbers, elite.number))]
-        return row
-
 
 def parents_of(elites: Sequence[Elite]) -> tuple[list[Elite], list[Elite]]:
     """Return the elites of the best rank, and those of the second-best rank with the lowest values."""
@@ -336,22 +415,43 @@ def parents_of(elites: Sequence[Elite]) -> tuple[list[Elite], list[Elite]]:
     return leading, second[: math.ceil(_NEAR_SHARE * len(second))]
 
 
+def _stored_again(ledger: Ledger, document: Document) -> dict[int, int]:
+    """Return which candidates simulate which solutions once more.
+
+    Raises:
+        DocumentError: A number is none of this campaign.
+    """
+    pairs = stored_rows(document, "again", 2).tolist()
+    archived, asked = (
+        set(ledger.archive.numbers.tolist()),
+        ledger.spent + ledger.in_flight + len(ledger.queue),
+    )
+    for candidate, number in pairs:
+        if candidate not in range(asked) or number not in archived:
+            raise DocumentError(f"again: expected numbers of this campaign, got {candidate!r} and {number!r}")
+    return {int(candidate): int(number) for candidate, number in pairs}
+
+
 def _stored_elites(ledger: Ledger, document: Document) -> tuple[Elite, ...]:
     """Return the elites that `Qd._content` stored.
 
     Raises:
         DocumentError: They are corrupt.
     """
-    names, columns = document.header.get("niches"), stored_rows(document, "elites", 4)
+    names, columns = document.header.get("niches"), stored_rows(document, "elites", 6)
     if not isinstance(names, list) or len(names) != len(columns):
         raise DocumentError(f"niches: expected the names of {len(columns)} niches, got {names!r:.80}")
     archived = set(ledger.archive.numbers.tolist())
     elites = []
-    for name, (rank, value, number, hits) in zip(names, columns.tolist(), strict=True):
+    for name, (rank, value, number, hits, evaluations, seen) in zip(names, columns.tolist(), strict=True):
         if not isinstance(name, list) or not all(isinstance(word, str) for word in name):
             raise DocumentError(f"niches: expected lists of words, got {name!r:.80}")
         if number not in archived:
             raise DocumentError(f"elites: expected numbers of archived solutions, got {number!r}")
         niche = Niche(name=tuple(name), rank=int(rank), value=value)
-        elites.append(Elite(niche=niche, number=int(number), hits=int(hits)))
+        elites.append(
+            Elite(
+                niche=niche, number=int(number), hits=int(hits), evaluations=int(evaluations), seen=int(seen)
+            )
+        )  # fmt: skip
     return tuple(elites)

@@ -1,6 +1,6 @@
 """MAP-Elites on traffic: elites by niche, how children are made, what is refused when a state is restored."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -52,14 +52,21 @@ def behaved(candidate: Candidate) -> Evaluation:
     )
 
 
-def played(algorithm: Any, config: Any, *, budget: int, seed: int = 1) -> tuple[Any, list[Candidate]]:
+def played(
+    algorithm: Any,
+    config: Any,
+    *,
+    budget: int,
+    seed: int = 1,
+    judge: Callable[[Candidate], Evaluation] = behaved,
+) -> tuple[Any, list[Candidate]]:
     """Return the final state of a search, and its candidates."""
     state = algorithm.start(SPACE, config, seed=seed, budget=budget)
     candidates: list[Candidate] = []
     while not algorithm.finished(state):
         state, _ = ask_all(algorithm, state)
         candidates += state.pending
-        state = algorithm.tell(state, {one.number: behaved(one) for one in state.pending})
+        state = algorithm.tell(state, {one.number: judge(one) for one in state.pending})
     return state, candidates
 
 
@@ -94,6 +101,71 @@ def test_elites_only_improve() -> None:
         state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
         after = {one.niche.name: (one.niche.rank, one.niche.value) for one in state.elites}
         assert all(after[name] <= value for name, value in before.items())
+
+
+def by_luck(candidate: Candidate) -> Evaluation:
+    """As `behaved`, but every third drive seems far better than it is, and every fifth is in another niche."""
+    evaluation = behaved(candidate)
+    if not isinstance(evaluation, Scored):
+        return evaluation
+    [niche] = evaluation.niches
+    if candidate.number % 3 == 0:
+        niche = replace(niche, value=niche.value - 100)
+    if candidate.number % 5 == 0:
+        niche = replace(niche, name=("elsewhere", *niche.name))
+    return replace(evaluation, niches=(niche,))
+
+
+def test_elites_of_the_best_rank_are_simulated_again_under_a_seed_of_their_own() -> None:
+    state, candidates = played(QD, SMALL, budget=300, judge=by_luck)
+    assert len(candidates) == 300
+    rows = {one.number: SPACE.join(one.vectors).tolist() for one in candidates}
+    assert state.again
+    assert len(set(state.again.values())) == len(state.again), "each once"
+    assert all(rows[candidate] == rows[number] for candidate, number in state.again.items())
+    assert all(one.seed_number is None for one in candidates)
+    leading, _ = parents_of(state.elites)
+    once = [one for one in leading if one.number not in {*state.again, *state.again.values()}]
+    assert len(once) <= 2, "the budget leaves a second drive for nearly all"
+
+
+def test_the_value_of_an_elite_is_the_mean_of_its_drives() -> None:
+    """The best single drive is what luck makes of it."""
+    state, _ = played(QD, SMALL, budget=300, judge=by_luck)
+    leading, _ = parents_of(state.elites)
+    twice = [one for one in leading if one.evaluations == 2]
+    second = {number: candidate for candidate, number in state.again.items()}
+    assert {one.seen for one in twice} == {1, 2}
+    for one in twice:
+        drives = [
+            Candidate(number=n, vectors=row_of(state, one.number)) for n in (one.number, second[one.number])
+        ]
+        values = [
+            niche.value
+            for evaluation in map(by_luck, drives)
+            if isinstance(evaluation, Scored)
+            for niche in evaluation.niches
+            if niche.name == one.niche.name
+        ]
+        assert len(values) == one.seen
+        assert one.niche.value == pytest.approx(np.mean(values))
+
+
+def row_of(state: QdState, number: int) -> Any:
+    return SPACE.split(state.archive.vectors[int(np.searchsorted(state.archive.numbers, number))])
+
+
+def test_an_elite_that_was_not_seen_again_gives_way_to_the_next_in_its_niche() -> None:
+    lucky = replace(elite("a", 0, -50.0), number=3)
+    missed = scored(Niche(name=("b",), rank=0, value=1.0))
+    again, other = Candidate(number=7, vectors=()), Candidate(number=8, vectors=())
+    doubted, _ = with_elites((lucky,), [again], {7: missed}, {7: 3})
+    assert (doubted.number, doubted.evaluations, doubted.seen) == (3, 2, 1)
+    worse = scored(Niche(name=("a",), rank=0, value=9.0))
+    next_one, _ = with_elites((doubted,), [other], {8: worse})[:1] * 2
+    assert (next_one.number, next_one.niche.value, next_one.evaluations) == (8, 9.0, 1)
+    (kept,) = with_elites((lucky,), [again], {7: scored(Niche(name=("a",), rank=1, value=-90.0))}, {7: 3})
+    assert (kept.niche.value, kept.seen) == (-50.0, 1), "a worse rank is not the same"
 
 
 def test_solutions_without_a_verdict_are_never_elites() -> None:
@@ -145,7 +217,7 @@ def test_first_solutions_are_random_and_later_ones_follow_the_shares() -> None:
     origins = origins_of(replace(SMALL, share_pattern=0.1), 300)
     assert set(origins[:20]) == {Origin.RANDOM}
     share = {origin: origins[20:].count(origin) / len(origins[20:]) for origin in set(origins)}
-    assert set(share) == {Origin.RANDOM, Origin.HEURISTIC, Origin.MUTATION, Origin.CROSSOVER}
+    assert set(share) == {Origin.RANDOM, Origin.HEURISTIC, Origin.MUTATION, Origin.CROSSOVER, Origin.AGAIN}
     assert share[Origin.MUTATION] > share[Origin.CROSSOVER] > share[Origin.HEURISTIC]
 
 
@@ -163,7 +235,8 @@ def children_of(config: QdConfig) -> list[tuple[Solution, QdState]]:
         bred_from = state
         state, candidates = QD.ask(state)
         if candidates[0].number >= config.initial:
-            children += [(solution_of(one), bred_from) for one in candidates]
+            new = [one for one in candidates if one.number not in bred_from.again]
+            children += [(solution_of(one), bred_from) for one in new]
         state = QD.tell(state, {one.number: behaved(one) for one in candidates})
     return children
 
