@@ -36,7 +36,9 @@ from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError, InvalidInput
+from brink.server.llm.access import LlmAccess
 from brink.server.operations.doctor import State, examine
+from brink.server.operations.export_file import open_export
 from brink.server.operations.prune import Pruned, prune
 from brink.server.operations.transfer import export_campaign, import_campaign
 from brink.server.runtime.database import check_database, check_exists, prepare_database, shown_url
@@ -127,15 +129,18 @@ def import_(
 ) -> None:
     """Read a campaign and its follow-ups from a file.
 
-    Running campaigns become paused. Other campaigns cannot reuse the results of imported ones.
+    Running campaigns become paused. Other campaigns cannot reuse the results of imported ones. A campaign that may
+    still run can use only the language models and keys that BRINK_LLM_ENDPOINTS allows.
 
     Example: brink import traffic.brink
     """
     settings = settings_with(database=database)
-    prepare_database(settings)
-    with _opened(settings) as engines, engines.writer.begin() as connection:
-        campaigns, counts = import_campaign(connection, file)
-        found = [CAMPAIGNS.get(connection, campaign) for campaign in campaigns]
+    access = LlmAccess.parse(settings.llm_endpoints)
+    with open_export(file) as export:  # a file that is none leaves no database behind
+        prepare_database(settings)
+        with _opened(settings) as engines, engines.writer.begin() as connection:
+            campaigns, counts = import_campaign(connection, export, access)
+            found = [CAMPAIGNS.get(connection, campaign) for campaign in campaigns]
     _print_transfer(
         f"campaign {campaigns[0]} imported from {file}", {"campaign": campaigns[0]}, counts, as_json
     )

@@ -8,35 +8,36 @@ Follow-ups, such as repeats, are campaigns as well, and may have follow-ups them
 folder (`follow-ups/3f2a90c1/solutions.jsonl`), and `repeats.jsonl` says what each asks. Files of campaigns without
 follow-ups have neither.
 
-Imported files are not trusted: types, ranges, checksums and hashes are checked, the file is stored in one
+Imported files are not trusted. `brink.server.operations.export_file` bounds what is read of them. Everything in them
+is checked as if it came through the API: types, ranges, text and finite numbers, hashes, the campaign itself, the
+language model that it may still use, and the simulations that workers would still be given. A file is stored in one
 transaction, and its results are not shared with other campaigns.
 """
 
 import hashlib
-import io
 import json
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from sqlalchemy import JSON, Connection, RowMapping, Table, insert, select
+from pydantic import ValidationError
+from sqlalchemy import Connection, RowMapping, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
 from brink.search.errors import ConfigError
-from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, search_text, stored_body
+from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, MOST_TAGS, search_text, stored_body
 from brink.server.campaigns.plan import Plan, make_plan
-from brink.server.campaigns.repeats import MOST, is_follow_up
-from brink.server.campaigns.store import CAMPAIGNS
+from brink.server.campaigns.repeats import is_follow_up
+from brink.server.campaigns.store import CAMPAIGNS, ENDED
 from brink.server.db.models import (
     Base,
     CampaignRow,
@@ -52,22 +53,33 @@ from brink.server.db.models import (
     TraceRow,
     ViolationNameRow,
 )
-from brink.server.db.sql import allow_pauses, database_now
-from brink.server.db.types import UtcDateTime
-from brink.server.errors import Conflict, NotFound, ServerError
-from brink.server.states import CampaignStatus, JobStatus
+from brink.server.db.sql import allow_pauses, database_now, in_list
+from brink.server.errors import Conflict, NotFound
+from brink.server.llm.access import LlmAccess
+from brink.server.operations.export_file import (
+    FORMAT,
+    LARGEST_TRACE,
+    LINKS,
+    MANIFEST,
+    VERSION,
+    BadFile,
+    ExportFile,
+    Link,
+    plain_json,
+    reading,
+)
+from brink.server.operations.imported_values import imported_value, type_of
+from brink.server.operations.verification import verify_counts
+from brink.server.problems.base import InProcessProblem, MeasuresOnData
+from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import SimulatorError
 
-FORMAT: Final = "brink-campaign"
-VERSION: Final = 1
-LONGEST_LINE: Final = 16 * 1024 * 1024
-LARGEST_BYTES: Final = 64 * 1024**3
-"""Maximum size of all members together, unpacked."""
 _BATCH: Final = 500
-_MANIFEST: Final = "manifest.json"
-_LINKS: Final = "repeats.jsonl"
-_FOLLOW_UPS: Final = "follow-ups/"
+_BATCH_BYTES: Final = 32 * 1024**2
+"""Rows that are inserted together, at most, and the size of their text."""
+_FINAL: Final = (JobStatus.DONE, JobStatus.CANCELLED)
+"""States of jobs that nobody can lease any more."""
 _LEASE: Final = (
     "lease_token", "lost_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before",
 )  # fmt: skip
@@ -97,31 +109,8 @@ _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
     "jobs": ("id", "cache", "interrupted", *_LEASE),
 }
 """Columns that are meaningless in another database, or follow from others."""
-
-
-_Id = Annotated[str, Field(pattern=r"^[0-9A-Za-z]{1,16}$")]
-
-
-class Link(BaseModel):
-    """What a follow-up asks, as in the table of repeats."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-    campaign_id: _Id
-    of_id: _Id
-    t_b: Annotated[float, Field(ge=0, le=1)]
-    d_th: Annotated[float, Field(ge=0, le=1)]
-    repeats: Annotated[int, Field(ge=0, le=10_000)]
-    numbers: Annotated[list[Annotated[int, Field(ge=0, lt=2**63)]], Field(min_length=1, max_length=MOST)]
-
-    @property
-    def folder(self) -> str:
-        """The folder of its members."""
-        return f"{_FOLLOW_UPS}{self.campaign_id}/"
-
-
-class BadFile(ServerError):
-    """The file was not written by `export_campaign`, or is damaged."""
+_KNOWN_TRACES: Final = select(TraceRow.spec_hash).where(in_list(TraceRow.spec_hash, "hashes"))
+_OWN_JOBS: Final = select(JobRow.spec_hash).where(in_list(JobRow.spec_hash, "hashes"))
 
 
 def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dict[str, int]:
@@ -147,7 +136,9 @@ def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dic
     return counts
 
 
-def import_campaign(connection: Connection, file: Path) -> tuple[tuple[str, ...], dict[str, int]]:
+def import_campaign(
+    connection: Connection, file: ExportFile, access: LlmAccess
+) -> tuple[tuple[str, ...], dict[str, int]]:
     """Store the campaign of a file and its follow-ups; return their ids, its own first, and the rows of each table.
 
     Those that were running are paused.
@@ -155,25 +146,20 @@ def import_campaign(connection: Connection, file: Path) -> tuple[tuple[str, ...]
     Args:
         connection: In a write transaction, which must be rolled back if this raises.
         file: A file written by `export_campaign`.
+        access: The language models and keys that campaigns may use.
 
     Raises:
         BadFile: The file is of another kind, damaged or inconsistent.
         Conflict: A campaign with one of these ids exists.
+        InvalidInput: The problem or the algorithm of a campaign is unknown here, or its parameters are invalid.
     """
     allow_pauses(connection)
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return _import(connection, _File(archive))
-    except (IntegrityError, DataError) as error:
-        words = str(error.orig).strip().splitlines()
-        raise BadFile(f"{file}: its data cannot be stored: {words[0] if words else error}") from None
-    except FileNotFoundError:
-        raise BadFile(f"{file}: no such file") from None
-    except (
-        zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, UnicodeDecodeError, NotImplementedError,
-        RuntimeError,  # raised by zipfile for encrypted members
-    ) as error:  # fmt: skip
-        raise BadFile(f"{file}: expected an undamaged file written by brink export: {error}") from None
+    with reading(file.path):
+        try:
+            return _import(connection, file, access)
+        except (IntegrityError, DataError) as error:
+            words = str(error.orig).strip().splitlines()
+            raise BadFile(f"its data cannot be stored: {words[0] if words else error}") from None
 
 
 class _Members:
@@ -206,7 +192,7 @@ class _Members:
             "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": campaign_id,
             "rows": rows, "sha256": self.sums,
         }  # fmt: skip
-        self._archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+        self._archive.writestr(MANIFEST, json.dumps(manifest, indent=1))
 
 
 def _export(connection: Connection, members: _Members, campaign_id: str) -> dict[str, int]:
@@ -217,7 +203,7 @@ def _export(connection: Connection, members: _Members, campaign_id: str) -> dict
         counts.update(_Export(connection, members, link.campaign_id, link.folder).run())
     if links:
         counts["repeats"] = len(links)
-        with members.member(_LINKS) as member:
+        with members.member(LINKS) as member:
             for link in links:
                 member.write(link.model_dump_json().encode() + b"\n")
     members.write_manifest(campaign_id, counts)
@@ -317,119 +303,16 @@ def _json(value: Any) -> Any:
     return value.isoformat() if isinstance(value, datetime) else value
 
 
-class _File:
-    """A file to import, whose members have passed the check of their checksums.
-
-    Attributes:
-        campaign: Id of its campaign.
-        members: Names of its members, without the manifest.
-
-    Raises:
-        BadFile: It is of another kind, too large, or damaged.
-    """
-
-    def __init__(self, archive: zipfile.ZipFile) -> None:
-        self._archive = archive
-        if sum(info.file_size for info in archive.infolist()) > LARGEST_BYTES:
-            raise BadFile(
-                f"expected a file whose contents are at most {LARGEST_BYTES // 1024**3} GiB when unpacked"
-            )
-        manifest = self._read_manifest()
-        self.campaign: str = manifest["campaign"]
-        sums: dict[str, str] = manifest["sha256"]
-        self.members: frozenset[str] = frozenset(sums)
-        for name, expected in sums.items():
-            if self._digest(name) != expected:
-                raise BadFile(f"{name}: damaged: it does not match its checksum")
-
-    def open(self, member: str) -> IO[bytes]:
-        """Open a member for reading.
-
-        Raises:
-            KeyError: There is no such member.
-        """
-        return self._archive.open(member)
-
-    def documents(self, member: str) -> Iterator[tuple[int, Any]]:
-        """Yield the documents of a member in JSON Lines, each with the number of its line, from 1 on.
-
-        Raises:
-            BadFile: A line is too long, or is not JSON.
-        """
-        with self.open(member) as file:
-            for place, line in enumerate(_lines(file, member), start=1):
-                try:
-                    yield place, json.loads(line)
-                except ValueError as error:
-                    raise BadFile(f"{member}, line {place}: {error}") from None
-
-    def links(self) -> list[Link]:
-        """Return what the follow-ups in the file ask.
-
-        Raises:
-            BadFile: They do not fit the members of the file.
-        """
-        found: list[Link] = []
-        if _LINKS in self.members:
-            for place, document in self.documents(_LINKS):
-                try:
-                    found.append(Link.model_validate(document))
-                except ValidationError as error:
-                    fault = error.errors(include_url=False)[0]
-                    where = ".".join(str(part) for part in fault["loc"])
-                    raise BadFile(f"{_LINKS}, line {place}: {where}: {fault['msg']}") from None
-        known = {self.campaign}
-        for place, link in enumerate(found, start=1):
-            if link.of_id not in known or link.campaign_id in known:
-                raise BadFile(f"{_LINKS}, line {place}: expected a new follow-up of a campaign before it")
-            known.add(link.campaign_id)
-        folders = {
-            name.removeprefix(_FOLLOW_UPS).split("/")[0]
-            for name in self.members
-            if name.startswith(_FOLLOW_UPS)
-        }
-        if folders != known - {self.campaign}:
-            raise BadFile(f"{_LINKS}: expected a line for each folder in {_FOLLOW_UPS}")
-        return found
-
-    def _read_manifest(self) -> dict[str, Any]:
-        manifest: Any
-        try:
-            manifest = json.loads(self._archive.read(_MANIFEST))
-        except (KeyError, ValueError):
-            raise BadFile("expected a file written by brink export: it has no manifest") from None
-        right = isinstance(manifest, dict) and manifest.get("format") == FORMAT
-        sums = manifest.get("sha256") if right else None
-        if not right or not isinstance(sums, dict) or not isinstance(manifest.get("campaign"), str):
-            raise BadFile("expected a file written by brink export: its manifest is from another program")
-        if manifest.get("version") != VERSION:
-            raise BadFile(f"expected format version {VERSION}, got {manifest.get('version')!r}")
-        members = {info.filename for info in self._archive.infolist()} - {_MANIFEST}
-        if members != set(sums):
-            raise BadFile(
-                f"expected exactly the members that the manifest lists; differing: {sorted(members ^ set(sums))[:3]}"
-            )
-        if not 1 <= len(manifest["campaign"]) <= 16 or not manifest["campaign"].isalnum():
-            raise BadFile(f"campaign: expected an id, got {manifest['campaign'][:40]!r}")
-        checked: dict[str, Any] = manifest
-        return checked
-
-    def _digest(self, name: str) -> str:
-        digest = hashlib.sha256()
-        with self._archive.open(name) as member:
-            while data := member.read(1 << 20):
-                digest.update(data)
-        return digest.hexdigest()
-
-
-def _import(connection: Connection, file: _File) -> tuple[tuple[str, ...], dict[str, int]]:
+def _import(
+    connection: Connection, file: ExportFile, access: LlmAccess
+) -> tuple[tuple[str, ...], dict[str, int]]:
     """Store the campaign of a file and its follow-ups; return their ids, and the number of rows of each table."""
     links = file.links()
-    counts = Counter(_Import(connection, file, file.campaign).run())
+    counts = Counter(_Import(connection, file, access, file.campaign).run())
     for place, link in enumerate(links, start=1):
-        one = _Import(connection, file, link.campaign_id, link.folder)
+        one = _Import(connection, file, access, link.campaign_id, link.folder)
         counts.update(one.run())
-        _check_link(connection, one.plan, link, f"{_LINKS}, line {place}")
+        _check_link(connection, one.plan, link, f"{LINKS}, line {place}")
         connection.execute(insert(RepeatsRow).values(link.model_dump()))
     if links:
         counts["repeats"] = len(links)
@@ -448,6 +331,9 @@ def _check_link(connection: Connection, plan: Plan, link: Link, where: str) -> N
         raise BadFile(f"{link.folder}campaigns.jsonl: document: {error}") from None
     if not is_follow_up(plan, link.repeats, link.numbers):
         raise BadFile(f"{where}: expected repeats and numbers as in campaign {link.campaign_id}")
+    status = select(CampaignRow.status).where(CampaignRow.id == link.of_id)
+    if connection.execute(status).scalar_one() not in ENDED:
+        raise BadFile(f"{where}: of_id: expected a campaign that has ended, since it has follow-ups")
     numbers = set(link.numbers)
     known = select(SolutionRow.number).where(
         SolutionRow.campaign_id == link.of_id, SolutionRow.number.in_(numbers)
@@ -464,10 +350,15 @@ class _Import:
     """
 
     plan: Plan
+    _is_open: bool
+    """Whether the campaign may still run."""
 
-    def __init__(self, connection: Connection, file: _File, campaign_id: str, folder: str = "") -> None:
+    def __init__(
+        self, connection: Connection, file: ExportFile, access: LlmAccess, campaign_id: str, folder: str = ""
+    ) -> None:
         self._connection = connection
         self._file = file
+        self._access = access
         self._id = campaign_id
         self._folder = folder
 
@@ -489,19 +380,23 @@ class _Import:
             if name != "campaigns" and (name not in _OPTIONAL or self._has(f"{name}.jsonl")):
                 counts[name] = self._insert(name, model)
         counts["traces"] = self._traces()
+        stored = CAMPAIGNS.get(self._connection, self._id)
+        if (wrong := verify_counts(self._connection, stored)) is not None:
+            raise BadFile(f"{self._folder}campaigns.jsonl: {wrong}")
         return counts
 
     def _has(self, name: str) -> bool:
         return f"{self._folder}{name}" in self._file.members
 
     def _campaign(self) -> dict[str, Any]:
-        rows = list(self._rows("campaigns", CampaignRow.__table__))
+        rows = list(islice(self._rows("campaigns", CampaignRow.__table__), 2))
         if len(rows) != 1 or rows[0]["id"] != self._id:
             raise BadFile(f"{self._folder}campaigns.jsonl: expected exactly one campaign, {self._id}")
         row = rows[0]
         tags = []
         if self._has("campaign_tags.jsonl"):
-            tags = [one["tag"] for one in self._rows("campaign_tags", CampaignTagRow.__table__)]
+            tagged = islice(self._rows("campaign_tags", CampaignTagRow.__table__), MOST_TAGS + 1)
+            tags = [one["tag"] for one in tagged]
         try:
             body = stored_body(row["document"], tags, row["notes"])
         except ValidationError as error:
@@ -511,67 +406,104 @@ class _Import:
         if body.tags != sorted(tags):
             raise BadFile(f"{self._folder}campaign_tags.jsonl: expected each tag once, in lower case")
         self.plan = make_plan(body)
+        self._is_open = row["status"] not in ENDED
+        self._check_campaign(row, f"{self._folder}campaigns.jsonl")
         if row["status"] == CampaignStatus.RUNNING:
             row |= {"status": CampaignStatus.PAUSED, "status_reason": "imported; resume it to continue"}
         searched = search_text(row["name"], body.notes, body.tags)
         return {**row, "idempotency_key": None, "turn": 0, "notes": body.notes, "search_text": searched}
 
+    def _check_campaign(self, row: Mapping[str, Any], where: str) -> None:
+        """Check that a campaign's row agrees with its document, and that the campaign could be submitted if it runs.
+
+        Raises:
+            BadFile: It does not, or could not.
+        """
+        body = self.plan.body
+        derived = {
+            "name": body.name, "seed": body.seed, "priority": body.priority, "budget": body.budget.simulations,
+        }  # fmt: skip
+        for name, expected in derived.items():
+            if row[name] != expected:
+                raise BadFile(
+                    f"{where}: {name}: expected {expected!r:.60} as in document, got {row[name]!r:.60}"
+                )
+        if (row["finished_at"] is None) != self._is_open:
+            raise BadFile(f"{where}: finished_at: expected a time if and only if the campaign has ended")
+        if not self._is_open:  # what may no longer run is only shown, as after an upgrade
+            return
+        if body.llm is not None and (refusal := self._access.refusal(body.llm)) is not None:
+            raise BadFile(f"{where}: document: llm.{refusal[0]}: {refusal[1]}")
+        try:
+            self.plan.algorithm.check(
+                self.plan.problem.space, self.plan.config, budget=body.budget.simulations
+            )
+        except ConfigError as error:
+            raise BadFile(f"{where}: document: {error}") from None
+
     def _insert(self, name: str, model: type[Base]) -> int:
         batch: list[dict[str, Any]] = []
-        count = 0
+        count = size = 0
         for row in self._complete(name, model.__table__):
             batch.append(row)
             count += 1
-            if len(batch) == _BATCH:
+            size += sum(len(value) for value in row.values() if isinstance(value, str | bytes))
+            if len(batch) == _BATCH or size > _BATCH_BYTES:
                 self._connection.execute(insert(model), batch)
-                batch = []
+                batch, size = [], 0
         if batch:
             self._connection.execute(insert(model), batch)
         return count
 
     def _complete(self, name: str, table: Any) -> Iterable[dict[str, Any]]:
         """Yield a table's rows with their binary columns and the columns that are not exported."""
-        dimension, member = self.plan.problem.space.dimension, f"arrays/{_VECTORS.get(name)}.npy"
-        vectors = np.empty((0, dimension))
-        if name in _VECTORS and self._has(member):
-            vectors = self._array(_VECTORS[name], "<f8")
-            if vectors.ndim != 2 or vectors.shape[1] != dimension:
-                raise BadFile(f"{self._folder}{member}: expected {dimension} numbers in each row")
-        for place, row in enumerate(self._rows(name, table)):
+        space, member = self.plan.problem.space, f"{self._folder}arrays/{_VECTORS.get(name)}.npy"
+        vectors = self._file.rows(member, space.dimension) if name in _VECTORS else iter(())
+        place = 0
+        for place, row in enumerate(self._rows(name, table), start=1):
+            where = f"{self._folder}{name}.jsonl, line {place}"
             if row["campaign_id"] != self._id:
-                raise BadFile(
-                    f"{self._folder}{name}.jsonl, line {place + 1}: expected campaign_id {self._id}"
-                )
+                raise BadFile(f"{where}: expected campaign_id {self._id}")
             if name in _VECTORS:
-                if place >= len(vectors):
-                    raise BadFile(f"{self._folder}{member}: expected one row for each solution")
-                row["vector"] = vectors[place].tobytes()
+                row["vector"] = next(vectors, None)
+                if row["vector"] is None:
+                    raise BadFile(f"{member}: expected one row for each solution")
+                if self._is_open and not space.contains(space.split(np.frombuffer(row["vector"], "<f8"))):
+                    raise BadFile(f"{where}: expected a solution within the search space")
             elif name == "checkpoints":
                 for column in ("document", "neighbours", "unsafe_neighbours"):
-                    row[column] = self._array(f"checkpoint-{column}", "|u1").tobytes()
+                    row[column] = self._file.array(self._array(f"checkpoint-{column}"), "|u1").tobytes()
             elif name == "distance_blocks":
-                array = f"distances-{row['generation']}"
-                block = self._array(array, "<f4")
-                if block.shape != (row["rows"], row["columns"]):
-                    expected = f"expected {row['rows']} x {row['columns']} numbers"
-                    raise BadFile(f"{self._folder}arrays/{array}.npy: {expected}")
-                row["data"] = block.tobytes()
-                if hashlib.sha256(row["data"]).hexdigest() != row["sha256"]:
-                    damaged = "damaged: it does not match its checksum"
-                    raise BadFile(f"{self._folder}arrays/{array}.npy: {damaged}")
+                row["data"] = self._block(row)
             elif name == "jobs":
-                row |= self._job(row, place)
+                row |= self._job(row, where)
             yield row
+        if next(vectors, None) is not None:
+            raise BadFile(f"{member}: expected {place} rows, one for each solution")
 
-    def _job(self, row: Mapping[str, Any], place: int) -> dict[str, Any]:
+    def _array(self, name: str) -> str:
+        return f"{self._folder}arrays/{name}.npy"
+
+    def _block(self, row: Mapping[str, Any]) -> bytes:
+        """Return the distances of a generation."""
+        member = self._array(f"distances-{row['generation']}")
+        block = self._file.array(member, "<f4")
+        if block.shape != (row["rows"], row["columns"]):
+            raise BadFile(f"{member}: expected {row['rows']} x {row['columns']} numbers")
+        data = block.tobytes()
+        if hashlib.sha256(data).hexdigest() != row["sha256"]:
+            raise BadFile(f"{member}: damaged: it does not match its checksum")
+        return data
+
+    def _job(self, row: Mapping[str, Any], where: str) -> dict[str, Any]:
         """Return the columns of an imported job: it is not leased, and does not share its result."""
-        where = f"{self._folder}jobs.jsonl, line {place + 1}"
         try:
-            digest = EpisodeSpec.from_json(json.loads(row["spec"])).digest()
+            spec = EpisodeSpec.from_json(plain_json(row["spec"].encode()))
         except (SimulatorError, ValueError, TypeError, KeyError) as error:
             raise BadFile(f"{where}: spec: {error}") from None
-        if digest != row["spec_hash"]:
+        if spec.canonical_json() != row["spec"] or spec.digest() != row["spec_hash"]:
             raise BadFile(f"{where}: expected spec_hash to be the hash of spec")
+        self._check_simulation(row, spec, where)
         leased = row["status"] == JobStatus.LEASED
         return dict.fromkeys(_LEASE) | {
             "cache": False,
@@ -579,35 +511,49 @@ class _Import:
             "attempt": row["attempt"] - 1 if leased else row["attempt"],
         }
 
+    def _check_simulation(self, row: Mapping[str, Any], spec: EpisodeSpec, where: str) -> None:
+        """Check that a job is one of its problem, and that workers are still given only what the problem asks for.
+
+        Raises:
+            BadFile: It is another one.
+        """
+        problem = self.plan.problem
+        if isinstance(problem, InProcessProblem):
+            raise BadFile(f"{where}: expected no jobs, since {problem.id} is computed by the coordinator")
+        needs = problem.needs
+        if row["kind"] == JobKind.DATASET and isinstance(problem, MeasuresOnData):
+            needs = problem.dataset_needs
+        is_earlier = row["needs"].partition("@")[0] == needs.partition("@")[0]  # of another version
+        if row["needs"] != spec.simulator or not is_earlier:
+            raise BadFile(f"{where}: needs: expected {needs}, which simulates {problem.id}")
+        if row["status"] in _FINAL or row["needs"] != needs:
+            return
+        query = select(SolutionRow.vector, SolutionRow.seed).where(
+            SolutionRow.campaign_id == self._id, SolutionRow.number == row["number"]
+        )
+        if (solution := self._connection.execute(query).one_or_none()) is None:
+            raise BadFile(f"{where}: number: expected that of a solution")
+        vectors = problem.space.split(np.frombuffer(solution.vector, "<f8"))
+        if row["kind"] == JobKind.DATASET and isinstance(problem, MeasuresOnData):
+            asked = problem.dataset_evaluation(vectors)
+        else:
+            asked = problem.episode(vectors, solution.seed)
+        if asked.canonical_json() != row["spec"]:
+            raise BadFile(f"{where}: spec: expected the simulation that {problem.id} asks for")
+
     def _traces(self) -> int:
         prefix, suffix = f"{self._folder}arrays/trace-", ".npy"
         names = [name for name in self._file.members if name.startswith(prefix)]
         hashes = [name.removeprefix(prefix).removesuffix(suffix) for name in names]
-        known = set(
-            self._connection.execute(
-                select(TraceRow.spec_hash).where(TraceRow.spec_hash.in_(hashes))
-            ).scalars()
-        )
-        own = set(
-            self._connection.execute(select(JobRow.spec_hash).where(JobRow.campaign_id == self._id)).scalars()
-        )
+        there = {"hashes": hashes}
+        known = set(self._connection.execute(_KNOWN_TRACES, there).scalars())
+        own = set(self._connection.execute(_OWN_JOBS.where(JobRow.campaign_id == self._id), there).scalars())
         taken = [one for one in hashes if one not in known and one in own]
         now = database_now(self._connection)
         for one in taken:
-            data = self._array(f"trace-{one}", "|u1").tobytes()
+            data = self._file.array(self._array(f"trace-{one}"), "|u1", LARGEST_TRACE).tobytes()
             self._connection.execute(insert(TraceRow).values(spec_hash=one, data=data, created_at=now))
         return len(taken)
-
-    def _array(self, name: str, dtype: str) -> NDArray[Any]:
-        member = f"{self._folder}arrays/{name}.npy"
-        try:
-            with self._file.open(member) as file:
-                array = np.lib.format.read_array(io.BytesIO(file.read()), allow_pickle=False)
-        except (KeyError, ValueError, OverflowError, MemoryError) as error:
-            raise BadFile(f"{member}: expected an array: {error}") from None
-        if array.dtype.str != dtype:
-            raise BadFile(f"{member}: expected numbers of type {dtype}, got {array.dtype.str}")
-        return array
 
     def _rows(self, name: str, table: Table | Any) -> Iterator[dict[str, Any]]:
         """Yield a table's rows, after checks of their columns and types."""
@@ -615,55 +561,13 @@ class _Import:
         columns = {
             column.name: column
             for column in table.columns
-            if column.name not in left_out and _type_of(column) is not bytes
+            if column.name not in left_out and type_of(column) is not bytes
         }
         member = f"{self._folder}{name}.jsonl"
         for place, values in self._file.documents(member):
             if not isinstance(values, dict) or values.keys() | optional.keys() != columns.keys():
                 raise BadFile(f"{member}, line {place}: expected an object with {', '.join(columns)}")
             yield {
-                key: _value(value, columns[key], f"{member}, line {place}")
+                key: imported_value(value, columns[key], f"{member}, line {place}")
                 for key, value in {**optional, **values}.items()
             }
-
-
-def _lines(file: IO[bytes], member: str) -> Iterator[bytes]:
-    while line := file.readline(LONGEST_LINE + 1):
-        if len(line) > LONGEST_LINE:
-            raise BadFile(f"{member}: expected lines of at most {LONGEST_LINE} bytes")
-        yield line
-
-
-def _type_of(column: Any) -> type[Any]:
-    if isinstance(column.type, UtcDateTime):
-        return datetime
-    if isinstance(column.type, JSON):
-        return dict
-    wanted: type[Any] = column.type.python_type
-    return wanted
-
-
-def _value(value: Any, column: Any, where: str) -> Any:
-    """Convert a JSON value to the type of its column; `where` names its line in errors."""
-    wanted = _type_of(column)
-    if value is None:
-        if not column.nullable:
-            raise BadFile(f"{where}: {column.name}: expected a {wanted.__name__}, got null")
-        return None
-    if wanted is datetime:
-        try:
-            moment = datetime.fromisoformat(value)
-        except (TypeError, ValueError):
-            moment = None
-        if moment is None or moment.tzinfo is None:
-            raise BadFile(f"{where}: {column.name}: expected a time with a time zone, got {value!r:.60}")
-        return moment
-    if wanted is float and type(value) is int:
-        value = float(value)
-    if not isinstance(value, wanted) or (wanted is int and isinstance(value, bool)):
-        raise BadFile(f"{where}: {column.name}: expected a {wanted.__name__}, got {value!r:.60}")
-    if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise BadFile(f"{where}: {column.name}: expected a 64-bit integer")
-    if isinstance(value, str) and getattr(column.type, "length", None) and len(value) > column.type.length:
-        raise BadFile(f"{where}: {column.name}: expected at most {column.type.length} characters")
-    return value

@@ -3,8 +3,10 @@
 import hashlib
 import io
 import json
+import os
+import tracemalloc
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +25,10 @@ from brink.cli.commands import app
 from brink.server.db.engine import open_engines
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow
 from brink.server.errors import Conflict, NotFound, ServerError
-from brink.server.operations.transfer import BadFile, export_campaign
+from brink.server.operations.export_file import BadFile, open_export
+from brink.server.operations.transfer import export_campaign
 from brink.server.problems.urban_injected import SIMULATOR
+from brink.sim.episode import EpisodeSpec
 
 pytestmark = pytest.mark.usefixtures("small_problems")
 
@@ -274,7 +278,7 @@ def test_forged_follow_ups_change_nothing(
         (
             {
                 f"{folder}/campaigns.jsonl": in_line(
-                    lambda row: row["document"]["budget"].update(simulations=9)
+                    lambda row: (row["document"]["budget"].update(simulations=9), row.update(budget=9))
                 )
             },
             f"{folder}/campaigns.jsonl: document: budget: expected 1 simulations",
@@ -315,7 +319,7 @@ def rewritten(file: Path, changes: dict[str, Callable[[bytes], bytes | None]], *
     return other
 
 
-def in_line(change: Callable[[dict[str, Any]], None], line: int = 0) -> Callable[[bytes], bytes]:
+def in_line(change: Callable[[dict[str, Any]], object], line: int = 0) -> Callable[[bytes], bytes]:
     def changed(data: bytes) -> bytes:
         lines = data.splitlines()
         row = json.loads(lines[line])
@@ -370,13 +374,13 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "too few vectors": ({"arrays/vectors.npy": array(np.zeros((3, 2)))}, "expected one row for each solution"),
     "vectors of another type": ({"arrays/vectors.npy": array(np.zeros((70, 2), "f4"))}, "type <f8"),
     "objects": (
-        {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "expected an array",
+        {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "type <f8, got |O",
     ),
     "an array that claims to be huge": ({"arrays/vectors.npy": lambda _: huge()}, "expected an array"),
     "distances of another generation": (
         {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))}, "does not match its checksum",
     ),
-    "notes that are none": ({"campaigns.jsonl": in_line(lambda row: row.update(notes="a\0b"))}, "notes: "),
+    "notes that are none": ({"campaigns.jsonl": in_line(lambda row: row.update(notes="a\x1bb"))}, "notes: "),
     "a tag that is none": (
         {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "two words"}'}, "tags: ",
     ),
@@ -401,6 +405,216 @@ def test_a_forged_file_changes_nothing(elsewhere: str, exported: tuple[str, str,
     with engines.reader.connect() as connection:
         for table in (CampaignRow, SolutionRow, JobRow):
             assert connection.execute(select(func.count()).select_from(table)).scalar_one() == 0
+    engines.dispose()
+
+
+LIKE_THE_API: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
+    "a number without end": (
+        {"solutions.jsonl": lambda data: data.replace(b'"seed":', b'"robustness":1e400,"seed":', 1)},
+        "expected finite numbers, got 1e400",
+    ),
+    "NaN": (
+        {"generations.jsonl": in_line(lambda row: row.update(best_fitness=float("nan")))}, "expected finite numbers",
+    ),
+    "a key twice": (
+        {"solutions.jsonl": lambda data: data.replace(b'"seed":', b'"seed":1,"seed":', 1)}, "expected each key once",
+    ),
+    "an integer without end": (
+        {"solutions.jsonl": in_line(lambda row: row.update(robustness=10**4000))}, "line 1: robustness: ",
+    ),
+    "deep nesting": (
+        {"solutions.jsonl": lambda data: b"[" * 500_000 + b"\n" + data}, "nested too deeply",
+    ),
+    "many values": ({"solutions.jsonl": lambda data: b"[" + b"[]," * 2_000_000 + b"\n" + data}, "1000000 values"),
+    "a lone surrogate": (
+        {"solutions.jsonl": in_line(lambda row: row.update(failure="\ud800"))}, "lone surrogates",
+    ),
+    "NUL": ({"jobs.jsonl": in_line(lambda row: row.update(last_error="a\0b"))}, "without NUL characters"),
+    "escape sequences in a name": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(name="\x1b[2J"))}, "name: expected text without control",
+    ),
+    "a name that is not the campaign's": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(name="another"))}, "name: expected 'ball' as in document",
+    ),
+    "a priority out of range": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(priority=10**6))}, "priority: expected 0 as in document",
+    ),
+    "a negative number": ({"solutions.jsonl": in_line(lambda row: row.update(number=-1))}, "expected a number >= 0"),
+    "a number past 32 bits": ({"solutions.jsonl": in_line(lambda row: row.update(generation=2**40))}, "32-bit"),
+    "a time out of range": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(created_at="0001-01-01T00:00:00+23:59"))}, "created_at",
+    ),
+    "ended without a time": ({"campaigns.jsonl": in_line(lambda row: row.update(finished_at=None))}, "finished_at"),
+    "counts of other solutions": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(unsafe=row["unsafe"] + 1))}, "solutions unsafe, but",
+    ),
+    "no time limit": ({"jobs.jsonl": in_line(lambda row: row.update(timeout_s=0))}, "expected a number > 0"),
+    "a result that is none": ({"jobs.jsonl": in_line(lambda row: row.update(result="{}"))}, "result: verdicts"),
+    "a result without end": (
+        {"jobs.jsonl": in_line(lambda row: row.update(result=row["result"].replace("{", '{"a":1e999,', 1)))},
+        "result: ",
+    ),
+    "another simulator": ({"jobs.jsonl": in_line(lambda row: row.update(needs="gymnasium@1"))}, "needs: expected"),
+    "a hash that is none": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(document_hash="x"))}, "document_hash: expected a SHA-256",
+    ),
+    "vectors that are not finite": ({"arrays/vectors.npy": array(np.full((70, 2), np.nan))}, "expected finite"),
+    "too many vectors": ({"arrays/vectors.npy": array(np.zeros((71, 2)))}, "expected 70 rows"),
+    "a header of gigabytes": (
+        {"arrays/vectors.npy": lambda _: b"\x93NUMPY\x02\x00" + b"\xff" * 4 + b" " * 1000}, "array of format 1.0",
+    ),
+}  # fmt: skip
+"""What the API would refuse, too."""
+
+
+def test_what_the_api_would_refuse_is_refused_in_a_file(
+    exported: tuple[str, str, Path], tmp_path: Path
+) -> None:
+    database = f"sqlite:///{tmp_path}/new.db"
+    for name, (changes, message) in LIKE_THE_API.items():
+        with pytest.raises(BadFile) as refused:
+            run("import", str(rewritten(exported[2], changes)), "--database", database)
+        assert message in str(refused.value), name
+    engines = open_engines(database)
+    with engines.reader.connect() as connection:
+        for table in (CampaignRow, SolutionRow, JobRow):
+            assert connection.execute(select(func.count()).select_from(table)).scalar_one() == 0
+    engines.dispose()
+
+
+def packed(
+    file: Path, members: Mapping[str, bytes], method: int = zipfile.ZIP_DEFLATED, **manifest: Any
+) -> Path:
+    """Write a file with some members and a manifest that fits."""
+    sums = {name: hashlib.sha256(data).hexdigest() for name, data in members.items()}
+    document = {"format": "brink-campaign", "version": 1, "campaign": "0badf11e", "sha256": sums, **manifest}
+    with zipfile.ZipFile(file, "w", method) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+        archive.writestr("manifest.json", json.dumps(document))
+    return file
+
+
+MIB = 1024**2
+
+
+def long_manifest(file: Path) -> None:
+    packed(file, {}, rows={"solutions": " " * 100 * MIB})
+
+
+def zeros(file: Path) -> None:
+    packed(file, {"arrays/vectors.npy": array(np.zeros(100 * MIB, "|u1"))(b"")})
+
+
+def understated(file: Path) -> None:
+    """A member that says that it is small, and unpacks to much more."""
+    packed(file, {"jobs.jsonl": b" " * 100 * MIB})
+    data, size = file.read_bytes(), (100 * MIB).to_bytes(4, "little")
+    assert data.count(size) == 2
+    file.write_bytes(data.replace(size, (1000).to_bytes(4, "little")))
+
+
+def bzip2(file: Path) -> None:
+    packed(file, {"jobs.jsonl": b" " * 100 * MIB}, zipfile.ZIP_BZIP2)
+
+
+def many_members(file: Path) -> None:
+    packed(file, {f"{number:0200}": b"" for number in range(40_000)}, zipfile.ZIP_STORED)
+
+
+def long_line(file: Path) -> None:
+    packed(file, {"campaigns.jsonl": b" " * 80 * MIB + bytes(np.random.default_rng(1).bytes(MIB))})
+
+
+def twice(file: Path) -> None:
+    packed(file, {"jobs.jsonl": b""})
+    with zipfile.ZipFile(file, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("jobs.jsonl", b"")
+
+
+def pipe(file: Path) -> None:
+    os.mkfifo(file)
+
+
+def folder(file: Path) -> None:
+    file.mkdir()
+
+
+BOMBS: dict[Callable[[Path], None], str] = {
+    long_manifest: "when unpacked",
+    zeros: "when unpacked",
+    understated: "undamaged|does not match its checksum",
+    bzip2: "stored or deflated",
+    many_members: "list of members",
+    long_line: "expected lines of at most",
+    twice: "each member once",
+    pipe: "expected a regular file",
+    folder: "expected a regular file",
+}
+
+
+def read_whole(file: Path) -> None:
+    with open_export(file) as export:
+        for member in export.members:
+            assert list(export.documents(member)) is not None
+
+
+@pytest.mark.parametrize("bomb", BOMBS, ids=lambda bomb: bomb.__name__)
+def test_a_file_that_unpacks_to_much_more_is_refused_before_it_does(
+    bomb: Callable[[Path], None], tmp_path: Path
+) -> None:
+    """Most would take 100 MiB or more, or never end."""
+    file, database = tmp_path / "bomb.brink", tmp_path / "new.db"
+    bomb(file)
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadFile, match=BOMBS[bomb]):
+            read_whole(file)
+        assert tracemalloc.get_traced_memory()[1] < 60 * MIB
+    finally:
+        tracemalloc.stop()
+    with pytest.raises(BadFile, match=BOMBS[bomb]):
+        run("import", str(file), "--database", f"sqlite:///{database}")
+    assert not database.exists() or bomb is long_line, "nothing is created for a file that is none"
+
+
+@on_sqlite
+def test_an_imported_campaign_that_may_run_is_checked_like_a_new_one(
+    databases: Databases, elsewhere: str, database_url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "half.brink"
+    with coordinator(database_url) as client:
+        half = submit(client, ball(simulations=60, execution={"cache": False}))
+        FakeWorker(client).work(half, until=reached(25))
+        expect(client.post(f"/api/v1/campaigns/{half}/pause"))
+    assert run("export", half, "--out", str(file), "--database", database_url).exit_code == 0
+    states = [json.loads(line)["status"] for line in members(file)["jobs.jsonl"].splitlines()]
+    model = {"endpoint": "https://evil.example/v1", "model": "m", "api_key_env": "AWS_SECRET_ACCESS_KEY"}
+
+    def another(row: dict[str, Any]) -> None:
+        spec = {**json.loads(row["spec"]), "seed": 7}
+        text = EpisodeSpec.from_json(spec).canonical_json()
+        row.update(spec=text, spec_hash=hashlib.sha256(text.encode()).hexdigest())
+
+    wrong: tuple[tuple[dict[str, Callable[[bytes], bytes | None]], str], ...] = (
+        (
+            {"campaigns.jsonl": in_line(lambda row: row["document"].update(llm=model))},
+            "llm.endpoint: this coordinator may use models on its own machine, without a key",
+        ),
+        (
+            {"campaigns.jsonl": in_line(lambda row: row["document"].update(llm={**model, "endpoint": "http://[::1]"}))},
+            "llm.api_key_env: this coordinator may not send the key in AWS_SECRET_ACCESS_KEY",
+        ),
+        ({"jobs.jsonl": in_line(another, states.index("queued"))}, "expected the simulation that ball@1 asks for"),
+        ({"arrays/vectors.npy": array(np.full((len(states), 2), 99.0))}, "within the search space"),
+    )  # fmt: skip
+    for changes, message in wrong:
+        with pytest.raises(BadFile) as refused:
+            run("import", str(rewritten(file, changes)), "--database", elsewhere)
+        assert message in str(refused.value)
+    engines = open_engines(elsewhere)
+    with engines.reader.connect() as connection:
+        assert connection.execute(select(func.count()).select_from(CampaignRow)).scalar_one() == 0
     engines.dispose()
 
 
