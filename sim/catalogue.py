@@ -6,10 +6,12 @@ Reading the catalogue never imports a simulator, so a coordinator can list simul
 import difflib
 import importlib
 import inspect
+import json
 import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -19,9 +21,16 @@ from brink.extras import has_extra
 from brink.sim.episode import EpisodeResult, EpisodeSpec
 from brink.sim.errors import ExtraMissing, InvalidEpisode, PluginMissing
 from brink.sim.requirements import Requirement
+from brink.sim.sources import distribution_digest, is_own, module_digest, modules_digest
 
 SIMULATORS = "brink.simulators"
 REQUIREMENTS = "brink.requirements"
+EPISODE_GROUPS: Final = (
+    SIMULATORS, REQUIREMENTS, "brink.detectors", "brink.driving_systems", "brink.fallbacks", "brink.guards",
+    "brink.perturbations",
+)  # fmt: skip
+"""Groups of the plug-ins that workers run, which decide an episode's result."""
+GROUPS: Final = (*EPISODE_GROUPS, "brink.algorithms", "brink.problems")
 FUNCTION_PREFIX = "function-"
 """Beginning of the ids of simulators that call a Python function."""
 PLUGINS_VARIABLE = "BRINK_PLUGINS"
@@ -38,6 +47,11 @@ EXTRAS: Final[Mapping[str, str]] = {
 }
 """The optional extra that each of Brink's own simulators needs, if any."""
 
+SHOWN_DIGITS: Final = 8
+"""Digits of a source's digest in messages."""
+_GROUP_PREFIX: Final = "brink."
+_MODULES: Final = "modules"
+
 PLAIN = "plain"
 FUNCTION = "function"
 OTHER = "other"
@@ -45,6 +59,9 @@ WORKER_KINDS: Final = (PLAIN, *sorted(set(EXTRAS.values())), FUNCTION, OTHER)
 """Kinds of workers; see `worker_kind`."""
 
 _registered: dict[str, dict[str, Callable[..., object]]] = {}
+_registered_by: dict[tuple[str, str], str] = {}
+"""The plug-in module that registered a plug-in while it was imported."""
+_importing: list[str] = []
 
 
 class Simulator(Protocol):
@@ -73,6 +90,9 @@ def register(group: str, plugin_id: str, factory: Callable[..., object]) -> None
         factory: What an entry point would load: a class, or a function that returns an instance.
     """
     _registered.setdefault(group, {})[plugin_id] = factory
+    _registered_by.pop((group, plugin_id), None)
+    if _importing:
+        _registered_by[group, plugin_id] = _importing[-1]
 
 
 @cache
@@ -94,6 +114,7 @@ def import_plugin_modules() -> None:
         PluginMissing: A module cannot be imported; the message says what to do.
     """
     for name in plugin_modules():
+        _importing.append(name)
         try:
             importlib.import_module(name)
         except Exception as error:  # (third-party code may raise anything)
@@ -101,6 +122,9 @@ def import_plugin_modules() -> None:
             raise PluginMissing(
                 f"plug-in module {name!r}, which --plugin or {PLUGINS_VARIABLE} names, {why}"
             ) from error
+        finally:
+            _importing.pop()
+        module_digest(name)  # now, before anybody edits what was imported
 
 
 def _why_not_imported(name: str, error: Exception) -> str:
@@ -140,6 +164,84 @@ def load_plugin(group: str, plugin_id: str) -> object:
     if group == SIMULATORS and plugin_id in EXTRAS and not has_extra(EXTRAS[plugin_id]):
         raise ExtraMissing(f"{plugin_id} needs the extra {EXTRAS[plugin_id]}, which is not installed")
     return _entry_points(group)[plugin_id].load()
+
+
+def plugin_source(group: str, plugin_id: str) -> str | None:
+    """Return the digest of a plug-in's source; None for Brink's own, and for one that is not registered here."""
+    factory = _registered.get(group, {}).get(plugin_id)
+    if factory is not None:
+        modules = {_registered_by.get((group, plugin_id)), getattr(factory, "__module__", None)}
+        return modules_digest(name for name in modules if name is not None)
+    return _point_source(group, plugin_id) if plugin_id in _foreign_points(group) else None
+
+
+@cache
+def _point_source(group: str, plugin_id: str) -> str:
+    point = _entry_points(group)[plugin_id]
+    return (
+        module_digest(point.module) if point.dist is None else distribution_digest(point.dist, point.module)
+    )
+
+
+def named_sources(document: object, groups: Sequence[str] = EPISODE_GROUPS) -> dict[str, str]:
+    """Return the digests of the sources of the plug-ins that a document names, except Brink's own.
+
+    Args:
+        document: A JSON value. It names a plug-in if a string in it is its id, or names a function of its module.
+        groups: Groups of the plug-ins.
+
+    Returns:
+        Digests by group and id, such as ``requirements/gentle@1``, and by ``modules/NAME``.
+    """
+    import_plugin_modules()
+    known = {
+        f"{group.removeprefix(_GROUP_PREFIX)}/{plugin_id}": (json.dumps(plugin_id), source)
+        for group in groups
+        for plugin_id in (*_foreign_points(group), *_registered.get(group, {}))
+        if (source := plugin_source(group, plugin_id)) is not None
+    }
+    known |= {
+        f"{_MODULES}/{name}": (f'"{name}:', module_digest(name))
+        for name in plugin_modules()
+        if not is_own(name)
+    }
+    if not known:
+        return {}
+    text = json.dumps(document)
+    return {key: source for key, (word, source) in sorted(known.items()) if word in text}
+
+
+@cache
+def _foreign_points(group: str) -> tuple[str, ...]:
+    return tuple(name for name, point in _entry_points(group).items() if not is_own(point.module))
+
+
+def with_sources(spec: EpisodeSpec) -> EpisodeSpec:
+    """Return an episode that also says which source the plug-ins have that it names."""
+    sources = named_sources(spec.to_json())
+    return replace(spec, sources=sources) if sources else spec
+
+
+def other_source(sources: Mapping[str, str]) -> str | None:
+    """Return why an episode cannot run here with the sources that it was specified with, or None if it can.
+
+    Args:
+        sources: Digests as `named_sources` returns them.
+    """
+    for key, wanted in sources.items():
+        kind, _, name = key.partition("/")
+        here = (
+            (module_digest(name) if name in plugin_modules() else None)
+            if kind == _MODULES
+            else plugin_source(f"{_GROUP_PREFIX}{kind}", name)
+        )
+        if here != wanted:
+            has = "is not here" if here is None else f"has source {here[:SHOWN_DIGITS]} here"
+            return (
+                f"plug-in {name} {has}, but the campaign uses source {wanted[:SHOWN_DIGITS]}: start this worker "
+                "again with the code that the coordinator has"
+            )
+    return None
 
 
 def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Callable[..., Any]:

@@ -34,6 +34,8 @@ class EpisodeSpec:
         seed: Seed of all random draws of the episode, in [0, 2**53).
         duration_s: Simulated time, > 0.
         options: Further settings of the simulator (fidelity, mode, ...).
+        sources: Digests of the sources of the plug-ins that it names, except Brink's own; see
+            `brink.sim.catalogue.named_sources`.
     """
 
     simulator: str
@@ -43,6 +45,7 @@ class EpisodeSpec:
     seed: int
     duration_s: float
     options: Mapping[str, Json] = field(default_factory=dict)
+    sources: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0 <= self.seed <= MAX_SEED:
@@ -75,6 +78,7 @@ class EpisodeSpec:
             "seed": self.seed,
             "duration_s": self.duration_s,
             "options": dict(self.options),
+            **({"sources": dict(self.sources)} if self.sources else {}),
         }
 
     @classmethod
@@ -92,6 +96,7 @@ class EpisodeSpec:
             "seed": (int,),
             "duration_s": (int, float),
             "options": (dict,),
+            "sources": (dict,),
         }
         unknown = sorted(set(document) - set(expected))
         if unknown:
@@ -100,7 +105,7 @@ class EpisodeSpec:
             )
         for name, types in expected.items():
             if name not in document:
-                if name == "options":
+                if name in ("options", "sources"):
                     continue
                 raise InvalidEpisode(f"{name}: missing")
             if not isinstance(document[name], types) or isinstance(document[name], bool):

@@ -21,7 +21,15 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from brink.sim.catalogue import EXTRAS, SIMULATORS, Simulator, load_plugin, make_simulator, simulator_ids
+from brink.sim.catalogue import (
+    EXTRAS,
+    SIMULATORS,
+    Simulator,
+    load_plugin,
+    make_simulator,
+    other_source,
+    simulator_ids,
+)
 from brink.sim.episode import EpisodeSpec, JsonObject
 from brink.sim.errors import ExtraMissing, InvalidEpisode, SimulationCrashed
 from brink.worker.child_protocol import (
@@ -172,6 +180,8 @@ class SimulatorHost:
         spec: EpisodeSpec | None = None
         try:
             spec = EpisodeSpec.from_json(document)
+            if (why := other_source(spec.sources)) is not None:
+                return failed_document("error", why)
             simulator = self._simulators.get(spec.simulator)
             if simulator is None:
                 simulator = self._simulators[spec.simulator] = make_simulator(spec.simulator)

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.text import Text
 
 from brink.api.client import Api
+from brink.api.earlier import earlier_run
 from brink.api.live import Steps, failures_of
 from brink.api.results import fetch_archive
 from brink.cli.campaigns import grid_table, solution_table, within_budget
@@ -43,7 +44,7 @@ from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.repeats import RepeatsView
-from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
+from brink.server.api.schemas import Boundary, CampaignView, Progress
 from brink.server.api.solutions import boundary_words
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import check_submission
@@ -113,18 +114,13 @@ class CampaignRun:
         untraced = body.model_copy(update={"execution": body.execution.model_copy(update={"keep_traces": 0})})
         self.body = body if pictures else untraced
         self.models = (body.llm,)
+        self._other = ""
         self._hashes = {body.document_hash(), untraced.document_hash()}
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> Progress | None:
         """Return the latest campaign of the file, with or without pictures, that has one of these statuses."""
-        found: list[CampaignView] = []
-        for document_hash in self._hashes:
-            params = {"document_hash": document_hash, "status": list(statuses), "limit": 1}
-            found += (await api.read(CampaignList, "/campaigns", params)).campaigns
-        if not found:
-            return None
-        latest = max(found, key=lambda one: one.created_at)
-        return await api.read(Progress, f"/campaigns/{latest.id}/progress")
+        latest, self._other = await earlier_run(api, self.body, self._hashes, statuses)
+        return None if latest is None else await api.read(Progress, f"/campaigns/{latest.id}/progress")
 
     async def resume(self, api: Api, found: Progress) -> None:
         """Resume the campaign if it is paused."""
@@ -137,6 +133,7 @@ class CampaignRun:
         campaign = await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))
         return campaign.id, (
             f"{body.algorithm.id} on {body.problem.id}, {body.budget.simulations} simulations, seed {body.seed}"
+            f"{self._other and f'; {self._other}'}"
         )
 
     async def watch(self, session: Session, name: str) -> Progress:

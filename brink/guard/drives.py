@@ -24,6 +24,7 @@ from brink.search.streams import Stream, episode_seed, generator
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
+from brink.sim.catalogue import with_sources
 from brink.sim.episode import EpisodeSpec, Json, Verdict
 from brink.sim.guard.features import ALL_FEATURES, FEATURES_ID
 from brink.sim.guard.features import STEP_S as STEP_S
@@ -149,7 +150,9 @@ def random_specs(problem: SimulatedProblem, count: int, seed: int) -> list[Episo
     """Return the episodes of random drives: independent draws from a problem's space, each with its own seed."""
     space = problem.space
     return [
-        problem.episode(space.sample(generator(seed, Stream.START, number)), episode_seed(seed, number))
+        with_sources(
+            problem.episode(space.sample(generator(seed, Stream.START, number)), episode_seed(seed, number))
+        )
         for number in range(count)
     ]
 
@@ -173,7 +176,7 @@ def solution_specs(
         Conflict: An episode differs from the one that was simulated.
     """
     specs = [
-        problem.episode(problem.space.split(row), seed)
+        with_sources(problem.episode(problem.space.split(row), seed))
         for row, seed in zip(archive.vectors, seeds.tolist(), strict=True)
     ]
     numbers = archive.numbers.tolist()

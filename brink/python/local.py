@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from brink.api.client import Api, CoordinatorError
+from brink.api.earlier import earlier_run
 from brink.api.live import earlier_words
 from brink.api.terminal import PlainConsole
 from brink.python.campaign import CampaignLike, body_of
@@ -13,7 +14,7 @@ from brink.python.client import check_finished, settings_of
 from brink.python.connection import LocalDatabase, local_workers, wait_for
 from brink.python.display import Display, display_of, in_notebook
 from brink.python.result import AsyncResult, Result
-from brink.server.api.schemas import CampaignList, CampaignView, Progress
+from brink.server.api.schemas import CampaignView, Progress
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import check_submission
 from brink.server.problems.catalogue import check_extra
@@ -105,7 +106,7 @@ async def run_body(
     """
     settings = settings_of(database, body.llm)
     async with local_workers(settings, workers, environment) as (api, processes):
-        campaign, earlier = await _start(api, body, statuses)
+        campaign, earlier, other = await _start(api, body, statuses)
         try:
             with display_of(progress) as display:
                 check(found := await _watch(api, campaign, display, processes))
@@ -113,22 +114,27 @@ async def run_body(
             await asyncio.shield(_pause(api, campaign))
             raise
     result = await AsyncResult.fetch(LocalDatabase(settings), campaign)
-    if earlier:
-        result.note = earlier_words(found)
+    if earlier or other:
+        result.note = earlier_words(found) if earlier else other
         if progress and not in_notebook():  # a notebook shows the result, which says so itself
             PlainConsole(stderr=True).print(f"{result.name}: {result.note}", soft_wrap=True)
     return result
 
 
-async def _start(api: Api, body: CampaignBody, statuses: tuple[CampaignStatus, ...]) -> tuple[str, bool]:
-    """Return the id of the campaign to watch, an earlier run or a new one, and whether it had finished before."""
+async def _start(api: Api, body: CampaignBody, statuses: tuple[CampaignStatus, ...]) -> tuple[str, bool, str]:
+    """Return the id of the campaign to watch, an earlier run or a new one, and whether it had finished before.
+
+    The last value says that there is an earlier run with other code of a plug-in, if there is.
+    """
+    other = ""
     if statuses:
-        params = {"document_hash": body.document_hash(), "status": list(statuses), "limit": 1}
-        for found in (await api.read(CampaignList, "/campaigns", params)).campaigns:
+        found, other = await earlier_run(api, body, [body.document_hash()], statuses)
+        if found is not None:
             if found.status is CampaignStatus.PAUSED:
                 await api.post(f"/campaigns/{found.id}/resume")
-            return found.id, found.status is CampaignStatus.FINISHED
-    return (await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))).id, False
+            return found.id, found.status is CampaignStatus.FINISHED, ""
+    campaign = await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))
+    return campaign.id, False, other
 
 
 async def _watch(api: Api, campaign: str, display: Display, processes: WorkerProcesses) -> Progress:

@@ -68,7 +68,8 @@ class CampaignResult:
 
     Attributes:
         finding: What was found, in a sentence.
-        note: That the result is of an earlier run, and when that finished; empty for a new run.
+        note: That the result is of an earlier run, and when that finished, or that an earlier run had other code;
+            empty otherwise.
     """
 
     note: str = ""

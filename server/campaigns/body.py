@@ -233,6 +233,17 @@ class CampaignBody(Body):
     start_from: Annotated[
         StartFrom | None, Field(description="Known solutions and results to start from.")
     ] = None
+    sources: Annotated[
+        dict[
+            Annotated[str, Field(max_length=200), AfterValidator(check_printable)],
+            Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")],
+        ],
+        Field(
+            max_length=64,
+            exclude_if=lambda given: not given,  # for the hashes of older submissions
+            description="Set by the coordinator: the SHA-256 of the source of each plug-in, except Brink's own.",
+        ),
+    ] = Field(default_factory=dict)
     tags: Tags = Field(default_factory=list, description="Short words by which to find the campaign again.")
     notes: Annotated[Notes, Field(description="What people should know about the campaign.")] = ""
 
@@ -251,6 +262,7 @@ class CampaignBody(Body):
     def document_hash(self) -> str:
         """Return a hash that identifies identical submissions, whatever their tags and notes are."""
         document = self.document()
+        document.pop("sources", None)  # `brink run` compares them with those of an earlier campaign
         if self.llm is None:
             del document["llm"]  # the hashes of older submissions stay valid
         if not self.repeats:

@@ -1,7 +1,7 @@
 """Turns a campaign's body into a search: makes and checks problem and algorithm, asks for the first generation."""
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -40,6 +40,7 @@ from brink.server.problems.base import (
     ChecksInputs,
     InProcessProblem,
     MeasuresOnData,
+    NamesRequirements,
     Problem,
     ReplacesComponent,
     SimulatedProblem,
@@ -55,7 +56,7 @@ from brink.server.problems.catalogue import (
 )
 from brink.server.queue.job_store import NewJob
 from brink.server.states import JobKind
-from brink.sim.catalogue import plugin_ids
+from brink.sim.catalogue import GROUPS, named_sources, plugin_ids, with_sources
 from brink.sim.episode import digest_of
 
 LLM_SEEDER = "llm"
@@ -145,6 +146,7 @@ def make_plan(body: CampaignBody) -> Plan:
         update={
             "problem": PluginChoice(id=body.problem.id, params=problem_params),
             "algorithm": PluginChoice(id=body.algorithm.id, params=asdict(config)),
+            "sources": _sources(problem, problem_params, body.algorithm.id, asdict(config)),
         }
     )
     return Plan(
@@ -154,6 +156,15 @@ def make_plan(body: CampaignBody) -> Plan:
         neighbourhood=Neighbourhood.of(config),
         body=resolved,
     )
+
+
+def _sources(
+    problem: Problem, params: Mapping[str, Any], algorithm: str, config: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return the digests of the sources of all plug-ins that decide a campaign's results, except Brink's own."""
+    run = [problem.needs] if isinstance(problem, SimulatedProblem) else []
+    run += problem.requirements if isinstance(problem, NamesRequirements) else ()
+    return named_sources([problem.id, params, algorithm, config, run], GROUPS)
 
 
 def with_truth(problem: Problem) -> SimulatedProblem:
@@ -436,10 +447,10 @@ def _job(problem: SimulatedProblem, candidate: Candidate, seed: int) -> NewJob:
     if candidate.question is Question.DATASET:
         if not isinstance(problem, MeasuresOnData):
             raise _no_data(problem)
-        spec = problem.dataset_evaluation(candidate.vectors)
+        spec = with_sources(problem.dataset_evaluation(candidate.vectors))
         needs, timeout_s = problem.dataset_needs, problem.dataset_timeout_s
     else:
-        spec = problem.episode(candidate.vectors, seed)
+        spec = with_sources(problem.episode(candidate.vectors, seed))
         needs, timeout_s = problem.needs, problem.timeout_s
     text = spec.canonical_json()
     return NewJob(spec=text, spec_hash=digest_of(text), needs=needs, timeout_s=timeout_s)

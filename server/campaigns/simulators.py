@@ -1,9 +1,12 @@
-"""Which simulator a campaign was simulated with, and whether this installation still has it.
+"""Which simulator and plug-ins a campaign was simulated with, and whether this installation still has them.
 
-The id of a simulator carries a version, which is raised when its results change. Results of two versions do not
-belong in one archive: a campaign that was simulated with another version is shown as it is, but neither continued nor
-repeated.
+The id of a simulator carries a version, which is raised when its results change. Plug-ins other than Brink's own are
+edited under one id, so their sources count as well (`brink.sim.sources`). Results of two versions do not belong in
+one archive: a campaign that was simulated with another one is shown as it is, but neither continued nor repeated.
 """
+
+import logging
+from collections.abc import Mapping
 
 from sqlalchemy import Connection, select
 
@@ -13,19 +16,33 @@ from brink.server.db.models import JobRow
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import SimulatedProblem
 from brink.server.states import JobKind
+from brink.sim.catalogue import SHOWN_DIGITS
+
+log = logging.getLogger(__name__)
 
 
 def other_simulator(connection: Connection, campaign: Campaign) -> str | None:
-    """Return why a campaign cannot be continued or repeated here, or None if its simulator is the problem's.
+    """Return why a campaign cannot be continued or repeated here, or None if simulator and plug-ins are the same.
 
     Args:
         connection: To the database.
         campaign: The campaign; one whose plug-ins are missing is not checked.
     """
     try:
-        problem = make_plan(campaign.body).problem
+        plan = make_plan(campaign.body)
     except InvalidInput:
         return None
+    if (changed := changed_sources(campaign.body.sources, plan.body.sources)) is not None:
+        return (
+            f"this campaign was simulated with other code of {changed}, whose results may differ. Continue with the "
+            "code that it began with, or submit it again."
+        )
+    if plan.body.sources and not campaign.body.sources:
+        log.warning(
+            "the version of Brink that started this campaign did not record the source of its plug-ins: edits since "
+            "then cannot be told", extra={"campaign": campaign.id},
+        )  # fmt: skip
+    problem = plan.problem
     if not isinstance(problem, SimulatedProblem):
         return None
     query = (
@@ -41,3 +58,21 @@ def other_simulator(connection: Connection, campaign: Campaign) -> str | None:
         f"this campaign was simulated with {began_with}, but {campaign.body.problem.id} now uses {problem.needs}, "
         "whose results differ. Continue with the version of Brink that started the campaign, or submit it again."
     )
+
+
+def changed_sources(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:
+    """Return in words which plug-ins have another source than before, or None if none has.
+
+    Args:
+        before: Digests of a campaign's plug-ins, `CampaignBody.sources`; none in a campaign of an older version.
+        now: Those of the same plug-ins here.
+    """
+    if not before:
+        return None
+    changed = [
+        f"{key.partition('/')[2]} (source {before.get(key, 'unknown')[:SHOWN_DIGITS]}, here "
+        f"{now.get(key, 'unknown')[:SHOWN_DIGITS]})"
+        for key in sorted({*before, *now})
+        if before.get(key) != now.get(key)
+    ]
+    return ", ".join(changed) or None

@@ -28,6 +28,7 @@ from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import ODD
 from brink.server.states import SolutionVerdict
+from brink.sim.catalogue import with_sources
 
 _POINTER = "/start_from/campaign"
 
@@ -207,6 +208,6 @@ def _check_same_episodes(
             continue  # checked when that campaign began
         row = simulated[record.number]
         vectors = problem.space.split(np.frombuffer(record.vector, "<f8"))
-        if problem.episode(vectors, row.seed).digest() != row.spec_hash:
+        if with_sources(problem.episode(vectors, row.seed)).digest() != row.spec_hash:
             why = f"the simulation of solution {record.number} would be another one now, so a file or plug-in changed"
             _refuse(_not_here(source, why))

@@ -23,6 +23,7 @@ from brink.sim.catalogue import FUNCTION_PREFIX, SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
 from brink.sim.errors import InvalidEpisode
 from brink.sim.provenance import provenance, versions_with
+from brink.sim.sources import source_digest, source_files
 
 FUNCTION: Final = "function"
 """The requirement that a function decides: what it returns is the robustness."""
@@ -41,12 +42,16 @@ def simulator_of(digest: str) -> str:
 def digest_of(function: Callable[..., Any]) -> str:
     """Return the SHA-256 of a function's code, as far as it can be seen.
 
-    A function of an importable module counts with the source of its whole module. What it calls elsewhere does not.
+    A function of an importable module counts with the source of its module and of what belongs to it; see
+    `brink.sim.sources`.
     """
     digest = hashlib.sha256(cloudpickle.dumps(function))
-    for source in (inspect.getmodule(function), function):
+    module = inspect.getmodule(function)
+    for source in (module, function):
         try:
             digest.update(inspect.getsource(source).encode())  # type: ignore[arg-type]
+            if module is not None and len(source_files(module.__name__)) > 1:
+                digest.update(source_digest(module.__name__).encode())
             break
         except (OSError, TypeError):  # typed in, built in, or an object that can be called
             continue
@@ -84,6 +89,7 @@ class FunctionSimulator:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._id = simulator_of(path.stem.removeprefix(FUNCTION_PREFIX))
         self._function: Callable[..., Any] | None = None
         self._wants_seed = False
 
@@ -95,8 +101,12 @@ class FunctionSimulator:
             record: Has no effect: a function has no trace.
 
         Raises:
-            InvalidEpisode: The function raised an exception, or returned no finite number.
+            InvalidEpisode: The episode is not for this function; or the function raised an exception, or returned no
+                finite number.
         """
+        spec.check_for(self._id, math.inf)
+        if spec.requirements != (FUNCTION,):
+            raise InvalidEpisode(f"requirements: expected {FUNCTION}, got {', '.join(spec.requirements)}")
         cpu_s = time.process_time()
         function = self._loaded()
         values = dict(_values(spec.scenario))

@@ -1,0 +1,90 @@
+"""Plug-ins that were edited under the same id: their results are neither shared nor mixed, and that is said."""
+
+from collections.abc import Callable
+
+import httpx
+import pytest
+from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, submit
+from support.databases import on_sqlite
+from support.problems import SIMULATOR
+
+from brink.server.db.engine import Engines
+from brink.sim import catalogue
+from brink.sim.catalogue import SIMULATORS, register
+
+API = "/api/v1/campaigns"
+Edit = Callable[[], None]
+
+
+class Faulty:
+    """Stands for the simulator, which only its id and its source matter of here."""
+
+
+@pytest.fixture
+def edit(monkeypatch: pytest.MonkeyPatch, small_problems: None) -> Edit:
+    """Registers the simulator on the coordinator; pretends that problem and simulator were edited, and reloaded."""
+    registered = {group: dict(plugins) for group, plugins in catalogue._registered.items()}
+    monkeypatch.setattr(catalogue, "_registered", registered)
+    register(SIMULATORS, SIMULATOR, Faulty)
+    return lambda: monkeypatch.setattr(f"{catalogue.__name__}.modules_digest", lambda _: "e" * 64)
+
+
+def finished(client: httpx.Client, name: str) -> str:
+    campaign = submit(client, {**ball(), "name": name})
+    assert FakeWorker(client).work(campaign)["status"] == "finished"
+    return campaign
+
+
+@on_sqlite
+def test_results_of_other_code_are_not_in_the_cache(engines: Engines, database_url: str, edit: Edit) -> None:
+    with coordinator(database_url) as client:
+        finished(client, "before")
+        same = progress(client, finished(client, "same"))
+        assert same["cached"] == same["simulations"] >= 60
+    edit()
+    with coordinator(database_url) as client:
+        assert progress(client, finished(client, "after"))["cached"] == 0
+        assert progress(client, finished(client, "after again"))["cached"] == same["simulations"]
+
+
+@on_sqlite
+def test_a_campaign_is_not_continued_with_other_code(engines: Engines, database_url: str, edit: Edit) -> None:
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball())
+        FakeWorker(client).lease(max_jobs=3)
+    edit()
+    with coordinator(database_url) as client:
+        eventually(lambda: progress(client, campaign)["status"] == "paused", "the first sweep pauses it")
+        reason = progress(client, campaign)["status_reason"]
+        assert "simulated with other code of ball@1 (source " in reason
+        assert f"{SIMULATOR} (source " in reason
+        assert "here eeeeeeee" in reason
+        assert "submit it again" in reason
+
+
+@on_sqlite
+def test_a_finished_campaign_is_shown_but_not_repeated_with_other_code(
+    engines: Engines, database_url: str, edit: Edit
+) -> None:
+    wide = {"t_b": 1.0, "d_th": 0.05}
+    with coordinator(database_url) as client:
+        campaign = finished(client, "before")
+        before = expect(client.get(f"{API}/{campaign}/boundary", params=wide))
+        sources = expect(client.get(f"{API}/{campaign}"))["body"]["sources"]
+        assert set(sources) == {"problems/ball@1", f"simulators/{SIMULATOR}"}
+    edit()
+    with coordinator(database_url) as client:
+        assert expect(client.get(f"{API}/{campaign}/boundary", params=wide)) == before
+        answer = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **wide}), 409)
+        assert "simulated with other code of ball@1" in answer["detail"]
+        warm = {**ball(), "start_from": {"campaign": campaign}, "algorithm": {"id": "edge@1"}}
+        answer = expect(client.post(API, json=warm), 422)
+        assert "simulated with other code of ball@1" in answer["detail"]
+
+
+@on_sqlite
+def test_what_a_submission_says_of_sources_is_replaced(client: httpx.Client, edit: Edit) -> None:
+    campaign = submit(client, {**ball(), "sources": {"problems/ball@1": "0" * 64}})
+    body = expect(client.get(f"{API}/{campaign}"))["body"]
+    assert body["sources"]["problems/ball@1"] != "0" * 64
+    expect(client.post(API, json={**ball(), "sources": {"x": "short"}}), 422)
