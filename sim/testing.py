@@ -13,7 +13,7 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
 from brink.sim.trace import Trace
 
-_UNITS = ("m", "s", "m/s", "m/s^2", "rad", "1")
+_UNITS = ("m", "s", "m/s", "m/s²", "m/s^2", "rad", "1")
 _STEPS = 200
 
 
@@ -57,12 +57,12 @@ def check_simulator(
 ) -> None:
     """Check that a simulator fulfils its contract on some episodes.
 
-    Clauses: a result has a verdict for each requirement, in order; robustness and objectives are finite; a verdict is
-    violated if and only if it says when; verdicts, objectives and features are JSON without NaN; equal specifications
-    give equal results, from the same simulator and from another one, right away and after all other episodes; so do
-    their traces, byte by byte, and recording one changes nothing else; a trace can be read, and records each
-    requirement; a specification for another simulator, or one that can never run, raises `InvalidEpisode`, after
-    which the simulator still works.
+    Clauses: a result has a verdict for each requirement, in order; robustness and objectives are finite; a verdict
+    says when it was violated only if it was, and always if the simulator records traces; verdicts, objectives and
+    features are JSON without NaN; equal specifications give equal results, from the same simulator and from another
+    one, right away and after all other episodes; so do their traces, byte by byte, and recording one changes
+    nothing else; a trace can be read, and records each requirement; a specification for another simulator, or one
+    that can never run, raises `InvalidEpisode`, after which the simulator still works.
 
     Provenance is not compared. To check other processes as well, call this in a fresh one, or compare results.
 
@@ -93,7 +93,7 @@ def check_simulator(
                 f"equal results of equal specifications: {wanted}",
                 _compared(result),
             )
-        _check_trace(spec, recorded.trace)
+        _check_trace(spec, recorded)
         again = other.run(spec, record=True).trace
         _require(again == recorded.trace, "equal traces of equal specifications", spec.canonical_json())
 
@@ -112,8 +112,8 @@ def _check_result(spec: EpisodeSpec, result: EpisodeResult) -> None:
     for name, verdict in result.verdicts.items():
         _require(math.isfinite(verdict.robustness), f"{name}: a finite robustness", verdict)
         _require(
-            verdict.violated == (verdict.violated_at_s is not None),
-            f"{name}: violated if and only if it says when",
+            verdict.violated or verdict.violated_at_s is None,
+            f"{name}: no time of a violation without one",
             verdict,
         )
     for name, value in result.objectives.items():
@@ -127,12 +127,18 @@ def _check_result(spec: EpisodeSpec, result: EpisodeResult) -> None:
     _require(result.trace is None, "no trace unless it is recorded", spec.canonical_json())
 
 
-def _check_trace(spec: EpisodeSpec, document: bytes | None) -> None:
-    """Check a recorded trace; a simulator may have none."""
-    if document is None:
+def _check_trace(spec: EpisodeSpec, result: EpisodeResult) -> None:
+    """Check the trace of a recorded episode; a simulator may have none."""
+    if result.trace is None:
         return
+    for name, verdict in result.verdicts.items():
+        _require(
+            verdict.violated == (verdict.violated_at_s is not None),
+            f"{name}: violated if and only if it says when, as there is a trace",
+            verdict,
+        )
     try:
-        trace = Trace.from_bytes(document)
+        trace = Trace.from_bytes(result.trace)
     except InvalidEpisode as error:
         raise ContractBroken(f"expected: a trace that can be read; got {error}") from error
     _require(

@@ -64,6 +64,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "import": ("brink.cli.database:import_", "Read a campaign from a file"),
     },
     "Tools": {
+        "plugins": ("brink.cli.plugins:plugins", "List and check plug-ins"),
         "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
         "llm": ("brink.cli.llm:llm", "Check and preview language models"),
         "bench": ("brink.cli.bench:bench", "Benchmark this installation"),

@@ -25,6 +25,7 @@ class BrakeAssistSimulator:
     """Brakes when the sensed distance falls below the dry braking distance plus a margin; gusts push it forward."""
 
     def run(self, spec, *, record=False):
+        spec.check_for("brake-assist-sim@1", longest_s=10.0)
         road, speed, bias, delay = (*spec.scenario.values(), *spec.behaviour.values())
         gust = np.random.default_rng(spec.seed).normal(0.0, 0.5)
         brakes_at = speed**2 / (2 * 9.81 * GRIP["dry"]) + 15.0 - bias - speed * delay

@@ -5,6 +5,7 @@ import math
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
+from brink.sim.adapters.function import FUNCTION, FunctionSimulator, simulator_of, write_function
 from brink.sim.catalogue import SIMULATORS, Simulator, load_plugin
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
@@ -44,6 +46,29 @@ def test_passes_the_contract_suite(problem_id: str) -> None:
             replace(specs[0], behaviour={"no_such_field": 1}),
             replace(specs[0], requirements=("no-such-requirement@1",)),
             replace(specs[0], duration_s=1e9),
+        ],
+    )
+
+
+def test_functions_pass_the_contract_suite(tmp_path: Path) -> None:
+    def margin(x: float, road: str, seed: int) -> dict[str, float]:
+        gap_m = x - 0.5 + np.random.default_rng(seed).normal(0.0, 0.1) - (road == "wet")
+        return {"robustness": gap_m, "gap_m": gap_m}
+
+    file, digest = write_function(margin, tmp_path)
+    specs = [
+        EpisodeSpec(
+            simulator=simulator_of(digest), scenario={"all": {"x": seed / 4, "road": "wet"}}, behaviour={},
+            requirements=(FUNCTION,), seed=seed, duration_s=60.0,
+        )
+        for seed in range(4)
+    ]  # fmt: skip
+    check_simulator(
+        lambda: FunctionSimulator(file),
+        specs,
+        invalid=[
+            replace(specs[0], scenario={"all": {"x": 1.0, "no_such_argument": 1}}),
+            replace(specs[0], requirements=("no-such-requirement@1",)),
         ],
     )
 
@@ -96,6 +121,19 @@ class NoMoment(Sound):
     def verdict(self, robustness: float) -> Verdict:
         return Verdict(robustness=-1.0, unit="m", violated_at_s=None)
 
+    def trace(self) -> bytes:
+        return b"a simulator that records time knows when"
+
+
+class ComputesAtOnce(Sound):
+    def verdict(self, robustness: float) -> Verdict:
+        return Verdict(robustness=robustness, unit="m", violated_at_s=None)
+
+
+class FalseMoment(Sound):
+    def verdict(self, robustness: float) -> Verdict:
+        return Verdict(robustness=1.0, unit="m", violated_at_s=1.0)
+
 
 class BadTrace(Sound):
     def trace(self) -> bytes:
@@ -134,8 +172,9 @@ SPECS = [
 ]
 
 
-def test_a_sound_simulator_passes() -> None:
-    check_simulator(Sound, SPECS)
+@pytest.mark.parametrize("sound", [Sound, ComputesAtOnce])
+def test_a_sound_simulator_passes(sound: Callable[[], Simulator]) -> None:
+    check_simulator(sound, SPECS)
 
 
 @pytest.mark.parametrize(
@@ -145,6 +184,7 @@ def test_a_sound_simulator_passes() -> None:
         (GlobalRandomness, "equal results of equal specifications"),
         (NotFinite, "a finite robustness"),
         (NoMoment, "violated if and only if it says when"),
+        (FalseMoment, "no time of a violation without one"),
         (BadTrace, "a trace that can be read"),
         (ChangingTrace, "trace"),
         (RunsAnything, "InvalidEpisode for"),

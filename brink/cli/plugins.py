@@ -1,0 +1,140 @@
+"""The commands of `brink plugins`: which plug-ins are registered, and whether they fulfil their contracts."""
+
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Final
+
+import typer
+
+from brink.cli.options import AsJson, console, plain_table, print_json
+from brink.search.errors import ConfigError, UnsupportedSpace
+from brink.search.testing import check_algorithm, example_spaces
+from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS, make_problem
+from brink.server.problems.testing import check_problem
+from brink.sim.catalogue import (
+    GROUPS,
+    REQUIREMENTS,
+    SHOWN_DIGITS,
+    SIMULATORS,
+    load_plugin,
+    plugin_ids,
+    plugin_source,
+)
+from brink.sim.testing import check_requirement
+
+_BUDGET: Final = 130
+"""Simulations of the campaigns that check an algorithm: enough for a few generations of most."""
+_LOADED: Final = "loads; Brink has no further checks of this kind"
+
+plugins = typer.Typer(help="List plug-ins, and check that they fulfil their contracts.", no_args_is_help=True)
+
+
+@plugins.command("list")
+def list_(as_json: AsJson = False) -> None:
+    """List all registered plug-ins; those that are not Brink's own have a source.
+
+    Example: brink plugins list
+    """
+    found = [
+        {"kind": _kind(group), "id": name, "source": plugin_source(group, name)}
+        for group in GROUPS
+        for name in plugin_ids(group)
+    ]
+    if as_json:
+        print_json(found)
+        return
+    table = plain_table("kind", "id", "source")
+    for one in found:
+        table.add_row(one["kind"], one["id"], (one["source"] or "Brink")[:SHOWN_DIGITS])
+    console().print(table)
+
+
+@plugins.command()
+def check(
+    ids: Annotated[
+        list[str] | None, typer.Argument(metavar="[ID]...", help="Plug-ins; all but Brink's own by default.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check that plug-ins fulfil their contracts; exit with 1 if one does not.
+
+    Example: brink plugins check
+
+    Example: brink --plugin brake_assist plugins check brake-assist@1
+    """
+    everything = [(group, name) for group in GROUPS for name in plugin_ids(group)]
+    wanted = [
+        (group, name)
+        for group, name in everything
+        if (name in ids if ids else plugin_source(group, name) is not None)
+    ]
+    if unknown := sorted({*(ids or ())} - {name for _, name in wanted}):
+        expected = ", ".join(sorted({name for _, name in everything}))
+        raise typer.BadParameter(f"no plug-in {unknown[0]!r}; expected one of {expected}", param_hint="ID")
+    results = [{"kind": _kind(group), "id": name, **_checked(group, name)} for group, name in wanted]
+    if as_json:
+        print_json(results)
+    else:
+        screen = console()
+        for one in results:
+            screen.print(f"{one['kind']} {one['id']}: {one['words']}", soft_wrap=True)
+        if not results:
+            screen.print(
+                "no plug-ins but Brink's own are registered: name a module with brink --plugin MODULE"
+            )
+    raise typer.Exit(int(any(not one["passed"] for one in results)))
+
+
+def _kind(group: str) -> str:
+    return group.removeprefix("brink.").removesuffix("s").replace("_", " ")
+
+
+def _checked(group: str, name: str) -> dict[str, Any]:
+    """Check one plug-in; return whether it passed, and in words how."""
+    try:
+        words = _CHECKS.get(group, _check_loads)(group, name)
+    except Exception as error:  # noqa: BLE001  (a plug-in may raise anything; that is what is checked)
+        return {"passed": False, "words": f"{type(error).__name__}: {error}"}
+    return {"passed": True, "words": words}
+
+
+def _check_loads(group: str, name: str) -> str:
+    load_plugin(group, name)
+    return _LOADED
+
+
+def _check_simulator(group: str, name: str) -> str:
+    load_plugin(group, name)
+    return "loads; it is checked with the problem that needs it"
+
+
+def _check_requirement(group: str, name: str) -> str:
+    check_requirement(load_plugin(group, name))  # type: ignore[arg-type]
+    return "passed"
+
+
+def _check_problem(group: str, name: str) -> str:
+    check_problem(lambda: make_problem(name, {}))
+    return "passed, with its simulator"
+
+
+def _check_algorithm(group: str, name: str) -> str:
+    make: Any = load_plugin(group, name)
+    searched = []
+    for title, space in example_spaces().items():
+        try:
+            make().check(space, make().config_type(), budget=_BUDGET)
+        except (UnsupportedSpace, ConfigError):
+            continue
+        check_algorithm(make(), space, budget=_BUDGET)
+        searched.append(title)
+    if not searched:
+        return (
+            f"loads; it searches no example space with {_BUDGET} simulations: call check_algorithm yourself"
+        )
+    return f"passed on the spaces {', '.join(searched)}"
+
+
+_CHECKS: Final[Mapping[str, Callable[[str, str], str]]] = {
+    REQUIREMENTS: _check_requirement, PROBLEMS: _check_problem, ALGORITHMS: _check_algorithm,
+    SIMULATORS: _check_simulator,
+}  # fmt: skip
