@@ -31,8 +31,8 @@ from brink.search.algorithms.ledger import (
 )
 from brink.search.document import Document
 from brink.search.errors import ConfigError
-from brink.search.fitness import Z_95, fitness_of_interval, wilson_interval
-from brink.search.sequential import Verdict, drives_to_confirm, verdict_of
+from brink.search.fitness import Z_95, fitness_of_interval
+from brink.search.sequential import Verdict, drives_to_confirm, exact_interval, verdict_of
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, SearchSpace
 
@@ -207,8 +207,13 @@ class Conclusion(StrEnum):
 
 def simulations_to_clear(p_th: float, z: float = Z_95) -> int:
     """Return how many simulations, all of them safe, put the interval of a solution below `p_th`."""
-    # With k = 0, the upper limit is z^2 / (n + z^2).
-    return math.floor(z * z * (1 - p_th) / p_th) + 1
+    # With k = 0, the upper limit is 1 - beyond^(1/n).
+    return math.floor(math.log(_beyond(z)) / math.log1p(-p_th)) + 1
+
+
+def _beyond(z: float) -> float:
+    """Return the probability beyond `z` standard deviations on one side."""
+    return math.erfc(z / math.sqrt(2)) / 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -219,8 +224,8 @@ class Tallies:
         evaluated: Simulations with a verdict, shape ``(n,)``.
         unsafe: Unsafe simulations, shape ``(n,)``.
         probability: Unsafe share; NaN without a verdict, shape ``(n,)``.
-        low: Lower limit of its Wilson interval; 0 without a verdict, shape ``(n,)``.
-        high: Upper limit of its Wilson interval; 1 without a verdict, shape ``(n,)``.
+        low: Lower limit of its exact interval; 0 without a verdict, shape ``(n,)``.
+        high: Upper limit of its exact interval; 1 without a verdict, shape ``(n,)``.
     """
 
     evaluated: FloatArray
@@ -264,15 +269,15 @@ def tallied(which: Sequence[int], unsafe: Sequence[bool], solutions: int, z: flo
         which: Index of the solution of each evaluated candidate.
         unsafe: Their verdicts.
         solutions: Number of given solutions.
-        z: Quantile of the standard normal for the interval.
+        z: Quantile of the standard normal that gives the confidence of the intervals.
     """
     solution = np.asarray(which, np.int64)
     n = np.bincount(solution, minlength=solutions)
     k = np.bincount(solution[np.asarray(unsafe, np.bool_)], minlength=solutions)
-    low, high = np.zeros(solutions), np.ones(solutions)
+    counts, confidence = zip(k.tolist(), n.tolist(), strict=True), 1 - 2 * _beyond(z)
+    limits = [exact_interval(unsafe_ones, all_ones, confidence) for unsafe_ones, all_ones in counts]
+    low, high = np.array(limits, np.float64).reshape(-1, 2).T
     known = n > 0
-    if known.any():
-        low[known], high[known] = wilson_interval(k[known], n[known], z)
     share = np.full(solutions, np.nan)
     share[known] = k[known] / n[known]
     return Tallies(

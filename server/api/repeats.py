@@ -70,7 +70,7 @@ class RepeatedSolution(View):
     ]
     unsafe: int
     probability: Annotated[float | None, Field(description="Unsafe share of these simulations.")]
-    low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
+    low: Annotated[float, Field(description="Lower limit of its exact interval (Clopper-Pearson).")]
     high: float
     holds: Annotated[
         bool | None,

@@ -1,4 +1,4 @@
-"""Error rates and power of the test of pairs (`brink.search.sequential`), and coverage of its intervals."""
+"""Error rates and power of the test of pairs (`brink.search.sequential`), coverage of its intervals, and repeats."""
 
 from functools import partial
 from typing import Final
@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from brink.bench.coverage.study import Claim, Study
+from brink.search.algorithms.repeats import tallied
 from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
 from brink.search.sequential import ERROR, INTERVAL, exact_interval
 from brink.search.space import BoolArray
@@ -43,6 +44,14 @@ def _covered(drives: int, rng: np.random.Generator, repetitions: int) -> BoolArr
     risks = rng.random(repetitions)
     limits = np.array([exact_interval(int(count), drives) for count in rng.binomial(drives, risks)])
     return (limits[:, 0] <= risks) & (risks <= limits[:, 1])
+
+
+def _called_wrongly(p_th: float, times: int, rng: np.random.Generator, repetitions: int) -> BoolArray:
+    """Return which solutions that are unsafe with the probability `p_th` repeats call safer or less safe."""
+    unsafe = rng.random((repetitions, times)) < p_th
+    which = np.repeat(np.arange(repetitions), times).tolist()
+    found = tallied(which, unsafe.reshape(-1).tolist(), repetitions)
+    return ~found.contains(p_th)
 
 
 STUDIES: Final = (
@@ -85,5 +94,13 @@ STUDIES: Final = (
             simulate=partial(_covered, drives),
         )
         for drives in (4, 15, 30)
+    ),
+    *(
+        Study(
+            name=f"repeats: a solution at p_th {p_th:g} called safer or less safe after {times}",
+            claim=Claim.AT_MOST, nominal=0.05,
+            simulate=partial(_called_wrongly, p_th, times),
+        )
+        for p_th, times in ((0.1, 50), (0.35, 20))
     ),
 )  # fmt: skip

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from brink.search.algorithm import Candidate, Evaluation, Scored
 from brink.search.algorithms.repeats import (
@@ -14,7 +15,6 @@ from brink.search.algorithms.repeats import (
 )
 from brink.search.document import Document
 from brink.search.errors import ConfigError
-from brink.search.fitness import wilson_interval
 from brink.search.testing import Run, example_spaces, play, synthetic_verdicts
 
 SPACE = example_spaces()["mixed"]
@@ -121,14 +121,24 @@ def test_tallies_are_counted_by_solution() -> None:
     assert found.unsafe.tolist() == [2, 0, 0]
     assert found.probability[:2].tolist() == [0.5, 0.0]
     assert math.isnan(found.probability[2])
-    low, high = wilson_interval([2, 0], [4, 3])
-    assert found.low.tolist() == [*low, 0.0]
-    assert found.high.tolist() == [*high, 1.0]
-    assert found.contains(0.1).tolist() == [False, True, True]
+    exact = [stats.binomtest(k, n).proportion_ci(method="exact") for k, n in ((2, 4), (0, 3))]
+    assert found.low.tolist() == pytest.approx([*(one.low for one in exact), 0.0], abs=1e-4)
+    assert found.high.tolist() == pytest.approx([*(one.high for one in exact), 1.0], abs=1e-4)
+    assert found.contains(0.05).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize("p_th", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize("times", [10, 50, 200])
+def test_a_solution_at_p_th_is_rarely_called_safer_or_less_safe(p_th: float, times: int) -> None:
+    wrong = 0.0
+    for unsafe in range(times + 1):
+        found = tallied([0] * times, [place < unsafe for place in range(times)], 1)
+        wrong += float(stats.binom.pmf(unsafe, times, p_th)) * (not found.contains(p_th)[0])
+    assert wrong <= 0.05
 
 
 def test_intervals_of_fifty_trials_contain_a_tenth_for_one_to_nine_unsafe() -> None:
-    # Wilson's interval of 9 in 50 is .098 to .308, of 10 in 50 .112 to .330, of none in 50 0 to .071.
+    # The exact interval of 9 in 50 is .086 to .314, of 10 in 50 .100 to .337, of none in 50 0 to .071.
     for unsafe, holds in ((0, False), (1, True), (9, True), (10, False)):
         verdicts = [place < unsafe for place in range(50)]
         assert tallied([0] * 50, verdicts, 1).contains(0.1).tolist() == [holds]
@@ -137,8 +147,8 @@ def test_intervals_of_fifty_trials_contain_a_tenth_for_one_to_nine_unsafe() -> N
 @pytest.mark.parametrize(
     ("unsafe", "times", "expected"),
     [
-        (0, 10, Conclusion.INCONCLUSIVE), (1, 10, Conclusion.INCONCLUSIVE), (0, 34, Conclusion.INCONCLUSIVE),
-        (0, 35, Conclusion.BELOW), (3, 50, Conclusion.NEAR), (100, 1000, Conclusion.NEAR),
+        (0, 10, Conclusion.INCONCLUSIVE), (1, 10, Conclusion.INCONCLUSIVE), (0, 35, Conclusion.INCONCLUSIVE),
+        (0, 36, Conclusion.BELOW), (3, 50, Conclusion.NEAR), (100, 1000, Conclusion.NEAR),
         (10, 10, Conclusion.ABOVE), (60, 1000, Conclusion.BELOW), (0, 0, None),
     ],
 )  # fmt: skip
