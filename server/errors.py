@@ -3,6 +3,7 @@
 ServerError
 ├── InvalidInput      422  the input is invalid; has a pointer to each invalid field
 ├── NotFound          404  there is no such resource
+│   └── NotRecorded        there is no trace, but one can be recorded
 ├── Conflict          409  the state of the resource does not allow the request
 ├── Unavailable       503  try again later: the database is unavailable, the coordinator is stopping
 │   └── NoWorker           no live worker can do the work
@@ -85,6 +86,10 @@ class InvalidInput(ServerError):
 
 class NotFound(ServerError):
     """There is no such resource."""
+
+
+class NotRecorded(NotFound):
+    """No trace of an episode is kept, and nobody has asked for one."""
 
 
 class Conflict(ServerError):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from brink.api.client import Api, CoordinatorError
+from brink.api.client import Api, CoordinatorError, Missing
 from brink.search.archive import ARRAYS, Archive
 from brink.search.errors import TooManyPairs
 from brink.search.space import BoolArray, IntArray
@@ -108,7 +108,7 @@ def find_pair(view: PairsView, number: int) -> PairView | None:
 
 
 async def fetch_trace(api: Api, campaign: str, number: int, timeout_s: float) -> Trace:
-    """Return the trace of a solution. If it was not kept, a worker runs the episode again.
+    """Return the trace of a solution. If it was not kept, have a worker run the episode again.
 
     Args:
         api: Coordinator of the campaign.
@@ -123,7 +123,10 @@ async def fetch_trace(api: Api, campaign: str, number: int, timeout_s: float) ->
     deadline = asyncio.get_running_loop().time() + timeout_s
     path = f"/campaigns/{campaign}/solutions/{number}/trace"
     while True:
-        response = await api.request("GET", path, params={"wait_s": min(20.0, timeout_s)})
+        try:
+            response = await api.request("GET", path, params={"wait_s": min(20.0, timeout_s)})
+        except Missing:  # the trace, or the solution
+            response = await api.request("POST", path)
         if response.status_code == 200:
             return Trace.from_bytes(response.content)
         if asyncio.get_running_loop().time() >= deadline:

@@ -1,11 +1,11 @@
 """Routes of a solution's episode: its trace, replays, the scene that the dashboard draws, and the camera's film.
 
-If a trace was not kept, a worker records it while the client waits. Requests fail, and nothing is enqueued, while no
-live worker can record it.
+If a trace was not kept, a worker records it once a client has asked for that with POST; other requests, which are
+safe, may wait for it. A request to record it fails, and nothing is enqueued, while no live worker can do so.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -22,7 +22,7 @@ from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.traces import TraceStatus, trace_status
 from brink.server.db.engine import read
-from brink.server.errors import Conflict, NotFound, NoWorker
+from brink.server.errors import Conflict, NotFound, NotRecorded, NoWorker
 from brink.server.queue.workers import can_run
 from brink.server.states import JobStatus
 from brink.sim.catalogue import worker_for
@@ -42,6 +42,11 @@ NOT_YET: dict[int | str, dict[str, Any]] = {
     202: {
         "model": BeingMade,
         "description": "A worker is recording the trace; try again after `Retry-After`.",
+    },
+    404: {
+        "model": ProblemDetail,
+        "description": "There is no such solution or, if the title is `Not recorded`, no trace of it: "
+        "`POST …/solutions/{number}/trace` has a worker record it.",
     },
     503: {
         "model": ProblemDetail,
@@ -70,10 +75,26 @@ T = TypeVar("T")
 async def get_trace(
     campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
 ) -> Response:
-    """Return the trace of a solution's episode as npz; a worker re-runs the episode if the trace was not kept."""
+    """Return the trace of a solution's episode as npz, if it was kept or recorded on request."""
     campaign = await services.campaigns.get(campaign_id)
     document = await trace_of(services, campaign, number, request, wait_s)
-    return _being_made() if document is None else Response(document, media_type="application/x-npz")
+    return being_made() if document is None else Response(document, media_type="application/x-npz")
+
+
+@router.post(
+    "/trace",
+    response_class=Response,
+    status_code=202,
+    responses={204: {"description": "The trace is kept already."}, **NOT_YET},
+)
+async def record_trace(campaign_id: str, number: Number, request: Request, services: Services) -> Response:
+    """Have a worker run a solution's episode again to record its trace. Repeating the request is harmless."""
+    campaign = await services.campaigns.get(campaign_id)
+    if not await record_missing(services, campaign, [number]):
+        return Response(status_code=204)
+    answer = being_made()
+    answer.headers["Location"] = request.url.path
+    return answer
 
 
 @router.get(
@@ -93,7 +114,7 @@ async def get_replay(
     campaign = await services.campaigns.get(campaign_id)
     document = await trace_of(services, campaign, number, request, wait_s)
     if document is None:
-        return _being_made()
+        return being_made()
     judged = deciding_requirements(campaign.body)
 
     def draw() -> bytes:
@@ -106,11 +127,11 @@ async def get_replay(
 async def get_episode(
     campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
 ) -> Response:
-    """Return a solution's episode ready to be drawn; a worker re-runs it if its trace was not kept."""
+    """Return a solution's episode ready to be drawn, if its trace was kept or recorded on request."""
     campaign = await services.campaigns.get(campaign_id)
     document = await trace_of(services, campaign, number, request, wait_s)
     if document is None:
-        return _being_made()
+        return being_made()
     judged = deciding_requirements(campaign.body)
 
     def draw() -> str:
@@ -163,10 +184,44 @@ async def trace_of(
 
     Raises:
         NotFound: There is no such solution, or it was not simulated.
+        NotRecorded: There is no trace, and nobody has asked for one.
         Conflict: Its simulator records no traces, or the trace cannot be recorded.
         NoWorker: No live worker can record it.
     """
     deadline = asyncio.get_running_loop().time() + wait_s
+    async with client_gone(request) as gone:
+        while True:
+            found = await _trace_status(services, campaign, number, requested=False)
+            if found.document is not None:
+                return found.document
+            late = asyncio.get_running_loop().time() >= deadline
+            if late or gone.is_set() or services.queue.stopping:
+                return None
+            await asyncio.sleep(POLL_S)
+
+
+async def record_missing(services: Context, campaign: Campaign, numbers: Sequence[int]) -> bool:
+    """Have workers record the traces of solutions that have none; return whether any of them is missing.
+
+    Raises:
+        NotFound, Conflict, NoWorker: As `trace_of`; nothing was enqueued.
+    """
+    found = [(number, await _trace_status(services, campaign, number, requested=True)) for number in numbers]
+    missing = [(number, one.job) for number, one in found if one.document is None]
+    for number, job in missing:
+        if job is None:
+            await services.campaigns.request_trace(campaign.id, number)
+    return bool(missing)
+
+
+async def _trace_status(
+    services: Context, campaign: Campaign, number: int, *, requested: bool
+) -> TraceStatus:
+    """Return the state of a trace that is kept or being recorded or, if this request is to record it, can be.
+
+    Raises:
+        NotFound, NotRecorded, Conflict, NoWorker: As `trace_of`.
+    """
 
     def look_up(connection: Connection) -> tuple[TraceStatus, bool]:
         """Return the state of the trace, and whether no live worker can record it."""
@@ -174,34 +229,31 @@ async def trace_of(
         waits = found.document is None and found.needs is not None and found.job in (None, JobStatus.QUEUED)
         return found, waits and not can_run(connection, str(found.needs), services.settings.worker_seen_s)
 
-    async with client_gone(request) as gone:
-        while True:
-            found, stuck = await read(services.engines, look_up)
-            if found.document is not None:
-                return found.document
-            if found.needs is None:
-                raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
-            if stuck:
-                other = await read(services.engines, lambda c: other_simulator(c, campaign))
-                raise NoWorker(
-                    f"solution {number}: no live worker can run {found.needs} to make the trace; "
-                    f"{other or f'start {worker_for(found.needs)} and try again'}",
-                    retry_after_s=NO_WORKER_RETRY_S,
-                )
-            if found.job is None:
-                await services.campaigns.request_trace(campaign.id, number)
-                continue
-            if found.job == JobStatus.DONE:
-                raise Conflict(f"solution {number}: its simulator records no traces")
-            if found.job in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
-                raise Conflict(f"solution {number}: the trace cannot be made: {found.last_error}")
-            late = asyncio.get_running_loop().time() >= deadline
-            if late or gone.is_set() or services.queue.stopping:
-                return None
-            await asyncio.sleep(POLL_S)
+    found, stuck = await read(services.engines, look_up)
+    if found.document is not None:
+        return found
+    if found.needs is None:
+        raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
+    if found.job is None and not requested:
+        raise NotRecorded(
+            f"solution {number}: no trace is kept; "
+            f"POST /campaigns/{campaign.id}/solutions/{number}/trace has a worker record it"
+        )
+    if stuck:
+        other = await read(services.engines, lambda c: other_simulator(c, campaign))
+        raise NoWorker(
+            f"solution {number}: no live worker can run {found.needs} to make the trace; "
+            f"{other or f'start {worker_for(found.needs)} and try again'}",
+            retry_after_s=NO_WORKER_RETRY_S,
+        )
+    if found.job == JobStatus.DONE:
+        raise Conflict(f"solution {number}: its simulator records no traces")
+    if found.job in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
+        raise Conflict(f"solution {number}: the trace cannot be made: {found.last_error}")
+    return found
 
 
-def _being_made() -> JSONResponse:
+def being_made() -> JSONResponse:
     """Return the 202 response for a client whose wait ended before the trace was available."""
     view = BeingMade(detail="a worker is making the trace; try again soon")
     return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

@@ -187,8 +187,9 @@ def cross_site_refusal(scope: Scope) -> Response | None:
     origin = headers.get("origin")
     foreign = origin is not None and origin.partition("://")[2].lower() != host
     fetched = headers.get("sec-fetch-site", "none") not in _OWN_SITE
-    opened = headers.get("sec-fetch-mode") == "navigate"
-    if (foreign and scope["method"] not in _READS) or (fetched and not opened):
+    reads = scope["method"] in _READS  # which change nothing
+    followed = reads and headers.get("sec-fetch-mode") == "navigate"
+    if (foreign and not reads) or (fetched and not followed):
         return problem(403, "Forbidden", "cross-site requests are not allowed without a token")
     return None
 

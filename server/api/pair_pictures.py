@@ -4,20 +4,15 @@ They are the drives of a pair, or the system's drive with a violation and that o
 """
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal
 
-from fastapi import APIRouter, Query, Request, Response
-from sqlalchemy import Connection
+from fastapi import APIRouter, Request, Response
 
 from brink.server.api.context import Context, Services
-from brink.server.api.episodes import NOT_YET, UNREADABLE, Number, Wait, trace_of
-from brink.server.api.responses import computing
+from brink.server.api.episodes import NOT_YET, UNREADABLE, Number, Wait, being_made, record_missing, trace_of
 from brink.server.campaigns.outcomes import deciding_requirements
-from brink.server.campaigns.store import ENDED, Campaign
-from brink.server.campaigns.traces import trace_status
-from brink.server.db.engine import read
+from brink.server.campaigns.store import Campaign
 from brink.server.errors import Conflict, NotFound
-from brink.server.queue.workers import can_run
 from brink.sim.replay import DrivePair, ReplayError, Side, render_pair_maps
 from brink.sim.replay.reference import comparison_of
 from brink.sim.trace import Trace
@@ -31,12 +26,16 @@ KEPT: Final = 64
 
 _RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     200: {"content": {"image/png": {}}},
-    204: {"description": "There is no picture: no trace that can be drawn is kept or can be recorded."},
+    204: {
+        "description": "There is no picture: a drive has no trace that can be drawn. `POST` to the same address has "
+        "workers run drives again whose traces were not kept."
+    },
     **NOT_YET,
 }
-Record = Annotated[
-    bool, Query(description="Whether workers may run drives again whose traces were not kept.")
-]
+_RECORDING: Final[dict[int | str, dict[str, Any]]] = {
+    204: {"description": "There is nothing to wait for: the traces are kept, or none can be recorded."},
+    **NOT_YET,
+}
 
 
 @router.get("/{safe}-{unsafe}/{side}.png", response_class=Response, responses=_RESPONSES)
@@ -48,7 +47,6 @@ async def get_pair_picture(
     request: Request,
     services: Services,
     wait_s: Wait = 20.0,
-    record: Record = True,
 ) -> Response:
     """Return one drive of a pair from above, with the outline of the other drive's car."""
     campaign = await services.campaigns.get(campaign_id)
@@ -59,10 +57,18 @@ async def get_pair_picture(
         sides = [Side(number=number, trace=trace) for number, trace in zip(numbers, traces, strict=True)]
         return DrivePair(safe=sides[0], unsafe=sides[1], change="", requirement=judged or None)
 
-    documents = await _documents(services, campaign, numbers, request, wait_s, record=record)
+    documents = await _documents(services, campaign, numbers, request, wait_s)
     if isinstance(documents, Response):
         return documents
     return await _picture(services, (campaign.id, *numbers), documents, pair_of, second=side == "unsafe")
+
+
+@router.post("/{safe}-{unsafe}/{side}.png", response_class=Response, status_code=202, responses=_RECORDING)
+async def record_pair(
+    campaign_id: str, safe: Number, unsafe: Number, side: Literal["safe", "unsafe"], services: Services
+) -> Response:
+    """Have workers run the drives of a pair again whose traces were not kept. Repeating the request is harmless."""
+    return await _record(services, campaign_id, (safe, unsafe))
 
 
 @compared_router.get("/compared/{side}.png", response_class=Response, responses=_RESPONSES)
@@ -73,7 +79,6 @@ async def get_compared_picture(
     request: Request,
     services: Services,
     wait_s: Wait = 20.0,
-    record: Record = True,
 ) -> Response:
     """Return the system's drive from above, or that of a reference driver who avoids its violation."""
     campaign = await services.campaigns.get(campaign_id)
@@ -86,31 +91,40 @@ async def get_compared_picture(
             raise ReplayError("no reference driver avoids a violation of this drive")
         return compared.pair(trace)
 
-    documents = await _documents(services, campaign, (number,), request, wait_s, record=record)
+    documents = await _documents(services, campaign, (number,), request, wait_s)
     if isinstance(documents, Response):
         return documents
     return await _picture(services, (campaign.id, number), documents, pair_of, second=side == "reference")
 
 
+@compared_router.post("/compared/{side}.png", response_class=Response, status_code=202, responses=_RECORDING)
+async def record_compared(
+    campaign_id: str, number: Number, side: Literal["system", "reference"], services: Services
+) -> Response:
+    """Have a worker run a drive again if its trace was not kept. Repeating the request is harmless."""
+    return await _record(services, campaign_id, (number,))
+
+
+async def _record(services: Context, campaign_id: str, numbers: Sequence[int]) -> Response:
+    campaign = await services.campaigns.get(campaign_id)
+    try:
+        missing = await record_missing(services, campaign, numbers)
+    except (NotFound, Conflict):
+        missing = False
+    return being_made() if missing else Response(status_code=204)
+
+
 async def _documents(
-    services: Context,
-    campaign: Campaign,
-    numbers: Sequence[int],
-    request: Request,
-    wait_s: float,
-    *,
-    record: bool,
+    services: Context, campaign: Campaign, numbers: Sequence[int], request: Request, wait_s: float
 ) -> list[bytes] | Response:
     """Return the traces of drives, or the response if there are none, or not yet."""
-    if not await _can_draw(services, campaign, numbers, record=record):
-        return Response(status_code=204)
     try:
         documents = [await trace_of(services, campaign, number, request, wait_s) for number in numbers]
     except (NotFound, Conflict):
         return Response(status_code=204)
     kept = [document for document in documents if document is not None]
     if len(kept) < len(numbers):
-        return computing("a worker is running the drives again; try again soon")  # type: ignore[no-any-return]
+        return being_made()
     return kept
 
 
@@ -140,28 +154,3 @@ async def _picture(
     except UNREADABLE:
         return Response(status_code=204)
     return Response(pictures[second], media_type="image/png")
-
-
-async def _can_draw(services: Context, campaign: Campaign, numbers: Sequence[int], *, record: bool) -> bool:
-    """Return whether the traces are kept or may be recorded; request those that are missing, all at once."""
-
-    def missing(connection: Connection) -> list[tuple[int, str | None, bool]]:
-        """Return the numbers without a trace, what recording each needs, and whether a live worker has that."""
-        found = [(number, trace_status(connection, campaign.id, number)) for number in numbers]
-        return [
-            (
-                number,
-                one.needs,
-                one.needs is not None and can_run(connection, one.needs, services.settings.worker_seen_s),
-            )
-            for number, one in found
-            if one.document is None
-        ]
-
-    absent = await read(services.engines, missing)
-    if absent and not (record and campaign.status in ENDED and all(needs for _, needs, _ in absent)):
-        return False
-    if all(possible for *_, possible in absent):  # otherwise `trace_of` says what is missing
-        for number, *_ in absent:
-            await services.campaigns.request_trace(campaign.id, number)
-    return True

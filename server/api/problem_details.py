@@ -13,7 +13,15 @@ from starlette.exceptions import HTTPException
 
 from brink.server.db.writer import is_transient
 from brink.server.documents import field_errors
-from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
+from brink.server.errors import (
+    Conflict,
+    FieldError,
+    InvalidInput,
+    NotFound,
+    NotRecorded,
+    NoWorker,
+    Unavailable,
+)
 from brink.sim.errors import PluginMissing
 
 MEDIA_TYPE = "application/problem+json"
@@ -22,6 +30,10 @@ log = logging.getLogger(__name__)
 
 NO_WORKER = "No worker"
 """Title of errors that starting a worker resolves; the dashboard then shows how to do that."""
+
+
+NOT_RECORDED = "Not recorded"
+"""Title of errors about a trace that can be requested; clients that may do so then request it."""
 
 
 def problem(
@@ -62,7 +74,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(NotFound)
     async def missing(_: Request, error: NotFound) -> JSONResponse:
-        return problem(404, "Not found", str(error))
+        title = NOT_RECORDED if isinstance(error, NotRecorded) else "Not found"
+        return problem(404, title, str(error))
 
     @app.exception_handler(Conflict)
     async def conflict(_: Request, error: Conflict) -> JSONResponse:

@@ -173,7 +173,9 @@ def test_pictures_are_simulated_on_a_cluster_that_requires_a_token(running: Site
         campaign = running.submit(body)
         done = running.await_end(campaign)
         assert (done["status"], done["failed"]) == ("finished", 0)
-        replay = f"{running.url}/api/v1/campaigns/{campaign}/solutions/0/replay.png?wait_s=60"
+        solution = f"{running.url}/api/v1/campaigns/{campaign}/solutions/0"
+        httpx.post(f"{solution}/trace", headers=running.headers).raise_for_status()
+        replay = f"{solution}/replay.png?wait_s=60"
         picture = httpx.get(replay, headers=running.headers, timeout=PATIENCE_S)
         assert picture.content.startswith(b"\x89PNG"), "a worker of the cluster recorded the episode"
         started.signal(signal.SIGTERM)

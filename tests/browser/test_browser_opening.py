@@ -61,7 +61,8 @@ def test_the_finding_comes_first_then_what_to_do_then_the_map_and_delete_last(
     page = visit(origin(own), f"#/campaigns/{edge}")
     found = finding_of(own, edge)
     shown(page.get_by_role("region", name="Finding")).to_contain_text(found["words"])
-    shown(page.get_by_role("region", name="Parameter dependence")).to_be_visible()
+    for card in ("What to do next", "Map", "Pairs across the boundary", "Parameter dependence"):
+        shown(page.get_by_role("region", name=card, exact=True)).to_be_visible()
     cards = page.evaluate(BESIDE_CARDS)
     assert cards[:4] == ["Finding", "What to do next", "Map", "Pairs across the boundary"]
     assert cards[-2:] == ["Settings", "About the run"]

@@ -54,17 +54,18 @@ class _InProcess(httpx.BaseTransport):
 
 
 @contextmanager
-def coordinator(database_url: str, **settings: Any) -> Iterator[httpx.Client]:
+def coordinator(database_url: str, *, sweeping: bool = True, **settings: Any) -> Iterator[httpx.Client]:
     """Run a coordinator in this process, without a socket.
 
     Args:
         database_url: A migrated database.
+        sweeping: As for `create_app`.
         settings: Changes to `settings_for`.
 
     Yields:
         A client that sends the coordinator's own token, if one is set.
     """
-    app = create_app(settings_for(database_url, **settings))
+    app = create_app(settings_for(database_url, **settings), sweeping=sweeping)
     with (
         start_blocking_portal() as portal,
         portal.wrap_async_context_manager(app.router.lifespan_context(app)),

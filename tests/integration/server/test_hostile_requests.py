@@ -192,7 +192,7 @@ def test_a_trace_that_is_none_is_not_drawn(client: httpx.Client, engines: Engine
     campaign = submit(client, ball(simulations=20, execution={"keep_traces": 0}))
     worker.work(campaign)
     path = f"/api/v1/campaigns/{campaign}/solutions/3"
-    assert client.get(f"{path}/trace", params={"wait_s": 0}).status_code == 202
+    assert client.post(f"{path}/trace").status_code == 202
     (job,) = worker.lease()
     body = results(job.job, job.token, {**outcome_of(job), "trace": bomb}, worker.id)
     expect(client.post("/api/v1/jobs/results", json=body))

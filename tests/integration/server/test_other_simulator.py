@@ -54,6 +54,6 @@ def test_a_finished_campaign_is_shown_but_neither_repeated_nor_traced(
     assert expect(client.get(f"{API}/{campaign}/boundary", params=wide)) == before
     answer = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **wide}), 409)
     assert f"simulated with {EARLIER}, but ball@1 now uses {SIMULATOR}" in answer["detail"]
-    answer = expect(client.get(f"{API}/{campaign}/solutions/3/trace", params={"wait_s": 0}), 503)
+    answer = expect(client.post(f"{API}/{campaign}/solutions/3/trace"), 503)
     assert f"no live worker can run {EARLIER}" in answer["detail"]
     assert f"simulated with {EARLIER}, but ball@1 now uses {SIMULATOR}" in answer["detail"]

@@ -3,7 +3,6 @@
 import asyncio
 import base64
 import threading
-import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -70,27 +69,33 @@ def test_trace_is_made_once_and_then_kept(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    being_made = client.get(path, params={"wait_s": 0})
-    assert being_made.status_code == 202
+    missing = expect(client.get(path, params={"wait_s": 0}), 404)
+    assert (missing["title"], f"POST {path.removeprefix('/api/v1')} " in missing["detail"]) == (
+        "Not recorded",
+        True,
+    )
+    assert worker.lease() == [], "a safe request enqueues nothing"
+    being_made = client.post(path)
+    assert (being_made.status_code, being_made.headers["Location"]) == (202, path)
     assert being_made.headers["Retry-After"] == "2"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202  # requested only once
+    assert client.post(path).status_code == 202  # requested only once
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
     (job,) = worker.lease()
     assert job.record
     assert worker.lease() == []
     assert worker.report([job]) == ["accepted"]
     kept = client.get(path, params={"wait_s": 0})
     assert (kept.status_code, kept.content) == (200, b"the trace")
+    expect(client.post(path), 204)
 
 
 def test_request_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.post(path).status_code == 202
     answers: list[httpx.Response] = []
-    asking = threading.Thread(
-        target=lambda: answers.append(
-            client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 30})
-        )
-    )
+    asking = threading.Thread(target=lambda: answers.append(client.get(path, params={"wait_s": 30})))
     asking.start()
     worker.report(worker.lease(wait_s=20))
     asking.join()
@@ -101,12 +106,12 @@ def test_deleted_trace_can_be_made_again(client: httpx.Client, engines: Engines)
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert client.post(path).status_code == 202
     assert worker.report(worker.lease()) == ["accepted"]
     with engines.writer.begin() as connection:
         pruned = prune(connection, ended=None, traces=timedelta(days=-1), really=True)
     assert pruned.traces == 1
-    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert client.post(path).status_code == 202
     assert worker.report(worker.lease()) == ["accepted"]
     assert client.get(path, params={"wait_s": 0}).content == b"the trace"
 
@@ -137,28 +142,25 @@ def test_capable_worker_behind_another_is_woken(
     waiting[1].start()
     eventually(lambda: len(in_line) == 2, "the second waits")
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert client.post(path).status_code == 202
     waiting[1].join(10)
     assert [job.record for job in got] == [True]
     waiting[0].join()
 
 
-@pytest.mark.parametrize("what", ["trace", "replay.png", "replay.mp4"])
-def test_trace_no_worker_can_make_is_refused(client: httpx.Client, engines: Engines, what: str) -> None:
+def test_trace_no_worker_can_make_is_refused(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     FakeWorker(client, capabilities=("another-simulator@1",)).lease()
     before = row_counts(engines)
-    began = time.monotonic()
-    answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/3/{what}", params={"wait_s": 20})
-    assert time.monotonic() - began < 10, "it did not wait"
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    answer = client.post(path)
     assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["Retry-After"] == "5"
     assert row_counts(engines) == before, "no job is enqueued"
     worker = FakeWorker(client, id="who-can", judge=traces(b"the trace"))
     worker.lease(max_jobs=1)
-    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert client.post(path).status_code == 202
 
 
 @on_sqlite
@@ -187,7 +189,7 @@ def test_trace_wait_ends_when_workers_leave(
     with coordinator(database_url) as client:
         campaign = finish(client, UNTRACED)
         path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-        assert client.get(path, params={"wait_s": 0}).status_code == 202
+        assert client.post(path).status_code == 202
         long_ago = datetime.now(UTC) - timedelta(hours=1)
         with engines.writer.begin() as connection:
             connection.execute(update(WorkerRow).values(last_seen_at=long_ago))
@@ -202,14 +204,14 @@ def test_worker_with_a_live_lease_can_make_a_trace(client: httpx.Client, engines
     with engines.writer.begin() as connection:
         connection.execute(update(WorkerRow).values(last_seen_at=long_ago))
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert client.post(path).status_code == 202
 
 
 def test_trace_job_is_leased_before_episodes(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
     submit(client, ball(seed=2, priority=100))
-    client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 0})
+    client.post(f"/api/v1/campaigns/{campaign}/solutions/3/trace")
     assert worker.lease(max_jobs=1)[0].record
 
 
@@ -217,7 +219,7 @@ def test_failed_trace_reports_its_error_until_it_is_retried(client: httpx.Client
     worker = FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no such road"))
     campaign = finish(client, UNTRACED)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    client.get(path, params={"wait_s": 0})
+    assert client.post(path).status_code == 202
     worker.report(worker.lease())
     document = expect(client.get(path, params={"wait_s": 5}), 409)
     assert "no such road" in document["detail"]
@@ -232,7 +234,7 @@ def test_simulator_that_records_no_traces_is_a_conflict(client: httpx.Client) ->
     worker = FakeWorker(client, judge=traces(None))
     campaign = finish(client, UNTRACED, worker.judge)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    client.get(path, params={"wait_s": 0})
+    assert client.post(path).status_code == 202
     worker.report(worker.lease())
     document = expect(client.get(path, params={"wait_s": 5}), 409)
     assert "records no trace" in document["detail"]
@@ -241,7 +243,7 @@ def test_simulator_that_records_no_traces_is_a_conflict(client: httpx.Client) ->
 def test_trace_that_cannot_be_drawn_is_a_conflict(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
-    client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 0})
+    client.post(f"/api/v1/campaigns/{campaign}/solutions/3/trace")
     worker.report(worker.lease())
     document = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.png"), 409)
     assert "cannot be drawn" in document["detail"]
@@ -310,7 +312,7 @@ def test_requested_traces_do_not_keep_a_campaign_from_finishing(client: httpx.Cl
     campaign = submit(client, ball(execution={"keep_traces": 12}, simulations=120))
     worker.work(campaign, until=lambda now: now["generation"] >= 1)
     for number in range(20):
-        client.get(f"/api/v1/campaigns/{campaign}/solutions/{number}/trace", params={"wait_s": 0})
+        client.post(f"/api/v1/campaigns/{campaign}/solutions/{number}/trace")
     done = worker.work(campaign)
     assert (done["status"], done["status_reason"]) == ("finished", "")
 
@@ -320,7 +322,7 @@ def test_cancelled_campaign_still_makes_traces(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     FakeWorker(client, id="another").lease(max_jobs=1)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert client.post(path).status_code == 202
     expect(client.post(f"/api/v1/campaigns/{campaign}/cancel"))
     assert worker.report(worker.lease()) == ["accepted"]
     assert client.get(path, params={"wait_s": 0}).content == b"the trace"
@@ -343,7 +345,7 @@ class Ended:
         self.number += 1
         path = f"/api/v1/campaigns/{self.campaign}/solutions/{self.number}"
         worker = FakeWorker(self.client, judge=traces(document))
-        assert self.client.get(f"{path}/episode", params={"wait_s": 0}).status_code == 202
+        assert self.client.post(f"{path}/trace").status_code == 202
         assert worker.report(worker.lease()) == ["accepted"]
         return path
 
@@ -571,16 +573,6 @@ def test_malformed_descriptions_are_left_out(ended: Ended) -> None:
     assert found["words"]["scenario"].startswith("None")
 
 
-def test_episode_that_no_worker_can_make_is_refused_at_once(client: httpx.Client, engines: Engines) -> None:
-    campaign = submit(client, ball())
-    FakeWorker(client, capabilities=("another-simulator@1",)).lease()
-    before = row_counts(engines)
-    answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/3/episode", params={"wait_s": 20})
-    assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
-    assert answer.headers["Retry-After"] == "5"
-    assert row_counts(engines) == before, "no job is enqueued"
-
-
 @module_on_sqlite
 def test_simulator_that_records_no_traces_has_no_episodes(ended: Ended) -> None:
     path = ended.kept(None)
@@ -642,7 +634,7 @@ def assert_others_are_served(client: httpx.Client) -> None:
 def test_drawing_does_not_block_other_requests(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = finish(client, UNTRACED)
     path = f"/api/v1/campaigns/{campaign}/solutions/3"
-    client.get(f"{path}/trace", params={"wait_s": 0})
+    client.post(f"{path}/trace")
     worker = FakeWorker(client, judge=traces(b"the trace"))
     worker.report(worker.lease())
     blocker = Blocker()

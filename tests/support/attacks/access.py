@@ -74,6 +74,7 @@ def _read_changes(target: Target) -> Iterable[Answer]:
     for verb in ("pause", "resume", "cancel"):
         yield target.ask("POST", f"{CAMPAIGNS}/{target.running}/{verb}", "read")
     yield target.ask("POST", f"/api/v1/jobs/{target.mine.job}/retry", "read")
+    yield target.ask("POST", f"{CAMPAIGNS}/{target.finished}/solutions/1/trace", "read")
     yield target.ask("PUT", f"{CAMPAIGNS}/{target.finished}/violations/1/x/name", "read", json={"name": "x"})
 
 

@@ -26,6 +26,11 @@ export class ApiError extends Error {
     return this.title === "No worker";
   }
 
+  /** Whether a trace is missing that can be requested. */
+  get notRecorded() {
+    return this.title === "Not recorded";
+  }
+
   /** Whether the error is temporary, so that trying again may help. */
   get passes() {
     return this.status === 0 || this.status === 429 || this.status >= 500; // including responses from a proxy

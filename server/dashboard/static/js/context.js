@@ -27,6 +27,15 @@ export class Context {
     this.signIn = signIn;
   }
 
+  /**
+   * Return options for `whenMade` that have traces recorded if they are missing and the token allows it.
+   *
+   * @param {string} path Where to request that.
+   */
+  recording(path) {
+    return { ...this.retrying, record: this.may.steer ? path : null };
+  }
+
   /** Set the title of the page. */
   title(words) {
     document.title = `${words} · Brink`;

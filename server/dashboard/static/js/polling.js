@@ -172,14 +172,18 @@ function isTemporary(error) {
  * Return the content of a path that is computed on demand and answered with 202 until then.
  *
  * @param {string} path
- * @param {RetryOptions & {making?: (told: object) => void, as?: "json" | "blob", firstS?: number, waitS?: number}} options
- *   ``making`` is called with each 202 response. ``firstS`` and ``waitS`` are how long the coordinator may hold the first
+ * @param {RetryOptions & {making?: (told: object) => void, record?: string | null, as?: "json" | "blob", firstS?: number, waitS?: number}} options
+ *   ``making`` is called with each 202 response. ``record`` is the path of a POST request that has what is missing
+ *   recorded first; null if the token does not allow it. ``firstS`` and ``waitS`` are how long the coordinator may hold the first
  *   and later requests: a browser has few connections, and each pending request occupies one.
  * @throws {ApiError} On a permanent error; the abort error once the signal is aborted.
  */
-export async function whenMade(path, { making = () => {}, as = "json", firstS = 0, waitS = 20, ...options }) {
+export async function whenMade(path, { making = () => {}, record = null, as = "json", firstS = 0, waitS = 20, ...options }) {
   let wait_s = firstS;
+  let asked = record === null;
   async function ask() {
+    if (!asked) await request("POST", record, options);
+    asked = true;
     const answer = await request("GET", `${path}?wait_s=${wait_s}`, options);
     return answer.status === 202 ? { told: await read(answer) } : { made: await read(answer, as) };
   }

@@ -122,7 +122,7 @@ function pictured(context, label, hint) {
     const passes = (error) => error.noWorker && waits();
     try {
       for (const { place, canvas } of drawn) {
-        const picture = await whenMade(place, { ...context.retrying, away: () => {}, as: "blob", passes });
+        const picture = await whenMade(place, { ...context.recording(place), away: () => {}, as: "blob", passes });
         if (!picture.size) return; // nothing of it can be drawn
         const bitmap = await createImageBitmap(picture);
         canvas.getContext("2d").drawImage(bitmap, 0, 0, canvas.width, canvas.height);

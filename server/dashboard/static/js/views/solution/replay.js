@@ -29,7 +29,7 @@ export function loading(context, paths, take) {
   async function load() {
     say(h("p", null, "Loading the episode …"));
     try {
-      const data = await Promise.all([paths].flat().map((path) => whenMade(`${path}/episode`, { ...context.retrying, making })));
+      const data = await Promise.all([paths].flat().map((path) => whenMade(`${path}/episode`, { ...context.recording(`${path}/trace`), making })));
       node.remove();
       take(...data);
     } catch (error) {
@@ -49,6 +49,8 @@ export function loading(context, paths, take) {
     if (error.noWorker) {
       say(callout("warn", h("p", null, `The episode must be simulated again before it can be shown. ${sentence(error.message)}`),
         h("p", null, "Start a worker: ", workerCommand())), retry);
+    } else if (error.notRecorded) {
+      say(callout("", "A replay is not available: the episode was not recorded. A token of scope user has a worker simulate it again."));
     } else {
       say(callout("", `A replay is not available. ${sentence(error.message)}`), error.status === 409 && retry);
     }
@@ -62,20 +64,20 @@ export function loading(context, paths, take) {
 export function downloads(context, path, name, spec) {
   const save = (file, content) => saveBlob(new Blob([content], { type: "application/json" }), file);
   return h("div.actions", { role: "group", "aria-label": "Save" },
-    drawn(context, `${path}/replay.mp4`, `${name}.mp4`, "Film, MP4"), drawn(context, `${path}/replay.png`, `${name}.png`, "Picture, PNG"),
+    drawn(context, path, "mp4", name, "Film, MP4"), drawn(context, path, "png", name, "Picture, PNG"),
     spec && h("button", {
       type: "button", title: "The complete specification with its seed, to run the episode again",
       onclick: () => save(`${name}.json`, `${JSON.stringify(spec, null, 2)}\n`),
     }, "Specification, JSON"));
 }
 
-function drawn(context, path, file, words) {
+function drawn(context, path, format, name, words) {
   const button = h("button", { type: "button", onclick: async () => {
     button.disabled = true;
     text(button, "Drawing …");
     try {
       await context.tell(async () => {
-        saveBlob(await whenMade(path, { ...context.retrying, as: "blob" }), file);
+        saveBlob(await whenMade(`${path}/replay.${format}`, { ...context.recording(`${path}/trace`), as: "blob" }), `${name}.${format}`);
       });
     } finally {
       button.disabled = false;
