@@ -37,13 +37,14 @@ from brink.server.api.service import add_docs
 from brink.server.api.wire_routes import WireMiddleware
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
+from brink.server.campaigns.checks import SLOW_AT_ONCE
 from brink.server.campaigns.deletion import Eraser
 from brink.server.campaigns.others import OtherCoordinators
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
-from brink.server.campaigns.result_check import ResultCheck
-from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
+from brink.server.campaigns.result_check import ResultChecks
+from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
@@ -60,6 +61,7 @@ from brink.server.queue.service import QueueService
 from brink.server.queue.wakeups import Wakeups, count_listening, listen
 from brink.server.settings import LOOPBACK, Settings
 from brink.server.single_flight import SingleFlightCache
+from brink.server.user_code import USER_CODE
 
 log = logging.getLogger(__name__)
 
@@ -90,6 +92,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         context = _context(settings, engines, metrics, asyncio.get_running_loop(), sweeping=sweeping)
         app.state.context = context
+        serving = USER_CODE.begin(settings.plugin_timeout_s)
         stopping = asyncio.Event()
         sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
         heard = context.queue.wakeups.wake, context.scheduler.advance_own
@@ -99,6 +102,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             yield
         finally:
             stopping.set()
+            USER_CODE.stop(serving)
             if listener is not None:
                 listener.cancel()
                 await asyncio.wait([listener])
@@ -113,8 +117,9 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, context.decoding.shutdown)
             await loop.run_in_executor(None, context.figures.close)
             await loop.run_in_executor(None, context.scheduler.close)
-            await loop.run_in_executor(None, context.queue.writer.close)
+            await loop.run_in_executor(None, context.queue.close)
             engines.dispose()
+            USER_CODE.end(serving)
 
     app = FastAPI(
         docs_url=None, redoc_url=None, title="Brink", description=DESCRIPTION,
@@ -196,13 +201,15 @@ def _context(
         seeds=seeds,
         metrics=metrics,
         others=OtherCoordinators(engines, writer, others_are_known) if sweeping else None,
+        live_searches_mib=settings.live_searches_mib,
     )
     wakeups = Wakeups()
     scheduler = Scheduler(engines, stepper, wakeups)
     queue = QueueService(
         settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups,
-        check=ResultCheck(),
+        check=ResultChecks(engines),
     )  # fmt: skip
+    _watch(metrics, scheduler)
     eraser = Eraser(engines, writer)
     campaigns = CampaignService(
         engines=engines, writer=writer, eraser=eraser, scheduler=scheduler, wakeups=wakeups, access=access
@@ -235,6 +242,23 @@ def _context(
         drawing=drawing,
         decoding=ThreadPoolExecutor(1, thread_name_prefix="brink-decode"),
     )
+
+
+def _watch(metrics: Metrics, scheduler: Scheduler) -> None:
+    """Add to the metrics what has to be asked for: what is in memory, and what does not move."""
+    metrics.watch(
+        "brink_plugin_calls_stalled", "Calls of plug-ins' code that exceeded their time limit and still run",
+        lambda: len(USER_CODE.stalled()),
+    )  # fmt: skip
+    metrics.watch(
+        "brink_step_running_seconds", "Time since the oldest running generation step began; 0 if none runs",
+        lambda: scheduler.oldest_step_s,
+    )  # fmt: skip
+    metrics.watch("brink_live_searches", "Searches in memory", lambda: len(scheduler.stepper.live_campaigns))
+    metrics.watch(
+        "brink_live_search_bytes", "Memory of these searches, as estimated",
+        lambda: scheduler.stepper.live_bytes,
+    )  # fmt: skip
 
 
 async def _sweep(context: Context, stopping: asyncio.Event) -> None:

@@ -1,8 +1,9 @@
 """The metrics of one coordinator process, for Prometheus."""
 
+from collections.abc import Callable
 from typing import Final
 
-from prometheus_client import CollectorRegistry, Counter, Histogram
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 _REQUEST_S: Final = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 _STEP_S: Final = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0)
@@ -36,3 +37,7 @@ class Metrics:
             "brink_commit_seconds", "Duration of a write transaction; all other writes wait", buckets=_STEP_S,
             registry=self.registry,
         )  # fmt: skip
+
+    def watch(self, name: str, about: str, value: Callable[[], float]) -> None:
+        """Report a value that is asked for whenever the metrics are read."""
+        Gauge(name, about, registry=self.registry).set_function(value)

@@ -52,6 +52,22 @@ class Settings(BaseSettings):
     rate_limit: Annotated[
         float, Field(ge=0, description="Requests per second allowed for each token; 0 for no limit.")
     ] = 1000.0
+    plugin_timeout_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=86_400,
+            description="Time limit for each call of a plug-in's code; a campaign whose plug-in exceeds it pauses.",
+        ),
+    ] = 60.0
+    live_searches_mib: Annotated[
+        int,
+        Field(
+            ge=0,
+            description="Memory for the searches of running campaigns, in MiB; the others are read again when their "
+            "next generation is complete.",
+        ),
+    ] = 1024
     llm_endpoints: Annotated[
         str,
         Field(

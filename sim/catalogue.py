@@ -244,6 +244,17 @@ def other_source(sources: Mapping[str, str]) -> str | None:
     return None
 
 
+def is_own_plugin(group: str, plugin_id: str) -> bool:
+    """Return whether a plug-in is part of Brink, and not code that a user brought; loads nothing.
+
+    Raises:
+        KeyError: No plug-in has this id.
+    """
+    registered = _registered.get(group, {}).get(plugin_id)
+    module = _entry_points(group)[plugin_id].module if registered is None else registered.__module__
+    return is_own(module)
+
+
 def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Callable[..., Any]:
     """Return a function or class of a plug-in module that a specification names, such as ``my_policies:drive``.
 

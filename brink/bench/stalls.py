@@ -37,7 +37,7 @@ PLUGIN_TIMEOUT_S: Final = 5.0
 """Time limit for a plug-in's code, shorter than a coordinator's default so that a trial does not take long."""
 PROBES: Final = ("healthz", "heartbeat", "lease", "submission", "search")
 PAUSES_S: Final[Mapping[str, float]] = {
-    "healthz": 0.02, "heartbeat": 0.05, "lease": 0.02, "submission": 0.25, "search": 0.25,
+    "healthz": 0.05, "heartbeat": 0.1, "lease": 0.1, "submission": 1.0, "search": 0.5,
 }  # fmt: skip
 """Time between two requests of a probe."""
 MOST_LATENCY_S: Final = 1.0

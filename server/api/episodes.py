@@ -115,9 +115,9 @@ async def get_replay(
     document = await trace_of(services, campaign, number, request, wait_s)
     if document is None:
         return being_made()
-    judged = deciding_requirements(campaign.body)
 
     def draw() -> bytes:
+        judged = deciding_requirements(campaign.body)
         return render_bytes(Trace.from_bytes(document), f".{extension}", requirement=judged or None)
 
     return Response(await _drawn(services.drawing, number, draw), media_type=REPLAY_MEDIA[extension])
@@ -132,9 +132,9 @@ async def get_episode(
     document = await trace_of(services, campaign, number, request, wait_s)
     if document is None:
         return being_made()
-    judged = deciding_requirements(campaign.body)
 
     def draw() -> str:
+        judged = deciding_requirements(campaign.body)
         view = episode_view(Trace.from_bytes(document), judged)
         return view.model_dump_json()
 

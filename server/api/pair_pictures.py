@@ -51,9 +51,9 @@ async def get_pair_picture(
     """Return one drive of a pair from above, with the outline of the other drive's car."""
     campaign = await services.campaigns.get(campaign_id)
     numbers = (safe, unsafe)
-    judged = deciding_requirements(campaign.body)
 
     def pair_of(traces: Sequence[Trace]) -> DrivePair:
+        judged = deciding_requirements(campaign.body)
         sides = [Side(number=number, trace=trace) for number, trace in zip(numbers, traces, strict=True)]
         return DrivePair(safe=sides[0], unsafe=sides[1], change="", requirement=judged or None)
 
@@ -82,9 +82,9 @@ async def get_compared_picture(
 ) -> Response:
     """Return the system's drive from above, or that of a reference driver who avoids its violation."""
     campaign = await services.campaigns.get(campaign_id)
-    judged = deciding_requirements(campaign.body)
 
     def pair_of(traces: Sequence[Trace]) -> DrivePair:
+        judged = deciding_requirements(campaign.body)
         (trace,) = traces
         compared = comparison_of(trace, judged or None)
         if compared is None:

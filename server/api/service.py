@@ -25,6 +25,7 @@ from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError
 from brink.server.problems.catalogue import describe_algorithms, describe_problems
 from brink.server.states import Scope
+from brink.server.user_code import USER_CODE
 
 log = logging.getLogger(__name__)
 root = APIRouter(tags=["operations"])
@@ -42,7 +43,10 @@ async def healthz() -> str:
 
 @root.get("/readyz", response_class=PlainTextResponse)
 async def readyz(services: Services) -> Response:
-    """Return 200 if the database can be read and written and has this version's schema; otherwise 503."""
+    """Return 200 if the database can be read and written and has this version's schema; otherwise 503.
+
+    Also 503 if so many calls of plug-ins have not returned that no further campaign with plug-ins can go on.
+    """
     try:
         loop = asyncio.get_running_loop()
         revision = await loop.run_in_executor(None, current_revision, services.engines)
@@ -51,6 +55,8 @@ async def readyz(services: Services) -> Response:
         if trouble := services.queue.writer.trouble:  # reads succeed even on a full disk
             log.warning("not ready: %s", trouble.reason)
             return problem(503, "Not ready", "the database has been rejecting writes; see the log")
+        if USER_CODE.is_full:
+            return problem(503, "Not ready", "too many calls of plug-ins have not returned; see the log")
     except DatabaseError as error:  # its message names the database, and this path is public
         log.warning("not ready: %s", error)
         return problem(503, "Not ready", "the database does not respond; see the log")

@@ -9,12 +9,13 @@ solutions, bit for bit.
 import asyncio
 import hashlib
 import logging
-import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from sqlalchemy import Connection
@@ -40,6 +41,7 @@ from brink.search.metric import METRIC_VERSION
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.known import read_known
+from brink.server.campaigns.live_searches import MIB, LiveSearches
 from brink.server.campaigns.others import OtherCoordinators
 from brink.server.campaigns.plan import (
     LiveSearch,
@@ -70,16 +72,24 @@ from brink.server.errors import Damaged, InvalidInput, Unavailable
 from brink.server.llm.settings import LlmSettings
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem
+from brink.server.problems.catalogue import ALGORITHMS, run_plugin, uses_user_code
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobOutcome, first_line
 from brink.server.queue.wakeups import Wakeups
 from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
+from brink.server.user_code import USER_CODE, CodeStalled
 from brink.worker.wire import Completed
 
 FEW_FAILURES = 3
 """This many failures or fewer never pause a campaign."""
 FIRST_FAILURES = 5
 """This many failures before any success pause a campaign at once, unless it allows most simulations to fail."""
+
+PLUGIN_STEPS_AT_ONCE: Final = 16
+"""Maximum number of campaigns with code that a user brought whose steps run at a time. They mostly wait for it."""
+KNOWN_CAMPAIGNS: Final = 10_000
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +118,7 @@ class _MovedOn(Exception):
 
 
 class Stepper:
-    """Takes generation steps, one at a time.
+    """Takes generation steps; those of different campaigns may be taken at the same time, on different threads.
 
     Args:
         engines: The database.
@@ -117,6 +127,7 @@ class Stepper:
         seeds: Where seeds come from.
         metrics: Where step times are recorded.
         others: Other coordinators that may share the database; None to take all steps.
+        live_searches_mib: Memory for searches between their steps, in MiB.
     """
 
     def __init__(
@@ -128,6 +139,7 @@ class Stepper:
         seeds: SeedSource,
         metrics: Metrics | None = None,
         others: OtherCoordinators | None = None,
+        live_searches_mib: int = 1024,
     ) -> None:
         self._others = others
         self._engines = engines
@@ -135,13 +147,34 @@ class Stepper:
         self._writer = writer
         self._seeds = seeds
         self._max_stored_distances = max_stored_distances
-        self._live: dict[str, LiveSearch] = {}
+        self._live = LiveSearches(most_bytes=live_searches_mib * MIB, on_drop=self._on_drop)
         self._same_simulator: set[str] = set()
-        self._lock = threading.Lock()
+        self._user_code: OrderedDict[str, bool] = OrderedDict()
 
     def adopt(self, campaign_id: str, live: LiveSearch) -> None:
         """Keep the search of a new campaign in memory."""
-        self._live[campaign_id] = live
+        self._live.keep(campaign_id, live)
+
+    def _on_drop(self, campaign_id: str) -> None:
+        """Take the next step of a campaign whose search was dropped here all the same: nobody else has it."""
+        log.info("search dropped from memory", extra={"campaign": campaign_id})
+        self.take_over(campaign_id)
+
+    def uses_user_code(self, campaign_id: str) -> bool:
+        """Return whether a campaign runs code that a user brought; reads the database unless that `is_known`."""
+        if not self.is_known(campaign_id):
+            with self._engines.reader.connect() as connection:
+                campaign = CAMPAIGNS.find(connection, campaign_id)
+            self._user_code[campaign_id] = campaign is not None and uses_user_code(
+                campaign.body.problem.id, campaign.body.algorithm.id
+            )
+            while len(self._user_code) > KNOWN_CAMPAIGNS:
+                self._user_code.popitem(last=False)
+        return self._user_code.get(campaign_id, True)
+
+    def is_known(self, campaign_id: str) -> bool:
+        """Return whether `uses_user_code` knows a campaign."""
+        return campaign_id in self._user_code
 
     def take_over(self, campaign_id: str) -> None:
         """Take the next step of a campaign here: no coordinator has its search in memory."""
@@ -150,21 +183,27 @@ class Stepper:
 
     def forget(self, campaign_id: str) -> None:
         """Drop the search of a campaign that has ended or is paused."""
-        self._live.pop(campaign_id, None)
+        self._live.drop(campaign_id)
+        self._same_simulator.discard(campaign_id)
         if self._others is not None:
             self._others.forget(campaign_id)
 
     @property
     def live_campaigns(self) -> tuple[str, ...]:
         """Ids of the campaigns whose searches are in memory."""
-        return tuple(self._live)
+        return self._live.campaigns
+
+    @property
+    def live_bytes(self) -> int:
+        """Memory of these searches, as estimated."""
+        return self._live.size
 
     def archive(self, campaign_id: str, generation: int) -> Archive | None:
         """Return a campaign's archive if it is in memory and at the given generation."""
         live = self._live.get(campaign_id)
         if live is None or live.generation != generation:
             return None
-        archive: Archive = live.state.archive
+        archive: Archive = _run(live.plan, "archive", lambda: live.state.archive)
         return archive
 
     def advance(self, campaign_id: str) -> bool:
@@ -173,10 +212,15 @@ class Stepper:
         Raises:
             Exception: A step failed. If the cause is not transient, the campaign was paused or has failed.
         """
+        if not self.uses_user_code(campaign_id):
+            return self._advance(campaign_id)
+        with USER_CODE.on_behalf(campaign_id):
+            return self._advance(campaign_id)
+
+    def _advance(self, campaign_id: str) -> bool:
         moved = False
-        with self._lock:
-            while self._step(campaign_id):
-                moved = True
+        while self._step(campaign_id):
+            moved = True
         return moved
 
     def _step(self, campaign_id: str) -> bool:
@@ -194,9 +238,13 @@ class Stepper:
             reason = f"generation {campaign.generation} cannot be completed here: {error}"
             self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             return False
+        except CodeStalled as error:
+            reason = f"generation {campaign.generation} cannot be completed: {error}"
+            self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
+            return False
         except Exception as error:
             if _is_transient(error):
-                self._live.pop(campaign_id, None)
+                self._live.drop(campaign_id)
                 raise
             log.exception("generation cannot be completed", extra=_about(campaign))
             reason = f"generation {campaign.generation} cannot be completed: {type(error).__name__}: {error}"
@@ -212,14 +260,19 @@ class Stepper:
         Args:
             campaign: The campaign, which is running.
             outcomes: The outcomes of its current generation.
+
+        Raises:
+            CodeStalled: An earlier call of its code has not returned, or a call of this step did not in time.
         """
+        if stalled := USER_CODE.stalled(campaign.id):
+            raise CodeStalled(f"{stalled[-1].what} has not returned from an earlier call")
         if self._has_other_simulator(campaign):
             return False
         if _is_open(outcomes):
             self._pause_if_nothing_works(campaign, outcomes)
             return False
         if self._others is not None and not self._is_current(campaign) and self._others.leave_step(campaign):
-            self._live.pop(campaign.id, None)
+            self._live.drop(campaign.id)
             return False
         live = self._state(campaign)
         if outcomes and seed_request(live.plan, live.state) is not None:
@@ -251,7 +304,7 @@ class Stepper:
 
     def _has_other_simulator(self, campaign: Campaign) -> bool:
         """Return whether a campaign was simulated with another simulator than its problem uses here, and pause it."""
-        if campaign.id in self._same_simulator or campaign.id in self._live:
+        if campaign.id in self._same_simulator or self._live.get(campaign.id) is not None:
             return False
         with self._engines.reader.connect() as connection:
             why = other_simulator(connection, campaign)
@@ -274,23 +327,24 @@ class Stepper:
         if proposals is None:
             return False
         seeded = algorithm.seeded(live.state, proposals)
-        checkpoint = _checkpoint(plan, seeded, campaign.generation)
+        checkpoint = _run(plan, "state", lambda: _checkpoint(plan, seeded, campaign.generation))
         state, asked = ask_next(plan, seeded, live.asked)
         written = self._writer.submit(
             lambda connection: step_store.write_seeded(connection, campaign, checkpoint, asked)
         ).result()
         if not written:
-            self._live.pop(campaign.id, None)
+            self._live.drop(campaign.id)
             return False
-        self._live[campaign.id] = _continued(live, campaign.generation, state, asked)
+        self._live.keep(campaign.id, _continued(live, campaign.generation, state, asked))
         log.info("generation seeded", extra=_about(campaign))
         return True
 
     def _tell(self, campaign: Campaign, live: LiveSearch, outcomes: Sequence[JobOutcome]) -> bool:
         began = time.perf_counter()
-        evaluations = _evaluations(live.plan.problem, live.state.pending, outcomes)
+        pending: Sequence[Candidate] = _run(live.plan, "pending", lambda: live.state.pending)
+        evaluations = _evaluations(live.plan.problem, pending, outcomes)
         failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
-        pause = _too_many_failures(campaign, evaluations, failed, len(live.state.pending))
+        pause = _too_many_failures(campaign, evaluations, failed, len(pending))
         if pause:
             self._end(campaign, CampaignStatus.PAUSED, pause, failures=failed)
             return False
@@ -299,8 +353,11 @@ class Stepper:
         finished = algorithm.finished(told)
         next_state, asked = ask_next(live.plan, told, live.asked)
         without_result = [one.number for one in outcomes if one.status is not JobStatus.DONE]
-        step = self._make_step(campaign, live.plan, evaluations, without_result, told, asked, finished, began)
-        repeats = self._repeats(campaign, live.plan, told.archive) if finished else None
+        make_step = partial(
+            self._make_step, campaign, live.plan, evaluations, without_result, told, asked, finished, began
+        )
+        step, archive = _run(live.plan, "state", lambda: (make_step(), told.archive))
+        repeats = self._repeats(campaign, live.plan, archive) if finished else None
 
         def unit(connection: Connection) -> bool:
             written = step_store.write_step(connection, step)
@@ -309,13 +366,13 @@ class Stepper:
             return written
 
         if not self._writer.submit(unit).result():
-            self._live.pop(campaign.id, None)
+            self._live.drop(campaign.id)
             return False
         self._metrics.steps.observe(time.perf_counter() - began)
         if finished:
-            self._live.pop(campaign.id, None)
+            self._live.drop(campaign.id)
         else:
-            self._live[campaign.id] = _continued(live, campaign.generation + 1, next_state, asked)
+            self._live.keep(campaign.id, _continued(live, campaign.generation + 1, next_state, asked))
         counts = {"evaluated": step.summary.evaluated, "unsafe": step.summary.unsafe, "failed": failed}
         step_ms = round(1000 * step.summary.step_s, 1)
         log.info("generation told", extra={**_about(campaign), **counts, "step_ms": step_ms})
@@ -406,7 +463,10 @@ class Stepper:
         return live is not None and live.generation == campaign.generation
 
     def _state(self, campaign: Campaign) -> LiveSearch:
-        return self._live[campaign.id] if self._is_current(campaign) else self._restore(campaign)
+        live = self._live.get(campaign.id)
+        return (
+            live if live is not None and live.generation == campaign.generation else self._restore(campaign)
+        )
 
     def _restore(self, campaign: Campaign) -> LiveSearch:
         """Restore a search from the database, and ask again for the generations that its checkpoint lacks."""
@@ -436,20 +496,26 @@ class Stepper:
             now_asked = campaign.generation + len(in_flight)
             state, asked = ask_next(plan, state, now_asked)
             live = LiveSearch(plan=plan, generation=campaign.generation, asked=now_asked, state=state)
-        _check_same(campaign, live.state.pending, asked, in_flight)
+        pending: Sequence[Candidate] = _run(plan, "pending", lambda: live.state.pending)
+        _check_same(campaign, pending, asked, in_flight)
         log.info("campaign restored", extra=_about(campaign))
         return live
 
     def _end(
         self, campaign: Campaign, status: CampaignStatus, reason: str, *, failures: int | None = None
     ) -> None:
-        self._live.pop(campaign.id, None)
+        self._live.drop(campaign.id)
         self._writer.submit(
             lambda connection: store.end_running(
                 connection, campaign.id, campaign.generation, status, reason, failures=failures
             )
         ).result()
         log.warning("campaign %s", status, extra={**_about(campaign), "reason": reason})
+
+
+def _run(plan: Plan, what: str, run: Callable[[], T]) -> T:
+    """Return what the state of a search says, which is code of its algorithm."""
+    return run_plugin(ALGORITHMS, plan.body.algorithm.id, what, run)
 
 
 def _continued(live: LiveSearch, generation: int, state: Any, asked: Asked) -> LiveSearch:
@@ -461,7 +527,8 @@ def _continued(live: LiveSearch, generation: int, state: Any, asked: Asked) -> L
         state: The algorithm's state.
         asked: The generations that the algorithm asked for in the step.
     """
-    return replace(live, generation=generation, asked=live.asked + len(asked.generations), state=state)
+    asked_now = live.asked + len(asked.generations)
+    return replace(live, generation=generation, asked=asked_now, state=state).measured()
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
@@ -605,7 +672,9 @@ def _advice(error: str) -> str:
 class Scheduler:
     """Decides when the campaigns of one coordinator process advance.
 
-    Steps run one at a time on a separate thread, off the event loop. A campaign is queued at most once.
+    Steps run off the event loop: one at a time, since they compute, but for those of campaigns that run code which a
+    user brought. These run beside all others, so that nobody waits for that code but its own campaign. A campaign is
+    queued at most once.
 
     Attributes:
         engines: The database.
@@ -619,8 +688,15 @@ class Scheduler:
     _swept: bool = False
     _due: set[str] = field(default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _last: dict[str, asyncio.Task[None]] = field(default_factory=dict)
+    _began_s: dict[str, float] = field(default_factory=dict)
     _steps: ThreadPoolExecutor = field(
         default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-step")
+    )
+    _plugin_steps: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(
+            PLUGIN_STEPS_AT_ONCE, thread_name_prefix="brink-plugin-step"
+        )
     )
 
     def advance_soon(self, campaigns: Iterable[str]) -> None:
@@ -629,26 +705,53 @@ class Scheduler:
             if campaign in self._due:
                 continue
             self._due.add(campaign)
-            task = asyncio.get_running_loop().create_task(self._advance(campaign))
+            task = asyncio.get_running_loop().create_task(self._advance(campaign, self._last.get(campaign)))
+            self._last[campaign] = task
             self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            task.add_done_callback(partial(self._done, campaign))
 
     def advance_own(self, campaign: str) -> None:
         """Queue a campaign that another coordinator found due, if its search is in memory here."""
         if campaign in self.stepper.live_campaigns:
             self.advance_soon([campaign])
 
-    async def _advance(self, campaign: str) -> None:
+    @property
+    def oldest_step_s(self) -> float:
+        """How long the step has been running that began first, in seconds; 0 if none runs."""
+        return max((time.monotonic() - began_s for began_s in list(self._began_s.values())), default=0.0)
+
+    def _done(self, campaign: str, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if self._last.get(campaign) is task:
+            del self._last[campaign]
+
+    async def _advance(self, campaign: str, before: asyncio.Task[None] | None) -> None:
+        """Advance a campaign.
+
+        Args:
+            campaign: The campaign.
+            before: The task that advances it now, if any.
+        """
         loop = asyncio.get_running_loop()
 
         def step() -> bool:
             # A campaign that becomes due from here on must be looked at again.
             loop.call_soon_threadsafe(self._due.discard, campaign)
-            return self.stepper.advance(campaign)
+            self._began_s[campaign] = time.monotonic()
+            try:
+                return self.stepper.advance(campaign)
+            finally:
+                self._began_s.pop(campaign, None)
 
         try:
-            moved = await loop.run_in_executor(self._steps, step)
+            if before is not None:
+                await asyncio.wait([before])
+            if not self.stepper.is_known(campaign):
+                await loop.run_in_executor(None, self.stepper.uses_user_code, campaign)
+            beside = self.stepper.uses_user_code(campaign)
+            moved = await loop.run_in_executor(self._plugin_steps if beside else self._steps, step)
         except Exception:
+            self._due.discard(campaign)
             log.exception("the step failed; the sweeper will try again", extra={"campaign": campaign})
             return
         if moved:
@@ -673,5 +776,6 @@ class Scheduler:
         self.advance_soon(idle)
 
     def close(self) -> None:
-        """Finish the running step, and start no more."""
-        self._steps.shutdown(wait=True, cancel_futures=True)
+        """Finish the running steps, and start no more."""
+        for threads in (self._steps, self._plugin_steps):
+            threads.shutdown(wait=True, cancel_futures=True)

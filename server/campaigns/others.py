@@ -8,6 +8,7 @@ takes it all the same. Two coordinators that take the same step do no harm; see 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from threading import Lock
 from typing import Final
 
 from sqlalchemy import select
@@ -43,7 +44,7 @@ class _LeftStep:
 
 @dataclass(slots=True)
 class OtherCoordinators:
-    """The other coordinators on the same database, as far as steps are concerned.
+    """The other coordinators on the same database, as far as steps are concerned; safe to use from several threads.
 
     Attributes:
         engines: The database.
@@ -58,6 +59,7 @@ class OtherCoordinators:
     clock: Callable[[], float] = time.monotonic
     _left: dict[str, _LeftStep] = field(default_factory=dict)
     _taken_over: set[str] = field(default_factory=set)
+    _lock: Lock = field(default_factory=Lock)
 
     def take_over(self, campaign_id: str) -> None:
         """Take the next step of a campaign here: no coordinator has its search in memory."""
@@ -66,7 +68,8 @@ class OtherCoordinators:
     def forget(self, campaign_id: str) -> None:
         """Drop what is known of a campaign that has ended or is paused."""
         self._taken_over.discard(campaign_id)
-        self._left.pop(campaign_id, None)
+        with self._lock:
+            self._left.pop(campaign_id, None)
 
     def leave_step(self, campaign: Campaign) -> bool:
         """Return whether a step that is due is left to the other coordinators, and tell them if it is.
@@ -84,9 +87,10 @@ class OtherCoordinators:
         last_step_s = self._last_step_s(campaign)
         if (self.engines.is_sqlite and last_step_s < WORTH_LEAVING_S) or not self.are_known():
             return False
-        self._left = {name: one for name, one in self._left.items() if one.until_s > now - FORGET_S}
         patience_s = min(LONGEST_PATIENCE_S, max(PATIENCE_S, PATIENCE_STEPS * last_step_s))
-        self._left[campaign.id] = _LeftStep(generation=campaign.generation, until_s=now + patience_s)
+        with self._lock:
+            self._left = {name: one for name, one in self._left.items() if one.until_s > now - FORGET_S}
+            self._left[campaign.id] = _LeftStep(generation=campaign.generation, until_s=now + patience_s)
         if not self.engines.is_sqlite:
             self.writer.submit(lambda connection: notify_due(connection, campaign.id))
         return True

@@ -1,8 +1,9 @@
 """Turns a campaign's body into a search: makes and checks problem and algorithm, asks for the first generation."""
 
+import logging
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +32,7 @@ from brink.search.streams import episode_seed
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, PluginChoice, StartFrom
 from brink.server.campaigns.known import KnownRecord, given_records, insert_known, known_of
+from brink.server.campaigns.memory import memory_of
 from brink.server.campaigns.step_store import Asked, NewSolution, StoredArchive
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
@@ -49,16 +51,23 @@ from brink.server.problems.base import (
 )
 from brink.server.problems.catalogue import (
     ALGORITHMS,
+    algorithms_that,
     config_field_error,
     make_algorithm,
     make_params,
+    run_plugin,
     spelled_out,
 )
 from brink.server.queue.job_store import NewJob
 from brink.server.states import JobKind
-from brink.sim.catalogue import GROUPS, named_sources, plugin_ids, with_sources
+from brink.server.user_code import USER_CODE, guarded_like
+from brink.sim.catalogue import GROUPS, named_sources, with_sources
 from brink.sim.episode import digest_of
 
+log = logging.getLogger(__name__)
+
+SIZE_GROWTH: Final = 1.25
+"""A search is measured again once it has so many times the generations that it had."""
 LLM_SEEDER = "llm"
 """Value of the algorithm parameter `seeder` that requests seeds from a language model."""
 NO_ACCESS: Final = LlmAccess()
@@ -90,12 +99,24 @@ class LiveSearch:
         generation: Number of generations told.
         asked: Number of generations asked for.
         state: The algorithm's state.
+        size: About how much memory the state takes, in bytes, as last measured.
+        sized_at: Number of generations told when it was measured.
     """
 
     plan: Plan
     generation: int
     asked: int
     state: Any
+    size: int = 0
+    sized_at: int = 0
+
+    def measured(self) -> "LiveSearch":
+        """Return the search with its size, measured again if it has grown much since; slow if it is large."""
+        if self.size and self.generation <= SIZE_GROWTH * self.sized_at:
+            return self
+        plan = self.plan
+        size = memory_of(self.state, without=(plan, plan.problem, plan.algorithm, plan.config))
+        return replace(self, size=size, sized_at=self.generation)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,6 +155,7 @@ def make_plan(body: CampaignBody) -> Plan:
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
+        CodeStalled: A plug-in did not return in time.
     """
     problem, problem_params = spelled_out(body.problem.id, body.problem.params)
     if body.ground_truth:
@@ -141,7 +163,11 @@ def make_plan(body: CampaignBody) -> Plan:
     algorithm = make_algorithm(body.algorithm.id)
     known = set(algorithm.config_type.__dataclass_fields__)
     defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
-    config = make_params(algorithm.config_type, {**defaults, **body.algorithm.params}, "/algorithm/params")
+    values = {**defaults, **body.algorithm.params}
+    config = run_plugin(
+        ALGORITHMS, body.algorithm.id, "config_type",
+        lambda: make_params(algorithm.config_type, values, "/algorithm/params"),
+    )  # fmt: skip
     resolved = body.model_copy(
         update={
             "problem": PluginChoice(id=body.problem.id, params=problem_params),
@@ -183,7 +209,7 @@ def with_truth(problem: Problem) -> SimulatedProblem:
         )
         raise InvalidInput.at("/ground_truth", message)
     found.space = problem.space  # the same, within the ODD
-    return found
+    return guarded_like(problem, found)
 
 
 def make_checked_plan(body: CampaignBody) -> Plan:
@@ -193,14 +219,17 @@ def make_checked_plan(body: CampaignBody) -> Plan:
         InvalidInput: With a pointer to each invalid field.
     """
     plan = make_plan(body)
-    if isinstance(plan.problem, ChecksInputs) and (wrong := plan.problem.wrong_inputs()):
+    # It may load what a user brought: a detector, a function, an environment.
+    if isinstance(plan.problem, ChecksInputs) and (
+        wrong := USER_CODE.call(plan.problem.id, "its inputs", plan.problem.wrong_inputs)
+    ):
         raise InvalidInput(
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
     _check_criticality(plan)
     _check_seeder(plan)
     if body.start_from is not None and not isinstance(plan.algorithm, WarmStarts):
-        able = ", ".join(one for one in plugin_ids(ALGORITHMS) if isinstance(make_algorithm(one), WarmStarts))
+        able = ", ".join(algorithms_that(WarmStarts))
         message = f"{body.algorithm.id} cannot start from known solutions; {able} can"
         raise InvalidInput.at("/start_from", message)
     if body.repeats:
@@ -328,6 +357,9 @@ def looks_for_boundary(algorithm_id: str) -> bool:
         algorithm = make_algorithm(algorithm_id)
     except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
+    except Exception:  # and with plug-ins that fail, or do not return
+        log.exception("plug-in cannot be loaded", extra={"plugin": algorithm_id})
+        return True
     return not issubclass(
         algorithm.config_type,
         MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig | SimoodConfig,
@@ -361,7 +393,8 @@ def first_generations(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> 
     plan = make_plan(body)
     state = _first_state(plan, known_of(known, plan.problem.space.dimension))
     state, asked = ask_next(plan, state, 0)
-    return LiveSearch(plan=plan, generation=0, asked=len(asked.generations), state=state), asked
+    live = LiveSearch(plan=plan, generation=0, asked=len(asked.generations), state=state)
+    return live.measured(), asked
 
 
 def _first_state(plan: Plan, known: Known) -> Any:

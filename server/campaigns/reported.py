@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 from sqlalchemy import Connection, select
+from sqlalchemy.exc import SQLAlchemyError
 
 from brink.search.algorithm import Scored
 from brink.search.space import FloatArray
@@ -107,19 +108,27 @@ class ReportedResults:
         known, problem = parsed.results, parsed.problem
         new = [number for number in numbers if number not in known]
         if new and problem is not None:
-            known = {**known, **_read_new(connection, campaign, problem, new)}
+            try:
+                known = {**known, **_read_new(connection, campaign, problem, new)}
+            except SQLAlchemyError:
+                raise
+            except Exception:  # a plug-in's fault, or code that hangs, must not hide the campaign's progress
+                log.exception("reported results cannot be read", extra={"campaign": campaign.id})
+                parsed.problem = None
         # Another thread may read the same campaign: replaced, not changed in place.
         parsed.results = found = {number: known[number] for number in numbers if number in known}
         return Reported(results=[one for one in found.values() if one is not None])
 
     def _of(self, campaign: Campaign) -> _Parsed:
+        parsed = self._parsed.get(campaign.id)
+        if parsed is None:  # made without the lock: it may be code that a user brought
+            parsed = _Parsed(problem=_problem_of(campaign))
         with self._lock:
-            if campaign.id not in self._parsed:
-                self._parsed[campaign.id] = _Parsed(problem=_problem_of(campaign))
+            parsed = self._parsed.setdefault(campaign.id, parsed)
             self._parsed.move_to_end(campaign.id)
             while len(self._parsed) > CACHED:
                 self._parsed.popitem(last=False)
-            return self._parsed[campaign.id]
+            return parsed
 
 
 def _problem_of(campaign: Campaign) -> SimulatedProblem | None:

@@ -4,26 +4,37 @@ A result without the requirements of its campaign says nothing about them. Store
 at the next generation step, when no worker can be asked again.
 """
 
+import asyncio
 import logging
-from collections import OrderedDict
+from collections import Counter, OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from threading import Lock
 from typing import Final
-
-from sqlalchemy import Connection
-from sqlalchemy.exc import SQLAlchemyError
 
 from brink.search.algorithm import Evaluation, NeedsObjectives, Scored
 from brink.server.campaigns.plan import Plan, make_plan
-from brink.server.campaigns.store import CAMPAIGNS
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
+from brink.server.db.engine import Engines, read
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import InProcessProblem, MeasuresOnData, NamesRequirements, SimulatedProblem
+from brink.server.problems.catalogue import PROBLEMS, uses_user_code
+from brink.server.queue.report_store import Judgement, UnjudgedResult
 from brink.server.states import JobKind
+from brink.server.user_code import USER_CODE
+from brink.sim.catalogue import is_own_plugin
 from brink.worker.wire import Completed
 
 UNREADABLE: Final = (LookupError, ValueError, TypeError, ArithmeticError)
 """What a problem raises for a result that it cannot evaluate."""
 CACHED: Final = 1000
 """Number of campaigns whose expectations are kept; more hardly ever run at once."""
+CHECK_S: Final = 1.0
+"""How long a worker's request waits for a plug-in's code."""
+MOST_LATE: Final = 3
+"""After this many checks that took longer, the results of a campaign are no longer checked."""
+CHECKS_AT_ONCE: Final = 4
 
 log = logging.getLogger(__name__)
 
@@ -53,74 +64,159 @@ class _Expected:
         problem: Its problem.
         algorithm: Id of its algorithm.
         objectives: The objectives that the algorithm needs.
+        user_code: Whether the problem is code that a user brought.
     """
 
     problem: SimulatedProblem
     algorithm: str
     objectives: tuple[str, ...]
+    user_code: bool
 
 
 @dataclass(slots=True)
-class ResultCheck:
-    """Checks the results of all campaigns, on the writer's thread; keeps what the last ones expect."""
+class ResultChecks:
+    """Checks the results of all campaigns; keeps what the last ones expect. Safe to use from several threads.
 
+    Brink's own problems check a result in the write transaction that stores it. A plug-in's code may take long, so it
+    is called before that, on threads of its own, and nobody waits longer than `CHECK_S`: a result that is not checked
+    by then is stored unchecked. If it turns out to be of no use, the generation step says so.
+
+    Attributes:
+        engines: The database.
+    """
+
+    engines: Engines
     _expected: OrderedDict[str, _Expected | None] = field(default_factory=OrderedDict)
+    _late: Counter[str] = field(default_factory=Counter)
+    _running: Counter[str] = field(default_factory=Counter)
+    _lock: Lock = field(default_factory=Lock)
+    _threads: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(CHECKS_AT_ONCE, thread_name_prefix="brink-result-check")
+    )
 
-    def __call__(self, connection: Connection, campaign_id: str, kind: str, result: Completed) -> str | None:
-        """Return why a campaign cannot use a result, or None if it can.
+    def __call__(self, campaign_id: str, kind: str, result: Completed) -> Judgement | None:
+        """Return whether a campaign can use a result; None if that cannot be told in a transaction.
 
         Args:
-            connection: In any transaction.
             campaign_id: The campaign.
             kind: What the result's job was for.
             result: The result.
         """
         if kind == JobKind.TRACE:  # the trace is what counts, and it is checked when it is drawn
-            return None
-        expected = self._of(connection, campaign_id)
+            return Judgement()
+        with self._lock:
+            if campaign_id not in self._expected:
+                return None
+            self._expected.move_to_end(campaign_id)
+            expected = self._expected[campaign_id]
         if expected is None:
-            return None
+            return Judgement()
+        return None if expected.user_code else self._judgement(expected, campaign_id, kind, result)
+
+    async def judge(self, results: Sequence[UnjudgedResult]) -> Sequence[Judgement]:
+        """Return whether campaigns can use results, after `CHECK_S` at the latest."""
+        campaigns = list(dict.fromkeys(one.campaign for one in results))
+        found = await asyncio.gather(
+            *(self._judge([one for one in results if one.campaign == name], name) for name in campaigns)
+        )
+        judged = {name: iter(judgements) for name, judgements in zip(campaigns, found, strict=True)}
+        return [next(judged[one.campaign]) for one in results]
+
+    def close(self) -> None:
+        """End the threads."""
+        self._threads.shutdown(wait=True, cancel_futures=True)
+
+    async def _judge(self, results: Sequence[UnjudgedResult], campaign_id: str) -> Sequence[Judgement]:
+        """Return whether a campaign can use results; all of them if that takes too long, or did before."""
+        unchecked = [Judgement()] * len(results)
+        if self._late[campaign_id] and self._running[campaign_id]:
+            return unchecked
+        campaign = await read(self.engines, lambda connection: CAMPAIGNS.find(connection, campaign_id))
+        if campaign is None:
+            return unchecked
+        loop = asyncio.get_running_loop()
+        if not uses_user_code(campaign.body.problem.id, campaign.body.algorithm.id):
+            return await loop.run_in_executor(None, self._look, results, campaign)
+        self._running[campaign_id] += 1
+        judging = loop.run_in_executor(self._threads, self._look, results, campaign)
+        judging.add_done_callback(lambda _: self._end(campaign_id))
+        done, _ = await asyncio.wait([judging], timeout=CHECK_S)
+        if done:
+            return judging.result()
+        judging.add_done_callback(_ignore)
+        self._late[campaign_id] += 1
+        log.warning("results are stored unchecked: the plug-in is slow", extra={"campaign": campaign_id})
+        if self._late[campaign_id] >= MOST_LATE:
+            self._keep(campaign_id, None)
+        return unchecked
+
+    def _end(self, campaign_id: str) -> None:
+        self._running[campaign_id] -= 1
+        if not self._running[campaign_id]:
+            del self._running[campaign_id]
+
+    def _look(self, results: Sequence[UnjudgedResult], campaign: Campaign) -> Sequence[Judgement]:
+        with USER_CODE.on_behalf(f"results of {campaign.id}"):
+            expected = self._find(campaign)
+            if expected is None:
+                return [Judgement()] * len(results)
+            return [self._judgement(expected, campaign.id, one.kind, one.result) for one in results]
+
+    def _judgement(self, expected: _Expected, campaign_id: str, kind: str, result: Completed) -> Judgement:
         try:
             evaluation = evaluate(expected.problem, JobKind(kind), result)
         except UNREADABLE as error:
-            return _reason(expected.problem, result, error)
+            return Judgement(_reason(expected.problem, result, error))
         except Exception:  # a plug-in's fault must not fail the results of others; the step reports it
             log.exception("result cannot be checked", extra={"campaign": campaign_id})
-            return None
+            self._keep(campaign_id, None)
+            return Judgement()
         if isinstance(evaluation, Scored):
             missing = [name for name in expected.objectives if name not in evaluation.objectives]
             if missing:
-                return f"{expected.algorithm} expects the objective {missing[0]}, which is missing"
-        return None
+                return Judgement(f"{expected.algorithm} expects the objective {missing[0]}, which is missing")
+        return Judgement()
 
-    def _of(self, connection: Connection, campaign_id: str) -> _Expected | None:
-        """Return what a campaign expects; None if it is gone, or expects nothing that can be checked here."""
-        if campaign_id in self._expected:
-            self._expected.move_to_end(campaign_id)
-            return self._expected[campaign_id]
+    def _find(self, campaign: Campaign) -> _Expected | None:
+        """Return what a campaign expects; None if it expects nothing that can be checked here."""
+        with self._lock:
+            if campaign.id in self._expected:
+                return self._expected[campaign.id]
         try:
-            campaign = CAMPAIGNS.find(connection, campaign_id)
-            expected = None if campaign is None else _expected(make_plan(campaign.body))
+            expected = _expected(make_plan(campaign.body))
         except InvalidInput:  # its plug-in is not installed here
             expected = None
-        except SQLAlchemyError:
-            raise
         except (
             Exception
         ):  # a plug-in that does not load must not fail the results of others; the step reports it
-            log.exception("results cannot be checked", extra={"campaign": campaign_id})
+            log.exception("results cannot be checked", extra={"campaign": campaign.id})
             expected = None
-        self._expected[campaign_id] = expected
-        while len(self._expected) > CACHED:
-            self._expected.popitem(last=False)
+        self._keep(campaign.id, expected)
         return expected
+
+    def _keep(self, campaign_id: str, expected: _Expected | None) -> None:
+        with self._lock:
+            self._expected[campaign_id] = expected
+            self._expected.move_to_end(campaign_id)
+            while len(self._expected) > CACHED:
+                dropped, _ = self._expected.popitem(last=False)
+                del self._late[dropped]
+
+
+def _ignore(judging: asyncio.Future[Sequence[Judgement]]) -> None:
+    """Nobody waits for this any more; without this, its error would be logged as never retrieved."""
+    if not judging.cancelled():
+        judging.exception()
 
 
 def _expected(plan: Plan) -> _Expected | None:
     if isinstance(plan.problem, InProcessProblem):
         return None
     needed = plan.algorithm.needed_objectives if isinstance(plan.algorithm, NeedsObjectives) else ()
-    return _Expected(problem=plan.problem, algorithm=plan.body.algorithm.id, objectives=tuple(needed))
+    return _Expected(
+        problem=plan.problem, algorithm=plan.body.algorithm.id, objectives=tuple(needed),
+        user_code=not is_own_plugin(PROBLEMS, plan.body.problem.id),
+    )  # fmt: skip
 
 
 def _reason(problem: SimulatedProblem, result: Completed, error: Exception) -> str:

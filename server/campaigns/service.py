@@ -3,13 +3,12 @@
 `DocumentService` is the part that campaigns share with experiments.
 """
 
-import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 from sqlalchemy import ColumnElement, Connection
@@ -18,6 +17,7 @@ from brink.search.archive import Archive
 from brink.server.campaigns import store, traces
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.body import CampaignBody, CampaignChange
+from brink.server.campaigns.checks import CheckThreads, Choice
 from brink.server.campaigns.deletion import Eraser, TreeMember, mark_deleted, read_trees
 from brink.server.campaigns.plan import (
     Plan,
@@ -46,8 +46,6 @@ from brink.server.states import CampaignStatus, JobStatus
 
 log = logging.getLogger(__name__)
 
-SLOW_AT_ONCE = 2
-"""Maximum number of submissions checked, and of pictures drawn, at the same time."""
 _CHANGES = {
     CampaignStatus.PAUSED: "paused",
     CampaignStatus.RUNNING: "resumed",
@@ -83,7 +81,7 @@ class DocumentService(ABC, Generic[B, S]):
 
     Attributes:
         table: Where they are stored.
-        checks: Threads for checks of submissions, which may load a neural network.
+        checks: Threads for checks of submissions.
         eraser: Erases what was deleted.
     """
 
@@ -91,7 +89,11 @@ class DocumentService(ABC, Generic[B, S]):
     engines: Engines
     writer: Writer
     eraser: Eraser
-    checks: ThreadPoolExecutor
+    checks: CheckThreads
+
+    @abstractmethod
+    def _choices(self, body: B) -> Collection[Choice]:
+        """Return the problems and algorithms of a body."""
 
     @abstractmethod
     def _prepare(self, body: B) -> Sequence[PreparedCampaign]:
@@ -137,7 +139,7 @@ class DocumentService(ABC, Generic[B, S]):
 
         if key is not None and (found := await read(self.engines, known)) is not None:
             return found, False
-        campaigns = await asyncio.get_running_loop().run_in_executor(self.checks, self._prepare, body)
+        campaigns = await self.checks.run(self._choices(body), partial(self._prepare, body))
 
         def unit(connection: Connection) -> tuple[S, Sequence[str] | None]:
             if (found := known(connection)) is not None:
@@ -224,11 +226,6 @@ class DocumentService(ABC, Generic[B, S]):
         )
 
 
-def check_threads() -> ThreadPoolExecutor:
-    """Return a thread pool that checks submissions."""
-    return ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-check")
-
-
 @dataclass(frozen=True, kw_only=True)
 class CampaignService(DocumentService[CampaignBody, Campaign]):
     """The campaigns of one coordinator process.
@@ -238,14 +235,17 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
     """
 
     table: DocumentTable[Campaign] = CAMPAIGNS
-    checks: ThreadPoolExecutor = field(default_factory=check_threads)
+    checks: CheckThreads = field(default_factory=CheckThreads)
     scheduler: Scheduler
     wakeups: Wakeups
     access: LlmAccess
 
     def close(self) -> None:
         """Finish the running checks, and start no more."""
-        self.checks.shutdown(wait=True, cancel_futures=True)
+        self.checks.close()
+
+    def _choices(self, body: CampaignBody) -> Collection[Choice]:
+        return [(body.problem.id, body.algorithm.id)]
 
     def _prepare(self, body: CampaignBody) -> Sequence[PreparedCampaign]:
         start = None
@@ -293,7 +293,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         Raises:
             InvalidInput: With a pointer to each invalid field.
         """
-        await asyncio.get_running_loop().run_in_executor(self.checks, self._prepare, body)
+        await self.checks.run(self._choices(body), partial(self._prepare, body))
 
     async def pause(self, name: str) -> Campaign:
         """Stop handing out a campaign's jobs. Running jobs continue, and their results are stored.
@@ -417,7 +417,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         other = await read(self.engines, lambda c: other_simulator(c, campaign))
         if other is not None:
             raise Conflict(f"campaign {campaign.id} cannot be repeated: {other}")
-        planned = await asyncio.get_running_loop().run_in_executor(self.checks, plan_it)
+        planned = await self.checks.run(self._choices(campaign.body), plan_it)
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
             # Locked, so that identical follow-ups are not stored at the same time.

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import secrets
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 
@@ -12,6 +12,7 @@ from sqlalchemy import Connection
 from brink.search.analysis.comparison import Repeat
 from brink.search.analysis.scores import Scores, scored
 from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.checks import Choice
 from brink.server.campaigns.plan import PreparedCampaign, prepare_campaign, store_campaign
 from brink.server.campaigns.service import CampaignService, DocumentService
 from brink.server.campaigns.store import Campaign
@@ -40,6 +41,9 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
 
     table: DocumentTable[Experiment] = EXPERIMENTS
     campaigns: CampaignService
+
+    def _choices(self, body: ExperimentBody) -> Collection[Choice]:
+        return {(problem.id, method.id) for problem in body.problems for method in body.algorithms}
 
     def _prepare(self, body: ExperimentBody) -> Sequence[PreparedCampaign]:
         campaigns = []

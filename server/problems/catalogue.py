@@ -5,10 +5,12 @@ pydantic models, which validate and describe the input. Every problem has one pa
 search space (`brink.search.odd`) and which the problem itself does not see.
 """
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, asdict, fields
+from functools import lru_cache, partial
 from importlib.util import find_spec
-from typing import Any, Final, Literal, cast, get_type_hints
+from typing import Any, Final, Literal, TypeVar, cast, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
@@ -31,7 +33,20 @@ from brink.server.problems.base import (
     SimulatedProblem,
 )
 from brink.server.problems.requirements import ANY
-from brink.sim.catalogue import load_plugin, plugin_ids, plugin_modules, requirement_ids, requirement_words
+from brink.server.user_code import USER_CODE, guarded
+from brink.sim.catalogue import (
+    REQUIREMENTS,
+    is_own_plugin,
+    load_plugin,
+    plugin_ids,
+    plugin_modules,
+    requirement_ids,
+    requirement_words,
+)
+
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
@@ -127,7 +142,22 @@ def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:
             f"brink --plugin MODULE … ({more})"
         )
         raise InvalidInput([FieldError(pointer=pointer, message=message, nearest=nearest(plugin_id, known))])
-    return load_plugin(group, plugin_id)
+    return run_plugin(group, plugin_id, "import", lambda: load_plugin(group, plugin_id))
+
+
+def run_plugin(group: str, plugin_id: str, what: str, run: Callable[[], T]) -> T:
+    """Run code of a plug-in and return its result: if a user brought it, as `brink.server.user_code` says.
+
+    Args:
+        group: Group of the plug-in.
+        plugin_id: Its id.
+        what: What is done, for messages.
+        run: The code.
+
+    Raises:
+        CodeStalled: It did not return in time.
+    """
+    return run() if is_own_plugin(group, plugin_id) else USER_CODE.call(plugin_id, what, run)
 
 
 def make_algorithm(algorithm_id: str) -> Algorithm:
@@ -135,9 +165,42 @@ def make_algorithm(algorithm_id: str) -> Algorithm:
 
     Raises:
         InvalidInput: The id is unknown.
+        CodeStalled: The plug-in did not return in time; so it may be with every method of the algorithm.
     """
-    factory = _load(ALGORITHMS, algorithm_id, "/algorithm/id", "algorithm")
-    return cast(Callable[[], Algorithm], factory)()
+    factory = cast(Callable[[], Algorithm], _load(ALGORITHMS, algorithm_id, "/algorithm/id", "algorithm"))
+    if is_own_plugin(ALGORITHMS, algorithm_id):
+        return factory()
+    return _made_algorithm(algorithm_id, factory)
+
+
+@lru_cache(maxsize=64)  # an instance holds no state, and lists of campaigns need one for each entry
+def _made_algorithm(algorithm_id: str, factory: Callable[[], Algorithm]) -> Algorithm:
+    return USER_CODE.call(algorithm_id, "construction", lambda: guarded(algorithm_id, factory()))
+
+
+def algorithms_that(supports: type[Any]) -> list[str]:
+    """Return the ids of the algorithms that have a protocol's methods, without plug-ins that cannot be loaded."""
+    found = []
+    for algorithm_id in plugin_ids(ALGORITHMS):
+        try:
+            if isinstance(make_algorithm(algorithm_id), supports):
+                found.append(algorithm_id)
+        except Exception:
+            if is_own_plugin(ALGORITHMS, algorithm_id):
+                raise
+            log.exception("plug-in cannot be loaded", extra={"plugin": algorithm_id})
+    return found
+
+
+def uses_user_code(problem_id: str, algorithm_id: str) -> bool:
+    """Return whether a campaign with this problem and algorithm runs code that a user brought; loads nothing.
+
+    Plug-ins that are not installed here count as such.
+    """
+    try:
+        return not (is_own_plugin(PROBLEMS, problem_id) and is_own_plugin(ALGORITHMS, algorithm_id))
+    except KeyError:
+        return True
 
 
 def problem_type(problem_id: str) -> type[Any]:
@@ -169,8 +232,22 @@ def spelled_out(problem_id: str, params: Mapping[str, Any]) -> tuple[Problem, di
     Raises:
         InvalidInput: The id is unknown, or a parameter is invalid.
         TypeError: The plug-in is not a problem.
+        CodeStalled: The plug-in did not return in time; so it may be with every method of the problem.
     """
     kind = problem_type(problem_id)
+    if is_own_plugin(PROBLEMS, problem_id):
+        return _spelled_out(kind, problem_id, params)
+
+    def construct() -> tuple[Problem, dict[str, Any]]:
+        problem, everything = _spelled_out(kind, problem_id, params)
+        return guarded(problem_id, problem), everything
+
+    return USER_CODE.call(problem_id, "construction", construct)
+
+
+def _spelled_out(
+    kind: type[Any], problem_id: str, params: Mapping[str, Any]
+) -> tuple[Problem, dict[str, Any]]:
     given = {name: value for name, value in params.items() if name != ODD}
     own = make_params(kind.params_type, given, _PARAMS)
     problem = kind(own)
@@ -211,25 +288,57 @@ def check_extra(problem: Problem) -> None:
 
 
 def describe_problems() -> list[dict[str, Any]]:
-    """Describe all problems, with the schemas of their parameters and their default search spaces."""
+    """Describe all problems, with the schemas of their parameters and their default search spaces.
+
+    Problems that a user brought are left out, with a line in the log, if they cannot be described.
+    """
+    return _described(PROBLEMS, _describe_problem)
+
+
+def describe_algorithms() -> list[dict[str, Any]]:
+    """Describe all algorithms, with the schemas of their parameters.
+
+    Algorithms that a user brought are left out, with a line in the log, if they cannot be described.
+    """
+    return _described(ALGORITHMS, _describe_algorithm)
+
+
+def _described(group: str, describe: Callable[[str], dict[str, Any]]) -> list[dict[str, Any]]:
     described = []
-    for problem_id in plugin_ids(PROBLEMS):
-        kind = problem_type(problem_id)
-        problem = make_problem(problem_id, {})
-        described.append(
-            {
-                "id": problem_id,
-                "summary": kind.summary,
-                "params": _problem_schema(kind, problem),
-                "space": problem.space.describe(),
-                "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
-                "finds": _finds(problem),
-                "algorithm_defaults": dict(problem.algorithm_defaults),
-                "first_algorithm": _first_algorithm(problem),
-                "python_only": isinstance(problem, NeedsPython) and problem.python_only,
-            }
-        )
+    for plugin_id in plugin_ids(group):
+        if is_own_plugin(group, plugin_id):
+            described.append(describe(plugin_id))
+            continue
+        try:
+            described.append(USER_CODE.call(plugin_id, "description", describe, plugin_id))
+        except Exception:  # one plug-in must not hide the others
+            log.exception("plug-in cannot be described", extra={"plugin": plugin_id})
     return described
+
+
+def _describe_problem(problem_id: str) -> dict[str, Any]:
+    kind = problem_type(problem_id)
+    problem = make_problem(problem_id, {})
+    return {
+        "id": problem_id,
+        "summary": kind.summary,
+        "params": _problem_schema(kind, problem),
+        "space": problem.space.describe(),
+        "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
+        "finds": _finds(problem),
+        "algorithm_defaults": dict(problem.algorithm_defaults),
+        "first_algorithm": _first_algorithm(problem),
+        "python_only": isinstance(problem, NeedsPython) and problem.python_only,
+    }
+
+
+def _describe_algorithm(algorithm_id: str) -> dict[str, Any]:
+    algorithm = make_algorithm(algorithm_id)
+    return {
+        "id": algorithm_id,
+        "summary": algorithm.summary,
+        "params": params_model(algorithm.config_type).model_json_schema(),
+    }
 
 
 def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
@@ -262,8 +371,11 @@ def takes_requirement(problem_id: str, requirement: str) -> bool:
         InvalidInput: The id of the problem is unknown.
     """
     kind = problem_type(problem_id)
+    values = {"requirement": requirement}
     try:
-        make_params(kind.params_type, {"requirement": requirement}, _PARAMS)
+        run_plugin(
+            PROBLEMS, problem_id, "params_type", lambda: make_params(kind.params_type, values, _PARAMS)
+        )
     except InvalidInput:
         return False
     return True
@@ -271,7 +383,10 @@ def takes_requirement(problem_id: str, requirement: str) -> bool:
 
 def requirement_options() -> list[dict[str, str]]:
     """Return the registered requirements, each with its meaning in words, from the documentation of its class."""
-    return [{"value": name, "words": requirement_words(name)} for name in requirement_ids()]
+    return [
+        {"value": name, "words": run_plugin(REQUIREMENTS, name, "import", partial(requirement_words, name))}
+        for name in requirement_ids()
+    ]
 
 
 _FIRST: Final = ("edge@1", "mlcshe@1", "random@1")
@@ -303,18 +418,3 @@ def _finds(problem: Problem) -> list[str]:
     except UnsupportedSpace:
         return found
     return [*found, "combinations"]
-
-
-def describe_algorithms() -> list[dict[str, Any]]:
-    """Describe all algorithms, with the schemas of their parameters."""
-    described = []
-    for algorithm_id in plugin_ids(ALGORITHMS):
-        algorithm = make_algorithm(algorithm_id)
-        described.append(
-            {
-                "id": algorithm_id,
-                "summary": algorithm.summary,
-                "params": params_model(algorithm.config_type).model_json_schema(),
-            }
-        )
-    return described

@@ -76,6 +76,7 @@ def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list
                 campaigns=idle,
                 owners=stored.owners,
                 quarantined=tuple(attempt for attempt in stored.quarantined if attempt.job in jobs),
+                unjudged=stored.unjudged,
             ),
             released=count,
             granted=next(grants) if exchange.demand is not None else [],

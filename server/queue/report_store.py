@@ -9,7 +9,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias
 
 from sqlalchemy import Connection, bindparam, case, exists, insert, select, update
 
@@ -24,6 +24,8 @@ from brink.worker.wire import Completed
 JobRecord: TypeAlias = Any
 """A row with some columns of a job."""
 
+UNJUDGED: Final = "unjudged"
+"""Status of an outcome of which nothing was stored, because `ResultCheck.judge` has to be asked first."""
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
 MAX_DOUBLINGS = 30
@@ -101,6 +103,32 @@ _RESTORE = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Whether a campaign can use a result.
+
+    Attributes:
+        refusal: Why it cannot; None if it can.
+    """
+
+    refusal: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class UnjudgedResult:
+    """A result of which a transaction cannot tell whether its campaign can use it.
+
+    Attributes:
+        campaign: The campaign.
+        kind: What the result's job was for.
+        result: The result.
+    """
+
+    campaign: str
+    kind: str
+    result: Completed
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """A worker's report on one job.
@@ -113,6 +141,7 @@ class Outcome:
         trace: The recorded trace, if any.
         error: Why the attempt failed.
         final: Whether another attempt would be pointless.
+        judgement: Whether its campaign can use it; None if that is not known yet.
     """
 
     job: int
@@ -122,13 +151,28 @@ class Outcome:
     trace: bytes | None = None
     error: str = ""
     final: bool = False
+    judgement: Judgement | None = None
 
 
 class ResultCheck(Protocol):
     """Knows which results are of use to a campaign."""
 
-    def __call__(self, connection: Connection, campaign_id: str, kind: str, result: Completed) -> str | None:
-        """Return why a campaign cannot use a result of a job of the given kind, or None if it can."""
+    def __call__(self, campaign_id: str, kind: str, result: Completed) -> Judgement | None:
+        """Return whether a campaign can use a result, in a write transaction; None if that cannot be told there.
+
+        Args:
+            campaign_id: The campaign.
+            kind: What the result's job was for.
+            result: The result.
+        """
+        ...
+
+    async def judge(self, results: Sequence[UnjudgedResult]) -> Sequence[Judgement]:
+        """Return whether campaigns can use results, outside a transaction and in bounded time."""
+        ...
+
+    def close(self) -> None:
+        """End the threads."""
         ...
 
 
@@ -162,11 +206,12 @@ class Report:
     """The result of storing outcomes.
 
     Attributes:
-        statuses: ``accepted``, ``invalid``, ``duplicate`` or ``stale``, in the order of the outcomes.
+        statuses: ``accepted``, ``invalid``, ``duplicate``, ``stale`` or `UNJUDGED`, in the order of the outcomes.
         campaigns: The campaigns that have no open evaluation left.
         owners: The campaign of each known job.
         quarantined: The final attempts at jobs that went into quarantine.
         changes_queue: Whether anything but the accepted jobs may have changed, or these went back to the queue.
+        unjudged: What `ResultCheck.judge` is to tell of, by job: these outcomes changed nothing.
     """
 
     statuses: tuple[str, ...]
@@ -174,6 +219,7 @@ class Report:
     owners: Mapping[int, str] = field(default_factory=dict)
     quarantined: tuple[FailedAttempt, ...] = ()
     changes_queue: bool = False
+    unjudged: Mapping[int, UnjudgedResult] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,7 +267,7 @@ def store_outcomes(
     rows: dict[int, JobRecord] = {row.id: row for row in found}
     restored = _restore_lost(connection, rows, outcomes, now)
     rows |= restored
-    statuses, accepted = _judge(connection, rows, outcomes, check)
+    statuses, accepted, unjudged = _judge(rows, outcomes, check)
     done = {job: outcome.result for job, outcome in accepted.items() if outcome.result is not None}
     _finish(connection, done, now)
     _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
@@ -241,29 +287,37 @@ def store_outcomes(
         owners={job: row.campaign_id for job, row in rows.items()},
         quarantined=tuple(attempt for attempt in failed if attempt.final),
         changes_queue=bool(restored or failed) or any(rows[job].has_twins for job in accepted),
+        unjudged=unjudged,
     )
 
 
 def _judge(
-    connection: Connection,
-    rows: Mapping[int, JobRecord],
-    outcomes: Sequence[Outcome],
-    check: ResultCheck | None,
-) -> tuple[list[str], dict[int, Outcome]]:
-    """Return the status of each outcome, and the outcomes to store by job; invalid results are failures."""
+    rows: Mapping[int, JobRecord], outcomes: Sequence[Outcome], check: ResultCheck | None
+) -> tuple[list[str], dict[int, Outcome], dict[int, UnjudgedResult]]:
+    """Return the status of each outcome, and by job the outcomes to store and those that cannot be judged here.
+
+    Invalid results are failures.
+    """
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
+    unjudged: dict[int, UnjudgedResult] = {}
     for outcome in outcomes:
         status = _status_of(rows.get(outcome.job), outcome, outcome.job in accepted)
         if status == "accepted":
-            reason = _invalid(connection, rows[outcome.job], outcome, check)
-            if reason is not None:
+            row = rows[outcome.job]
+            judgement = _judgement(row, outcome, check)
+            if judgement is None:
+                assert outcome.completed is not None
+                status = UNJUDGED
+                unjudged[outcome.job] = UnjudgedResult(row.campaign_id, row.kind, outcome.completed)
+            elif judgement.refusal is not None:
                 status = "invalid"
-                error = storable(f"invalid result: {reason}")
-                outcome = replace(outcome, result=None, trace=None, error=error)
-            accepted[outcome.job] = outcome
+                error = storable(f"invalid result: {judgement.refusal}")
+                accepted[outcome.job] = replace(outcome, result=None, trace=None, error=error)
+            else:
+                accepted[outcome.job] = outcome
         statuses.append(status)
-    return statuses, accepted
+    return statuses, accepted, unjudged
 
 
 def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
@@ -323,13 +377,11 @@ def _status_of(row: JobRecord | None, outcome: Outcome, reported_before: bool) -
     return "duplicate"
 
 
-def _invalid(
-    connection: Connection, row: JobRecord, outcome: Outcome, check: ResultCheck | None
-) -> str | None:
-    """Return why a result is refused, or None."""
+def _judgement(row: JobRecord, outcome: Outcome, check: ResultCheck | None) -> Judgement | None:
+    """Return whether a result is of use; None if that cannot be told in a transaction."""
     if check is None or outcome.completed is None:
-        return None
-    return check(connection, row.campaign_id, row.kind, outcome.completed)
+        return Judgement()
+    return outcome.judgement or check(row.campaign_id, row.kind, outcome.completed)
 
 
 def _finish(connection: Connection, done: Mapping[int, str], now: datetime) -> None:

@@ -12,7 +12,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeVar
 
@@ -26,7 +26,7 @@ from brink.server.queue import lease_store, outages, report_store, workers
 from brink.server.queue.exchange import Exchange, run_exchanges
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
 from brink.server.queue.outages import Sweep
-from brink.server.queue.report_store import Expiry, FailedAttempt, Outcome, Report, ResultCheck
+from brink.server.queue.report_store import UNJUDGED, Expiry, FailedAttempt, Outcome, Report, ResultCheck
 from brink.server.queue.wakeups import Wakeups
 from brink.server.settings import Settings
 from brink.worker.wire import (
@@ -165,6 +165,12 @@ class QueueService:
         self.stopping = True
         self.wakeups.wake()
 
+    def close(self) -> None:
+        """End the threads; all waiting requests were answered."""
+        if self.check is not None:
+            self.check.close()
+        self.writer.close()
+
     def terms(self, worker: str | None = None) -> LeaseTerms:
         """Return the current terms of leases, for the given worker or for any."""
         live = self._live_workers()
@@ -247,6 +253,8 @@ class QueueService:
         )  # fmt: skip
         stored = await self._write(BatchedUnit(run_exchanges, exchange), contacts)
         report, released, granted = stored.report, stored.released, stored.granted
+        if UNJUDGED in report.statuses and self.check is not None:
+            report = await self._judge(self.check, exchange, report)
         self._count(request, report)
         _log_report(request, report)
         _log_granted(request.worker.id, granted)
@@ -268,6 +276,26 @@ class QueueService:
             for outcome, status in zip(outcomes, report.statuses, strict=True)
         ]
         return ResultsReply(statuses=statuses, lease=reply)
+
+    async def _judge(self, check: ResultCheck, exchange: Exchange, report: Report) -> Report:
+        """Store the outcomes that no transaction can judge, once they are judged; return the report on all of them.
+
+        What was stored of the others, and the leases granted, stand already.
+        """
+        waiting = [place for place, status in enumerate(report.statuses) if status == UNJUDGED]
+        outcomes = [exchange.outcomes[place] for place in waiting]
+        judgements = await check.judge([report.unjudged[outcome.job] for outcome in outcomes])
+        judged = [replace(one, judgement=found) for one, found in zip(outcomes, judgements, strict=True)]
+        again = Exchange(terms=exchange.terms, outcomes=tuple(judged), check=check)
+        then = (await self.writer.write(BatchedUnit(run_exchanges, again))).report
+        found_statuses = dict(zip(waiting, then.statuses, strict=True))
+        return replace(
+            report,
+            statuses=tuple(found_statuses.get(place, one) for place, one in enumerate(report.statuses)),
+            campaigns=tuple(sorted({*report.campaigns, *then.campaigns})),
+            owners={**report.owners, **then.owners},
+            quarantined=(*report.quarantined, *then.quarantined),
+        )
 
     async def drain(self, worker_id: str) -> bool:
         """Ask a worker to finish the jobs that it holds, and exit; return whether there is such a worker."""

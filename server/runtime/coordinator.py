@@ -1,5 +1,6 @@
 """Running a coordinator in this process, and worker processes alongside it."""
 
+import asyncio
 import contextlib
 import errno
 import gc
@@ -26,6 +27,7 @@ from brink.server.errors import ServerError
 from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_dead_workers
 from brink.server.runtime.request_timeout import protocol_with_timeout
 from brink.server.settings import LOOPBACK, Settings
+from brink.server.user_code import USER_CODE, Serving
 
 START_S = 15.0
 SWITCH_S: Final = 0.0005
@@ -97,6 +99,8 @@ class CoordinatorServer(uvicorn.Server):
 
     def __init__(self, settings: Settings) -> None:
         self._app = create_app(settings)
+        self._plugin_timeout_s = settings.plugin_timeout_s
+        self._serving: Serving | None = None
         super().__init__(
             uvicorn.Config(
                 self._app,
@@ -113,14 +117,23 @@ class CoordinatorServer(uvicorn.Server):
         """Serve until told to exit."""
         before_s = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH_S, before_s))
+        self._serving = USER_CODE.begin(self._plugin_timeout_s)
         try:
             await super().serve(sockets)
         finally:
             sys.setswitchinterval(before_s)
+            # Requests that were cancelled may still have threads that wait for user code.
+            USER_CODE.stop(self._serving)
+            try:
+                await asyncio.get_running_loop().shutdown_default_executor()
+            finally:
+                USER_CODE.end(self._serving)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop serving."""
         self._app.state.context.queue.end_waits()
+        if self._serving is not None:
+            USER_CODE.stop(self._serving)
         await super().shutdown(sockets)
 
 

@@ -36,7 +36,7 @@ from brink.cli.commands import app
 from brink.cli.run import CampaignRun
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import parse_body
-from brink.server.campaigns.service import SLOW_AT_ONCE
+from brink.server.campaigns.checks import SLOW_AT_ONCE
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, WorkerRow
 from brink.server.operations.prune import prune
