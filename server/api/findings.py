@@ -84,7 +84,12 @@ async def get_violations(
     campaign = await services.campaigns.get(campaign_id)
     found = await _found(services, campaign)
     chosen = found if avoidable is None else [one for one in found if one.avoidable is avoidable]
-    types = await asyncio.get_running_loop().run_in_executor(None, violation_types, chosen, found)
+    archive = (await services.archives.get(campaign)).archive
+
+    def sorted_types() -> list[TypeView]:
+        return _seen_again(violation_types(chosen, found), archive)
+
+    types = await asyncio.get_running_loop().run_in_executor(None, sorted_types)
     return Violations(
         rules_version=RULES_VERSION, words=violations_words(found), explanation=EXPLANATION, types=types,
         violations=[] if types_only else [_violation_view(one) for one in chosen],
@@ -170,6 +175,22 @@ def _with_examples(types: Sequence[TypeView], found: Sequence[FoundViolation]) -
         taken.add(example)
         chosen.append(kind.model_copy(update={"example": example}))
     return chosen
+
+
+def _seen_again(types: Sequence[TypeView], archive: Archive) -> list[TypeView]:
+    """Return types, each with the number of further drives of its solutions, and of those that had the type, too."""
+    if not types:
+        return []
+    _, which = np.unique(archive.vectors, axis=0, return_inverse=True)
+    drives = np.bincount(which.reshape(-1))
+    solution = dict(zip(archive.numbers.tolist(), which.reshape(-1).tolist(), strict=True))
+    told = []
+    for kind in types:
+        mine = [solution[number] for number in kind.numbers if number in solution]
+        further = int(sum(drives[one] - 1 for one in set(mine)))
+        words = f"{len(mine) - len(set(mine)):,} of {further:,}" if further else ""
+        told.append(kind.model_copy(update={"again": words}))
+    return told
 
 
 def violations_words(found: Sequence[FoundViolation]) -> str:

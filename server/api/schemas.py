@@ -444,6 +444,13 @@ class TypeView(View):
         ),
     ]
     numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
+    again: Annotated[
+        str,
+        Field(
+            description="In how many further drives of its solutions, under other seeds of the campaign, the type "
+            "was seen again, such as `3 of 4`; empty if the search simulated none of them again."
+        ),
+    ] = ""
     named: Annotated[int, Field(description="Number of its violations that a person named.")]
     avoidable: Annotated[
         Avoidable | None,

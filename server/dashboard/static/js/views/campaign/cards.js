@@ -213,7 +213,7 @@ export function findings(context, id, tells) {
         h("table.types", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}${folded ? `; the first ${MOST_TYPES}` : ""}`),
           head("Type", "Avoidable by", measured && "How", "Solutions", "Distinct", "Fault by the rule", "Example"),
           h("tbody", null, (folded ? types.slice(0, MOST_TYPES) : types).map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
-            h("td", { title: avoidedWords(one) }, one.avoider), measured && h("td", null, one.avoided_by ?? "–"), h("td", null, one.avoided), h("td", null, count(one.instances)),
+            h("td", { title: avoidedWords(one) }, one.avoider), measured && h("td", null, one.avoided_by ?? "–"), h("td", null, one.avoided, one.again && h("div.small.muted", null, `again: ${one.again}`)), h("td", null, count(one.instances)),
             h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
             h("td", null, solution(one.example))))))),
       folded && h("button", { type: "button", onclick: () => { allTypes = true; showViolations(read); } }, `Show all ${count(types.length)} types`));
