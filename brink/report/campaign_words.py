@@ -302,7 +302,7 @@ def trust(facts: Facts) -> list[Term]:
     terms.append(
         Term(
             "Intervals",
-            "Intervals of shares are Wilson intervals of 95%. "
+            "Intervals of shares are Wilson intervals of 95%, those of the sides of pairs exact ones of 90%. "
             f"They say how sure a share of these {many} is, not how often something happens in traffic.",
         )
     )

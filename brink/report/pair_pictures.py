@@ -16,7 +16,7 @@ from brink.api.results import (
     run_episode,
 )
 from brink.search.analysis.confirmation import Confirmation
-from brink.search.sequential import Verdict, verdict_of
+from brink.search.sequential import INTERVAL, Verdict, verdict_of
 from brink.server.api.pair_views import (
     ComponentPart,
     ConfirmationView,
@@ -188,7 +188,7 @@ def share_words(share: ShareView) -> str:
     if share.evaluated == 0 or share.probability is None:
         return ""
     counts = f"unsafe in {share.unsafe} of {share.evaluated} simulations with other seeds"
-    interval = f"95% interval {100 * share.low:.0f} to {100 * share.high:.0f}%"
+    interval = f"{INTERVAL:.0%} interval {100 * share.low:.0f} to {100 * share.high:.0f}%"
     return f"{counts}: {100 * share.probability:.0f}%, {interval}"
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
-from brink.search.sequential import FIRST, Verdict, exact_interval, verdict_of
+from brink.search.sequential import FIRST, INTERVAL, Verdict, exact_interval, verdict_of
 
 
 class Confirmation(StrEnum):
@@ -39,7 +39,7 @@ class Share:
         evaluated: Simulations with a verdict.
         unsafe: Unsafe ones among them.
         failed: Simulations without a verdict.
-        low: Lower limit of the exact 90% interval of the unsafe share; 0 without a verdict.
+        low: Lower limit of the exact interval of the unsafe share, of 90% for sides; 0 without a verdict.
         high: Its upper limit; 1 without a verdict.
     """
 
@@ -50,9 +50,9 @@ class Share:
     high: float
 
     @classmethod
-    def of(cls, unsafe: int, evaluated: int, failed: int = 0) -> Self:
+    def of(cls, unsafe: int, evaluated: int, failed: int = 0, *, confidence: float = INTERVAL) -> Self:
         """Return the share of counts, with its interval."""
-        low, high = exact_interval(unsafe, evaluated)
+        low, high = exact_interval(unsafe, evaluated, confidence)
         return cls(evaluated=evaluated, unsafe=unsafe, failed=failed, low=low, high=high)
 
     @property

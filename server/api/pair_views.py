@@ -25,7 +25,12 @@ class ShareView(View):
     evaluated: Annotated[int, Field(description="Simulations with a verdict.")]
     unsafe: int
     probability: Annotated[float | None, Field(description="Unsafe share; null without a verdict.")]
-    low: Annotated[float, Field(description="Lower limit of its exact 90% interval.")]
+    low: Annotated[
+        float,
+        Field(
+            description="Lower limit of its exact interval (Clopper-Pearson): of 90% for the sides of pairs."
+        ),
+    ]
     high: float
     failed: Annotated[
         int, Field(description="Simulations without a verdict: each may have had either one.")

@@ -37,6 +37,8 @@ _NEARLY_ALL = 0.95
 """Severity from which the end of the scale is not told apart."""
 EXAMPLES = 5
 """Most violations listed for a cell."""
+BASELINE_CONFIDENCE = 0.95
+"""Confidence of the intervals of shares without any error."""
 
 
 class Finding(StrEnum):
@@ -593,7 +595,9 @@ def _baselines(found: CampaignTolerance) -> list[BaselineView]:
             BaselineView(
                 condition=members[0].condition,
                 choices=[dict(one) for one in sorted(choices)],
-                share=ShareView.model_validate(Share.of(violating, drives), from_attributes=True),
+                share=ShareView.model_validate(
+                    Share.of(violating, drives, confidence=BASELINE_CONFIDENCE), from_attributes=True
+                ),
             )
         )
     return views

@@ -174,14 +174,14 @@ def test_the_headline_leaves_out_the_outcome_of_a_long_change(disc: tuple[str, l
 
 def test_shares_and_facts_say_what_is_known(disc: tuple[str, list[str]]) -> None:
     view = view_of(disc)
-    assert facts(view, view.pairs[0])[0].startswith(f"Pair 1 of {view.distinct} of disc, 0.0")
+    assert facts(view, view.pairs[0])[0].startswith(f"Pair 1 of {view.distinct} of disc.")
     minimal = view.pairs[0].model_copy(
         update={"minimality": MinimalityView(state=Minimality.MINIMAL, tried=2)}
     )
     assert facts(view, minimal)[-1] == "No part of the change can be left out (tried by simulation)."
     share = ShareView(evaluated=10, unsafe=1, probability=0.1, low=0.018, high=0.404)
     assert share_words(share) == (
-        "unsafe in 1 of 10 simulations with other seeds: 10%, 95% interval 2 to 40%"
+        "unsafe in 1 of 10 simulations with other seeds: 10%, 90% interval 2 to 40%"
     )
     assert share_words(ShareView(evaluated=0, unsafe=0, probability=None, low=0.0, high=1.0)) == ""
 

@@ -55,5 +55,7 @@ def test_a_share_has_an_exact_interval() -> None:
     share = Share.of(8, 10)
     assert share.probability == 0.8
     assert (share.low, share.high) == exact_interval(8, 10)
+    wider = Share.of(8, 10, confidence=0.95)
+    assert (wider.low, wider.high) == exact_interval(8, 10, 0.95)
     nothing = Share.of(0, 0)
     assert (nothing.probability, nothing.low, nothing.high) == (None, 0.0, 1.0)
