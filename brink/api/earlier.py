@@ -1,12 +1,13 @@
-"""Finds the earlier run of a campaign, whose results are still those of the campaign."""
+"""Finds the earlier run of a campaign or an experiment, unless it was simulated with other code."""
 
 from collections.abc import Iterable, Sequence
 
 from brink.api.client import Api
-from brink.server.api.schemas import CampaignList, CampaignView
+from brink.server.api.schemas import CampaignList, CampaignView, ExperimentView
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.simulators import changed_sources
+from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus
 
 
@@ -36,3 +37,22 @@ async def earlier_run(
     if changed is None:
         return latest, ""
     return None, f"campaign {latest.id} was simulated with other code of {changed}, so it is left as it is"
+
+
+async def changed_in_experiment(api: Api, body: ExperimentBody, experiment: str) -> str | None:
+    """Return in words which plug-ins of an earlier run of an experiment had other code, or None if none had.
+
+    Args:
+        api: Where it was submitted.
+        body: The experiment, whose plug-ins are installed here.
+        experiment: Id of the earlier run.
+    """
+    now = {(cell.problem, cell.method): make_plan(cell.body).body.sources for cell in body.cells()}
+    if not any(now.values()):
+        return None
+    members = (await api.read(ExperimentView, f"/experiments/{experiment}")).members
+    for key, campaign in {(one.problem, one.method): one.campaign for one in members}.items():
+        before = (await api.read(CampaignView, f"/campaigns/{campaign}")).body.sources
+        if (changed := changed_sources(before, now[key])) is not None:
+            return changed
+    return None

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from brink.api.client import Api
+from brink.api.earlier import changed_in_experiment
 from brink.api.follow_ups import OPEN
 from brink.api.live import Steps
 from brink.cli.experiment_pairs import (
@@ -125,13 +126,21 @@ class ExperimentRun:
 
     def __init__(self, body: ExperimentBody) -> None:
         self.body = body
+        self._other = ""
         self.models = tuple(one.llm for one in body.algorithms)
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ExperimentProgress | None:
-        """Return the latest experiment from this file with one of these statuses and no deleted campaign, if any."""
+        """Return the latest experiment from this file with one of these statuses and no deleted campaign, if any.
+
+        One that was simulated with other code of a plug-in does not count.
+        """
         params = {"document_hash": self.body.document_hash(), "limit": 100}
         for one in (await api.read(ExperimentList, "/experiments", params)).experiments:
             if not one.deleted and (one.status in statuses or await self._is_followed_up(api, one)):
+                changed = await changed_in_experiment(api, self.body, one.id)
+                if changed is not None:
+                    self._other = f"; experiment {one.id} was simulated with other code of {changed}"
+                    return None
                 return await api.read(ExperimentProgress, f"/experiments/{one.id}/progress")
         return None
 
@@ -152,7 +161,7 @@ class ExperimentRun:
         experiment = await api.send(ExperimentView, "/experiments", body.document())
         return experiment.id, (
             f"{len(body.algorithms)} algorithms x {len(body.problems)} problems x {len(body.seeds)} seeds x "
-            f"{body.budget.simulations:,} simulations = {experiment.budget:,}"
+            f"{body.budget.simulations:,} simulations = {experiment.budget:,}{self._other}"
         )
 
     async def watch(self, session: Session, name: str) -> ExperimentProgress:

@@ -1,5 +1,6 @@
 """Plug-ins that were edited under the same id: their results are neither shared nor mixed, and that is said."""
 
+import asyncio
 from collections.abc import Callable
 
 import httpx
@@ -8,7 +9,13 @@ from support.api import FakeWorker, ball, coordinator, eventually, expect, progr
 from support.databases import on_sqlite
 from support.problems import SIMULATOR
 
+from brink.api.client import Api
+from brink.cli.experiment_run import ExperimentRun
+from brink.cli.run import CampaignRun
+from brink.server.campaigns.body import parse_body
 from brink.server.db.engine import Engines
+from brink.server.experiments.body import parse_experiment
+from brink.server.states import CampaignStatus
 from brink.sim import catalogue
 from brink.sim.catalogue import SIMULATORS, register
 
@@ -88,3 +95,28 @@ def test_what_a_submission_says_of_sources_is_replaced(client: httpx.Client, edi
     body = expect(client.get(f"{API}/{campaign}"))["body"]
     assert body["sources"]["problems/ball@1"] != "0" * 64
     expect(client.post(API, json={**ball(), "sources": {"x": "short"}}), 422)
+
+
+@on_sqlite
+def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client, edit: Edit) -> None:
+    document = {
+        "name": "x", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}], "seeds": [1],
+        "budget": {"simulations": 20},
+    }  # fmt: skip
+    experiment = ExperimentRun(parse_experiment(document))
+    campaign = CampaignRun(parse_body({**ball(), "algorithm": {"id": "random@1"}}), pictures=True)
+
+    async def latest(*, submit: bool) -> tuple[list[bool], str]:
+        url = str(listening_client.base_url)
+        async with httpx.AsyncClient(base_url=url) as client:
+            api = Api(client, url)
+            said = [(await run.submit(api))[1] for run in (campaign, experiment) if submit]
+            found = [await run.latest(api, [CampaignStatus.RUNNING]) for run in (campaign, experiment)]
+            return [one is not None for one in found], " ".join(said)
+
+    assert asyncio.run(latest(submit=True))[0] == [True, True]
+    edit()
+    assert asyncio.run(latest(submit=False))[0] == [False, False]
+    found, said = asyncio.run(latest(submit=True))
+    assert found == [True, True]
+    assert said.count("was simulated with other code of ball@1 (source ") == 2
