@@ -32,16 +32,17 @@ T = TypeVar("T")
 P = ParamSpec("P")
 
 DEFAULT_LIMIT_S: Final = 60.0
-VIEW_LIMIT_S: Final = 5.0
+VIEW_LIMIT_S: Final = 3.0
 """Time limit for a caller that set none: a request that waits for an answer."""
 LOOP_LIMIT_S: Final = 0.25
 """Time limit on the thread of an event loop. User code does not belong there, and all requests wait for it."""
 LINE_S: Final = 2.0
 """How long a request waits for calls of the same plug-in before it, which are expected to take milliseconds."""
 AT_ONCE: Final = 2
-"""Maximum number of calls of one plug-in for requests at a time, so that a slow one does not take all threads."""
+"""Maximum number of calls of one plug-in for requests at a time, so that a slow one does not take all threads; if so
+many are stalled, further ones are refused at once."""
 MOST_STALLED: Final = 4
-"""Calls that may be stalled for one caller before further ones are refused."""
+"""The same for other callers, such as the steps of one campaign."""
 MOST_STALLED_IN_ALL: Final = 64
 KEPT_THREADS: Final = 8
 """Maximum number of idle threads."""
@@ -297,7 +298,7 @@ class UserCode:
         if not self._stalled:
             return
         mine = self.stalled(caller.name)
-        if len(mine) >= MOST_STALLED:
+        if len(mine) >= (caller.at_once or MOST_STALLED):
             raise CodeStalled(
                 f"{plugin}: {len(mine)} earlier calls have not returned, the last of them {mine[-1].what}; correct "
                 "the plug-in and restart the coordinator",

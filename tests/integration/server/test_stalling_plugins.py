@@ -244,11 +244,11 @@ def test_a_submission_whose_problem_hangs_is_refused_and_others_are_accepted(
     for thread in threads:
         thread.join()
     for answer in answers:
-        found = answer.json()
-        assert (answer.status_code, answer.headers["retry-after"]) in ((503, "1"), (503, "2"))
-        assert "construction of stuck-ball@1 did not return within 60 s" in found["detail"] or (
-            "stuck-ball@1 is busy with earlier calls" in found["detail"]
-        )
+        assert answer.status_code == 503
+        assert int(answer.headers["retry-after"]) > 0
+    told = [str(answer.json()["detail"]) for answer in answers]
+    assert any("construction of stuck-ball@1 did not return within 60 s" in one for one in told)
+    assert all("stuck-ball@1" in one for one in told)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no licence"), SystemExit(3)])
