@@ -750,6 +750,10 @@ class Scheduler:
                 await loop.run_in_executor(None, self.stepper.uses_user_code, campaign)
             beside = self.stepper.uses_user_code(campaign)
             moved = await loop.run_in_executor(self._plugin_steps if beside else self._steps, step)
+        except Unavailable as error:
+            self._due.discard(campaign)
+            log.warning("the step was not taken: %s", error, extra={"campaign": campaign})
+            return
         except Exception:
             self._due.discard(campaign)
             log.exception("the step failed; the sweeper will try again", extra={"campaign": campaign})
