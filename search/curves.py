@@ -12,9 +12,10 @@ curve is then the share of vulnerable drives times the curve among them. Audits 
 they find is added.
 
 The prior is a library of curves, drawn once: two steps of any height, place and steepness on top of each other, and
-in some curves a fall after that. The results weight the curves of the library by their likelihood, which is the exact
-posterior but for the size of the library. It holds whichever severities the search chose, because the choice depends
-on results alone.
+in some curves a fall after that. The results weight the curves of the library by their likelihood. Where so many
+drives were simulated that few of these curves fit, the posterior is drawn from by Monte Carlo, beginning with them
+(`brink.search.tempering`). Both hold whichever severities the search chose, because the choice depends on results
+alone.
 
 Source: ours; see docs/explanation/tolerance.md.
 """
@@ -30,6 +31,7 @@ from numpy.typing import NDArray
 
 from brink.search.space import FloatArray, IntArray
 from brink.search.streams import Stream, generator
+from brink.search.tempering import effective_size, posterior_draws, resampled
 
 LEVELS: Final = 32
 """Steps of severity between 0 and 1; errors are simulated at whole steps."""
@@ -45,8 +47,10 @@ LEAST_DRIVES: Final = 10
 """Drives of a detector below which no verdict is given."""
 DRAWS: Final = 2_000
 """Curves that stand for the posterior of a cell."""
-_AUDITS_ASSUMED: Final = 50.0
-"""Audits without a finding that the prior stands for."""
+LEAST_EFFECTIVE: Final = 1_000
+"""Effective sample size of the library below which curves are drawn between its own."""
+DIMENSION: Final = 10
+"""Numbers that describe a curve."""
 _MOST_AT_A_TIME: Final = 50_000
 _CELLS_AT_A_TIME: Final = 12
 _LIBRARY_SEED: Final = 0
@@ -90,36 +94,61 @@ def library(curves: int | None = None) -> NDArray[np.float32]:
 def _library(curves: int) -> NDArray[np.float32]:
     found = np.empty((curves, LEVELS + 1), np.float32)
     for start in range(0, curves, _MOST_AT_A_TIME):
-        part = _library_part(start // _MOST_AT_A_TIME)
+        part = curves_at(_library_points(start // _MOST_AT_A_TIME))
         found[start : start + len(part)] = part[: curves - start]
     found.flags.writeable = False
     return found
 
 
-def _library_part(number: int) -> FloatArray:
+def _library_points(number: int) -> FloatArray:
+    """Return the points of one part of the library, shape ``(_MOST_AT_A_TIME, DIMENSION)``."""
     rng = generator(_LIBRARY_SEED, Stream.TOLERANCE, 1, number)
-    shape = (_MOST_AT_A_TIME, 1)
-    safe = np.ones((_MOST_AT_A_TIME, LEVELS + 1))
-    for _ in range(2):
-        middle = rng.uniform(0.0, 1.2, shape)
-        height = np.exp(rng.uniform(math.log(0.001), 0.0, shape))
-        safe *= 1.0 - height * _step(middle, np.exp(rng.uniform(math.log(0.01), math.log(0.3), shape)))
-    middle = rng.uniform(0.05, 1.0, shape)
-    depth = rng.uniform(0.3, 1.0, shape) * (rng.random(shape) < FALLING)
-    fall = depth * _step(middle, np.exp(rng.uniform(math.log(0.02), math.log(0.2), shape)))
+    return np.stack([rng.random(_MOST_AT_A_TIME) for _ in range(DIMENSION)], axis=1)
+
+
+def _points_at(places: IntArray) -> FloatArray:
+    """Return the points of curves of the library, shape ``(n, DIMENSION)``."""
+    points = np.empty((len(places), DIMENSION))
+    parts = places // _MOST_AT_A_TIME
+    for part in np.unique(parts).tolist():
+        points[parts == part] = _library_points(part)[places[parts == part] % _MOST_AT_A_TIME]
+    return points
+
+
+def curves_at(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the curves at points of the unit cube, in which the prior is uniform, shape ``(n, LEVELS + 1)``.
+
+    Args:
+        points: Shape ``(n, DIMENSION)``: middle, height and steepness of two steps; then middle and depth of a fall,
+            whether there is one, and its steepness.
+    """
+    columns = points.T[:, :, None]
+
+    def between(column: int, low: float, high: float) -> NDArray[np.floating]:
+        return np.asarray(low + (high - low) * columns[column])
+
+    safe = np.ones((len(points), LEVELS + 1), points.dtype)
+    for first in (0, 3):
+        middle = between(first, 0.0, 1.2)
+        height = np.exp(between(first + 1, math.log(0.001), 0.0))
+        safe *= 1.0 - height * _step(middle, np.exp(between(first + 2, math.log(0.01), math.log(0.3))))
+    middle = between(6, 0.05, 1.0)
+    depth = between(7, 0.3, 1.0) * (columns[8] < FALLING)
+    fall = depth * _step(middle, np.exp(between(9, math.log(0.02), math.log(0.2))))
     return np.asarray((1.0 - safe) * (1.0 - fall))
 
 
-def _step(middle: FloatArray, scale: FloatArray) -> FloatArray:
+def _step(middle: NDArray[np.floating], scale: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return logistic steps that begin at 0, shape ``(n, LEVELS + 1)``."""
-    at_zero = 1.0 / (1.0 + np.exp(middle / scale))
-    steps = 1.0 / (1.0 + np.exp(np.clip((middle - severities()) / scale, -50.0, 50.0)))
+    at_zero = 1.0 / (1.0 + np.exp(np.minimum(middle / scale, 80.0)))
+    at = severities().astype(middle.dtype)
+    steps = 1.0 / (1.0 + np.exp(np.clip((middle - at) / scale, -50.0, 50.0)))
     return np.asarray((steps - at_zero) / (1.0 - at_zero))
 
 
-def scaled(curves: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a library of curves that end at 1, for the grossest error in the drives that are vulnerable to it."""
-    return np.minimum(curves / np.maximum(curves[:, -1:], 1e-6), 1.0)
+def scaled(curves: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return curves that end at 1, for the grossest error in the drives that are vulnerable to it."""
+    return np.asarray(np.minimum(curves / np.maximum(curves[:, -1:], 1e-6), 1.0))
 
 
 def weights(counts: Counts, curves: NDArray[np.float32]) -> FloatArray:
@@ -129,14 +158,19 @@ def weights(counts: Counts, curves: NDArray[np.float32]) -> FloatArray:
         counts: The results.
         curves: The library.
     """
+    likely = _log_likelihoods(counts, curves)
+    found = np.exp(likely - likely.max(axis=1, keepdims=True))
+    return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+def _log_likelihoods(counts: Counts, curves: NDArray[np.floating]) -> FloatArray:
+    """Return the log-likelihood of each curve in each cell, shape ``(cells, curves)``."""
     parts = []
     drives, caused = counts.drives.astype(np.float64), counts.caused.astype(np.float64)
     for start in range(0, len(curves), _MOST_AT_A_TIME):
         shares = np.clip(curves[start : start + _MOST_AT_A_TIME, 1:].astype(np.float64), 1e-6, 1.0 - 1e-6)
         parts.append(caused @ np.log(shares).T + (drives - caused) @ np.log1p(-shares).T)
-    likely = np.concatenate(parts, axis=1)
-    found = np.exp(likely - likely.max(axis=1, keepdims=True))
-    return np.asarray(found / found.sum(axis=1, keepdims=True))
+    return np.concatenate(parts, axis=1)
 
 
 def severity_at(shares: NDArray[np.floating], limit: float) -> FloatArray:
@@ -269,44 +303,90 @@ def expected_share(
     return Interval(value=middle, low=low, high=high)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Screening:
-    """How often the grossest error causes a violation, and whether that covers milder errors.
+    """How often the grossest error causes a violation, and how far that covers milder errors.
+
+    Drives that hold with the grossest error *leak* if they violate with a milder one. Their share is taken to grow in
+    proportion to severity. It is estimated from the audits of the group alone, each of which tells as much as its
+    severity; without audits it is unknown.
 
     Attributes:
         vulnerable: Screened drives with a violation that the grossest error caused.
         screened: All screened drives.
-        leaks: Audited drives that held with the grossest error and violated with a milder one, of all cells.
-        audited: All audited drives, of all cells.
+        audits: Audited drives by level, for the levels 1 to `LEVELS`, shape ``(LEVELS,)``; None if the search audits
+            nothing and takes it on trust that no drive leaks.
+        leaks: Those that violated, same shape; None likewise.
     """
 
     vulnerable: int
     screened: int
-    leaks: int
-    audited: int
+    audits: IntArray | None
+    leaks: IntArray | None
 
-    def estimates(self, at: tuple[float, ...]) -> FloatArray:
+    @property
+    def audited(self) -> int:
+        """All audited drives."""
+        return 0 if self.audits is None else int(self.audits.sum())
+
+    @property
+    def leaked(self) -> int:
+        """All audited drives that violated."""
+        return 0 if self.leaks is None else int(self.leaks.sum())
+
+    @property
+    def exposure(self) -> float:
+        """The sum of the severities of all audits: as many audits at severity 1 would tell as much."""
+        return 0.0 if self.audits is None else float(self.audits @ severities()[1:])
+
+    @property
+    def likeliest_leak(self) -> float:
+        """The estimated share of the other drives that leak at severity 1; 0 without audits."""
+        return min(self.leaked / self.exposure, 1.0) if self.exposure else 0.0
+
+    def vulnerable_share(self, at: FloatArray) -> FloatArray:
         """Return quantiles of the share of vulnerable drives, shape ``(len(at),)``."""
         from scipy.stats import beta  # slow to import
 
         rest = self.screened - self.vulnerable
-        found: FloatArray = beta.ppf(np.array(at), self.vulnerable + 0.5, rest + 0.5)
+        found: FloatArray = beta.ppf(at, self.vulnerable + 0.5, rest + 0.5)
         return found
 
-    @property
-    def leak(self) -> float:
-        """The estimated share of the other drives that violate with the grossest of the milder errors."""
-        return (self.leaks + 0.5) / (self.audited + 0.5 + _AUDITS_ASSUMED)
+    def leak(self, at: FloatArray) -> FloatArray:
+        """Return quantiles of the share of the other drives that leak at severity 1, shape ``(len(at),)``.
+
+        The prior is Jeffreys' for a share.
+        """
+        if self.audits is None or self.leaks is None:
+            return np.zeros(len(at))
+        chances = _LEAK_SHARES[:, None] * severities()[1:]
+        likely = np.log(chances) @ self.leaks + np.log1p(-chances) @ (self.audits - self.leaks)
+        sums = np.cumsum(np.exp(likely - likely.max()))
+        places = np.minimum(np.searchsorted(sums, at * sums[-1]), len(sums) - 1)
+        return np.asarray(_LEAK_SHARES[places])
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw the share of vulnerable drives, and that of the others that violate, shape ``(count,)`` each.
+        """Draw the share of vulnerable drives, and that of the others that leak, shape ``(count,)`` each."""
+        vulnerable = rng.beta(self.vulnerable + 0.5, self.screened - self.vulnerable + 0.5, count)
+        return vulnerable, self.leak(rng.random(count))
 
-        The latter grows in proportion to severity.
+    @staticmethod
+    def all_drives(curves: NDArray[np.floating], vulnerable: FloatArray, leak: FloatArray) -> FloatArray:
+        """Return the shares among all drives, shape ``(n, LEVELS + 1)``.
+
+        Args:
+            curves: The shares among vulnerable drives, shape ``(n, LEVELS + 1)``.
+            vulnerable: Share of vulnerable drives, shape ``(n,)`` or ``(1,)``.
+            leak: Share of the others that leak at severity 1, same shape.
         """
         return (
-            rng.beta(self.vulnerable + 0.5, self.screened - self.vulnerable + 0.5, count),
-            rng.beta(self.leaks + 0.5, self.audited - self.leaks + _AUDITS_ASSUMED, count),
+            vulnerable[:, None] * curves.astype(np.float64)
+            + ((1.0 - vulnerable) * leak)[:, None] * severities()
         )
+
+
+# Midpoints of equal shares of Jeffreys' prior.
+_LEAK_SHARES: Final = np.sin(0.5 * np.pi * (np.arange(4_000) + 0.5) / 4_000) ** 2
 
 
 def curves_of(
@@ -335,26 +415,43 @@ def curves_of(
             for start in range(0, len(places), _CELLS_AT_A_TIME):
                 some = places[start : start + _CELLS_AT_A_TIME]
                 part = Counts(drives=counts.drives[some], caused=counts.caused[some])
-                for place, likely in zip(some, weights(part, curves), strict=True):
-                    rng = generator(_LIBRARY_SEED, Stream.TOLERANCE, 5, place)
-                    draws = _draws(curves, likely, screenings[place], rng)
+                for place, likely in zip(some, _log_likelihoods(part, curves), strict=True):
+                    draws = _posterior_draws(counts, place, curves, likely, is_grossest=is_grossest)
+                    screening = screenings[place]
+                    if screening is not None:
+                        rng = generator(_LIBRARY_SEED, Stream.TOLERANCE, 5, place)
+                        draws = screening.all_drives(draws, *screening.draw(DRAWS, rng))
                     found[place] = _curve(
                         counts.drives[place], counts.caused[place], draws, limit=limit, confidence=confidence
                     )
     return [curve for curve in found if curve is not None]
 
 
-def _draws(
-    curves: NDArray[np.float32], likely: FloatArray, screening: Screening | None, rng: np.random.Generator
+def _posterior_draws(
+    counts: Counts, place: int, curves: NDArray[np.floating], likely: FloatArray, *, is_grossest: bool
 ) -> FloatArray:
-    """Draw curves from the posterior of a cell, shape ``(DRAWS, LEVELS + 1)``."""
-    sums = np.cumsum(likely)
-    steps = (np.arange(DRAWS) + 0.5) / DRAWS * sums[-1]
-    draws = curves[np.minimum(np.searchsorted(sums, steps), len(curves) - 1)].astype(np.float64)
-    if screening is not None:
-        vulnerable, leaks = screening.draw(DRAWS, rng)
-        draws = vulnerable[:, None] * draws + ((1.0 - vulnerable) * leaks)[:, None] * severities()
-    return np.asarray(draws, np.float64)
+    """Draw curves from the posterior of a cell, shape ``(DRAWS, LEVELS + 1)``.
+
+    Args:
+        counts: The results of all cells.
+        place: Place of the cell.
+        curves: The library, scaled if the cell is that of the grossest error.
+        likely: Log-likelihood of each curve of it.
+        is_grossest: Whether the cell is that of the grossest error.
+    """
+    if effective_size(likely) >= LEAST_EFFECTIVE:
+        return curves[resampled(likely, DRAWS)].astype(np.float64)
+    own = Counts(drives=counts.drives[[place]], caused=counts.caused[[place]])
+
+    def at(points: FloatArray) -> NDArray[np.floating]:
+        shares = curves_at(points.astype(np.float32))
+        return scaled(shares) if is_grossest else shares
+
+    rng = generator(_LIBRARY_SEED, Stream.TOLERANCE, 6, place)
+    points = posterior_draws(
+        _points_at, likely, lambda points: _log_likelihoods(own, at(points))[0], DRAWS, rng
+    )
+    return at(points).astype(np.float64)
 
 
 def _curve(

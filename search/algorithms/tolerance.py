@@ -28,6 +28,7 @@ from functools import cached_property
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from brink.search.algorithm import Evaluation
 from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState
@@ -63,8 +64,10 @@ _CURVES: Final = 20_000
 """Curves of the library that the search uses."""
 _NARROW: Final = 1e-3
 """Width of an interval below which a narrower one is no better."""
-_QUANTILES: Final = (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
-"""Where the share of vulnerable drives is looked up; the middle one is the median."""
+_QUANTILES: Final = np.array([0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95])
+"""Where the shares of vulnerable and of leaking drives are looked up; the middle one is the median."""
+_SHUFFLED: Final = np.array([4, 1, 6, 3, 0, 5, 2])
+"""Order of the quantiles of the leaking share, nearly uncorrelated with that of the vulnerable share."""
 _CHOICE, _DRIVE = 0, 2
 # What is drawn, as the first index of the stream; the curves have 1 and 5.
 
@@ -121,8 +124,9 @@ class ToleranceConfig(BoundaryConfig):
         default_factory=dict, metadata={"help": "Choices that stand for errors that the grossest one covers."}
     )
     audit: float = setting(
-        0.05,
-        help="Share of the simulations of covered errors in drives that are taken to hold.",
+        0.25,
+        help="Share of the simulations of covered errors in drives that are taken to hold. With 0, that they hold is "
+        "not checked, and the intervals take it on trust.",
         ge=0,
         le=0.5,
     )
@@ -211,6 +215,7 @@ class Layout:
         groups: Groups of cells whose drives are screened together.
         populations: The values that the columns of each population's drives are limited to.
         conditions: Names of the conditions, in their order.
+        audits: Whether drives that are taken to hold are audited.
     """
 
     def __init__(self, space: SearchSpace, config: ToleranceConfig) -> None:
@@ -223,6 +228,7 @@ class Layout:
         severity = self._parameters[self.severity]
         if isinstance(severity, Categorical) or (severity.least, severity.most) != (0.0, 1.0):
             raise ConfigError("severity", f"expected a number from 0 to 1, got {columns[self.severity]}")
+        self.audits = config.audit > 0.0
         self._component = _component_of(space, self.severity)
         chosen = {
             self._column("cells", name): (name, tuple(choices)) for name, choices in config.cells.items()
@@ -601,7 +607,7 @@ def tally(
         elif not truth:
             vulnerable[group][key] = numbers[place]
     counts = Counts.empty(len(layout.cells))
-    leaks = audited = 0
+    audited = Counts.empty(len(layout.groups))
     for place in np.flatnonzero((cells >= 0) & (groups < 0)).tolist():
         cell, level, key, verdict = int(cells[place]), int(levels[place]), keys[place], bool(unsafe[place])
         own = layout.cells[cell].group
@@ -614,15 +620,21 @@ def tally(
             if verdict and truth is False:
                 caused.append((cell, level, numbers[place]))
         elif key in immune[own]:
-            audited, leaks = audited + 1, leaks + int(verdict and not truth)
+            audited.drives[own, level - 1] += 1
+            audited.caused[own, level - 1] += int(verdict and not truth)
     for place, one in enumerate(layout.cells):
         if one.group is not None and layout.is_grossest(one):
             caused += [(place, LEVELS, number) for number in vulnerable[one.group].values()]
     return Tally(
         counts=counts,
         screenings=tuple(
-            Screening(vulnerable=len(found) + more, screened=count, leaks=leaks, audited=audited)
-            for found, more, count in zip(vulnerable, unexplained, screened, strict=True)
+            Screening(
+                vulnerable=len(vulnerable[group]) + unexplained[group],
+                screened=screened[group],
+                audits=audited.drives[group] if layout.audits else None,
+                leaks=audited.caused[group] if layout.audits else None,
+            )
+            for group in range(len(layout.groups))
         ),
         vulnerable=tuple(tuple(found) for found in vulnerable),
         immune=tuple(tuple(found) for found in immune),
@@ -878,27 +890,44 @@ class _Results:
             ]  # fmt: skip
             counts = self._tally.counts
             likely = weights(Counts(drives=counts.drives[places], caused=counts.caused[places]), curves)
-            limits = self._limits(group)
-            severity = np.stack([np.minimum(severity_at(curves, limit), BEYOND) for limit in limits])
+            severity, middle = self._severities(group, curves)
             order = np.argsort(severity.ravel(), kind="stable")
             for place, chances in zip(places, likely, strict=True):
-                pooled = np.tile(chances, len(limits))[order]
+                pooled = np.tile(chances, len(severity))[order]
                 low, high = quantiles_of_sorted(severity.ravel()[order], pooled, (tail, 1.0 - tail))
                 widths[place] = high - low
-            shares, middle = curves[:, 1:].astype(np.float64), severity[len(limits) // 2]
+            shares = curves[:, 1:].astype(np.float64)
             mean, unsafe = likely @ middle, np.clip(likely @ shares, 1e-9, 1.0 - 1e-9)
             common = (likely * middle) @ shares - mean[:, None] * unsafe
             gains[places] = np.maximum(common**2 / (unsafe * (1.0 - unsafe)), 1e-15)
         return _Estimates(widths, gains)
 
-    def _limits(self, group: int | None) -> list[float]:
-        """Return the shares among vulnerable drives at which the limit may be reached; some may be above 1."""
+    def _severities(self, group: int | None, curves: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
+        """Return where curves of vulnerable drives reach the limit among all drives.
+
+        Args:
+            group: The group that they are screened in; None if they are those of all drives.
+            curves: The curves, shape ``(n, LEVELS + 1)``.
+
+        Returns:
+            The severities for several shares of vulnerable and of leaking drives, shape ``(m, n)``; and those for the
+            most likely shares, shape ``(n,)``.
+        """
         limit = self._state.config.limit
         if group is None:
-            return [limit]
+            found = np.minimum(severity_at(curves, limit), BEYOND)
+            return found[None], found
         screening = self._tally.screenings[group]
-        shares = np.maximum(screening.estimates(_QUANTILES), 1e-6)
-        return [max(float(limit - (1.0 - share) * screening.leak), 1e-3) / float(share) for share in shares]
+        vulnerable = screening.vulnerable_share(_QUANTILES)
+        leak = screening.leak(_QUANTILES[_SHUFFLED])
+        return (
+            np.stack([self._reached(curves, *shares) for shares in zip(vulnerable, leak, strict=True)]),
+            self._reached(curves, vulnerable[len(_QUANTILES) // 2], screening.likeliest_leak),
+        )
+
+    def _reached(self, curves: NDArray[np.floating], vulnerable: float, leak: float) -> FloatArray:
+        shares = Screening.all_drives(curves, np.array([vulnerable]), np.array([leak]))
+        return np.minimum(severity_at(shares, self._state.config.limit), BEYOND)
 
     def _vulnerable(self, group: int) -> float:
         """Return the estimated share of vulnerable drives of a group."""

@@ -527,8 +527,8 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         caveat=with_odd(_caveat(cells, config.limit), plan.problem.space),
         conditions=list(layout.conditions), baseline=_baselines(found), cells=cells,
         mean_width=sum(curve.tolerated.width for curve in found.curves) / len(found.curves),
-        audited=max((one.audited for one in found.tally.screenings), default=0),
-        leaks=max((one.leaks for one in found.tally.screenings), default=0),
+        audited=sum(one.audited for one in found.tally.screenings),
+        leaks=sum(one.leaked for one in found.tally.screenings),
     )  # fmt: skip
 
 
