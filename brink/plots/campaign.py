@@ -36,7 +36,6 @@ from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
 from brink.search.analysis.dependence import FEWEST_IN_BIN, Dependence, ParameterColumn, dependences
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive
-from brink.search.fitness import wilson_interval
 from brink.search.pareto import first_front
 from brink.search.space import Categorical, FloatArray, IntArray, SearchSpace
 from brink.search.traffic.variation import TrafficGenome
@@ -234,10 +233,10 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
     figure = new_figure(
         height_px,
         f"{inputs.title}: unsafe share by parameter",
-        "Share of unsafe solutions by value, with its 95% interval; numbers in bins of equal size, without "
-        f"those that had no part in their drive. Line: overall share, {share_text(overall)}.\n"
-        "Strongest dependence first (Cramér's V). Grey: not significant. A search does not sample evenly: this "
-        "shows where unsafe solutions were found.",
+        "Share of unsafe solutions by value; numbers in bins of equal size, without those that had no part in their "
+        f"drive. Hollow: fewer than {FEWEST_IN_BIN} solutions. Line: overall share, {share_text(overall)}.\n"
+        "Strongest dependence first (Cramér's V). A search does not sample evenly, and its solutions descend from "
+        "each other: this shows where unsafe solutions were found, not why.",
     )
     ceiling = _ceiling(found, overall)
     for index, dependence in enumerate(found):
@@ -251,38 +250,42 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
                 (PARAMETER_PX - 116) / height_px,
             )
         )
-        _plot_parameter(axes, dependence, overall, ceiling, detectable=dependence.detectable(len(found)))
+        _plot_parameter(axes, dependence, overall, ceiling)
         axes.tick_params(labelleft=column == 0)
     return figure
 
 
 def _ceiling(found: list[Dependence], overall: float) -> float:
-    """Return the upper limit of the panels' y axes: the highest interval limit, rounded up, ignoring tiny groups."""
+    """Return the upper limit of the panels' y axes: the highest share, rounded up, ignoring tiny groups."""
     highest = 0.0 if np.isnan(overall) else overall
     for dependence in found:
         large = dependence.counts >= FEWEST_IN_BIN
         if large.any():
-            _, upper = wilson_interval(dependence.unsafe[large], dependence.counts[large])
-            highest = max(highest, float(upper.max()))
+            highest = max(highest, float((dependence.unsafe[large] / dependence.counts[large]).max()))
     return min(1.0, max(0.1, float(np.ceil(highest * 10) / 10)))
 
 
-def _plot_parameter(
-    axes: Axes, dependence: Dependence, overall: float, ceiling: float, *, detectable: bool
-) -> None:
+def _plot_parameter(axes: Axes, dependence: Dependence, overall: float, ceiling: float) -> None:
     column, filled = dependence.column, dependence.counts > 0
-    colour = UNSAFE if detectable else MUTED
     if not np.isnan(overall):
         axes.axhline(overall, color=INK, linewidth=0.9, alpha=0.55)
     if filled.any():
         places, counts = dependence.places[filled], dependence.counts[filled]
-        unsafe = dependence.unsafe[filled]
-        lower, upper = wilson_interval(unsafe, counts)
-        axes.vlines(places, lower, upper, color=colour, linewidth=2.2, alpha=0.45)
+        shares = dependence.unsafe[filled] / counts
         axes.plot(
-            places, unsafe / counts, color=colour, marker="o", markersize=5.5,
-            linewidth=0 if dependence.labels else 1.2, gid="share",
+            places, shares, color=UNSAFE, marker="o", markersize=5.5, linewidth=0 if dependence.labels else 1.2,
+            gid="share",
         )  # fmt: skip
+        few = counts < FEWEST_IN_BIN
+        axes.plot(
+            places[few],
+            shares[few],
+            color=UNSAFE,
+            marker="o",
+            markersize=5.5,
+            markerfacecolor="white",
+            linewidth=0,
+        )
     else:
         show_message(axes, "inactive in all\nsolutions so far")
     axes.set_ylim(-0.02 * ceiling, ceiling)

@@ -19,7 +19,7 @@ from brink.report.pair_pictures import share_words
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.report.tolerance import KEY, tolerated_words
 from brink.search.analysis.combinations import HAZARDOUS, MIN_PLACES
-from brink.search.analysis.rules import USELESS
+from brink.search.analysis.rules import LEAST_LEAF, USELESS
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
 from brink.server.api.schemas import Boundary, TypeView
@@ -450,13 +450,13 @@ def _rules(facts: Facts) -> list[str]:
     rules = facts.rules
     if rules is None or rules.balanced is None or rules.balanced <= USELESS:
         return []
-    overall = rules.inside / rules.solutions
+    overall = rules.held_out_inside / rules.held_out
     titles = facts.fetched.plan.problem.space.titles()
     told = [
         f"{', '.join(_readable(one, titles) for one in rule.conditions)}: {rule.inside} of {rule.solutions} unsafe "
-        f"({rule.share:.0%}, interval {rule.low:.0%} to {rule.high:.0%})."
+        f"({rule.share:.0%})."
         for rule in rules.rules[:MOST_RULES]
-        if rule.conditions and rule.low > overall
+        if rule.conditions and rule.solutions >= LEAST_LEAF and rule.share > overall
     ]
     if not told:
         return []
@@ -464,8 +464,8 @@ def _rules(facts: Facts) -> list[str]:
         f"On drives that they were not fitted to, these rules tell safe from unsafe with a balanced accuracy of "
         f"{rules.balanced:.0%} (guessing: 50%).",
         *told,
-        f"Overall, {overall:.0%} were unsafe. The rules are from a small decision tree, and their shares are those "
-        "of the solutions that it was fitted to, so they may be too high.",
+        f"Overall, {overall:.0%} were unsafe. The rules are from a small decision tree fitted to half of the "
+        "scenarios; all counts are of the other half.",
     ]
 
 

@@ -1,7 +1,9 @@
 """How verdicts, and the axes of a map, depend on individual parameters.
 
 A search does not sample evenly: the unsafe share by parameter value shows where unsafe solutions were found, not how
-likely they are.
+likely they are. The shares have no intervals and no test of significance, which would need independent solutions: a
+search breeds its solutions from each other, and relatives share both values and verdicts. What a test would call
+significant where no parameter has an effect: `brink bench coverage --only dependence` (ADR 66).
 """
 
 from dataclasses import dataclass
@@ -28,8 +30,6 @@ FEWEST_IN_BIN: Final = 15
 MAX_BINS: Final = 8
 FEW_INTEGERS: Final = 9
 """Integers with at most this many values are shown value by value."""
-DETECTABLE: Final = 0.05
-"""Probability that any parameter without an effect appears significant, over all parameters together."""
 LEAST_EXPLAINED: Final = 0.25
 """Smallest share of the variance along an axis that the named parameter must explain."""
 LEAST_ACTIVE: Final = 0.8
@@ -116,8 +116,7 @@ class Dependence:
         labels: Names of the groups; empty for a numeric scale.
         counts: Solutions in each group, shape ``(g,)``.
         unsafe: Unsafe solutions in each group, shape ``(g,)``.
-        strength: Cramér's V between group and verdict, in [0, 1].
-        p_value: p-value of the chi-squared test of independence; 1 with a single group.
+        strength: Cramér's V between group and verdict, in [0, 1]; 0 with a single group or verdict.
     """
 
     column: ParameterColumn
@@ -126,11 +125,6 @@ class Dependence:
     counts: IntArray
     unsafe: IntArray
     strength: float
-    p_value: float
-
-    def detectable(self, parameters: int) -> bool:
-        """Return whether the dependence is significant, corrected for the number of parameters (Bonferroni)."""
-        return self.p_value < DETECTABLE / parameters
 
 
 def dependences(space: SearchSpace, archive: Archive, recorded: BoolArray | None = None) -> list[Dependence]:
@@ -151,15 +145,13 @@ def _dependence(column: ParameterColumn, verdicts: BoolArray) -> Dependence:
     places, labels, group = _grouped(column, values)
     counts = np.bincount(group, minlength=places.size).astype(np.int64)
     bad = np.bincount(group[unsafe], minlength=places.size).astype(np.int64)
-    strength, p_value = _association(counts, bad)
     return Dependence(
         column=column,
         places=places,
         labels=labels,
         counts=counts,
         unsafe=bad,
-        strength=strength,
-        p_value=p_value,
+        strength=_strength(counts, bad),
     )
 
 
@@ -189,16 +181,14 @@ def _grouped(
     return places, (), group.reshape(-1)
 
 
-def _association(counts: IntArray, unsafe: IntArray) -> tuple[float, float]:
-    """Return Cramér's V and the p-value of groups by verdict; (0, 1) with a single group or verdict."""
+def _strength(counts: IntArray, unsafe: IntArray) -> float:
+    """Return Cramér's V between group and verdict."""
     filled = counts > 0
-    table = np.stack([unsafe[filled], (counts - unsafe)[filled]])
+    table = np.stack([unsafe[filled], (counts - unsafe)[filled]]).astype(np.float64)
     if table.shape[1] < 2 or (table.sum(axis=1) == 0).any():
-        return 0.0, 1.0
-    from scipy.stats import chi2_contingency  # slow to import
-
-    result = chi2_contingency(table, correction=False)
-    return float(np.sqrt(result.statistic / table.sum())), float(result.pvalue)
+        return 0.0
+    expected = table.sum(axis=1, keepdims=True) * table.sum(axis=0) / table.sum()
+    return float(np.sqrt(((table - expected) ** 2 / expected).sum() / table.sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,10 +1,12 @@
 """A region of solutions described by the rules of a shallow decision tree, with the accuracy of the rules.
 
-The region is, for example, the unsafe solutions or those on the boundary. The accuracy is cross-validated by scenario
-(the first component): solutions with the same scenario are never in both training and test set, so that a tree gains
-nothing by memorising scenarios. A parameter that had no part in an episode is inactive there, whatever its value.
-Compare the share of a rule with the share of the whole region, and an accuracy with
-that of always predicting the majority.
+The region is, for example, the unsafe solutions or those on the boundary. The tree is fitted to half of the scenarios
+(the first component), and everything that is said of its rules is counted in the other half: a tree chooses its
+splits so that the shares of the solutions that it sees differ, whether they do elsewhere or not. Compare the share of
+a rule with that of the whole region, and an accuracy with that of always predicting the majority.
+
+Shares have no intervals: a search breeds its solutions from each other, so they are no independent sample of anything
+(ADR 66). A parameter that had no part in an episode is inactive there, whatever its value.
 
 Source: Breiman et al. 1984 (CART), with scikit-learn's implementation (extra `analysis`).
 """
@@ -21,16 +23,14 @@ from brink.extras import install_command
 from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.archive import Archive
 from brink.search.errors import MissingExtra
-from brink.search.fitness import wilson_interval
 from brink.search.parameters import Categorical, Integer, Parameter
-from brink.search.space import BoolArray, FloatArray, SearchSpace
+from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 
 DEPTH: Final = 4
-FOLDS: Final = 5
 USELESS: Final = 0.65
 """Balanced accuracy up to which rules are no finding; guessing gives .50."""
 LEAST_LEAF: Final = 15
-"""Minimum number of solutions per rule."""
+"""Minimum number of solutions per rule, among those to which the tree is fitted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,17 +39,13 @@ class Rule:
 
     Attributes:
         conditions: Conditions in words, all of which must hold; empty if the rule always applies.
-        solutions: Evaluated solutions for which they hold.
+        solutions: Solutions of the held-out scenarios for which they hold, at least one.
         inside: Solutions among them in the region.
-        low: Lower limit of the Wilson interval of their share.
-        high: Upper limit of the Wilson interval of their share.
     """
 
     conditions: tuple[str, ...]
     solutions: int
     inside: int
-    low: float
-    high: float
 
     @property
     def share(self) -> float:
@@ -65,23 +61,28 @@ class Rules:
         region: The region in words.
         solutions: Number of evaluated solutions.
         inside: Number of solutions in the region.
+        held_out: Number of solutions of the scenarios to which the tree was not fitted; 0 if there are too few
+            scenarios, and therefore no rules.
+        held_out_inside: Solutions among them in the region.
         rules: The rules, by share in the region, largest first.
-        accuracy: Cross-validated accuracy, mean over the folds; None if the data are too few.
-        accuracy_sd: Standard deviation of the accuracy over the folds.
-        balanced: Cross-validated balanced accuracy, the mean of those inside and outside; guessing gives .5.
-        usual: Accuracy of always predicting the majority.
-        folds: Number of folds.
+        accuracy: Accuracy in the held-out scenarios; None without any.
+        balanced: Balanced accuracy there, the mean of those inside and outside; guessing gives .5.
     """
 
     region: str
     solutions: int
     inside: int
+    held_out: int
+    held_out_inside: int
     rules: tuple[Rule, ...]
     accuracy: float | None
-    accuracy_sd: float | None
     balanced: float | None
-    usual: float
-    folds: int
+
+    @property
+    def usual(self) -> float:
+        """Accuracy of always predicting the majority, in the held-out scenarios; needs some."""
+        share = self.held_out_inside / self.held_out
+        return max(share, 1.0 - share)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,25 +147,27 @@ def region_rules(
     table = np.column_stack([feature.values(columns[feature.name]) for feature in features])
 
     state = seed % 2**32  # scikit-learn takes no larger one
-
-    def tree() -> Any:
-        return DecisionTreeClassifier(
-            max_depth=DEPTH, min_samples_leaf=min(LEAST_LEAF, max(1, len(table) // 10)), random_state=state
-        )
-
-    fitted = tree().fit(table, inside)
     groups = np.unique(archive.vectors[:, space.slices[0]], axis=0, return_inverse=True)[1].ravel()
-    accuracies, balanced = _cross_validated(tree, table, inside, groups, state)
+    held_out = _half(inside, groups, state)
+    if held_out is None:
+        return Rules(
+            region=region, solutions=len(inside), inside=int(inside.sum()), held_out=0, held_out_inside=0, rules=(),
+            accuracy=None, balanced=None,
+        )  # fmt: skip
+    leaf = min(LEAST_LEAF, max(1, len(table) // 10))
+    tree = DecisionTreeClassifier(max_depth=DEPTH, min_samples_leaf=leaf, random_state=state)
+    tree.fit(table[~held_out], inside[~held_out])
+    truth = inside[held_out]
+    right = tree.predict(table[held_out]) == truth
     return Rules(
         region=region,
         solutions=len(inside),
         inside=int(inside.sum()),
-        rules=_leaves(fitted.tree_, features, table, inside),
-        accuracy=float(np.mean(accuracies)) if accuracies else None,
-        accuracy_sd=float(np.std(accuracies)) if accuracies else None,
-        balanced=float(np.mean(balanced)) if balanced else None,
-        usual=float(max(inside.mean(), 1 - inside.mean())),
-        folds=len(accuracies),
+        held_out=len(truth),
+        held_out_inside=int(truth.sum()),
+        rules=_leaves(tree.tree_, features, table[held_out], truth),
+        accuracy=float(right.mean()),
+        balanced=float(np.mean([right[truth].mean(), right[~truth].mean()])),
     )
 
 
@@ -183,25 +186,23 @@ def _features(columns: Iterable[ParameterColumn]) -> list[_Feature]:
     return features
 
 
-def _cross_validated(
-    tree: Any, table: FloatArray, inside: BoolArray, groups: Any, state: int
-) -> tuple[list[float], list[float]]:
-    """Return accuracy and balanced accuracy of each fold; no folds if there are too few groups or solutions."""
+def _half(inside: BoolArray, groups: IntArray, state: int) -> BoolArray | None:
+    """Return a mask of half of the solutions, by whole scenarios; None if a half would be all inside or all outside.
+
+    Args:
+        inside: Which solutions are in the region, shape ``(n,)``.
+        groups: The scenario of each, shape ``(n,)``.
+        state: Seed of the division.
+    """
     from sklearn.model_selection import StratifiedGroupKFold
 
-    folds = min(FOLDS, int(groups.max()) + 1, int(inside.sum()), int((~inside).sum()))
-    if folds < 2:
-        return [], []
-    accuracies, balanced = [], []
-    split = StratifiedGroupKFold(folds, shuffle=True, random_state=state)
-    for train, test in split.split(table, inside, groups):
-        truth = inside[test]
-        if inside[train].all() or not inside[train].any():
-            continue
-        right = tree().fit(table[train], inside[train]).predict(table[test]) == truth
-        accuracies.append(float(right.mean()))
-        balanced.append(float(np.mean([right[truth == which].mean() for which in np.unique(truth)])))
-    return accuracies, balanced
+    if groups.max() < 1 or min(inside.sum(), (~inside).sum()) < 2:
+        return None
+    split = StratifiedGroupKFold(2, shuffle=True, random_state=state)
+    held_out = np.zeros(len(inside), np.bool_)
+    held_out[next(split.split(groups, inside, groups))[1]] = True
+    halves = (inside[held_out], inside[~held_out])
+    return None if any(half.all() or not half.any() for half in halves) else held_out
 
 
 def _leaves(
@@ -212,17 +213,9 @@ def _leaves(
     def walk(node: int, rows: BoolArray, bounds: Mapping[int, tuple[float, float]]) -> None:
         left, right = tree.children_left[node], tree.children_right[node]
         if left == right:
-            k, n = int(inside[rows].sum()), int(rows.sum())
-            low, high = wilson_interval(k, n)
-            found.append(
-                Rule(
-                    conditions=_conditions(bounds, features),
-                    solutions=n,
-                    inside=k,
-                    low=float(low),
-                    high=float(high),
-                )
-            )
+            if rows.any():
+                conditions, count = _conditions(bounds, features), int(rows.sum())
+                found.append(Rule(conditions=conditions, solutions=count, inside=int(inside[rows].sum())))
             return
         column, level = int(tree.feature[node]), float(tree.threshold[node])
         least, most = bounds.get(column, (-math.inf, math.inf))
@@ -302,24 +295,24 @@ def rules_markdown(found: Sequence[Rules]) -> str:
         lines = [f"## {one.region[0].upper()}{one.region[1:]}", ""]
         share = one.inside / one.solutions
         lines.append(f"{one.inside:,} of {one.solutions:,} evaluated solutions ({share:.0%}). {trust(one)}")
-        lines += ["", "| share | interval | solutions | where |", "|---:|---:|---:|---|"]
+        lines += ["", "| share | solutions | where |", "|---:|---:|---|"] if one.rules else []
         for rule in one.rules:
             where = " **and** ".join(rule.conditions) or "everywhere"
-            lines.append(
-                f"| {rule.share:.0%} | {rule.low:.0%} to {rule.high:.0%} | {rule.solutions:,} | {where} |"
-            )
+            lines.append(f"| {rule.share:.0%} | {rule.solutions:,} | {where} |")
         parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"
 
 
 def trust(one: Rules) -> str:
     """Return a description of how far the rules can be trusted."""
-    if one.accuracy is None:
-        return "Too few solutions to cross-validate the rules."
-    useful = one.balanced is not None and one.balanced > USELESS
-    verdict = "" if useful else " **They say little about scenarios that they were not fitted to.**"
+    if one.accuracy is None or one.balanced is None:
+        return "Too few scenarios to fit rules to half of them."
+    verdict = (
+        "" if one.balanced > USELESS else " **They say little about scenarios that they were not fitted to.**"
+    )
     return (
-        f"On scenarios that they were not fitted to, the rules have a balanced accuracy of {one.balanced:.0%}; "
-        f"guessing gives 50%.{verdict} They are right for {one.accuracy:.1%} (standard deviation "
-        f"{one.accuracy_sd:.1%} over {one.folds} folds); always predicting the majority is right for {one.usual:.1%}."
+        f"The rules are fitted to half of the scenarios, and counted in the other half: {one.held_out_inside:,} of "
+        f"{one.held_out:,} solutions. There they have a balanced accuracy of {one.balanced:.0%}; guessing gives 50%."
+        f"{verdict} They are right for {one.accuracy:.1%}; always predicting the majority is right for "
+        f"{one.usual:.1%}."
     )

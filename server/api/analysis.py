@@ -18,7 +18,6 @@ from brink.search.analysis.monitor import Answer, Model
 from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.errors import SpaceError
-from brink.search.fitness import wilson_interval
 from brink.search.space import Categorical
 from brink.server.api.context import Services
 from brink.server.api.experiments import control_view
@@ -333,14 +332,9 @@ class DependenceView(View):
     high: float | None
     counts: list[int]
     unsafe: list[int]
-    intervals: Annotated[
-        list[tuple[float, float]], Field(description="95% Wilson intervals of the unsafe shares.")
-    ]
-    strength: Annotated[float, Field(description="Cramér's V between group and verdict.")]
-    p_value: float
-    detectable: Annotated[
-        bool,
-        Field(description="Whether the dependence is significant, corrected for the number of parameters."),
+    strength: Annotated[
+        float,
+        Field(description="Cramér's V between group and verdict. It describes the archive; it is no test."),
     ]
 
 
@@ -368,24 +362,19 @@ async def get_dependence(
     response.headers["ETag"] = etag
     return Dependences(
         generation=found.generation, evaluated=len(found.archive), unsafe=int(np.count_nonzero(found.archive.unsafe)),
-        parameters=[_dependence(one, len(known)) for one in known],
+        parameters=[_dependence(one) for one in known],
     )  # fmt: skip
 
 
-def _dependence(one: Dependence, parameters: int) -> DependenceView:
+def _dependence(one: Dependence) -> DependenceView:
     parameter = one.column.parameter
     scale = None if isinstance(parameter, Categorical) else parameter
-    low, high = wilson_interval(
-        one.unsafe, np.maximum(one.counts, 1)
-    )  # groups without solutions are not drawn
     return DependenceView(
         component=one.column.component, parameter=parameter.name, title=parameter.title,
         unit=scale.unit if scale else "", places=one.places.tolist(), labels=list(one.labels),
         low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
         counts=one.counts.tolist(), unsafe=one.unsafe.tolist(),
-        intervals=list(zip(low.tolist(), high.tolist(), strict=True)),
-        strength=one.strength, p_value=one.p_value,
-        detectable=one.detectable(parameters),
+        strength=one.strength,
     )  # fmt: skip
 
 

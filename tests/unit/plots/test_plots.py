@@ -40,7 +40,6 @@ from brink.search.analysis.pairs import find_pairs
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.similarity import own_plane
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.fitness import wilson_interval
 from brink.search.problems import MTQ_RADIUS, MTQ_SPACE, mtq_robustness
 from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
 from brink.search.traffic.constraint import participants_component
@@ -323,7 +322,7 @@ def test_unsafe_shares_of_generations_add_up() -> None:
     assert (dots[:, 1] * sizes).sum() == pytest.approx(inputs.archive.unsafe.sum())
 
 
-def test_panels_show_the_share_of_each_choice_with_its_interval() -> None:
+def test_panels_show_the_share_of_each_choice_without_an_interval() -> None:
     inputs = mixed_campaign()
     figure = figure_of(figure_parameters, mixed_campaign)
     assert len(figure.axes) == inputs.space.dimension
@@ -333,10 +332,8 @@ def test_panels_show_the_share_of_each_choice_with_its_interval() -> None:
     weather = inputs.archive.vectors[:, 0]
     for choice, shown in enumerate(np.asarray(share.get_ydata(), dtype=float)):
         assert shown == pytest.approx(inputs.archive.unsafe[weather == choice].mean())
-    lower, upper = wilson_interval(strongest.unsafe, strongest.counts)
-    segments = np.asarray(figure.axes[0].collections[0].get_segments())  # type: ignore[attr-defined]
-    np.testing.assert_allclose(segments[:, 0, 1], lower)
-    np.testing.assert_allclose(segments[:, 1, 1], upper)
+    # Solutions of a search are relatives of each other: no interval would be right.
+    assert not figure.axes[0].collections
 
 
 def test_inactive_parameters_are_left_out_of_their_panels() -> None:
@@ -349,11 +346,9 @@ def test_inactive_parameters_are_left_out_of_their_panels() -> None:
     assert found["behaviour.label"].counts.sum() == len(inputs.archive)
 
 
-def test_independent_parameters_are_not_reported_as_dependent() -> None:
+def test_a_parameter_with_an_effect_comes_before_one_without() -> None:
     inputs = mixed_campaign(600)
     found = {dependence.column.name: dependence for dependence in dependences(inputs.space, inputs.archive)}
-    assert found["scenario.weather"].p_value < 1e-6
-    assert found["scenario.lanes"].p_value > 0.01
     assert found["scenario.weather"].strength > 3 * found["scenario.lanes"].strength
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from brink.search.analysis.rules import LEAST_LEAF, Rules, region_rules, rules_markdown
+from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
 
@@ -44,9 +44,10 @@ def test_region_of_two_conditions_is_found_and_described() -> None:
     assert late.startswith("behaviour.late_s at least ")
     assert float(late.split()[-2]) == pytest.approx(4.0, abs=0.3)
     assert late.endswith(" s")
-    assert sum(rule.solutions for rule in rules.rules) == 600
-    assert sum(rule.inside for rule in rules.rules) == rules.inside == inside.sum()
-    assert min(rule.solutions for rule in rules.rules) >= LEAST_LEAF
+    assert rules.solutions == 600
+    assert rules.inside == inside.sum()
+    assert sum(rule.solutions for rule in rules.rules) == rules.held_out == pytest.approx(300, abs=100)
+    assert sum(rule.inside for rule in rules.rules) == rules.held_out_inside
     assert rules.accuracy is not None
     assert rules.accuracy > 0.95 > rules.usual
     text = rules_markdown([rules])
@@ -90,7 +91,7 @@ def test_best_rule_covers_exactly_the_region() -> None:
     best = rules.rules[0]
     assert set(best.conditions) == {"scenario.night is yes", "behaviour.misses at most 4"}
     assert best.share == 1.0
-    assert best.solutions == inside.sum()
+    assert best.inside == rules.held_out_inside
 
 
 def test_random_region_gets_no_better_than_chance() -> None:
@@ -99,6 +100,8 @@ def test_random_region_gets_no_better_than_chance() -> None:
     rules = found(rows, rng.random(500) < 0.3)
     assert rules.accuracy is not None
     assert rules.accuracy < rules.usual + 0.03
+    counted = [rule for rule in rules.rules if rule.solutions >= 15]
+    assert max(abs(rule.share - 0.3) for rule in counted) < 0.3
     assert rules.balanced == pytest.approx(0.5, abs=0.08)
 
 
@@ -133,5 +136,5 @@ def test_too_few_scenarios_are_not_cross_validated() -> None:
     rows = drawn(60)
     rows[:, :2] = 0
     rules = found(rows, rows[:, 2] > 5)
-    assert (rules.accuracy, rules.balanced, rules.folds) == (None, None, 0)
+    assert (rules.accuracy, rules.balanced, rules.rules) == (None, None, ())
     assert "Too few" in rules_markdown([rules])

@@ -101,6 +101,8 @@ const WIDTH = 220;
 const HEIGHT = 96;
 const LEFT = 8;
 const FEW = 12;
+/** Groups with fewer solutions are drawn hollow, and do not set the scale. */
+const LEAST = 15;
 
 /** Return the card of parameter dependence; ``news(generation)`` loads it, ``known`` is called with the parameters. */
 export function dependenceCard(context, id, known) {
@@ -108,7 +110,7 @@ export function dependenceCard(context, id, known) {
   const all = h("button", { type: "button", hidden: true, onclick: () => { few = Infinity; draw(); } }, "Show all parameters");
   const card = h("section.card", { "aria-label": "Parameter dependence", hidden: true },
     h("h2", null, "Parameter dependence"),
-    h("p.hint", null, "Share of unsafe solutions by parameter value, with 95% intervals; strongest dependence first (Cramér's V). Grey: not significant. A search does not sample evenly: this shows where unsafe solutions were found, not how likely they are."),
+    h("p.hint", null, "Share of unsafe solutions by parameter value; strongest dependence first (Cramér's V). Hollow: few solutions. A search does not sample evenly, and its solutions descend from each other: this shows where unsafe solutions were found, neither how likely they are nor what made them unsafe."),
     panels, all);
   let few = FEW;
   let read = null;
@@ -135,30 +137,26 @@ function ceiling(parameters, overall) {
   let top = overall;
   for (const one of parameters) {
     one.counts.forEach((all, place) => {
-      if (all >= 15) top = Math.max(top, one.intervals[place][1]);
+      if (all >= LEAST) top = Math.max(top, one.unsafe[place] / all);
     });
   }
   return Math.min(1, Math.max(0.1, Math.ceil(top * 10) / 10));
 }
 
 function panel(one, overall, top) {
-  const groups = one.places.map((at, place) => ({ at, all: one.counts[place], hits: one.unsafe[place], label: one.labels[place], interval: one.intervals[place] })).filter((group) => group.all > 0);
+  const groups = one.places.map((at, place) => ({ at, all: one.counts[place], hits: one.unsafe[place], label: one.labels[place] })).filter((group) => group.all > 0);
   const scale = one.low !== null && !one.labels.length;
   const [low, high] = scale ? [one.low, one.high] : [-0.5, one.places.length - 0.5];
   const first = one.labels.length && !scale ? one.places[0] : 0;
   const x = (at) => LEFT + ((at - (scale ? 0 : first) - low) / (high - low || 1)) * (WIDTH - 2 * LEFT);
   const y = (share) => HEIGHT - 4 - (Math.min(share, top) / top) * (HEIGHT - 12);
-  const colour = one.detectable ? "var(--unsafe)" : "var(--pending)";
+  const colour = "var(--unsafe)";
   const name = one.title || spaced(one.parameter).replace(".", ": ");
   const words = groups.map((group) => `${group.label ?? figure(group.at)}: ${percent(group.hits / group.all)} of ${group.all}`).join("; ");
   const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${name}. Unsafe: ${words || "no solution has a value"}.` },
     h("line", { x1: 0, x2: WIDTH, y1: y(overall), y2: y(overall), stroke: "var(--muted)", "stroke-width": 1, "stroke-dasharray": "3 3" }),
-    groups.map((group) => {
-      const [from, to] = group.interval;
-      return h("line", { x1: x(group.at), x2: x(group.at), y1: y(from), y2: y(to), stroke: colour, "stroke-width": 3, opacity: 0.45 });
-    }),
     !one.labels.length && h("polyline", { points: groups.map((group) => `${x(group.at)},${y(group.hits / group.all)}`).join(" "), fill: "none", stroke: colour, "stroke-width": 1.4 }),
-    groups.map((group) => h("circle", { cx: x(group.at), cy: y(group.hits / group.all), r: 3.6, fill: colour })));
+    groups.map((group) => h("circle", { cx: x(group.at), cy: y(group.hits / group.all), r: 3.6, stroke: colour, fill: group.all < LEAST ? "var(--card)" : colour })));
   const ends = one.labels.length ? [groups[0]?.label, groups.length > 1 && groups.at(-1)?.label] : [figure(low), `${figure(high)} ${one.unit}`];
   return h("figure.panel", null,
     h("figcaption", null, h("strong", null, name), h("span.small.muted", null, ` V ${figure(one.strength, 2)}, ${count(groups.reduce((sum, group) => sum + group.all, 0))}`)),
