@@ -37,8 +37,9 @@ def read_file(path: str | Path, most_bytes: int) -> bytes:
         ValueError: The path contains a NUL character.
     """
     with open_file(path) as file:
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
+        is_larger = os.fstat(file.fileno()).st_size > most_bytes
+        content = b"" if is_larger else file.read(most_bytes + 1)  # it may grow
+    if is_larger or len(content) > most_bytes:
         raise OSError(errno.EFBIG, f"larger than {most_bytes} bytes", str(path))
     return content
 

@@ -7,6 +7,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
@@ -14,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.packed import read_arrays
 from brink.search.errors import DocumentError, OtherVersion
 
 _MAGIC = b"brink-document-1\n"
@@ -73,8 +75,7 @@ class Document:
         if hashlib.sha256(payload).digest() != data[len(_MAGIC) : start]:
             raise DocumentError("corrupt document: the checksum does not match; restore it from a backup")
         try:
-            with np.load(io.BytesIO(payload), allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
+            arrays = read_arrays(payload, len(payload))  # nothing in it is compressed
             content = json.loads(arrays.pop(_HEADER).tobytes())
             return cls(
                 kind=content["kind"],
@@ -82,7 +83,9 @@ class Document:
                 header=content["header"],
                 arrays={name.removeprefix("array_"): array for name, array in arrays.items()},
             )
-        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+        except (
+            ValueError, KeyError, TypeError, OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error,
+        ) as error:  # fmt: skip
             raise DocumentError(f"corrupt document: {error}") from error
 
     def expect(self, kind: str, version: int) -> Self:

@@ -17,6 +17,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from brink.server.errors import FieldError, InvalidInput, nearest
+from brink.user_file import read_text
 
 MAX_FILE_BYTES = 1024 * 1024
 MAX_VALUES = 100_000
@@ -92,9 +93,7 @@ def read_yaml(path: Path) -> object:
         InvalidInput: The file cannot be read, or is not YAML.
     """
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise _unreadable(path, f"larger than {MAX_FILE_BYTES} bytes")
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, MAX_FILE_BYTES)
     except (OSError, UnicodeDecodeError) as error:
         reason = (error.strerror or str(error)) if isinstance(error, OSError) else "not UTF-8 text"
         raise _unreadable(path, reason) from None
@@ -142,7 +141,7 @@ def placed_in_file(errors: Iterable[FieldError], path: Path) -> list[FieldError]
 
 def _nodes(path: Path) -> yaml.Node | None:
     try:
-        root: yaml.Node | None = yaml.compose(path.read_text(encoding="utf-8"), yaml.SafeLoader)
+        root: yaml.Node | None = yaml.compose(read_text(path, MAX_FILE_BYTES), yaml.SafeLoader)
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
         return None  # the errors name the file all the same
     return root

@@ -16,6 +16,7 @@ from typing import Any, Final, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.packed import read_arrays
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
 
@@ -414,12 +415,7 @@ def _unpack(document: bytes) -> dict[str, NDArray[Any]]:
         InvalidEpisode: It is not an npz archive, or exceeds a limit.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(document)) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        if size > MAX_BYTES:
-            raise InvalidEpisode(f"not a trace: expected at most {MAX_BYTES} bytes unpacked, got {size}")
-        with np.load(io.BytesIO(document), allow_pickle=False) as npz:
-            arrays = {name: npz[name] for name in npz.files}
+        arrays = read_arrays(document, MAX_BYTES)
     except (
         ValueError,
         KeyError,

@@ -24,7 +24,7 @@ from brink.cli.options import (
     save_picture,
 )
 from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT
-from brink.search.analysis.monitor import Answer, Model, Monitor, default_model
+from brink.search.analysis.monitor import LARGEST_BYTES, Answer, Model, Monitor, default_model
 from brink.search.analysis.monitor_evaluation import (
     MonitorEvaluation,
     evaluate_monitor,
@@ -36,6 +36,7 @@ from brink.search.errors import DocumentError, SpaceError
 from brink.search.space import FloatArray, SearchSpace
 from brink.server.documents import read_yaml
 from brink.server.errors import Conflict, InvalidInput
+from brink.user_file import read_text
 
 MISSED = (0.01, 0.05, 0.1)
 """Shares of missed hazards for which false alarm rates are shown."""
@@ -242,7 +243,7 @@ def _check_fresh(file: Path, campaigns: Sequence[FetchedArchive]) -> None:
     Raises:
         Conflict: It was fitted to all of them.
     """
-    own = fitted_among(json.loads(file.read_text(encoding="utf-8")).get("about"), campaigns)
+    own = fitted_among(json.loads(read_text(file, LARGEST_BYTES)).get("about"), campaigns)
     if not own:
         return
     words = fitted_words(file, own)
@@ -262,7 +263,7 @@ def _pairs(file: Path, space: SearchSpace) -> tuple[FloatArray, FloatArray]:
     """Return the safe and the unsafe sides of the pairs in a JSON Lines file, each of shape ``(n, d)``."""
     sides: dict[str, list[FloatArray]] = {"safe": [], "unsafe": []}
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = read_text(file, LARGEST_BYTES).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput.at("", f"{file}: expected JSON Lines: {error}") from None
     for number, line in enumerate(lines, start=1):

@@ -4,7 +4,6 @@ Features are not stored with the results of campaigns. Episodes are deterministi
 parallel processes (docs/adr/0055).
 """
 
-import io
 import json
 import zipfile
 import zlib
@@ -17,6 +16,7 @@ from typing import Any, Final, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.packed import read_arrays
 from brink.search.analysis.guard_training import DriveSeries
 from brink.search.archive import Archive
 from brink.search.space import FloatArray, IntArray
@@ -28,6 +28,7 @@ from brink.sim.catalogue import with_sources
 from brink.sim.episode import EpisodeSpec, Json, Verdict
 from brink.sim.guard.features import ALL_FEATURES, FEATURES_ID
 from brink.sim.guard.features import STEP_S as STEP_S
+from brink.user_file import read_file
 from brink.worker.pool import process_pool, single_threaded
 
 OnProgress: TypeAlias = Callable[[int, int], None]
@@ -39,6 +40,8 @@ SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
 """Ids of the simulators whose drives can be recorded."""
 MOST_DIFFERENT: Final = 0.02
 """Share of the drives of a campaign that may end differently: on another class of processor, a few do."""
+LARGEST_BYTES: Final = 2 * 1024**3
+"""Maximum size of a file of drives, packed and unpacked."""
 _STORED: Final = 2
 
 
@@ -367,9 +370,7 @@ def save_drives(file: Path, drives: Sequence[Drive]) -> None:
 def load_drives(file: Path) -> list[Drive] | None:
     """Return the drives in a file; None if it is missing, damaged, or of another version."""
     try:
-        # From memory: numpy leaves the file of a damaged archive open.
-        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as npz:
-            arrays = {name: npz[name] for name in npz.files}
+        arrays = read_arrays(read_file(file, LARGEST_BYTES), LARGEST_BYTES)
         header = json.loads(arrays["header"].tobytes())
         if header["version"] != _STORED or header["features"] != FEATURES_ID:
             return None
@@ -394,5 +395,7 @@ def load_drives(file: Path) -> list[Drive] | None:
                 arrays["robustness"], arrays["ended_at_s"], strict=True,
             )
         ]  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+    except (
+        OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error,
+    ):  # fmt: skip
         return None

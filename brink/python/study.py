@@ -34,11 +34,13 @@ from brink.search.streams import episode_seed
 from brink.server.api import boundary_table
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_EPS, DEFAULT_PAIRS_D_TH, DEFAULT_T_B
 from brink.server.problems.catalogue import make_algorithm, make_params
+from brink.user_file import read_text
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _VERSION: Final = 1
+_LARGEST_BYTES: Final = 256 * 1024**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,7 +270,7 @@ class Study:
             DocumentError: The file is not a study.
         """
         try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
+            document = json.loads(read_text(path, _LARGEST_BYTES))
             if document["version"] != _VERSION:
                 raise DocumentError(f"{path}: expected version {_VERSION}, got {document['version']!r}")
             study = cls(
@@ -276,7 +278,7 @@ class Study:
                 seed=document["seed"], params=document["params"], start_from=document["start_from"],
             )  # fmt: skip
             study._repeat({number: rest for number, *rest in document["results"]})
-        except (ValueError, LookupError, TypeError, AttributeError, OrderError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OrderError) as error:
             if isinstance(error, DocumentError):
                 raise
             raise DocumentError(f"{path}: expected a saved study: {error}") from None

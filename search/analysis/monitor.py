@@ -42,9 +42,12 @@ from brink.search.space import (
     frozen_array,
 )
 from brink.search.streams import Stream, generator
+from brink.user_file import read_text
 
 FORMAT: Final = "brink-monitor"
 VERSION: Final = 3
+LARGEST_BYTES: Final = 256 * 1024**2
+"""Maximum size of a file."""
 VERSION_WITHOUT_TREES: Final = 2
 """Version of files that always hold the model `neighbours`."""
 
@@ -350,7 +353,7 @@ class Monitor:
         """
         try:
             document = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise DocumentError(f"expected a monitor: {error}") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise DocumentError(f"expected a document with format {FORMAT!r}")
@@ -400,7 +403,7 @@ class Monitor:
             OSError: The file cannot be read.
         """
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = read_text(path, LARGEST_BYTES)
         except UnicodeDecodeError:
             raise DocumentError(f"{path}: expected a monitor, got a binary file") from None
         return cls.from_json(text)

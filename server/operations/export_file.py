@@ -6,7 +6,7 @@ nothing is read that is larger than it may be, and nothing is read in one piece 
 - The list of members, which Python reads at once, has a maximum size.
 - All members together may be at most `MOST_EXPANSION` times as large as the file, beyond `FREE_BYTES`. Exports of
   campaigns are 5 to 20 times as large: every row contains hashes and random numbers.
-- Members are stored or deflated. With other methods, Python cannot unpack a part of a member.
+- `brink.packed` says what a member may be.
 - The sizes of manifest, lines and arrays are limited, and an array must be as large as its header says.
 
 Every member must match its checksum in the manifest before anything of it is used.
@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from brink.packed import PIECE_BYTES, check_members, read_exactly, read_header
 from brink.server.campaigns.repeats import MOST
 from brink.server.errors import ServerError
 from brink.user_file import open_file
@@ -51,8 +52,6 @@ LARGEST_VALUE: Final = 256 * 1024**2
 """Maximum size of an array that is stored as one value: a checkpoint, the distances of a generation."""
 LARGEST_TRACE: Final = 6_000_000
 """Maximum size of a trace; workers may report as much."""
-_CHUNK: Final = 1024**2
-_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 CampaignId = Annotated[str, Field(pattern=r"^[0-9A-Za-z]{1,16}$")]
 
@@ -155,14 +154,17 @@ class ExportFile:
     def __init__(self, path: Path, archive: zipfile.ZipFile, size: int) -> None:
         self.path = path
         self._archive = archive
-        self._check_members(size)
+        try:
+            check_members(archive, size, min(LARGEST_BYTES, FREE_BYTES + MOST_EXPANSION * size))
+        except ValueError as error:
+            raise BadFile(str(error)) from None
         manifest = self._read_manifest()
         self.campaign: str = manifest.campaign
         self.members: frozenset[str] = frozenset(manifest.sha256)
         for name, expected in manifest.sha256.items():
             digest = hashlib.sha256()
             with archive.open(name) as member:
-                while data := member.read(_CHUNK):
+                while data := member.read(PIECE_BYTES):
                     digest.update(data)
             if digest.hexdigest() != expected:
                 raise BadFile(f"{name}: damaged: it does not match its checksum")
@@ -230,7 +232,7 @@ class ExportFile:
             size = math.prod(shape) * np.dtype(dtype).itemsize
             if size > most_bytes:
                 raise BadFile(f"{member}: expected at most {most_bytes} bytes, got {size}")
-            return np.frombuffer(_exactly(file, size), dtype).reshape(shape)
+            return np.frombuffer(_content(member, file, size), dtype).reshape(shape)
 
     def rows(self, member: str, columns: int) -> Iterator[bytes]:
         """Yield the rows of a matrix of little-endian float64 numbers, one after another.
@@ -249,7 +251,7 @@ class ExportFile:
             if len(shape) != 2 or shape[1] != columns:
                 raise BadFile(f"{member}: expected {columns} numbers in each row")
             for place in range(shape[0]):
-                row = _exactly(file, 8 * columns)
+                row = _content(member, file, 8 * columns)
                 if not np.isfinite(np.frombuffer(row, "<f8")).all():
                     raise BadFile(f"{member}: row {place}: expected finite numbers")
                 yield row
@@ -257,34 +259,12 @@ class ExportFile:
     def _shape(self, member: str, file: IO[bytes], dtype: str) -> tuple[int, ...]:
         """Read the header of an array; return its shape, whose size is that of the rest of the member."""
         try:
-            version = np.lib.format.read_magic(file)
-            if version != (1, 0):  # later versions have headers of up to 4 GB
-                raise BadFile(f"{member}: expected an array of format 1.0, got {version}")
-            shape, is_fortran, found = np.lib.format.read_array_header_1_0(file)
-        except (ValueError, OverflowError, SyntaxError, RecursionError, MemoryError, TypeError) as error:
+            shape, found, order = read_header(file, self._archive.getinfo(member).file_size)
+        except ValueError as error:
             raise BadFile(f"{member}: expected an array: {error}") from None
-        if found.str != dtype:
+        if found.str != dtype or order != "C":
             raise BadFile(f"{member}: expected numbers of type {dtype}, got {found.str}")
-        left = self._archive.getinfo(member).file_size - file.tell()
-        if is_fortran or min(shape, default=1) < 0 or math.prod(shape) * found.itemsize != left:
-            raise BadFile(f"{member}: expected an array: {left} bytes do not fit its shape {shape}")
-        return tuple(shape)
-
-    def _check_members(self, size: int) -> None:
-        members = self._archive.infolist()
-        if len({one.filename for one in members}) < len(members):
-            raise BadFile("expected each member once")
-        if any(one.compress_type not in _METHODS for one in members):
-            raise BadFile("expected members that are stored or deflated")
-        if sum(one.compress_size for one in members) > size:
-            raise BadFile("expected members that do not overlap")
-        unpacked = sum(one.file_size for one in members)
-        most = min(LARGEST_BYTES, FREE_BYTES + MOST_EXPANSION * size)
-        if unpacked > most:
-            raise BadFile(
-                f"expected at most {most} bytes when unpacked, {MOST_EXPANSION} times the size of the file; got "
-                f"{unpacked}"
-            )
+        return shape
 
     def _read_manifest(self) -> _Manifest:
         try:
@@ -292,7 +272,7 @@ class ExportFile:
             if size > LARGEST_MANIFEST:
                 raise BadFile(f"{MANIFEST}: expected at most {LARGEST_MANIFEST} bytes, got {size}")
             with self._archive.open(MANIFEST) as member:
-                document = plain_json(_exactly(member, size))
+                document = plain_json(read_exactly(member, size))
         except (KeyError, ValueError):
             raise BadFile("expected a file written by brink export: it has no manifest") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -311,18 +291,11 @@ class ExportFile:
         return manifest
 
 
-def _exactly(file: IO[bytes], size: int) -> bytes:
-    """Read so many bytes, in pieces: read in one, zipfile unpacks up to 2 GB at once.
-
-    Raises:
-        BadFile: There are fewer.
-    """
-    content = bytearray()
-    while len(content) < size and (piece := file.read(min(_CHUNK, size - len(content)))):
-        content += piece
-    if len(content) < size:
-        raise BadFile(f"expected {size} bytes, got {len(content)}")
-    return bytes(content)
+def _content(member: str, file: IO[bytes], size: int) -> bytes:
+    try:
+        return read_exactly(file, size)
+    except ValueError as error:
+        raise BadFile(f"{member}: {error}") from None
 
 
 def plain_json(text: bytes) -> Any:

@@ -21,6 +21,7 @@ import numpy as np
 from brink.forest import FeatureArray, FloatArray, Forest
 from brink.sim.errors import GuardFileError
 from brink.sim.guard.features import ALL_FEATURES, FEATURES, FEATURES_ID
+from brink.user_file import read_text
 
 FORMAT: Final = "brink guard"
 VERSION: Final = 1
@@ -227,7 +228,7 @@ class GuardModel:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise GuardFileError(f"{path}: expected a guard of at most {MAX_FILE_BYTES} bytes")
         try:
-            return cls.from_json(path.read_text(encoding="utf-8"))
+            return cls.from_json(read_text(path, MAX_FILE_BYTES))
         except UnicodeDecodeError:
             raise GuardFileError(f"{path}: expected a guard, got a binary file") from None
         except GuardFileError as error:

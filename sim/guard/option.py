@@ -33,6 +33,7 @@ from brink.sim.guard.interface import Guard, RangeScan
 from brink.sim.guard.model import MAX_FILE_BYTES, GuardModel, Sensor
 from brink.sim.guard.monitor import ModelGuard
 from brink.sim.guard.setting import Settings, settings_to_json
+from brink.user_file import read_file
 
 GUARDS: Final = "brink.guards"
 """Entry points: `MakeGuard`."""
@@ -207,7 +208,7 @@ def guard_digest(file: Path) -> str:
             raise InvalidEpisode(f"guard: {file}: expected a file")
         if file.stat().st_size > MAX_FILE_BYTES:
             raise InvalidEpisode(f"guard: {file}: expected a guard of at most {MAX_FILE_BYTES} bytes")
-        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+        return hashlib.sha256(read_file(file, MAX_FILE_BYTES)).hexdigest()[:16]
     except (OSError, ValueError) as error:
         raise InvalidEpisode(f"guard: {file}: {getattr(error, 'strerror', None) or error}") from None
 

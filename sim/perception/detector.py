@@ -45,11 +45,13 @@ from brink.sim.perception.boxes import Detections, FloatArray, non_maximum_suppr
 from brink.sim.perception.user_files import (
     CATEGORY_LABELS,
     KINDS,
+    MAX_DESCRIPTION_BYTES,
     DetectorError,
     InvalidDetections,
     weights_digest,
     weights_file,
 )
+from brink.user_file import read_text
 
 Picture: TypeAlias = NDArray[np.uint8]
 
@@ -689,9 +691,9 @@ def _read_description(file: Path) -> _Description:
     if not beside.is_file():
         return _Description()
     try:
-        document = json.loads(beside.read_text(encoding="utf-8"))
+        document = json.loads(read_text(beside, MAX_DESCRIPTION_BYTES))
         names = _parse_names(document.get("names"))
-    except (ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         document, names = {}, {}
     size = document.get("input_px")
     if not _labels_by_name(names) and (size is None or "names" in document):

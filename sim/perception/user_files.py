@@ -30,8 +30,10 @@ import numpy as np
 
 from brink.sim.errors import InvalidEpisode, SimulatorError
 from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, GroundTruth, too_small
+from brink.user_file import read_file
 
 MAX_BYTES: Final = 2 * 1024**3
+MAX_DESCRIPTION_BYTES: Final = 1024**2
 LOAD_TIMEOUT_S: Final = 120.0
 DEFAULT_DETECTOR: Final = "brink-det@2"
 """Detector of a problem with a camera, unless another is chosen."""
@@ -129,9 +131,9 @@ def _stamp(file: Path) -> tuple[int, int] | None:
 
 @lru_cache(maxsize=8)
 def _digest(file: Path, _weights: tuple[int, int] | None, description: tuple[int, int] | None) -> str:
-    digest = hashlib.sha256(file.read_bytes())
+    digest = hashlib.sha256(read_file(file, MAX_BYTES))
     if description is not None:
-        digest.update(description_file(file).read_bytes())
+        digest.update(read_file(description_file(file), MAX_DESCRIPTION_BYTES))
     return digest.hexdigest()[:16]
 
 
@@ -216,7 +218,7 @@ def read_coco(file: Path) -> CocoDataset:
 @lru_cache(maxsize=4)
 def _read_coco(file: Path, _modified_ns: int, _size: int) -> CocoDataset:
     try:
-        raw = file.read_bytes()
+        raw = read_file(file, MAX_BYTES)
         document = json.loads(raw)
     except OSError as error:
         raise DatasetError(f"{file}: {error.strerror or error}") from None

@@ -9,9 +9,11 @@ import numpy as np
 
 from brink.sim.perturbations.catalogue import Frame, Gene, InvalidFrame
 from brink.sim.perturbations.pipeline import Perturbation, apply, check_frame, generator
+from brink.user_file import read_file
 
 CAPTION_PX = 26
 MARGIN_PX = 6
+MAX_BYTES = 256 * 1024**2
 PAPER, INK = 255, (32, 36, 42)
 COLUMNS = 3
 OVERSAMPLING = 2
@@ -84,7 +86,7 @@ def read_picture(path: Path) -> Frame:
         InvalidFrame: The file is not an image, or the image is too small.
         OSError: The file cannot be read.
     """
-    content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    content = np.frombuffer(read_file(path, MAX_BYTES), dtype=np.uint8)
     try:
         decoded = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
     except cv2.error:  # exceeds OpenCV's limit on the number of pixels

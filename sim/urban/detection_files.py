@@ -8,6 +8,7 @@ camera, so that distances mean the same everywhere.
 """
 
 import csv
+import io
 import itertools
 import json
 import math
@@ -21,6 +22,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.errors import SimulatorError
 from brink.sim.urban.detection_errors import PEDESTRIAN_WITHIN_M, Target
 from brink.sim.urban.error_meter import HALF_LANE_M, SUSTAINED_S, ErrorMeter, MeasuredDrive, TrueBox
+from brink.user_file import read_file, read_text
 
 COLUMNS: Final = ("drive", "time_s", "source", "id", "label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
 """Columns of a CSV file. `source` is truth or detection; `id` names a true road user within its drive."""
@@ -32,6 +34,8 @@ LABELS: Final[Mapping[str, ObstacleLabel]] = {
     "pedestrian": ObstacleLabel.PERSON,
 }  # fmt: skip
 KINDS: Final = {target.value: target for target in (Target.LEAD, Target.ONCOMING, Target.CROSSING)}
+MAX_BYTES: Final = 512 * 1024**2
+"""Maximum size of a file."""
 STEPS_S: Final = (0.02, 0.5)
 """Shortest and longest time between images."""
 _IDS: Final = ("id", "image_id", "category_id")
@@ -116,7 +120,7 @@ def read_csv(path: Path, camera: CameraModel | None = None) -> list[MeasuredDriv
     model, own = camera or CameraModel(), Camera()
     drives: dict[str, _Drive] = {}
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with io.StringIO(read_file(path, MAX_BYTES).decode("utf-8-sig"), newline="") as file:
             reader = csv.DictReader(file)
             _check_columns(path, reader.fieldnames or ())
             for number, row in enumerate(reader, 2):
@@ -279,8 +283,8 @@ def read_coco(
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        return json.loads(read_text(path, MAX_BYTES))
+    except (OSError, ValueError, RecursionError) as error:
         raise DetectionFileError(f"{path}: {error}") from error
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from brink.sim.episode import Json, JsonObject, check_fields, nearest
 from brink.sim.errors import InvalidEpisode
+from brink.user_file import read_file
 
 MAX_BYTES: Final = 64 * 1024**2
 """Limit on the size of a file, packed and unpacked."""
@@ -189,7 +190,7 @@ def _bytes(path: str) -> bytes:
 
 @lru_cache(maxsize=4)
 def _read(file: Path, _modified_ns: int, _size: int) -> bytes:
-    raw = file.read_bytes()
+    raw = read_file(file, MAX_BYTES)
     if not raw.startswith(_PACKED):
         return raw
     unpacker = zlib.decompressobj(wbits=31)

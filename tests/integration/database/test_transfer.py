@@ -374,7 +374,7 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "too few vectors": ({"arrays/vectors.npy": array(np.zeros((3, 2)))}, "expected one row for each solution"),
     "vectors of another type": ({"arrays/vectors.npy": array(np.zeros((70, 2), "f4"))}, "type <f8"),
     "objects": (
-        {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "type <f8, got |O",
+        {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "expected an array",
     ),
     "an array that claims to be huge": ({"arrays/vectors.npy": lambda _: huge()}, "expected an array"),
     "distances of another generation": (
