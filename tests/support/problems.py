@@ -177,5 +177,7 @@ def small_problems() -> Iterator[None]:
     """Have this process know the ball and the line until the end of the block."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
-        patch.setattr(result_check, "CHECK_S", 60.0)  # on a busy machine, a result must not be stored unchecked
+        patch.setattr(
+            result_check, "CHECK_S", 60.0
+        )  # on a busy machine, a result must not be stored unchecked
         yield

@@ -395,7 +395,7 @@ def test_episode_has_the_trace_in_columns(ended: Ended) -> None:
     words = "violated the front gap at 17.5 s"
     assert found["story"] == {
         "requirement": "front-gap@1", "violated": True, "decisive": decisive, "words": words,
-        "violations": [{"requirement": "front-gap@1", "sample": decisive, "words": words}],
+        "violations": [{"requirement": "front-gap@1", "sample": decisive, "time_s": 17.5, "words": words}],
     }  # fmt: skip
     assert "sunset" in found["words"]["scenario"]
     assert found["words"]["report"] == "injected"
