@@ -84,13 +84,16 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
     Raises:
         DatabaseError: The database URL cannot be used.
+        InvalidInput: The setting with the language models is malformed.
     """
+    access = LlmAccess.parse(settings.llm_endpoints)
     engines = open_engines(settings.database)
     metrics = Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        context = _context(settings, engines, metrics, asyncio.get_running_loop(), sweeping=sweeping)
+        loop = asyncio.get_running_loop()
+        context = _context(settings, engines, metrics, access, loop, sweeping=sweeping)
         app.state.context = context
         serving = USER_CODE.begin(settings.plugin_timeout_s)
         stopping = asyncio.Event()
@@ -179,7 +182,13 @@ def _routes() -> list[BaseRoute]:
 
 
 def _context(
-    settings: Settings, engines: Engines, metrics: Metrics, loop: asyncio.AbstractEventLoop, *, sweeping: bool
+    settings: Settings,
+    engines: Engines,
+    metrics: Metrics,
+    access: LlmAccess,
+    loop: asyncio.AbstractEventLoop,
+    *,
+    sweeping: bool,
 ) -> Context:
     def others_are_known() -> bool:
         if engines.is_sqlite:
@@ -192,7 +201,6 @@ def _context(
             loop.call_soon_threadsafe(scheduler.advance_soon, [campaign_id])
 
     writer = Writer(engines.writer, on_commit=metrics.commits.observe)
-    access = LlmAccess.parse(settings.llm_endpoints)
     seeds = LlmSeeds(engines, writer, on_seeds, access)
     stepper = Stepper(
         engines,
