@@ -199,7 +199,7 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
     avoidable = await asyncio.to_thread(_avoidable_examples, known.violations)
     of = await read(services.engines, lambda c: _followed(c, campaign))
     view = known.pairs
-    if campaign.failed:
+    if campaign.failed and not _all_failed(campaign):  # otherwise the words say it already
         words = f"{words}; {_failures(campaign)}"
     if odd := known.outcomes.odd:
         words = f"within the ODD: {words}"
@@ -384,6 +384,11 @@ async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
     return _so_far(campaign, _counts(known)), [outcomes.sentence(), *also]
 
 
+def _all_failed(campaign: Campaign) -> bool:
+    """Return whether a campaign has ended without any result."""
+    return campaign.status in ENDED and 0 < campaign.failed == campaign.completed
+
+
 def _failures(campaign: Campaign) -> str:
     """Return how many simulations failed: the finding does not rest on them."""
     count = f"{campaign.failed:,} of {campaign.completed:,} simulations failed"
@@ -395,9 +400,8 @@ def _nothing_yet(known: _Known) -> str:
     if not reported:
         if known.campaign.status not in ENDED:
             return "no simulation has a verdict yet"
-        failed = known.campaign.failed
-        if failed and not known.campaign.measured:
-            return f"all {failed:,} simulations failed"
+        if _all_failed(known.campaign):
+            return f"all {known.campaign.failed:,} simulations failed"
         return "no simulation had a verdict"
     return (
         f"{unsafe:,} of the first {reported:,} drives {_violated(known)}; the search is told once its first "
