@@ -10,6 +10,7 @@ SearchError
 │   └── OtherVersion    another version of the algorithm stored it
 ├── TooManyPairs        an archive holds more pairs than are looked at
 ├── BoundaryTooLarge    too many boundary solutions would have to be compared with each other
+├── OutOfTime           a computation with a time limit took too long
 └── MissingExtra        an optional dependency is not installed
 """
 
@@ -78,6 +79,10 @@ class TooManyPairs(SearchError):
 
 class BoundaryTooLarge(SearchError):
     """Too many boundary solutions would have to be compared with each other to find the distinct ones."""
+
+
+class OutOfTime(SearchError):
+    """A computation with a time limit took too long."""
 
 
 class MissingExtra(SearchError):

@@ -19,6 +19,7 @@ from typing import Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from brink.search.deadline import check_time
 from brink.search.errors import SpaceError
 from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
 
@@ -130,11 +131,16 @@ class Metric:
         return distances
 
     def blocks(self, a: Points, b: Points) -> Iterator[tuple[slice, slice, FloatArray]]:
-        """Yield all distances in blocks: rows, columns, and the distances between them."""
+        """Yield all distances in blocks: rows, columns, and the distances between them.
+
+        Raises:
+            OutOfTime: The `time_limit` around it is up.
+        """
         for top in range(0, len(a), BLOCK_ROWS):
             rows = slice(top, min(top + BLOCK_ROWS, len(a)))
             part = a.take(rows)
             for left in range(0, len(b), BLOCK_COLUMNS):
+                check_time()
                 columns = slice(left, min(left + BLOCK_COLUMNS, len(b)))
                 yield rows, columns, self._block(part, b.take(columns))
 

@@ -40,7 +40,7 @@ MOST_COST: Final = 2_000_000_000
 """Cost of one request: a few seconds. Each distance costs its number of dimensions and `_OVERHEAD`, so 9,000
 solutions in 40 dimensions never cost more."""
 _OVERHEAD: Final = 8
-_BLOCK: Final = 1_000
+_BLOCK: Final = 256
 """Solutions looked at in one go; bounds the memory."""
 
 
@@ -129,12 +129,7 @@ def _spread(archive: Archive, order: IndexArray, d_th: float, most_cost: int | N
         if most_cost is not None and cost > most_cost:
             raise BoundaryTooLarge
         left = left[_are_apart(archive, points.take(left), points.take(taken), d_th)]
-        new: list[IndexArray] = []
-        while left.size:
-            first, left = left[:1], left[1:]
-            new.append(first)
-            left = left[_are_apart(archive, points.take(left), points.take(first), d_th)]
-        taken = np.concatenate([taken, *new])
+        taken = np.concatenate([taken, left[_greedy(_near(archive, points.take(left), d_th))]])
     return order[taken]
 
 
@@ -144,6 +139,24 @@ def _are_apart(archive: Archive, some: Points, others: Points, d_th: float) -> B
     for rows, _, block in archive.metric.blocks(some, others):
         apart[rows] &= (block >= d_th).all(axis=1)
     return apart
+
+
+def _near(archive: Archive, points: Points, d_th: float) -> BoolArray:
+    """Return which of some points are less than d_th apart, shape ``(len(points), len(points))``."""
+    near = np.empty((len(points), len(points)), np.bool_)
+    for rows, columns, block in archive.metric.blocks(points, points):
+        near[rows, columns] = block < d_th
+    return near
+
+
+def _greedy(near: BoolArray) -> IndexArray:
+    """Return the places that are taken in order, each unless it is near one that was taken before."""
+    is_left, taken = np.ones(len(near), np.bool_), []
+    for place in range(len(near)):
+        if is_left[place]:
+            taken.append(place)
+            is_left &= ~near[place]
+    return np.array(taken, np.intp)
 
 
 def dbs(archive: Archive, t_b: float, d_th: float) -> int:
