@@ -37,6 +37,7 @@ from brink.server.api.service import add_docs
 from brink.server.api.wire_routes import WireMiddleware
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
+from brink.server.campaigns.boundaries import Boundaries
 from brink.server.campaigns.checks import SLOW_AT_ONCE
 from brink.server.campaigns.deletion import Eraser
 from brink.server.campaigns.others import OtherCoordinators
@@ -59,6 +60,7 @@ from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.queue.wakeups import Wakeups, count_listening, listen
+from brink.server.read_threads import ReadThreads
 from brink.server.settings import LOOPBACK, Settings
 from brink.server.single_flight import SingleFlightCache
 from brink.server.user_code import USER_CODE
@@ -119,13 +121,15 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
             await loop.run_in_executor(None, context.decoding.shutdown)
             await loop.run_in_executor(None, context.figures.close)
+            await loop.run_in_executor(None, context.pages.close)
+            await loop.run_in_executor(None, context.analyses.close)
             await loop.run_in_executor(None, context.scheduler.close)
             await loop.run_in_executor(None, context.queue.close)
             engines.dispose()
             USER_CODE.end(serving)
 
     app = FastAPI(
-        docs_url=None, redoc_url=None, title="Brink", description=DESCRIPTION,
+        docs_url=None, redoc_url=None, openapi_url=None, title="Brink", description=DESCRIPTION,
         version=__version__, lifespan=lifespan, redirect_slashes=False,
     )  # fmt: skip
     install(app)
@@ -222,7 +226,9 @@ def _context(
     campaigns = CampaignService(
         engines=engines, writer=writer, eraser=eraser, scheduler=scheduler, wakeups=wakeups, access=access
     )
-    archives = Archives(engines=engines, stepper=stepper)
+    pages = ReadThreads(SLOW_AT_ONCE, "brink-pages", limit_s=settings.read_limit_s)
+    analyses = ReadThreads(SLOW_AT_ONCE, "brink-analyses", limit_s=settings.read_limit_s)
+    archives = Archives(engines=engines, stepper=stepper, threads=pages)
     drawing = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw")
     return Context(
         settings=settings,
@@ -236,12 +242,15 @@ def _context(
         ),
         scorebook=ScoreCache(archives=archives, threads=drawing),
         monitors=Monitors(archives=archives, threads=drawing),
+        pages=pages,
+        analyses=analyses,
         archives=archives,
-        outcomes=Outcomes(engines=engines),
+        boundaries=Boundaries(analyses),
+        outcomes=Outcomes(engines=engines, threads=pages),
         reported=ReportedResults(),
         pair_pictures=SingleFlightCache(pair_pictures.KEPT, drawing),
-        pairs=Pairs(engines=engines, threads=drawing),
-        tolerances=Tolerances(engines=engines, threads=drawing),
+        pairs=Pairs(engines=engines, threads=analyses),
+        tolerances=Tolerances(engines=engines, threads=analyses),
         experiment_pairs=PairCache(engines=engines, archives=archives, threads=drawing),
         films=Films(engines=engines),
         seeds=seeds,

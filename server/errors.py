@@ -6,7 +6,8 @@ ServerError
 │   └── NotRecorded        there is no trace, but one can be recorded
 ├── Conflict          409  the state of the resource does not allow the request
 ├── Unavailable       503  try again later: the database is unavailable, the coordinator is stopping
-│   └── NoWorker           no live worker can do the work
+│   ├── NoWorker           no live worker can do the work
+│   └── TooCostly          a read took longer than one may take
 └── DatabaseError          command line only, exit code 1: the database cannot be used as it is
     └── Damaged            the stored data of one campaign is inconsistent
 """
@@ -110,6 +111,10 @@ class Unavailable(ServerError):
 
 class NoWorker(Unavailable):
     """No live worker can do the work; one has to be started."""
+
+
+class TooCostly(Unavailable):
+    """A read took longer than one may take. The same again may be faster later; a smaller one is."""
 
 
 class DatabaseError(ServerError):

@@ -46,6 +46,9 @@ class Settings(BaseSettings):
             description="Time limit for receiving a request, plus a second for each 10 kB of its body.",
         ),
     ] = 30.0
+    read_limit_s: Annotated[
+        float, Field(gt=0, le=3600, description="Time limit of a costly read, including its wait for others.")
+    ] = 20.0
     max_stored_distances: Annotated[
         int, Field(ge=0, description="Number of solutions above which distances are not stored.")
     ] = 2_000

@@ -1,6 +1,5 @@
 """Routes of analyses: map, convergence curve, parameter dependence, scores, safety monitor."""
 
-import asyncio
 import base64
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -14,14 +13,22 @@ from pydantic import Field
 from brink.search.analysis.comparison import control_summary, rows_of
 from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
 from brink.search.analysis.ground import Ground
-from brink.search.analysis.monitor import Answer, Model
+from brink.search.analysis.monitor import Answer, Model, Monitor
 from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.errors import SpaceError
 from brink.search.space import Categorical
 from brink.server.api.context import Services
 from brink.server.api.experiments import control_view
-from brink.server.api.responses import COMPUTING, NOT_MODIFIED, computing, etag_of, matches, not_modified
+from brink.server.api.responses import (
+    COMPUTING,
+    NOT_MODIFIED,
+    computing,
+    etag_of,
+    json_response,
+    matches,
+    not_modified,
+)
 from brink.server.api.schemas import MAX_NUMBER, ControlView, View
 from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
@@ -154,14 +161,14 @@ async def get_map(
     """Return the positions of a campaign's solutions on its map; large campaigns are thinned out."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    reported = await read(services.engines, lambda c: services.reported.read(c, campaign))
+    reported = await services.pages.read(services.engines, lambda c: services.reported.read(c, campaign))
     etag = _etag(campaign, found.generation, len(reported.results), version, after, parameter)
     if matches(request, etag):
         return not_modified(etag)  # type: ignore[no-any-return]
     column = None
     if parameter:
         activity = await services.archives.activity(campaign, found)
-        column = await asyncio.get_running_loop().run_in_executor(None, _column, found, activity, parameter)
+        column = await services.pages.run(lambda: _column(found, activity, parameter))
     asked = None
     if not len(found.archive):
         dimension = found.plan.problem.space.dimension
@@ -171,13 +178,13 @@ async def get_map(
     first = min(after, len(drawn.rows)) if version == drawn.version else 0
 
     series = await read(services.engines, lambda c: view_store.list_generations(c, campaign.id, 0))
-    ends = np.array([generation.evaluated for generation in series], np.int64)
 
-    def write() -> str:
-        return _map_view(found, drawn, outcomes, reported, ends, first, column).model_dump_json()
+    def respond() -> Response:
+        ends = np.array([generation.evaluated for generation in series], np.int64)
+        view = _map_view(found, drawn, outcomes, reported, ends, first, column)
+        return json_response(view, {"ETag": etag})
 
-    text = await asyncio.get_running_loop().run_in_executor(None, write)
-    return Response(text, media_type="application/json", headers={"ETag": etag})
+    return await services.pages.run(respond)
 
 
 def _etag(campaign: Campaign, *parts: object) -> str:
@@ -360,6 +367,10 @@ async def get_dependence(
     activity = await services.archives.activity(campaign, found)
     known = await services.figures.dependences(campaign.id, found, activity)
     response.headers["ETag"] = etag
+    return await services.pages.run(lambda: _dependences(found, known))
+
+
+def _dependences(found: ReadArchive, known: Sequence[Dependence]) -> Dependences:
     return Dependences(
         generation=found.generation, evaluated=len(found.archive), unsafe=int(np.count_nonzero(found.archive.unsafe)),
         parameters=[_dependence(one) for one in known],
@@ -420,7 +431,7 @@ async def get_scores(
     scores = await services.scorebook.scores(campaign, wait_s)
     if scores is None:
         return computing("the campaign is being scored; try again soon")  # type: ignore[no-any-return]
-    return _scores_view(campaign, scores)
+    return await services.pages.run(lambda: _scores_view(campaign, scores))
 
 
 def _scores_view(campaign: Campaign, scores: Scores) -> ScoresView:
@@ -507,16 +518,22 @@ async def score_solutions(campaign_id: str, questions: Questions, services: Serv
     monitor = await services.monitors.get(
         campaign, None if questions.model is None else Model(questions.model)
     )
+    threshold = questions.threshold if questions.threshold is not None else monitor.threshold
+    return await services.analyses.run(lambda: _scored(campaign.id, monitor, questions.solutions, threshold))
+
+
+def _scored(
+    campaign: str, monitor: Monitor, solutions: Sequence[dict[str, dict[str, Any]]], threshold: float
+) -> Scored:
     rows = []
-    for place, values in enumerate(questions.solutions):
+    for place, values in enumerate(solutions):
         try:
             rows.append(monitor.encoded(values))
         except SpaceError as error:
             raise InvalidInput.at(f"/solutions/{place}", str(error)) from None
-    risks = await asyncio.get_running_loop().run_in_executor(None, monitor.score, np.array(rows))
-    threshold = questions.threshold if questions.threshold is not None else monitor.threshold
+    risks = monitor.score(np.array(rows))
     return Scored(
-        campaign=campaign.id,
+        campaign=campaign,
         learned_from=len(monitor),
         threshold=threshold,
         model=monitor.model,

@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 from brink.server.access.authentication import Caller
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.archives import Archives, Monitors
+from brink.server.campaigns.boundaries import Boundaries
 from brink.server.campaigns.deletion import Eraser
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
@@ -26,6 +27,7 @@ from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
+from brink.server.read_threads import ReadThreads
 from brink.server.settings import Settings
 from brink.server.single_flight import SingleFlightCache
 
@@ -46,7 +48,12 @@ class Context:
     monitors: Monitors
     queue: QueueService
     scheduler: Scheduler
+    pages: ReadThreads
+    """Threads for what takes up to seconds: reading archives and results, decoding and encoding them."""
+    analyses: ReadThreads
+    """Threads for what takes longer: comparing all solutions with each other."""
     archives: Archives
+    boundaries: Boundaries
     outcomes: Outcomes
     reported: ReportedResults
     pair_pictures: SingleFlightCache[tuple[bytes, bytes]]

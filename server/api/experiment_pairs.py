@@ -1,6 +1,5 @@
 """Routes of the pairs across the boundary that the campaigns of an experiment found."""
 
-import asyncio
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -225,8 +224,7 @@ async def find_experiment_pairs(
     if searched.pending:
         done = len(searched.repeats) + len(searched.left_out)
         return f"searched {done} of {done + searched.pending} finished campaigns for pairs"
-    loop = asyncio.get_running_loop()
-    return await loop.run_in_executor(None, _view, experiment, settings, searched, alpha)
+    return await services.analyses.run(lambda: _view(experiment, settings, searched, alpha))
 
 
 def _view(

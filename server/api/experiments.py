@@ -251,8 +251,7 @@ async def get_results(
         return computing(scored)  # type: ignore[no-any-return]
     if isinstance(pairs, str):
         return computing(pairs)  # type: ignore[no-any-return]
-    loop = asyncio.get_running_loop()
-    return await loop.run_in_executor(None, results_view, experiment, repeats, pairs, alpha)
+    return await services.analyses.run(lambda: results_view(experiment, repeats, pairs, alpha))
 
 
 async def _pairs(

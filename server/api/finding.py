@@ -4,7 +4,6 @@ The sentences are those of the routes for pairs, tolerances, violations, combina
 of them comes first depends on what the search is for.
 """
 
-import asyncio
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +11,6 @@ from enum import StrEnum
 from typing import Annotated, Any, Final
 from urllib.parse import urlencode
 
-import numpy as np
 from fastapi import APIRouter
 from pydantic import Field
 from sqlalchemy import Connection
@@ -20,7 +18,6 @@ from sqlalchemy import Connection
 from brink.search.algorithm import WarmStarts
 from brink.search.algorithms.tolerance import Tolerance
 from brink.search.analysis.avoidable import EXPLANATION, Avoidable
-from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.analysis.violations import FoundViolation
 from brink.search.errors import UnsupportedSpace
@@ -29,7 +26,7 @@ from brink.server.api.context import Context, Services
 from brink.server.api.findings import combinations_view, violation_types, violations_words
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView, PairView
 from brink.server.api.pairs import follow_up_view, pairs_view
-from brink.server.api.repeats import DEFAULT_REPEATS, repeats_view
+from brink.server.api.repeats import DEFAULT_REPEATS, count_distinct, repeats_view
 from brink.server.api.schemas import Combinations, View, listed_words
 from brink.server.api.solutions import boundary_words
 from brink.server.api.tolerance import tolerance_view
@@ -196,7 +193,7 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
     found = await services.archives.get(campaign)
     known = await _known(services, campaign, found)
     words, more = await _sentences(services, known)
-    avoidable = await asyncio.to_thread(_avoidable_examples, known.violations)
+    avoidable = await services.pages.run(lambda: _avoidable_examples(known.violations))
     of = await read(services.engines, lambda c: _followed(c, campaign))
     view = known.pairs
     if campaign.failed and not _all_failed(campaign):  # otherwise the words say it already
@@ -312,12 +309,14 @@ class _Known:
 
 
 async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _Known:
-    stored = await read(services.engines, lambda c: read_follow_ups(c, campaign.id))
-    reported = await read(services.engines, lambda c: services.reported.read(c, campaign))
+    stored = await services.pages.read(services.engines, lambda c: read_follow_ups(c, campaign.id))
+    reported = await services.pages.read(services.engines, lambda c: services.reported.read(c, campaign))
     problem = found.plan.problem
     violations: Sequence[FoundViolation] = ()
     if isinstance(problem, ReportsViolations):
-        violations = await read(services.engines, lambda c: read_violations(c, campaign.id, problem))
+        violations = await services.pages.read(
+            services.engines, lambda c: read_violations(c, campaign.id, problem)
+        )
     view, too_many, rings = None, "", []
     if not searches_for_tolerances(campaign.body.algorithm.id):
         try:
@@ -325,16 +324,20 @@ async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _
         except InvalidInput as error:
             too_many = "; ".join(one.message for one in error.errors)
         else:
-            view = await read(services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, BEST))
+            view = await services.pages.read(
+                services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, BEST)
+            )
             if view.searched:
                 rings = [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
-    chosen = await asyncio.to_thread(distinct_boundary, found.archive, DEFAULT_T_B, DEFAULT_D_TH)
+    boundary = await services.boundaries.get(campaign, found, DEFAULT_T_B, DEFAULT_D_TH)
+    chains = None
+    if not searches_for_pairs(campaign.body.algorithm.id):
+        chains = await services.analyses.run(lambda: _chains(found))
     return _Known(
         campaign=campaign, found=found, outcomes=await services.outcomes.get(campaign.id, found),
         reported=(len(reported.results), reported.unsafe), stored=stored, violations=violations,
-        chains=None if searches_for_pairs(campaign.body.algorithm.id) else await asyncio.to_thread(_chains, found),
-        pairs=view, too_many=too_many, rings=rings,
-        boundary=(len(chosen), int(np.count_nonzero(has_evidence(found.archive)[chosen]))),
+        chains=chains, pairs=view, too_many=too_many, rings=rings,
+        boundary=(boundary.counts.dbs, boundary.counts.strict),
     )  # fmt: skip
 
 
@@ -372,7 +375,7 @@ async def _sentences(services: Context, known: _Known) -> tuple[str, list[str]]:
         return pairs, [outcomes.sentence()]
     if searches_for_tolerances(campaign.body.algorithm.id):
         tolerances = await services.tolerances.get(campaign, found)
-        view = await asyncio.to_thread(tolerance_view, campaign, found.plan, tolerances)
+        view = await services.pages.run(lambda: tolerance_view(campaign, found.plan, tolerances))
         return _so_far(campaign, view.note), [view.caveat]
     special = _special_words(known)
     also = [pairs] if known.pairs is not None and known.pairs.distinct else []
@@ -436,9 +439,10 @@ async def _follow_up_words(services: Context, of_id: str, kind: FollowUpKind, ca
     of = await services.campaigns.get(of_id)
     if kind is FollowUpKind.CONFIRM:
         found = await services.archives.get(of)
-        stored = await read(services.engines, lambda c: read_follow_ups(c, of.id))
+        stored = await services.pages.read(services.engines, lambda c: read_follow_ups(c, of.id))
         own = next(one for one in stored if one.campaign.id == campaign.id)
-        return repeats_view(of, own, found).words
+        distinct = await count_distinct(services, of, own, found)
+        return repeats_view(of, own, found, distinct).words
     counts = f"{campaign.unsafe:,} of {campaign.evaluated:,} drives"
     if kind is FollowUpKind.COMPONENT:
         return f"with ground truth in place of the component, {counts} were unsafe all the same"

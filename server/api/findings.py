@@ -1,6 +1,5 @@
 """Routes of findings besides the boundary: types of violations, hazardous combinations."""
 
-import asyncio
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Annotated
@@ -34,6 +33,7 @@ from brink.search.parameters import Categorical
 from brink.search.slots import Chain, ChainGenome, Step, slots_of
 from brink.search.space import SearchSpace
 from brink.server.api.context import Context, Services
+from brink.server.api.responses import json_response
 from brink.server.api.schemas import (
     ChainTally,
     Combinations,
@@ -66,7 +66,7 @@ class NameBody(BaseModel):
     name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 
 
-@violations_router.get("")
+@violations_router.get("", response_model=Violations)
 async def get_violations(
     campaign_id: str,
     services: Services,
@@ -79,21 +79,22 @@ async def get_violations(
             "violations, but `avoided` says of how many solutions."
         ),
     ] = None,
-) -> Violations:
+) -> Response:
     """Return the violations of a campaign, grouped by type; those that a careful driver would have avoided first."""
     campaign = await services.campaigns.get(campaign_id)
     found = await _found(services, campaign)
-    chosen = found if avoidable is None else [one for one in found if one.avoidable is avoidable]
     archive = (await services.archives.get(campaign)).archive
 
-    def sorted_types() -> list[TypeView]:
-        return _seen_again(violation_types(chosen, found), archive)
+    def respond() -> Response:
+        chosen = found if avoidable is None else [one for one in found if one.avoidable is avoidable]
+        view = Violations(
+            rules_version=RULES_VERSION, words=violations_words(found), explanation=EXPLANATION,
+            types=_seen_again(violation_types(chosen, found), archive),
+            violations=[] if types_only else [_violation_view(one) for one in chosen],
+        )  # fmt: skip
+        return json_response(view)
 
-    types = await asyncio.get_running_loop().run_in_executor(None, sorted_types)
-    return Violations(
-        rules_version=RULES_VERSION, words=violations_words(found), explanation=EXPLANATION, types=types,
-        violations=[] if types_only else [_violation_view(one) for one in chosen],
-    )  # fmt: skip
+    return await services.pages.run(respond)
 
 
 @violations_router.put("/{number}/{requirement}/name", status_code=204)
@@ -135,7 +136,7 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
             f"campaign {campaign.id}: violations are sorted into types only where other traffic causes them, as for "
             f"npc-actions@1, not for {campaign.body.problem.id}; see what it found with: brink report {campaign.id}"
         )
-    return await read(services.engines, lambda connection: read_violations(connection, campaign.id, problem))
+    return await services.pages.read(services.engines, lambda c: read_violations(c, campaign.id, problem))
 
 
 def violation_types(
@@ -268,7 +269,7 @@ async def get_combinations(campaign_id: str, services: Services) -> Combinations
         return combinations_view(space, found.archive, alphas_of(space, measured), config)
 
     try:
-        return await asyncio.to_thread(build_view)
+        return await services.analyses.run(build_view)
     except UnsupportedSpace:
         raise _no_techniques(campaign) from None
 
@@ -279,7 +280,9 @@ async def get_variants(campaign_id: str, number: Number, services: Services) -> 
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     try:
-        return variants_view(found.plan.problem.space, found.archive, number)
+        return await services.analyses.run(
+            lambda: variants_view(found.plan.problem.space, found.archive, number)
+        )
     except UnsupportedSpace:
         raise _no_techniques(campaign) from None
     except KeyError:

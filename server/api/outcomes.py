@@ -2,10 +2,11 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
 from brink.server.api.context import Services
+from brink.server.api.responses import json_response
 from brink.server.api.schemas import View
 from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.states import OutcomeKind
@@ -55,16 +56,17 @@ class OutcomesView(View):
     group: Annotated[list[int] | None, Field(description="Index of each of these solutions in `groups`.")]
 
 
-@router.get("/outcomes")
+@router.get("/outcomes", response_model=OutcomesView)
 async def get_outcomes(
     campaign_id: str,
     services: Services,
     solutions: Annotated[bool, Query(description="Whether to add the outcome of each solution.")] = False,
-) -> OutcomesView:
+) -> Response:
     """Return how many solutions held or violated which requirements."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    return _view(await services.outcomes.get(campaign.id, found), solutions=solutions)
+    outcomes = await services.outcomes.get(campaign.id, found)
+    return await services.pages.run(lambda: json_response(_view(outcomes, solutions=solutions)))
 
 
 def _view(outcomes: CampaignOutcomes, *, solutions: bool) -> OutcomesView:

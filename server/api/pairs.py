@@ -1,6 +1,5 @@
 """Routes of pairs: two neighbouring solutions, one safe and one unsafe, and the change between them."""
 
-import asyncio
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +34,14 @@ from brink.server.api.pair_views import (
     ShareView,
     SideView,
 )
-from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified, set_created
+from brink.server.api.responses import (
+    NOT_MODIFIED,
+    etag_of,
+    json_response,
+    matches,
+    not_modified,
+    set_created,
+)
 from brink.server.api.solutions import MEDIA, activity_view, simulated
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
@@ -102,36 +108,43 @@ PairDistance = Annotated[
 Limit = Annotated[int, Query(ge=1, le=MOST_PAIRS, description="Maximum number of pairs to return.")]
 
 
-@router.get("", responses={200: {"content": {media: {} for media in MEDIA.values()}}, **NOT_MODIFIED})
+@router.get(
+    "",
+    response_model=PairsView,
+    responses={200: {"content": {media: {} for media in MEDIA.values()}}, **NOT_MODIFIED},
+)
 async def get_pairs(
     campaign_id: str,
     services: Services,
     request: Request,
-    response: Response,
     eps: Eps = None,
     d_th: PairDistance = None,
     limit: Limit = DEFAULT_PAIRS,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
-) -> PairsView:
+) -> Response:
     """Return the distinct pairs of a campaign; table formats have one row for each pair."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    stored = await read(services.engines, lambda c: read_follow_ups(c, campaign.id))
+    stored = await services.pages.read(services.engines, lambda c: read_follow_ups(c, campaign.id))
     settings = PairSettings.of(found.plan, eps, d_th)
     states = [(one.campaign.id, one.campaign.sequence) for one in stored]
     etag = etag_of(campaign.id, campaign.sequence, found.generation, settings, limit, format, states)
     if matches(request, etag):
         return not_modified(etag)  # type: ignore[no-any-return]
     pairs = await services.pairs.get(campaign, found, settings)
-    view = await read(services.engines, lambda c: pairs_view(c, campaign, found, pairs, stored, limit))
-    if format == "json":
-        response.headers["ETag"] = etag
-        return view
-    table = await asyncio.get_running_loop().run_in_executor(
-        None, pairs_table, view, found.plan.problem.space, format
-    )
-    headers = {"Content-Disposition": f'attachment; filename="pairs-{campaign.id}.{format}"', "ETag": etag}
-    return Response(table, media_type=MEDIA[format], headers=headers)  # type: ignore[return-value]
+
+    def respond(connection: Connection) -> Response:
+        view = pairs_view(connection, campaign, found, pairs, stored, limit)
+        if format == "json":
+            return json_response(view, {"ETag": etag})
+        table = pairs_table(view, found.plan.problem.space, format)
+        headers = {
+            "Content-Disposition": f'attachment; filename="pairs-{campaign.id}.{format}"',
+            "ETag": etag,
+        }
+        return Response(table, media_type=MEDIA[format], headers=headers)
+
+    return await services.pages.read(services.engines, respond)
 
 
 @router.post(

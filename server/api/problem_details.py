@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -20,6 +20,7 @@ from brink.server.errors import (
     NotFound,
     NotRecorded,
     NoWorker,
+    TooCostly,
     Unavailable,
 )
 from brink.sim.errors import PluginMissing
@@ -30,6 +31,8 @@ log = logging.getLogger(__name__)
 
 NO_WORKER = "No worker"
 """Title of errors that starting a worker resolves; the dashboard then shows how to do that."""
+_UNAVAILABLE: Final = {NoWorker: NO_WORKER, TooCostly: "Too costly"}
+"""Titles of errors that may not occur later."""
 
 
 NOT_RECORDED = "Not recorded"
@@ -83,7 +86,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Unavailable)
     async def unavailable(_: Request, error: Unavailable) -> JSONResponse:
-        title = NO_WORKER if isinstance(error, NoWorker) else "Unavailable"
+        title = _UNAVAILABLE.get(type(error), "Unavailable")
         return problem(503, title, str(error), headers={"Retry-After": str(error.retry_after_s)})
 
     @app.exception_handler(PluginMissing)

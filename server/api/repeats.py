@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
 from brink.search.fitness import wilson_interval
-from brink.server.api.context import Services
+from brink.server.api.context import Context, Services
 from brink.server.api.responses import set_created
 from brink.server.api.schemas import MAX_NUMBER, View, listed_words
 from brink.server.campaigns.archives import ReadArchive
@@ -17,7 +17,6 @@ from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.repeats import MOST, StoredRepeats, read_repeats
 from brink.server.campaigns.store import Campaign
-from brink.server.db.engine import read
 from brink.server.documents import Body
 from brink.server.states import CampaignStatus
 
@@ -169,20 +168,37 @@ async def get_repeats(campaign_id: str, services: Services) -> list[RepeatsView]
 
 async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
     campaign = await services.campaigns.get(campaign_id)
-    stored = await read(services.engines, lambda connection: read_repeats(connection, campaign.id))
+    stored = await services.pages.read(services.engines, lambda c: read_repeats(c, campaign.id))
     if not stored:
         return []
     found = await services.archives.get(campaign)
-    return [repeats_view(campaign, one, found) for one in stored]
+    distinct = [await count_distinct(services, campaign, one, found) for one in stored]
+    return await services.pages.run(
+        lambda: [repeats_view(campaign, one, found, of) for one, of in zip(stored, distinct, strict=True)]
+    )
 
 
-def repeats_view(campaign: Campaign, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
+async def count_distinct(
+    services: Context, campaign: Campaign, stored: StoredRepeats, found: ReadArchive
+) -> int | None:
+    """Return how many boundary solutions there are at the thresholds of repeats; None if these are of named ones."""
+    if not stored.boundary:
+        return None
+    if len(stored.numbers) < MOST:
+        return len(stored.numbers)
+    return (await services.boundaries.get(campaign, found, stored.t_b, stored.d_th)).counts.dbs
+
+
+def repeats_view(
+    campaign: Campaign, stored: StoredRepeats, read_archive: ReadArchive, distinct: int | None
+) -> RepeatsView:
     """Return what repeats show.
 
     Args:
         campaign: The campaign whose solutions are repeated.
         stored: The repeats.
         read_archive: Its archive.
+        distinct: How many boundary solutions there are at their thresholds; see `count_distinct`.
     """
     near = read_archive.plan.neighbourhood
     tallies = stored.tallies(near.z)
@@ -212,7 +228,7 @@ def repeats_view(campaign: Campaign, stored: StoredRepeats, read_archive: ReadAr
     view = RepeatsView(
         campaign=stored.campaign.id, of=campaign.id, name=campaign.body.name, status=stored.campaign.status,
         status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
-        t_b=stored.t_b, d_th=stored.d_th, distinct=_distinct(stored, read_archive),
+        t_b=stored.t_b, d_th=stored.d_th, distinct=distinct,
         p_th=near.p_th, simulations=stored.campaign.completed, budget=stored.campaign.body.budget.simulations,
         holding=int((holds & known).sum()), below=counts[Conclusion.BELOW], above=counts[Conclusion.ABOVE],
         near=counts[Conclusion.NEAR], inconclusive=counts[Conclusion.INCONCLUSIVE],
@@ -222,15 +238,6 @@ def repeats_view(campaign: Campaign, stored: StoredRepeats, read_archive: ReadAr
     rated = stored.boundary or (looks_for_boundary(searched) and not searches_for_pairs(searched))
     to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
     return view.model_copy(update={"words": _in_words(view, to_clear)})
-
-
-def _distinct(stored: StoredRepeats, read_archive: ReadArchive) -> int | None:
-    """Return how many boundary solutions there are at the thresholds of repeats; None if these are of named ones."""
-    if not stored.boundary:
-        return None
-    if len(stored.numbers) < MOST:
-        return len(stored.numbers)
-    return len(read_archive.boundary(stored.t_b, stored.d_th))
 
 
 def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None:

@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, Protocol
 
@@ -131,6 +131,16 @@ def set_created(response: Response, path: str, *, new: bool) -> None:
     response.headers["Location"] = f"/api/v1/{path}"
     if not new:
         response.status_code = 200
+
+
+def json_response(view: View, headers: Mapping[str, str] | None = None) -> Response:
+    """Return a large view as a response; called in a thread, because encoding it takes too long for the event loop.
+
+    Args:
+        view: The view.
+        headers: Additional headers.
+    """
+    return Response(view.model_dump_json(), media_type="application/json", headers=headers)
 
 
 def computing(detail: str) -> Any:

@@ -7,7 +7,7 @@ from typing import Annotated, Final
 
 from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.openapi.docs import get_swagger_ui_html
-from fastapi.responses import PlainTextResponse
+from fastapi.responses import JSONResponse, PlainTextResponse
 from fastapi.staticfiles import StaticFiles
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import Field
@@ -33,6 +33,7 @@ root = APIRouter(tags=["operations"])
 router = APIRouter()
 READY_S = 5.0
 FOLDER: Final = "/docs-files"
+OPENAPI: Final = "/openapi.json"
 
 
 @root.get("/healthz", response_class=PlainTextResponse)
@@ -104,14 +105,21 @@ def get_algorithms() -> list[AlgorithmView]:
     ]
 
 
-# Not a closure over the app: FastAPI caches route functions, which would keep every app of a test run alive.
+# Not closures over the app: FastAPI caches route functions, which would keep every app of a test run alive.
+@root.get(OPENAPI, include_in_schema=False)
+def get_openapi(request: Request) -> JSONResponse:
+    """Return the OpenAPI document. It takes a second to make, hence in a thread."""
+    app: FastAPI = request.app
+    return JSONResponse(app.openapi())
+
+
 @root.get("/docs", include_in_schema=False)
 async def docs_page(request: Request) -> HTMLResponse:
     """Return Swagger UI."""
     root = request.scope.get("root_path", "")
     app = request.app
     return get_swagger_ui_html(
-        openapi_url=f"{root}{app.openapi_url}",
+        openapi_url=f"{root}{OPENAPI}",
         title=app.title,
         swagger_js_url=f"{root}{FOLDER}/swagger-ui-bundle.js",
         swagger_css_url=f"{root}{FOLDER}/swagger-ui.css",

@@ -1,10 +1,9 @@
 """Routes of solutions: pages, neighbours, the boundary, distances, the archive."""
 
-import asyncio
 import io
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,19 +11,19 @@ from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
 from pydantic import Field
 from sqlalchemy import Connection, Row
-from starlette.responses import Response as PlainResponse
 
 from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
-from brink.search.analysis.boundary import has_evidence
+from brink.search.analysis.boundary import DbsGrid, has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
 from brink.search.archive import Archive
-from brink.search.errors import BoundaryTooLarge
+from brink.search.deadline import check_time
 from brink.search.odd import with_odd
 from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
-from brink.search.space import SearchSpace
+from brink.search.space import FloatArray, SearchSpace
 from brink.server.api.boundary_table import boundary_columns, boundary_rows, table_bytes
-from brink.server.api.context import Services
+from brink.server.api.context import Context, Services
+from brink.server.api.responses import json_response
 from brink.server.api.schemas import (
     MAX_NUMBER,
     ActivityView,
@@ -42,9 +41,10 @@ from brink.server.api.schemas import (
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, MOST_KNOWN
+from brink.server.campaigns.boundaries import CampaignBoundary
 from brink.server.campaigns.known import KnownRecord, read_known
 from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
-from brink.server.campaigns.plan import find_boundary, looks_for_boundary, make_plan
+from brink.server.campaigns.plan import looks_for_boundary, make_plan
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
@@ -65,7 +65,7 @@ Threshold = Annotated[float, Query(ge=0, le=1)]
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
 
 
-@router.get("/solutions")
+@router.get("/solutions", response_model=SolutionPage)
 async def get_solutions(
     campaign_id: str,
     services: Services,
@@ -73,13 +73,13 @@ async def get_solutions(
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     unsafe: bool | None = None,
     max_fitness: Annotated[float | None, Query(ge=0, le=1)] = None,
-) -> SolutionPage:
+) -> Response:
     """List complete solutions in ascending order of number."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     archive = found.archive
     if max_fitness is None:
-        rows = await read(
+        rows = await services.pages.read(
             services.engines,
             lambda c: view_store.page_solutions(c, campaign.id, after=after, limit=limit, unsafe=unsafe),
         )
@@ -88,9 +88,17 @@ async def get_solutions(
         if unsafe is not None:
             wanted &= archive.unsafe == unsafe
         numbers = [int(number) for number in np.sort(archive.numbers[wanted])[:limit]]
-        rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, numbers))
+        rows = await services.pages.read(
+            services.engines, lambda c: view_store.read_solutions(c, campaign.id, numbers)
+        )
+    return await services.pages.run(lambda: _page(rows, found, limit))
+
+
+def _page(rows: Sequence[Row[*tuple[Any, ...]]], found: ReadArchive, limit: int) -> Response:
     views = solution_views(rows, found)
-    return SolutionPage(solutions=views, next=views[-1].number if len(views) == limit else None)
+    return json_response(
+        SolutionPage(solutions=views, next=views[-1].number if len(views) == limit else None)
+    )
 
 
 @router.get("/solutions/{number}")
@@ -101,10 +109,14 @@ async def get_solution(campaign_id: str, number: Number, services: Services) -> 
     rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, [number]))
     if not rows:
         raise NotFound(f"campaign {campaign.id} has no solution {number}")
-    return solution_views(rows, found, full=True)[0]
+    return await services.pages.run(lambda: solution_views(rows, found, full=True)[0])
 
 
-@router.get("/boundary", responses={200: {"content": {media: {} for media in MEDIA.values()}}})
+@router.get(
+    "/boundary",
+    response_model=Boundary,
+    responses={200: {"content": {media: {} for media in MEDIA.values()}}},
+)
 async def get_boundary(
     campaign_id: str,
     services: Services,
@@ -114,7 +126,7 @@ async def get_boundary(
         int, Query(ge=1, le=MOST_LISTED, description="Maximum number of solutions to return, best first.")
     ] = MOST_LISTED,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
-) -> Boundary:
+) -> Response:
     """Return the distinct boundary solutions, DBS and strict DBS; table formats have one row for each solution.
 
     If there are more than `limit`, the best ones are listed, and `words` says so; `dbs` and `strict_dbs` count all.
@@ -122,15 +134,19 @@ async def get_boundary(
     """
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    view = await read(services.engines, lambda c: boundary_view(c, campaign, found, t_b, d_th, limit))
-    if format == "json":
-        return view
-    rows = boundary_rows(view, campaign.id, campaign.body)
-    table = await asyncio.get_running_loop().run_in_executor(
-        None, table_bytes, rows, format, boundary_columns(found.plan.problem.space)
-    )
-    headers = {"Content-Disposition": f'attachment; filename="boundary-{campaign.id}.{format}"'}
-    return PlainResponse(table, media_type=MEDIA[format], headers=headers)  # type: ignore[return-value]
+    boundary = await services.boundaries.get(campaign, found, t_b, d_th)
+    grid = await services.boundaries.grid(campaign, found)
+
+    def respond(connection: Connection) -> Response:
+        view = boundary_view(connection, campaign, found, boundary, grid, t_b=t_b, d_th=d_th, limit=limit)
+        if format == "json":
+            return json_response(view)
+        rows = boundary_rows(view, campaign.id, campaign.body)
+        table = table_bytes(rows, format, boundary_columns(found.plan.problem.space))
+        headers = {"Content-Disposition": f'attachment; filename="boundary-{campaign.id}.{format}"'}
+        return Response(table, media_type=MEDIA[format], headers=headers)
+
+    return await services.pages.read(services.engines, respond)
 
 
 @router.get("/distances", response_model=DistanceBlock)
@@ -141,7 +157,7 @@ async def get_distances(
 ) -> Response:
     """Return the pairwise distances between evaluated solutions."""
     campaign = await services.campaigns.get(campaign_id)
-    archive = (await services.archives.get(campaign)).archive
+    found = await services.archives.get(campaign)
     try:
         wanted = [int(part) for part in numbers.split(",") if part.strip()]
     except ValueError:
@@ -149,15 +165,20 @@ async def get_distances(
         raise InvalidInput.at("/query/numbers", message) from None
     if not 1 <= len(wanted) <= MAX_DISTANCES:
         raise InvalidInput.at("/query/numbers", f"expected 1 to {MAX_DISTANCES} numbers, got {len(wanted)}")
-    place = {int(number): index for index, number in enumerate(archive.numbers)}
+    place = found.places
     unknown = [number for number in wanted if number not in place]
     if unknown:
         raise NotFound(f"campaign {campaign.id} has no evaluated solution {unknown[0]}")
     rows = [place[number] for number in wanted]
-    distances = await services.archives.distances(campaign, archive, rows)
-    block = DistanceBlock.model_construct(numbers=wanted, distances=distances.tolist())
-    text = await asyncio.get_running_loop().run_in_executor(None, block.model_dump_json)
-    return Response(text, media_type="application/json")
+    distances = await services.archives.distances(campaign, found.archive, rows)
+    return await services.pages.run(lambda: _distance_block(wanted, distances))
+
+
+def _distance_block(numbers: list[int], distances: FloatArray) -> Response:
+    # Row by row: in one go, a million numbers keep all other threads waiting for a tenth of a second.
+    empty = DistanceBlock.model_construct(numbers=numbers, distances=[]).model_dump_json()
+    rows = ",".join(json.dumps(row.tolist(), separators=(",", ":")) for row in distances)
+    return Response(f"{empty.removesuffix(']}')}{rows}]}}", media_type="application/json")
 
 
 @router.get("/archive.npz", response_class=Response)
@@ -171,11 +192,14 @@ async def get_archive(campaign_id: str, services: Services) -> Response:
     categorical parameter, in the order of their indices; an empty string for any other parameter.
     """
     campaign = await services.campaigns.get(campaign_id)
-    plan, stored, archive = await asyncio.get_running_loop().run_in_executor(
-        None, services.archives.stored, campaign
-    )
-    activity = await read(services.engines, lambda c: read_activity(c, campaign.id, plan.problem, archive))
-    episodes = await read(services.engines, lambda c: view_store.read_episodes(c, campaign.id))
+    return await services.pages.run(lambda: _archive_file(services, campaign))
+
+
+def _archive_file(services: Context, campaign: Campaign) -> Response:
+    plan, stored, archive = services.archives.stored(campaign)
+    with services.engines.reader.connect() as connection:
+        activity = read_activity(connection, campaign.id, plan.problem, archive)
+        episodes = view_store.read_episodes(connection, campaign.id)
     numbers = stored.numbers.tolist()
     buffer = io.BytesIO()
     np.savez_compressed(
@@ -218,10 +242,11 @@ def solution_views(
         read: The campaign's archive.
         full: Whether to add all verdicts, features, provenance and the episode.
     """
-    return [
-        _solution(row, read.plan.problem, read.archive, read.places.get(row.number), full=full)
-        for row in rows
-    ]
+    views = []
+    for row in rows:
+        check_time()
+        views.append(_solution(row, read.plan.problem, read.archive, read.places.get(row.number), full=full))
+    return views
 
 
 def _solution(
@@ -293,7 +318,15 @@ def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
 
 
 def boundary_view(
-    connection: Connection, campaign: Campaign, read: ReadArchive, t_b: float, d_th: float, limit: int
+    connection: Connection,
+    campaign: Campaign,
+    read: ReadArchive,
+    boundary: CampaignBoundary,
+    grid: DbsGrid,
+    *,
+    t_b: float,
+    d_th: float,
+    limit: int,
 ) -> Boundary:
     """Return the distinct boundary solutions of a campaign, best fitness first.
 
@@ -301,22 +334,15 @@ def boundary_view(
         connection: Read connection.
         campaign: The campaign.
         read: Its archive.
+        boundary: Its boundary at the thresholds.
+        grid: DBS at all thresholds.
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
         limit: Maximum number of solutions to list.
-
-    Raises:
-        InvalidInput: Too many solutions would have to be compared with each other.
     """
-    archive = read.archive
-    try:
-        chosen = read.boundary(t_b, d_th)
-        within = _within_budget(archive, campaign.body.budget.simulations, t_b, d_th)
-        known = _with_known(read, t_b, d_th)
-    except BoundaryTooLarge as error:
-        raise InvalidInput.at("/query/d_th", f"campaign {campaign.id}: {error}") from None
+    archive, chosen = read.archive, boundary.chosen
+    within, known = _within_budget(campaign, archive, boundary), _with_known(read, boundary)
     is_strict = has_evidence(archive)[chosen]
-    grid = read.grid
     numbers = [int(number) for number in archive.numbers[chosen[:limit]]]
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
     if len(rows) < len(numbers):
@@ -324,8 +350,8 @@ def boundary_view(
     return Boundary(
         t_b=t_b,
         d_th=d_th,
-        dbs=len(chosen),
-        strict_dbs=int(np.count_nonzero(is_strict)),
+        dbs=boundary.counts.dbs,
+        strict_dbs=boundary.counts.strict,
         words=listed_words(len(numbers), len(chosen)),
         note=with_odd(_note(read, t_b, within, known), read.plan.problem.space),
         grid=[
@@ -349,28 +375,23 @@ def boundary_words(distinct: int, strict: int, *, t_b: float, d_th: float) -> st
     )
 
 
-def _within_budget(archive: Archive, budget: int, t_b: float, d_th: float) -> BudgetBoundary | None:
+def _within_budget(campaign: Campaign, archive: Archive, boundary: CampaignBoundary) -> BudgetBoundary | None:
     """Return the boundary without the simulations beyond the budget; None if there are none."""
-    count = int(np.searchsorted(archive.numbers, budget))
-    if count == len(archive):
+    if boundary.within is None:
         return None
-    within = archive.first(count)
-    chosen = find_boundary(within, t_b, d_th)
+    beyond = len(archive) - int(np.searchsorted(archive.numbers, campaign.budget))
     return BudgetBoundary(
-        simulations=budget, beyond=len(archive) - count, dbs=len(chosen),
-        strict_dbs=int(np.count_nonzero(has_evidence(within)[chosen])),
-    )  # fmt: skip
+        simulations=campaign.budget, beyond=beyond, dbs=boundary.within.dbs, strict_dbs=boundary.within.strict
+    )
 
 
-def _with_known(read: ReadArchive, t_b: float, d_th: float) -> KnownBoundary | None:
+def _with_known(read: ReadArchive, boundary: CampaignBoundary) -> KnownBoundary | None:
     """Return the boundary with the known results; None if the campaign did not start from any."""
-    if not len(read.known):
+    if boundary.with_known is None:
         return None
-    chosen = find_boundary(read.with_known, t_b, d_th)
     return KnownBoundary(
-        results=len(read.known), dbs=len(chosen),
-        strict_dbs=int(np.count_nonzero(has_evidence(read.with_known)[chosen])),
-    )  # fmt: skip
+        results=len(read.known), dbs=boundary.with_known.dbs, strict_dbs=boundary.with_known.strict
+    )
 
 
 def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None, known: KnownBoundary | None) -> str:
@@ -438,7 +459,7 @@ async def get_known(
             records = read_known(connection, campaign.id, after=after, limit=limit)
         return [_known_view(problem, place, one) for place, one in enumerate(records, after + 1)]
 
-    views = await asyncio.get_running_loop().run_in_executor(None, look)
+    views = await services.pages.run(look)
     return KnownPage(solutions=views, next=views[-1].place if len(views) == limit else None)
 
 
@@ -531,7 +552,7 @@ async def get_neighbours(
         with services.engines.reader.connect() as connection:
             return view.model_copy(update={"opposite": _opposite(connection, campaign.id, found, place)})
 
-    return await asyncio.get_running_loop().run_in_executor(None, look)
+    return await services.pages.run(look)
 
 
 def _opposite(connection: Connection, campaign_id: str, found: ReadArchive, place: int) -> Opposite | None:

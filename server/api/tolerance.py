@@ -23,7 +23,6 @@ from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.csv_text import csv_text
-from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import NamesRequirements, ScalesSeverity, SeverityScale
 from brink.server.problems.changes import as_sentence
@@ -182,7 +181,7 @@ async def get_tolerance(
     if matches(request, etag):
         return not_modified(etag)  # type: ignore[no-any-return]
     found = await services.tolerances.get(campaign, archive)
-    view = tolerance_view(campaign, archive.plan, found)
+    view = await services.pages.run(lambda: tolerance_view(campaign, archive.plan, found))
     if format == "json":
         response.headers["ETag"] = etag
         return view
@@ -287,9 +286,9 @@ async def get_detector(
     archive = await services.archives.get(campaign)
     found = await services.tolerances.get(campaign, archive)
     there = await services.archives.get(other)
-    drives = await read(services.engines, lambda c: read_drives(c, other, there, found.layout))
+    drives = await services.pages.read(services.engines, lambda c: read_drives(c, other, there, found.layout))
     name = str(other.body.problem.params.get("detector", other.body.name))
-    return await asyncio.to_thread(detector_view, campaign, archive.plan, found, name, drives)
+    return await services.analyses.run(lambda: detector_view(campaign, archive.plan, found, name, drives))
 
 
 @router.post("/detector")
@@ -299,7 +298,9 @@ async def post_detector(campaign_id: str, services: Services, body: DetectorBody
     archive = await services.archives.get(campaign)
     found = await services.tolerances.get(campaign, archive)
     drives = [Drive(name=one.name, condition=one.condition, measures=one.measures) for one in body.drives]
-    return await asyncio.to_thread(detector_view, campaign, archive.plan, found, body.detector, drives)
+    return await services.analyses.run(
+        lambda: detector_view(campaign, archive.plan, found, body.detector, drives)
+    )
 
 
 def detector_view(

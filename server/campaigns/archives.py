@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection
 
 from brink.search.algorithm import Known
-from brink.search.analysis.boundary import MOST_COST, DbsGrid, IndexArray, dbs_grid
 from brink.search.analysis.monitor import Model, Monitor, default_model
-from brink.search.analysis.paper import D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
-from brink.search.errors import BoundaryTooLarge, MissingExtra
+from brink.search.deadline import check_time
+from brink.search.errors import MissingExtra
 from brink.search.space import FloatArray, IntArray
 from brink.server.campaigns import step_store, view_store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.known import KnownRecord, known_of, read_known
-from brink.server.campaigns.plan import Plan, find_boundary, make_plan, restored_archive
+from brink.server.campaigns.plan import Plan, make_plan, restored_archive
 from brink.server.campaigns.step_store import StoredArchive
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
@@ -31,8 +30,6 @@ from brink.server.single_flight import SingleFlightCache
 
 CACHED = 8
 """Maximum number of archives, and of monitors, in memory."""
-MOST_BOUNDARIES = 16
-"""Maximum number of boundaries of one archive in memory."""
 MOST_FITTED = 20_000
 """Maximum number of solutions that a monitor is fitted to, the latest ones; it bounds the time for the fit."""
 
@@ -62,39 +59,6 @@ class ReadArchive:
     def places(self) -> Mapping[int, int]:
         """The position of each solution in the archive, by its number."""
         return {number: place for place, number in enumerate(self.archive.numbers.tolist())}
-
-    @cached_property
-    def grid(self) -> DbsGrid:
-        """DBS and strict DBS at all thresholds, without distances at which they would take too long."""
-        return dbs_grid(self.archive, PAPER_T_BS, D_THS, most_cost=MOST_COST)
-
-    def boundary(self, t_b: float, d_th: float) -> IndexArray:
-        """Return the distinct boundary solutions as positions in the archive, best first.
-
-        Args:
-            t_b: Maximum fitness of a boundary solution.
-            d_th: Minimum distance between two boundary solutions.
-
-        Raises:
-            BoundaryTooLarge: It would take too long.
-        """
-        key = t_b, d_th
-        found = self._boundaries.get(key)
-        if found is None:
-            try:
-                found = find_boundary(self.archive, t_b, d_th)
-            except BoundaryTooLarge as error:
-                found = error
-            if len(self._boundaries) >= MOST_BOUNDARIES:
-                self._boundaries.clear()
-            self._boundaries[key] = found
-        if isinstance(found, BoundaryTooLarge):
-            raise BoundaryTooLarge(str(found))
-        return found
-
-    @cached_property
-    def _boundaries(self) -> dict[tuple[float, float], IndexArray | BoundaryTooLarge]:
-        return {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,6 +100,7 @@ def read_activity(
     if isinstance(problem, RecordsActivity):
         results = view_store.read_results(connection, campaign_id, None if places is None else numbers)
         for place, number in enumerate(numbers):
+            check_time()
             text = results.get(number)
             result = json.loads(text) if text else None
             found = activity_of(problem, problem.space.split(rows[place]), result)
@@ -147,12 +112,23 @@ def read_activity(
 
 @dataclass(slots=True)
 class Archives:
-    """The archives of campaigns: from the live search if it is in memory, otherwise restored from the database."""
+    """The archives of campaigns: from the live search if it is in memory, otherwise restored from the database.
+
+    Attributes:
+        engines: The database.
+        stepper: Has the live searches.
+        threads: Where archives are read, so that short queries do not wait.
+    """
 
     engines: Engines
     stepper: Stepper
-    _cache: SingleFlightCache[ReadArchive] = field(default_factory=lambda: SingleFlightCache(CACHED))
-    _activities: SingleFlightCache[ArchiveActivity] = field(default_factory=lambda: SingleFlightCache(CACHED))
+    threads: Executor
+    _cache: SingleFlightCache[ReadArchive] = field(init=False)
+    _activities: SingleFlightCache[ArchiveActivity] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._cache = SingleFlightCache(CACHED, self.threads)
+        self._activities = SingleFlightCache(CACHED, self.threads)
 
     async def get(self, campaign: Campaign) -> ReadArchive:
         """Return the archive of a campaign."""
@@ -191,7 +167,7 @@ class Archives:
                 stored = step_store.read_distances(connection, campaign.id, rows)
             return archive.distances(rows, rows) if stored is None else stored
 
-        return await asyncio.get_running_loop().run_in_executor(None, look)
+        return await asyncio.get_running_loop().run_in_executor(self.threads, look)
 
     def _load(self, campaign: Campaign) -> ReadArchive:
         live = self.stepper.archive(campaign.id, campaign.generation)

@@ -8,13 +8,15 @@ made from these, so that no solution that violates any requirement is shown as s
 import json
 from collections import Counter, OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from concurrent.futures import Executor
+from dataclasses import InitVar, dataclass, field
 from typing import Any, Final, Self
 
 import numpy as np
 from sqlalchemy import Connection, select
 
 from brink.search.archive import Archive
+from brink.search.deadline import check_time
 from brink.search.odd import odd_sentence
 from brink.search.space import IntArray
 from brink.server.campaigns.archives import ReadArchive
@@ -203,11 +205,20 @@ class CampaignOutcomes:
 
 @dataclass(slots=True)
 class Outcomes:
-    """A cache of the outcomes of campaigns. New solutions are read as a campaign grows, known ones are kept."""
+    """A cache of the outcomes of campaigns. New solutions are read as a campaign grows, known ones are kept.
+
+    Attributes:
+        engines: The database.
+        threads: Where results are read, so that short queries do not wait.
+    """
 
     engines: Engines
-    _latest: SingleFlightCache[CampaignOutcomes] = field(default_factory=lambda: SingleFlightCache(CACHED))
+    threads: InitVar[Executor]
+    _latest: SingleFlightCache[CampaignOutcomes] = field(init=False)
     _before: OrderedDict[str, CampaignOutcomes] = field(default_factory=OrderedDict)
+
+    def __post_init__(self, threads: Executor) -> None:
+        self._latest = SingleFlightCache(CACHED, threads)
 
     async def get(self, campaign: str, read: ReadArchive) -> CampaignOutcomes:
         """Return the outcomes of a campaign.
@@ -292,10 +303,11 @@ def _read_new(
         )
     )
     with connection.execution_options(stream_results=True, yield_per=_ROWS_AT_ONCE).execute(query) as rows:
-        return {
-            row.number: outcome_of(
+        found = {}
+        for row in rows:
+            check_time()
+            found[row.number] = outcome_of(
                 problem, json.loads(row.result) if row.result else None,
                 safe=row.verdict == SolutionVerdict.SAFE, robustness=row.robustness,
-            )
-            for row in rows
-        }  # fmt: skip
+            )  # fmt: skip
+        return found

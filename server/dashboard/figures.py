@@ -1,7 +1,7 @@
 """Figures of a campaign, computed in their own thread pool, so that they wait for neither videos nor scores."""
 
 from collections.abc import Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 from typing import Final
 
@@ -13,6 +13,7 @@ from brink.server.campaigns.archives import ArchiveActivity, Archives, ReadArchi
 from brink.server.dashboard.found import FoundWords
 from brink.server.dashboard.overview import Sparklines
 from brink.server.dashboard.solution_map import SolutionMaps
+from brink.server.read_threads import ReadThreads
 from brink.server.single_flight import SingleFlightCache
 
 POINTS: Final = 24
@@ -62,6 +63,8 @@ def _curve(read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
 
 
 CACHED_DEPENDENCES: Final = 32
+LIMIT_S: Final = 60.0
+"""Time limit of a figure: nobody but the dashboard waits for it, and it is kept once it is known."""
 MAX_PENDING: Final = 64
 """Maximum number of pending computations of each kind; further requests get a 503 response."""
 
@@ -86,11 +89,11 @@ class Figures:
     sparks: Sparklines = field(default_factory=Sparklines)
     found: FoundWords = field(init=False)
     _dependences: SingleFlightCache[list[Dependence]] = field(init=False)
-    _threads: ThreadPoolExecutor = field(init=False)
+    _threads: ReadThreads = field(init=False)
 
     def __post_init__(self, at_once: int, archives: Archives) -> None:
         self.found = FoundWords(archives)
-        self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="brink-figures")
+        self._threads = ReadThreads(at_once, "brink-figures", limit_s=LIMIT_S)
         self.maps = SolutionMaps(threads=self._threads, most_waiting=MAX_PENDING)
         self.convergence = ConvergenceCurves(threads=self._threads, most_waiting=MAX_PENDING)
         self._dependences = SingleFlightCache(CACHED_DEPENDENCES, self._threads, MAX_PENDING)
@@ -105,6 +108,6 @@ class Figures:
         )
 
     def close(self) -> None:
-        """Finish the running computations and cancel the pending ones."""
-        self._threads.shutdown(cancel_futures=True)
+        """End the running computations and cancel the pending ones."""
+        self._threads.close()
         self.found.close()
