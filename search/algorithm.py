@@ -18,7 +18,7 @@ And it may start from what is known already (`WarmStarts`): results of earlier s
 are not candidates, have no number, and are neither in the archive nor part of the budget.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
@@ -240,6 +240,34 @@ class Overlapping(Protocol):
         ...
 
 
+@runtime_checkable
+class KnowsFlight(Protocol):
+    """An algorithm that knows how many candidates it keeps in flight."""
+
+    def flight(self, config: Any) -> tuple[int, int]:
+        """Return the most candidates of one generation, and the most generations in flight at a time.
+
+        Args:
+            config: Settings, of type `config_type`.
+        """
+        ...
+
+
+def ask_each(algorithm: Algorithm, state: Any) -> Iterator[tuple[Any, tuple[Candidate, ...]]]:
+    """Ask for every generation that may be in flight now, one after another.
+
+    Args:
+        algorithm: The algorithm; it must not be waiting for seeds.
+        state: Its state.
+
+    Yields:
+        The state after each generation, and that generation.
+    """
+    while _can_ask(algorithm, state):
+        state, candidates = algorithm.ask(state)
+        yield state, candidates
+
+
 def ask_all(algorithm: Algorithm, state: Any) -> tuple[Any, list[tuple[Candidate, ...]]]:
     """Ask for every generation that may be in flight now.
 
@@ -250,11 +278,8 @@ def ask_all(algorithm: Algorithm, state: Any) -> tuple[Any, list[tuple[Candidate
     Returns:
         The state, and the generations in the order of asking; possibly none.
     """
-    generations = []
-    while _can_ask(algorithm, state):
-        state, candidates = algorithm.ask(state)
-        generations.append(candidates)
-    return state, generations
+    asked = list(ask_each(algorithm, state))
+    return asked[-1][0] if asked else state, [candidates for _, candidates in asked]
 
 
 def _can_ask(algorithm: Algorithm, state: Any) -> bool:

@@ -545,6 +545,12 @@ class LedgerAlgorithm(Generic[C, S]):
                 "budget", f"expected at least the {least} simulations of one generation, got {budget}"
             )
 
+    def flight(self, config: C) -> tuple[int, int]:
+        """Return the most candidates of one generation, and the most generations in flight at a time."""
+        size: int = getattr(config, "generation_size", getattr(config, "population_size", 1))
+        generations: int = getattr(config, "in_flight", 1)
+        return size, generations
+
     def start(self, space: SearchSpace, config: C, *, seed: int, budget: int) -> S:
         """Return the initial state, with nothing asked for yet.
 

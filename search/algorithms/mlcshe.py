@@ -156,6 +156,11 @@ class Mlcshe(WarmLedgerAlgorithm[MlcsheConfig, MlcsheState]):
             )
         return config.population_size**2
 
+    def flight(self, config: MlcsheConfig) -> tuple[int, int]:
+        """Return the most candidates of one generation, and the most generations in flight at a time."""
+        partners = min(max(config.archive_size, config.partners), config.population_size)
+        return min(2 * partners, config.population_size) * config.population_size, 1
+
     def _first_state(self, ledger: Ledger, config: MlcsheConfig) -> MlcsheState:
         # The whole populations are their own archives, so the first generation combines all pairs.
         first, second = (_first_population(ledger, config, index) for index in range(2))

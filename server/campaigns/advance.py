@@ -4,6 +4,10 @@ A step may be taken at any time, any number of times, in any process: it is only
 the state in which the step began. So no generation is told twice, and after a crash the step is taken again. The
 state of a search is kept in memory between steps; after a restart it is restored from the checkpoint and the stored
 solutions, bit for bit.
+
+No transaction stores more than a piece of what a search asks for. Workers may lease the jobs of a piece at once. The
+next generation is told only after all pieces have been stored. After a crash in between, the search is restored and
+asks again, and what is not stored yet is stored then. See docs/adr/0064-work-in-pieces.md.
 """
 
 import asyncio
@@ -46,17 +50,19 @@ from brink.server.campaigns.others import OtherCoordinators
 from brink.server.campaigns.plan import (
     LiveSearch,
     Plan,
-    ask_next,
-    first_generations,
+    ask_more,
     make_plan,
+    next_piece,
     restored_archive,
     seed_request,
+    start_search,
     vector_bytes,
 )
 from brink.server.campaigns.repeats import PlannedRepeats, plan_boundary_repeats, store_repeats
 from brink.server.campaigns.result_check import UNREADABLE, evaluate
 from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.step_store import (
+    PIECE,
     Asked,
     Checkpoint,
     DistanceBlock,
@@ -206,8 +212,17 @@ class Stepper:
         archive: Archive = _run(live.plan, "archive", lambda: live.state.archive)
         return archive
 
+    def is_storing(self, campaign_id: str) -> bool:
+        """Return whether a campaign's search is in memory, and some of what it asks for is not stored yet."""
+        live = self._live.get(campaign_id)
+        return live is not None and not live.is_stored
+
     def advance(self, campaign_id: str) -> bool:
-        """Take all steps of a campaign that are due; return whether there were any.
+        """Take all steps of a campaign that are due, or store one more piece of what its search asks for.
+
+        Returns:
+            Whether it did anything. If a piece is left then, which `is_storing` tells, call this again, after the
+            steps of other campaigns.
 
         Raises:
             Exception: A step failed. If the cause is not transient, the campaign was paused or has failed.
@@ -221,6 +236,8 @@ class Stepper:
         moved = False
         while self._step(campaign_id):
             moved = True
+            if self.is_storing(campaign_id):
+                break
         return moved
 
     def _step(self, campaign_id: str) -> bool:
@@ -268,6 +285,9 @@ class Stepper:
             raise CodeStalled(f"{stalled[-1].what} has not returned from an earlier call")
         if self._has_other_simulator(campaign):
             return False
+        live = self._live.get(campaign.id)
+        if live is not None and live.generation == campaign.generation and not live.is_stored:
+            return self._store_piece(campaign, live)
         if _is_open(outcomes):
             self._pause_if_nothing_works(campaign, outcomes)
             return False
@@ -278,6 +298,8 @@ class Stepper:
         if outcomes and seed_request(live.plan, live.state) is not None:
             # Since this state was made, another coordinator has received the seeds and called `ask`.
             live = self._restore(campaign)
+        if not live.is_stored:
+            return self._store_piece(campaign, live)
         if seed_request(live.plan, live.state) is not None:
             return self._seed(campaign, live)
         if not outcomes:
@@ -287,6 +309,22 @@ class Stepper:
             if _is_open(outcomes):
                 return False
         return self._tell(campaign, live, outcomes)
+
+    def _store_piece(self, campaign: Campaign, live: LiveSearch) -> bool:
+        """Store the next piece of what a search asks for; return False if the campaign has moved on."""
+        after, asked = next_piece(live)
+        if asked.generations:
+            unit = partial(step_store.write_piece, campaign=campaign, asked=asked)
+            following = self._writer.submit(unit).result()
+            if following is None:
+                self._live.drop(campaign.id)
+                return False
+            if following != asked.generations[-1][-1].number + 1:  # another coordinator stores them, too
+                after = self._restore(campaign)
+        self._live.keep(campaign.id, after.measured())
+        if after.is_stored:
+            log.info("solutions stored", extra={**_about(campaign), "generations": after.asked})
+        return True
 
     def _pause_if_nothing_works(self, campaign: Campaign, outcomes: Sequence[JobOutcome]) -> None:
         """Pause a campaign whose first simulations all failed, rather than wait for the rest of its generation."""
@@ -328,14 +366,14 @@ class Stepper:
             return False
         seeded = algorithm.seeded(live.state, proposals)
         checkpoint = _run(plan, "state", lambda: _checkpoint(plan, seeded, campaign.generation))
-        state, asked = ask_next(plan, seeded, live.asked)
+        after, asked = next_piece(replace(live, state=seeded))
         written = self._writer.submit(
             lambda connection: step_store.write_seeded(connection, campaign, checkpoint, asked)
         ).result()
         if not written:
             self._live.drop(campaign.id)
             return False
-        self._live.keep(campaign.id, _continued(live, campaign.generation, state, asked))
+        self._live.keep(campaign.id, after.measured())
         log.info("generation seeded", extra=_about(campaign))
         return True
 
@@ -351,13 +389,17 @@ class Stepper:
         algorithm = live.plan.algorithm
         told = algorithm.tell(live.state, evaluations)
         finished = algorithm.finished(told)
-        next_state, asked = ask_next(live.plan, told, live.asked)
+        after, asked = next_piece(replace(live, generation=campaign.generation + 1, state=told))
         without_result = [one.number for one in outcomes if one.status is not JobStatus.DONE]
         make_step = partial(
             self._make_step, campaign, live.plan, evaluations, without_result, told, asked, finished, began
         )
         step, archive = _run(live.plan, "state", lambda: (make_step(), told.archive))
         repeats = self._repeats(campaign, live.plan, archive) if finished else None
+
+        if not self._write_early(step):
+            self._live.drop(campaign.id)
+            return False
 
         def unit(connection: Connection) -> bool:
             written = step_store.write_step(connection, step)
@@ -372,13 +414,26 @@ class Stepper:
         if finished:
             self._live.drop(campaign.id)
         else:
-            self._live.keep(campaign.id, _continued(live, campaign.generation + 1, next_state, asked))
+            self._live.keep(campaign.id, after.measured())
         counts = {"evaluated": step.summary.evaluated, "unsafe": step.summary.unsafe, "failed": failed}
         step_ms = round(1000 * step.summary.step_s, 1)
         log.info("generation told", extra={**_about(campaign), **counts, "step_ms": step_ms})
         if finished:
             log.info("campaign %s", step.status, extra={**_about(campaign), **counts})
         return True  # also for the last step, which may have started repeats
+
+    def _write_early(self, step: Step) -> bool:
+        """Write most results of a large generation before its step; return whether the campaign is still in it."""
+        for results in step.early_results(PIECE):
+            unit = partial(
+                step_store.write_results,
+                campaign_id=step.campaign,
+                generation=step.generation,
+                results=results,
+            )
+            if not self._writer.submit(unit).result():
+                return False
+        return True
 
     def _make_step(
         self,
@@ -480,7 +535,7 @@ class Stepper:
         if now is None or now.generation != campaign.generation:
             raise _MovedOn
         if checkpoint is None and campaign.generation == 0:
-            live, asked = first_generations(campaign.body, known)
+            begun = start_search(campaign.body, known)
         elif checkpoint is None or checkpoint.generation != campaign.generation:
             raise Damaged(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
         else:
@@ -493,11 +548,12 @@ class Stepper:
                     "candidates; continue with the version of Brink that began it, or submit it again"
                 )
                 raise InvalidInput.at("/algorithm/id", message) from None
-            now_asked = campaign.generation + len(in_flight)
-            state, asked = ask_next(plan, state, now_asked)
-            live = LiveSearch(plan=plan, generation=campaign.generation, asked=now_asked, state=state)
-        pending: Sequence[Candidate] = _run(plan, "pending", lambda: live.state.pending)
-        _check_same(campaign, pending, asked, in_flight)
+            begun = LiveSearch(
+                plan=plan, generation=campaign.generation, asked=campaign.generation, state=state
+            )
+        # What is not stored yet is asked for piece by piece.
+        asking = ask_more(begun, sum(map(len, in_flight)))
+        live = _run(plan, "pending", lambda: _without_stored(campaign, asking, in_flight))
         log.info("campaign restored", extra=_about(campaign))
         return live
 
@@ -516,19 +572,6 @@ class Stepper:
 def _run(plan: Plan, what: str, run: Callable[[], T]) -> T:
     """Return what the state of a search says, which is code of its algorithm."""
     return run_plugin(ALGORITHMS, plan.body.algorithm.id, what, run)
-
-
-def _continued(live: LiveSearch, generation: int, state: Any, asked: Asked) -> LiveSearch:
-    """Return a search after a step.
-
-    Args:
-        live: The search before it.
-        generation: Number of generations told.
-        state: The algorithm's state.
-        asked: The generations that the algorithm asked for in the step.
-    """
-    asked_now = live.asked + len(asked.generations)
-    return replace(live, generation=generation, asked=asked_now, state=state).measured()
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
@@ -554,31 +597,37 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _check_same(
-    campaign: Campaign, pending: Sequence[Candidate], asked: Asked, in_flight: Sequence[Mapping[int, bytes]]
-) -> None:
-    """Check that the algorithm asked again for the candidates that are being simulated.
+def _without_stored(
+    campaign: Campaign, live: LiveSearch, in_flight: Sequence[Mapping[int, bytes]]
+) -> LiveSearch:
+    """Return a restored search without what is stored already of that which it asked for again.
 
     Args:
         campaign: The campaign.
-        pending: The oldest generation in flight.
-        asked: The generations that the algorithm has just asked for.
+        live: Its search, which has asked again for more than what is stored and its checkpoint lacks, unless there is
+            nothing more to ask for.
         in_flight: The stored vectors of each generation in flight, by number.
 
     Raises:
-        InvalidInput: It asked for different candidates.
+        InvalidInput: It asked for different candidates than those that are stored.
     """
-    oldest = {candidate.number: vector_bytes(candidate) for candidate in pending}
-    again = [
-        {solution.number: solution.vector for solution in generation} for generation in asked.generations
-    ]
-    if oldest != (in_flight[0] if in_flight else {}) or again != in_flight[len(in_flight) - len(again) :]:
+    again = live.unstored
+    first = again[0][1].number if again else None
+    before = sum(first is None or max(generation) < first for generation in in_flight)
+    stored = {number: vector for generation in in_flight[before:] for number, vector in generation.items()}
+    same = {one.number: vector_bytes(one) for _, one in again[: len(stored)]} == stored
+    if before:
+        oldest = {one.number: vector_bytes(one) for one in live.state.pending}
+        same = same and oldest == in_flight[0]
+    if not same:
         message = (
             f"the algorithm asked for different candidates than before: {campaign.body.algorithm.id} or "
             f"{campaign.body.problem.id} has changed since then, or the stored replies with its seeds have; continue "
             "with the version that started the campaign"
         )
         raise InvalidInput.at("/algorithm/id", message)
+    left = tuple((number + before, one) for number, one in again[len(stored) :])
+    return replace(live, asked=live.asked + before, unstored=left, is_stored=not left)
 
 
 def _evaluations(
@@ -673,8 +722,8 @@ class Scheduler:
     """Decides when the campaigns of one coordinator process advance.
 
     Steps run off the event loop: one at a time, since they compute, but for those of campaigns that run code which a
-    user brought. These run beside all others, so that nobody waits for that code but its own campaign. A campaign is
-    queued at most once.
+    user brought. These run beside all others, so that nobody waits for that code but its own campaign. What large
+    searches ask for is stored beside them as well, one piece at a time. A campaign is queued at most once.
 
     Attributes:
         engines: The database.
@@ -692,6 +741,9 @@ class Scheduler:
     _began_s: dict[str, float] = field(default_factory=dict)
     _steps: ThreadPoolExecutor = field(
         default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-step")
+    )
+    _pieces: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-piece")
     )
     _plugin_steps: ThreadPoolExecutor = field(
         default_factory=lambda: ThreadPoolExecutor(
@@ -748,8 +800,9 @@ class Scheduler:
                 await asyncio.wait([before])
             if not self.stepper.is_known(campaign):
                 await loop.run_in_executor(None, self.stepper.uses_user_code, campaign)
+            threads = self._pieces if self.stepper.is_storing(campaign) else self._steps
             beside = self.stepper.uses_user_code(campaign)
-            moved = await loop.run_in_executor(self._plugin_steps if beside else self._steps, step)
+            moved = await loop.run_in_executor(self._plugin_steps if beside else threads, step)
         except Unavailable as error:
             self._due.discard(campaign)
             log.warning("the step was not taken: %s", error, extra={"campaign": campaign})
@@ -760,6 +813,8 @@ class Scheduler:
             return
         if moved:
             self.wakeups.wake()
+        if self.stepper.is_storing(campaign):
+            self.advance_soon([campaign])
 
     async def sweep(self) -> None:
         """Advance campaigns whose step is due, and drop searches that ended or were paused elsewhere.
@@ -781,5 +836,5 @@ class Scheduler:
 
     def close(self) -> None:
         """Finish the running steps, and start no more."""
-        for threads in (self._steps, self._plugin_steps):
+        for threads in (self._steps, self._pieces, self._plugin_steps):
             threads.shutdown(wait=True, cancel_futures=True)

@@ -1,9 +1,11 @@
 """Turns a campaign's body into a search: makes and checks problem and algorithm, asks for the first generation."""
 
+import itertools
 import logging
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
@@ -13,11 +15,12 @@ from brink.search.algorithm import (
     Algorithm,
     Candidate,
     Known,
+    KnowsFlight,
     Question,
     Seeded,
     SeedRequest,
     WarmStarts,
-    ask_all,
+    ask_each,
 )
 from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
@@ -33,7 +36,7 @@ from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, PluginChoice, StartFrom
 from brink.server.campaigns.known import KnownRecord, given_records, insert_known, known_of
 from brink.server.campaigns.memory import memory_of
-from brink.server.campaigns.step_store import Asked, NewSolution, StoredArchive
+from brink.server.campaigns.step_store import PIECE, Asked, NewSolution, StoredArchive
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.access import LlmAccess
@@ -68,6 +71,9 @@ log = logging.getLogger(__name__)
 
 SIZE_GROWTH: Final = 1.25
 """A search is measured again once it has so many times the generations that it had."""
+MOST_IN_FLIGHT: Final = 20_000
+"""Maximum number of candidates that a submitted campaign may have in flight. A thousand workers that simulate eight
+each keep 8,000 in flight."""
 LLM_SEEDER = "llm"
 """Value of the algorithm parameter `seeder` that requests seeds from a language model."""
 NO_ACCESS: Final = LlmAccess()
@@ -93,12 +99,17 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveSearch:
-    """A campaign's search in memory, whose state has already asked for all generations in flight.
+    """A campaign's search in memory.
+
+    What it asks for is stored in pieces. Nothing is told before all of it is stored: a search that had been told a
+    generation before it asked for the last one in flight would depend on who was fast.
 
     Attributes:
         generation: Number of generations told.
         asked: Number of generations asked for.
         state: The algorithm's state.
+        unstored: Candidates that were asked for and are not stored yet, each with the number of its generation.
+        is_stored: Whether nothing is left to ask for or to store before the next generation is told.
         size: About how much memory the state takes, in bytes, as last measured.
         sized_at: Number of generations told when it was measured.
     """
@@ -107,6 +118,8 @@ class LiveSearch:
     generation: int
     asked: int
     state: Any
+    unstored: tuple[tuple[int, Candidate], ...] = ()
+    is_stored: bool = False
     size: int = 0
     sized_at: int = 0
 
@@ -138,15 +151,17 @@ class PreparedCampaign:
 
     Attributes:
         body: The body as it was submitted.
-        live: The state of its search.
-        asked: The generations that it asked for.
+        plan: Its plan.
+        row: Its row in the database.
+        first: Its search, and the first piece of what that asks for; None to leave both to its first step.
         known: What it starts from.
     """
 
     id: str
     body: CampaignBody
-    live: LiveSearch
-    asked: Asked
+    plan: Plan
+    row: Mapping[str, Any]
+    first: tuple[LiveSearch, Asked] | None
     known: Sequence[KnownRecord] = field(default=())
 
 
@@ -234,6 +249,7 @@ def make_checked_plan(body: CampaignBody) -> Plan:
         raise InvalidInput.at("/start_from", message)
     if body.repeats:
         check_repeatable(plan)
+    _check_flight(plan)
     try:
         plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
     except UnsupportedSpace as error:
@@ -255,6 +271,38 @@ def check_repeatable(plan: Plan) -> None:
     if ignores_seeds(plan.problem):
         message = f"{plan.body.problem.id} is computed, not simulated: other seeds give the same verdicts"
         raise InvalidInput.at("/repeats", message)
+
+
+def _check_flight(plan: Plan) -> None:
+    """Check that a search does not keep more candidates in flight than a coordinator should hold.
+
+    Stored campaigns need not pass this: older versions accepted more.
+
+    Raises:
+        InvalidInput: It does.
+    """
+    if not isinstance(plan.algorithm, KnowsFlight):
+        return
+    size, generations = plan.algorithm.flight(plan.config)
+    if min(size * generations, plan.body.budget.simulations) <= MOST_IN_FLIGHT:
+        return
+    name = next(
+        (one for one in ("generation_size", "population_size") if hasattr(plan.config, one)), "params"
+    )
+    most = f"expected at most {MOST_IN_FLIGHT:,} candidates in flight"
+    if generations == 1:
+        message = f"{most}, got up to {size:,} in one generation; choose a smaller {name}"
+        raise InvalidInput.at(f"/algorithm/params/{name}", message)
+    message = (
+        f"{most}, got {name} {size:,} x in_flight {generations:,} = {size * generations:,}; with this {name}, "
+        f"in_flight may be at most {max(1, MOST_IN_FLIGHT // size):,}"
+    )
+    raise InvalidInput.at("/algorithm/params/in_flight", message)
+
+
+def _is_large(plan: Plan) -> bool:
+    """Return whether a search has generations of more than a piece."""
+    return isinstance(plan.algorithm, KnowsFlight) and plan.algorithm.flight(plan.config)[0] > PIECE
 
 
 def _check_criticality(plan: Plan) -> None:
@@ -293,7 +341,7 @@ def _check_seeder(plan: Plan) -> None:
 
 
 def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[LiveSearch, Asked]:
-    """Check that a campaign can run, and return its search with the first generations.
+    """Check that a campaign can run, and return its search with the first piece of what that asks for.
 
     Args:
         body: The campaign's body.
@@ -303,7 +351,10 @@ def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[Li
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
-    plan = make_checked_plan(body)
+    return _begun(make_checked_plan(body), body, start)
+
+
+def _begun(plan: Plan, body: CampaignBody, start: Start | None) -> tuple[LiveSearch, Asked]:
     given = body.start_from.solutions if body.start_from is not None else None
     if start is not None:
         records, body = start.records, body.model_copy(update={"start_from": start.start_from})
@@ -317,38 +368,54 @@ def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[Li
 
 
 def prepare_campaign(
-    body: CampaignBody, start: Start | None = None, access: LlmAccess = NO_ACCESS
+    body: CampaignBody, start: Start | None = None, access: LlmAccess = NO_ACCESS, *, asks: bool = True
 ) -> PreparedCampaign:
-    """Check a campaign and ask for its first generations.
+    """Check a campaign and start its search.
 
     Args:
         body: The campaign's body.
         start: What it starts from; None for nothing.
         access: The language models and keys that campaigns may use.
+        asks: Whether to start the search now, and not with the campaign's first step. A search with large
+            generations starts with that anyway, unless it starts from something: other submissions wait for this one.
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
     access.check(body.llm)
-    live, asked = check_submission(body, start)
+    plan = make_checked_plan(body)
+    first = None
+    if asks and (start is not None or not _is_large(plan)):
+        first = _begun(plan, body, start)
+        plan = first[0].plan
     known = () if start is None else start.records
-    return PreparedCampaign(id=secrets.token_hex(4), body=body, live=live, asked=asked, known=known)
+    campaign_id = secrets.token_hex(4)
+    row = store.campaign_row(campaign_id, plan.body, body.document_hash())
+    return PreparedCampaign(id=campaign_id, body=body, plan=plan, row=row, first=first, known=known)
 
 
-def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str | None = None) -> Campaign:
-    """Store a campaign with its first generations.
+def store_campaigns(
+    connection: Connection, campaigns: Sequence[PreparedCampaign], key: str | None = None
+) -> None:
+    """Store campaigns, each with the first piece of what its search asks for.
 
     Args:
         connection: In a write transaction.
-        campaign: The campaign.
-        key: Idempotency key.
+        campaigns: The campaigns, whose first pieces have no more solutions together than one piece may have.
+        key: Idempotency key of a single campaign.
     """
-    resolved = campaign.live.plan.body
-    store.insert_campaign(connection, campaign.id, resolved, campaign.body.document_hash(), key)
-    insert_known(connection, campaign.id, campaign.known)
-    stored = CAMPAIGNS.get(connection, campaign.id)
-    step_store.insert_generations(connection, stored, campaign.asked)
-    return stored
+    store.insert_campaigns(connection, [one.row for one in campaigns], key)
+    for one in campaigns:
+        store.insert_tags(connection, one.id, one.plan.body.tags)
+        insert_known(connection, one.id, one.known)
+        if one.first is not None:
+            step_store.insert_generations(connection, CAMPAIGNS.get(connection, one.id), one.first[1])
+
+
+def store_campaign(connection: Connection, campaign: PreparedCampaign) -> Campaign:
+    """Store one campaign with the first piece of what its search asks for, and return it."""
+    store_campaigns(connection, [campaign])
+    return CAMPAIGNS.get(connection, campaign.id)
 
 
 def looks_for_boundary(algorithm_id: str) -> bool:
@@ -384,7 +451,18 @@ def find_boundary(archive: Archive, t_b: float, d_th: float) -> IndexArray:
 
 
 def first_generations(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> tuple[LiveSearch, Asked]:
-    """Start a campaign's search; return it with the generations that it asks for.
+    """Start a campaign's search; return it with the first piece of what it asks for.
+
+    Args:
+        body: The campaign's body.
+        known: What it starts from.
+    """
+    live, asked = next_piece(start_search(body, known))
+    return live.measured(), asked
+
+
+def start_search(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> LiveSearch:
+    """Return a campaign's search, which has not asked for anything.
 
     Args:
         body: The campaign's body.
@@ -392,9 +470,7 @@ def first_generations(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> 
     """
     plan = make_plan(body)
     state = _first_state(plan, known_of(known, plan.problem.space.dimension))
-    state, asked = ask_next(plan, state, 0)
-    live = LiveSearch(plan=plan, generation=0, asked=len(asked.generations), state=state)
-    return live.measured(), asked
+    return LiveSearch(plan=plan, generation=0, asked=0, state=state)
 
 
 def _first_state(plan: Plan, known: Known) -> Any:
@@ -405,29 +481,48 @@ def _first_state(plan: Plan, known: Known) -> Any:
     return plan.algorithm.start_with(space, plan.config, seed=seed, budget=budget, known=known)
 
 
-def ask_next(plan: Plan, state: Any, first: int) -> tuple[Any, Asked]:
-    """Ask for every generation that may be in flight; there is none if the search is over or waits for seeds.
+def ask_more(live: LiveSearch, most: int) -> LiveSearch:
+    """Return a search after it has asked for further generations that may be in flight.
 
     Args:
-        plan: The campaign's plan.
-        state: The algorithm's state.
-        first: Number of generations asked for so far.
+        live: The search. It asks for nothing if it is over or waits for seeds.
+        most: It stops once more candidates than this are not stored.
+    """
+    unstored = list(live.unstored)
+    if seed_request(live.plan, live.state) is not None:
+        return live
+    for state, candidates in ask_each(live.plan.algorithm, live.state):
+        unstored += [(live.asked, candidate) for candidate in candidates]
+        live = replace(live, state=state, asked=live.asked + 1)
+        if len(unstored) > most:
+            break
+    return replace(live, unstored=tuple(unstored))
+
+
+def next_piece(live: LiveSearch) -> tuple[LiveSearch, Asked]:
+    """Take the next solutions to store from what a search asks for, at most `PIECE`.
+
+    Args:
+        live: The search, of which something may be left to ask for or to store.
 
     Returns:
-        The state, and the generations with their simulations.
+        The search without them, and the solutions with their simulations.
 
     Raises:
         InvalidInput: The algorithm needs a data set, which the problem does not have.
     """
-    generations: list[tuple[Candidate, ...]] = []
-    if seed_request(plan, state) is None:
-        state, generations = ask_all(plan.algorithm, state)
-    seed = plan.body.seed
-    return state, Asked(
-        first=first,
-        generations=[new_solutions(plan.problem, candidates, state, seed) for candidates in generations],
-        end=state.pending[-1].number + 1 if state.pending else None,
+    asking = ask_more(live, PIECE)
+    piece, left = asking.unstored[:PIECE], asking.unstored[PIECE:]
+    pending = asking.state.pending
+    asked = Asked(
+        first=piece[0][0] if piece else live.asked,
+        generations=[
+            new_solutions(live.plan.problem, [one for _, one in group], asking.state, live.plan.body.seed)
+            for _, group in itertools.groupby(piece, key=itemgetter(0))
+        ],
+        end=pending[-1].number + 1 if pending else None,
     )
+    return replace(asking, unstored=left, is_stored=not left), asked
 
 
 def seed_request(plan: Plan, state: Any) -> SeedRequest | None:

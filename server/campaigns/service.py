@@ -24,7 +24,7 @@ from brink.server.campaigns.plan import (
     PreparedCampaign,
     check_repeatable,
     prepare_campaign,
-    store_campaign,
+    store_campaigns,
 )
 from brink.server.campaigns.repeats import (
     PlannedRepeats,
@@ -102,8 +102,8 @@ class DocumentService(ABC, Generic[B, S]):
     @abstractmethod
     def _store(
         self, connection: Connection, body: B, campaigns: Sequence[PreparedCampaign], key: str | None
-    ) -> S:
-        """Store a body and its campaigns."""
+    ) -> str:
+        """Store a body and its campaigns; return its id."""
 
     @abstractmethod
     def _start(self, stored: S, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
@@ -141,16 +141,19 @@ class DocumentService(ABC, Generic[B, S]):
             return found, False
         campaigns = await self.checks.run(self._choices(body), partial(self._prepare, body))
 
-        def unit(connection: Connection) -> tuple[S, Sequence[str] | None]:
+        def unit(connection: Connection) -> tuple[str, Sequence[str]] | S:
             if (found := known(connection)) is not None:
-                return found, None
-            stored = self._store(connection, body, campaigns, key)
-            return stored, idle_campaigns(connection, [campaign.id for campaign in campaigns])
+                return found
+            stored_id = self._store(connection, body, campaigns, key)
+            return stored_id, idle_campaigns(connection, [campaign.id for campaign in campaigns])
 
-        stored, idle = await self.writer.write(unit)
-        if idle is not None:
-            self._start(stored, campaigns, idle)
-        return stored, idle is not None
+        written = await self.writer.write(unit)
+        if not isinstance(written, tuple):
+            return written, False
+        stored_id, idle = written
+        stored = await self.get(stored_id)
+        self._start(stored, campaigns, idle)
+        return stored, True
 
     async def get(self, name: str) -> S:
         """Return a campaign or an experiment by its id or a unique prefix of the id.
@@ -260,8 +263,9 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         body: CampaignBody,
         campaigns: Sequence[PreparedCampaign],
         key: str | None,
-    ) -> Campaign:
-        return store_campaign(connection, campaigns[0], key)
+    ) -> str:
+        store_campaigns(connection, campaigns, key)
+        return campaigns[0].id
 
     def _start(self, stored: Campaign, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
         self.start(campaigns, idle)
@@ -283,9 +287,13 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
                 "simulations": campaign.body.budget.simulations,
             }
             log.info("campaign submitted", extra={"campaign": campaign.id, **about})
-            self.scheduler.stepper.adopt(campaign.id, campaign.live)
+            if campaign.first is not None:
+                self.scheduler.stepper.adopt(campaign.id, campaign.first[0])
+            else:
+                self.scheduler.stepper.take_over(campaign.id)
         self.wakeups.wake()
-        self.scheduler.advance_soon(idle)
+        storing = [one.id for one in campaigns if one.first is not None and not one.first[0].is_stored]
+        self.scheduler.advance_soon([*idle, *storing])
 
     async def check(self, body: CampaignBody) -> None:
         """Check a campaign as on submission, without storing it.

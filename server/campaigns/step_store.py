@@ -6,10 +6,11 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, bindparam, delete, insert, select, update
+from sqlalchemy import Connection, bindparam, delete, func, insert, select, update
 
 from brink.search.metric import METRIC_VERSION
 from brink.search.space import FloatArray
@@ -27,6 +28,10 @@ from brink.server.errors import Damaged
 from brink.server.queue import job_store
 from brink.server.queue.job_store import NewJob
 from brink.server.states import CampaignStatus, JobKind, SolutionVerdict
+
+PIECE: Final = 500
+"""Maximum number of solutions that one transaction stores, or of results: some tens of milliseconds, in which nobody
+else can write."""
 
 log = logging.getLogger(__name__)
 
@@ -51,11 +56,12 @@ class NewSolution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
-    """Generations that the algorithm has just asked for.
+    """A piece of what an algorithm has asked for: solutions with successive numbers.
 
     Attributes:
-        first: Number of the first of them.
-        generations: The solutions of each; empty if there is nothing to ask for now.
+        first: Number of the first generation of which it has solutions.
+        generations: The solutions of each, of the first and the last one possibly only some; empty if there is
+            nothing to ask for now.
         end: First number that does not belong to the oldest generation in flight; None if nothing is in flight.
     """
 
@@ -157,6 +163,17 @@ class Step:
     status: CampaignStatus
     reason: str
 
+    def early_results(self, size: int) -> list[Sequence[SolutionResult]]:
+        """Return the results to write before the step, in pieces of at most `size`; none of a small generation."""
+        early = [one for one in self.results if one.verdict is not SolutionVerdict.FAILED]
+        early = early[: max(0, len(self.results) - size)]
+        return [early[start : start + size] for start in range(0, len(early), size)]
+
+    def late_results(self, size: int) -> list[SolutionResult]:
+        """Return the results to write with the step: those that are not among the early ones."""
+        early = {one.number for piece in self.early_results(size) for one in piece}
+        return [one for one in self.results if one.number not in early]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredArchive:
@@ -173,12 +190,12 @@ class StoredArchive:
 
 
 def insert_generations(connection: Connection, campaign: Campaign, asked: Asked) -> None:
-    """Store new generations and enqueue their jobs.
+    """Store new solutions and enqueue their jobs.
 
     Args:
         connection: In a write transaction.
         campaign: The campaign.
-        asked: The generations.
+        asked: The solutions.
     """
     for generation, solutions in enumerate(asked.generations, asked.first):
         _insert_solutions(connection, campaign, generation, solutions)
@@ -206,6 +223,41 @@ def _insert_solutions(
         job_store.enqueue(connection, campaign.id, kind, jobs, campaign.job_settings)
 
 
+def write_piece(connection: Connection, campaign: Campaign, asked: Asked) -> int | None:
+    """Store the next piece of what a campaign's search has asked for.
+
+    Args:
+        connection: In a write transaction.
+        campaign: The campaign.
+        asked: The piece, which is not empty.
+
+    Returns:
+        The number of the next solution to store. If that is not the one after the piece, nothing was stored: another
+        coordinator has stored this piece, or the one before is missing. None, with nothing stored, if the campaign
+        has moved on, or was paused, cancelled or deleted.
+    """
+    if not _is_in(CAMPAIGNS.find(connection, campaign.id, lock=True), campaign.generation):
+        return None
+    table = SolutionRow.__table__.c
+    stored = select(func.max(table.number)).where(table.campaign_id == campaign.id)
+    last = connection.execute(stored).scalar_one()
+    following = 0 if last is None else last + 1
+    if following != asked.generations[0][0].number:
+        return following
+    insert_generations(connection, campaign, asked)
+    note_change(connection, campaign.id)
+    return asked.generations[-1][-1].number + 1
+
+
+def _is_in(campaign: Campaign | None, generation: int) -> bool:
+    """Return whether a campaign is running and in a generation."""
+    return (
+        campaign is not None
+        and campaign.status is CampaignStatus.RUNNING
+        and campaign.generation == generation
+    )
+
+
 def write_seeded(connection: Connection, campaign: Campaign, checkpoint: Checkpoint, asked: Asked) -> bool:
     """Store the state of a campaign that has received seeds, and the generation that it then asked for.
 
@@ -218,8 +270,7 @@ def write_seeded(connection: Connection, campaign: Campaign, checkpoint: Checkpo
     Returns:
         False, with nothing stored, if the campaign has moved on, or was paused, cancelled or deleted.
     """
-    now = CAMPAIGNS.find(connection, campaign.id, lock=True)
-    if now is None or now.status is not CampaignStatus.RUNNING or now.generation != campaign.generation:
+    if not _is_in(CAMPAIGNS.find(connection, campaign.id, lock=True), campaign.generation):
         return False
     if read_vectors(connection, campaign.id, campaign.generation):
         return False
@@ -245,7 +296,7 @@ def write_step(connection: Connection, step: Step) -> bool:
         or job_store.any_done(connection, step.campaign, step.without_result)
     ):
         return False
-    _write_results(connection, step)
+    _update_results(connection, step.campaign, step.late_results(PIECE))
     _write_archive(connection, step)
     insert_generations(connection, campaign, step.asked)
     job_store.enqueue_traces(connection, campaign.id, step.traces, campaign.job_settings)
@@ -263,12 +314,35 @@ def write_step(connection: Connection, step: Step) -> bool:
     return True
 
 
-def _write_results(connection: Connection, step: Step) -> None:
-    if not step.results:
+def write_results(
+    connection: Connection, campaign_id: str, generation: int, results: Sequence[SolutionResult]
+) -> bool:
+    """Write some results of a generation before its step, so that the step is a short transaction.
+
+    Nobody is told of them before the step: archives have only generations that were told. If the step is not written,
+    the next one writes them again.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        generation: The generation.
+        results: The results, none of them a failure: its job may still be retried.
+
+    Returns:
+        False, with nothing written, if the campaign has moved on, or was paused, cancelled or deleted.
+    """
+    if not _is_in(CAMPAIGNS.find(connection, campaign_id, lock=True), generation):
+        return False
+    _update_results(connection, campaign_id, results)
+    return True
+
+
+def _update_results(connection: Connection, campaign_id: str, results: Sequence[SolutionResult]) -> None:
+    if not results:
         return
     connection.execute(
         update(SolutionRow)
-        .where(SolutionRow.campaign_id == step.campaign, SolutionRow.number == bindparam("solution"))
+        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.number == bindparam("solution"))
         .values(
             verdict=bindparam("verdict_of"), robustness=bindparam("robustness_of"),
             objectives=bindparam("objectives_of"), failure=bindparam("failure_of"),
@@ -279,12 +353,12 @@ def _write_results(connection: Connection, step: Step) -> None:
                 "objectives_of": dict(one.objectives) if one.objectives is not None else None,
                 "failure_of": one.failure,
             }
-            for one in step.results
+            for one in results
         ],
     )  # fmt: skip
     # A result that could not be evaluated must not be shared with other campaigns.
-    failed = [one.number for one in step.results if one.verdict is SolutionVerdict.FAILED]
-    job_store.withdraw_results(connection, step.campaign, failed)
+    failed = [one.number for one in results if one.verdict is SolutionVerdict.FAILED]
+    job_store.withdraw_results(connection, campaign_id, failed)
 
 
 def _write_archive(connection: Connection, step: Step) -> None:

@@ -4,7 +4,7 @@ Functions that write are units for `brink.server.db.writer.Writer`; functions th
 reader, which sees one snapshot.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -153,29 +153,37 @@ def insert_tags(connection: Connection, campaign_id: str, tags: Sequence[str]) -
         connection.execute(insert(CampaignTagRow), [{"campaign_id": campaign_id, "tag": tag} for tag in tags])
 
 
-def insert_campaign(
-    connection: Connection, campaign_id: str, body: CampaignBody, document_hash: str, key: str | None
-) -> None:
-    """Store a new campaign, which is running and has no solutions yet.
+def campaign_row(campaign_id: str, body: CampaignBody, document_hash: str) -> dict[str, Any]:
+    """Return the row of a new campaign, which is running and has no solutions yet.
 
     Args:
-        connection: In a write transaction.
         campaign_id: Its id.
         body: The body with every parameter spelled out.
         document_hash: Hash of the body as it was submitted.
-        key: Idempotency key.
     """
+    return {
+        "id": campaign_id, "name": body.name, "document": body.document(), "notes": body.notes,
+        "search_text": search_text(body.name, body.notes, body.tags), "document_hash": document_hash,
+        "status": CampaignStatus.RUNNING, "status_reason": "", "seed": body.seed, "priority": body.priority,
+        "budget": body.budget.simulations, "generation": 0, "evaluated": 0, "unsafe": 0, "failed": 0,
+        "failures_accepted": 0, "turn": 0, "finished_at": None,
+    }  # fmt: skip
+
+
+def insert_campaigns(
+    connection: Connection, rows: Sequence[Mapping[str, Any]], key: str | None = None
+) -> None:
+    """Store new campaigns.
+
+    Args:
+        connection: In a write transaction.
+        rows: Rows that `campaign_row` made.
+        key: Idempotency key of a single campaign.
+    """
+    now = database_now(connection)
     connection.execute(
-        insert(CampaignRow).values(
-            id=campaign_id, name=body.name, document=body.document(), notes=body.notes,
-            search_text=search_text(body.name, body.notes, body.tags),
-            document_hash=document_hash, idempotency_key=key, status=CampaignStatus.RUNNING,
-            status_reason="", seed=body.seed, priority=body.priority, budget=body.budget.simulations,
-            generation=0, evaluated=0, unsafe=0, failed=0, failures_accepted=0, turn=0,
-            created_at=database_now(connection), finished_at=None,
-        )
-    )  # fmt: skip
-    insert_tags(connection, campaign_id, body.tags)
+        insert(CampaignRow), [{**row, "idempotency_key": key, "created_at": now} for row in rows]
+    )
 
 
 def running(connection: Connection) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ import logging
 import secrets
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from concurrent.futures import Executor
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 
 from sqlalchemy import Connection
 
@@ -13,8 +13,9 @@ from brink.search.analysis.comparison import Repeat
 from brink.search.analysis.scores import Scores, scored
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.checks import Choice
-from brink.server.campaigns.plan import PreparedCampaign, prepare_campaign, store_campaign
+from brink.server.campaigns.plan import PreparedCampaign, prepare_campaign, store_campaigns
 from brink.server.campaigns.service import CampaignService, DocumentService
+from brink.server.campaigns.step_store import PIECE
 from brink.server.campaigns.store import Campaign
 from brink.server.db.sql import DocumentTable
 from brink.server.errors import Conflict, InvalidInput
@@ -46,12 +47,21 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
         return {(problem.id, method.id) for problem in body.problems for method in body.algorithms}
 
     def _prepare(self, body: ExperimentBody) -> Sequence[PreparedCampaign]:
-        campaigns = []
+        """Check all campaigns; start the searches of the first ones, as many as one transaction may store.
+
+        The others start with their first steps: there may be hundreds of large ones.
+        """
+        campaigns: list[PreparedCampaign] = []
+        left = PIECE
         for cell in body.cells():
+            asks = left > 0 or cell.body.seed == body.seeds[0]  # each problem and method is tried once
             try:
-                campaigns.append(prepare_campaign(cell.body, access=self.campaigns.access))
+                campaign = prepare_campaign(cell.body, access=self.campaigns.access, asks=asks)
             except InvalidInput as error:
                 raise cell.in_experiment(error) from None
+            if campaign.first is not None:
+                left -= sum(map(len, campaign.first[1].generations))
+            campaigns.append(campaign if left >= 0 else replace(campaign, first=None))
         check_pairs(body)
         return campaigns
 
@@ -61,13 +71,12 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
         body: ExperimentBody,
         campaigns: Sequence[PreparedCampaign],
         key: str | None,
-    ) -> Experiment:
-        for campaign in campaigns:
-            store_campaign(connection, campaign)
+    ) -> str:
+        store_campaigns(connection, campaigns)
         experiment_id = secrets.token_hex(4)
         members = [(cell, campaign.id) for cell, campaign in zip(body.cells(), campaigns, strict=True)]
         store.insert_experiment(connection, experiment_id, body, members, key)
-        return self.table.get(connection, experiment_id)
+        return experiment_id
 
     def _start(self, stored: Experiment, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
         log.info("experiment submitted", extra={"experiment": stored.id, "campaigns": len(campaigns)})

@@ -96,7 +96,8 @@ class Queue:
         ]  # fmt: skip
 
         def unit(connection: Connection) -> None:
-            store.insert_campaign(connection, name, body, body.document_hash(), None)
+            row = store.campaign_row(name, body, body.document_hash())
+            store.insert_campaigns(connection, [row])
             found = store.CAMPAIGNS.find(connection, name)
             assert found is not None
             asked = Asked(first=0, generations=[solutions] if solutions else [], end=None)

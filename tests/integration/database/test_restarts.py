@@ -1,9 +1,8 @@
 """Restarts and races: whatever happens in between, a campaign finds the same, bit for bit."""
 
-import json
 import random
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -21,47 +20,25 @@ from support.api import (
     submit,
     undisturbed_digest,
 )
+from support.coordinators import Coordinators
 from support.databases import on_postgres, on_sqlite
 from support.llm_endpoint import serving
 from support.marks import mostly_long
-from support.problems import SIMULATOR, simulated
-from support.queue import Queue
 from support.traffic import driven, seeded
 
-from brink.search.algorithm import Proposal, SeedRequest
-from brink.search.archive import archive_digest
 from brink.server.campaigns import advance, others, step_store, store
 from brink.server.campaigns.advance import Stepper
-from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.others import PATIENCE_S, OtherCoordinators
-from brink.server.campaigns.plan import first_generations, make_plan, restored_archive
-from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.db.models import CheckpointRow, GenerationRow, SolutionRow
-from brink.server.db.writer import Writer
 from brink.server.errors import Damaged, Unavailable
-from brink.server.llm.settings import LlmSettings
 from brink.server.llm.store import claim
-from brink.server.problems.base import Problem
 from brink.server.queue import job_store
 from brink.server.queue.report_store import Outcome
 from brink.server.queue.wakeups import count_listening
 from brink.server.states import CampaignStatus
 from brink.sim import catalogue
-from brink.worker.wire import Completed, LeasedJob
-
-
-class NoSeeds:
-    """Never has any: algorithms then make their own, once it has said so."""
-
-    def __init__(self) -> None:
-        self.says: Sequence[Proposal] | None = ()
-
-    def proposals(
-        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
-    ) -> Sequence[Proposal] | None:
-        return self.says
-
+from brink.worker.wire import LeasedJob
 
 pytestmark = pytest.mark.usefixtures("small_problems", "few_trees")
 
@@ -106,68 +83,6 @@ def test_leases_outlive_their_coordinator(database_url: str) -> None:
         assert set(worker.report(jobs)) == {"accepted"}
         assert set(worker.report(jobs)) == {"duplicate"}
         assert worker.work(campaign)["digest"] == undisturbed_digest(ball())
-
-
-class Coordinators:
-    """Two steppers, each with a writer of its own, on one database: as two processes have them."""
-
-    def __init__(
-        self, engines: Engines, body: dict[str, Any], simulated: Callable[[Any], Completed] = simulated
-    ) -> None:
-        self.simulated = simulated
-        self.seeds = [NoSeeds() for _ in range(2)]
-        self.engines, self.queue = engines, Queue(engines=engines)
-        self.writers = [Writer(engines.writer) for _ in range(2)]
-        self.steppers = [
-            Stepper(engines, writer, max_stored_distances=1000, seeds=seeds)
-            for writer, seeds in zip(self.writers, self.seeds, strict=True)
-        ]
-        self.body = parse_body(body)
-        live, asked = first_generations(self.body)
-
-        def unit(connection: Connection) -> None:
-            store.insert_campaign(connection, "c0ffee", self.body, self.body.document_hash(), None)
-            found = store.CAMPAIGNS.find(connection, "c0ffee")
-            assert found is not None
-            step_store.insert_generations(connection, found, asked)
-
-        self.queue.run(unit)
-        self.steppers[0].adopt("c0ffee", live)
-
-    def close(self) -> None:
-        for writer in self.writers:
-            writer.close()
-
-    @property
-    def campaign(self) -> Campaign:
-        found = self.queue.run(lambda connection: store.CAMPAIGNS.find(connection, "c0ffee"))
-        assert found is not None
-        return found
-
-    def simulate(self) -> None:
-        """Simulate all that is queued."""
-        while jobs := self.lease():
-            self.report(jobs)
-
-    def lease(self) -> Sequence[LeasedJob]:
-        """Lease the jobs that are queued, at most as many as one request may lease."""
-        return self.queue.lease(capabilities=(SIMULATOR, "brink-encounter@1"))
-
-    def report(self, jobs: Iterable[LeasedJob]) -> None:
-        """Simulate and report the jobs."""
-        specs = {job.job: json.loads(self.queue.job(job.job).spec) for job in jobs}
-        self.queue.report(
-            *(
-                Outcome(job=j.job, token=j.token, result=self.simulated(specs[j.job]).model_dump_json())
-                for j in jobs
-            )
-        )
-
-    def digest(self) -> str:
-        plan = make_plan(self.body)
-        with self.engines.reader.connect() as connection:
-            stored = step_store.read_archive(connection, "c0ffee", plan.problem.space.dimension)
-        return archive_digest(restored_archive(plan, stored))
 
 
 @pytest.fixture

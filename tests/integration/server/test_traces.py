@@ -662,8 +662,8 @@ def test_checking_a_submission_blocks_no_request(
         except InvalidEpisode:
             return usual(*given)
 
-    usual = brink.server.campaigns.plan.check_submission
-    monkeypatch.setattr(brink.server.campaigns.plan, "check_submission", checked)
+    usual = brink.server.campaigns.plan.make_checked_plan
+    monkeypatch.setattr(brink.server.campaigns.plan, "make_checked_plan", checked)
     with many_requests(client, "POST", "/api/v1/campaigns", json=ball(seed=2, simulations=20)) as statuses:
         try:
             eventually(lambda: blocker.within == SLOW_AT_ONCE, "some submissions are being checked")
