@@ -47,6 +47,10 @@ MOST_EXIT_S: Final = 10.0
 GIVE_UP_S: Final = 30.0
 """A request or an exit that takes longer counts as this long."""
 BACKGROUND_JOBS: Final = 200_000
+FLOOD: Final = 3
+"""Large campaigns of the flood that are accepted."""
+ARCHIVE: Final = 20_000
+"""Solutions of the archive that is read."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -438,9 +442,62 @@ async def _ignored(request: Awaitable[httpx.Response]) -> None:
         await request
 
 
+async def _flood(stage: Stage) -> None:
+    """Submit large campaigns: some with more in flight than a coordinator takes, and some with the most it takes."""
+    too_large = load_campaign(10_000_000, generation=10_000, seed=1, in_flight=20)
+    largest = load_campaign(10_000_000, generation=10_000, seed=2, in_flight=2)
+    await _ignored(stage.client.post("/api/v1/campaigns", json=too_large))
+    for seed in range(FLOOD):
+        await stage.submit({**largest, "seed": 3 + seed})
+    while True:
+        await asyncio.sleep(1.0)  # until it is cancelled
+
+
+async def _fill_archive(stage: Stage) -> None:
+    """Run a search of solutions that are all at least .05 apart, which needs no workers."""
+    body = {
+        "name": "archive", "problem": {"id": "onemax@1"}, "seed": 1, "budget": {"simulations": ARCHIVE},
+        "algorithm": {"id": "random@1", "params": {"generation_size": 1000, "in_flight": 1}},
+    }  # fmt: skip
+    path = f"/api/v1/campaigns/{await stage.submit(body)}/progress"
+    while (await stage.client.get(path)).raise_for_status().json()["status"] == "running":
+        await asyncio.sleep(0.5)  # between two polls
+
+
+def _reads(name: str, *paths: str) -> Disturbance:
+    """Return the disturbance by several people who read a large archive again and again."""
+
+    async def disturb(stage: Stage) -> None:
+        async def read(path: str) -> None:
+            async with httpx.AsyncClient(base_url=stage.client.base_url, timeout=GIVE_UP_S) as client:
+                while True:
+                    await _ignored(client.get(f"/api/v1/campaigns/{stage.campaigns[0]}/{path}"))
+
+        readers = [asyncio.ensure_future(read(path)) for path in paths]
+        try:
+            await asyncio.gather(*readers)
+        finally:
+            for reader in readers:
+                reader.cancel()
+
+    return Disturbance(kind="reads", name=name, disturb=disturb, prepare=_fill_archive)
+
+
 DISTURBANCES: Final[list[Disturbance]] = [
-    _stalls(place, fault)
-    for place in ("construction", "evaluation", "ask", "tell")
-    for fault in ("sleep", "hang", "loop", "raise")
+    *(
+        _stalls(place, fault)
+        for place in ("construction", "evaluation", "ask", "tell")
+        for fault in ("sleep", "hang", "loop", "raise")
+    ),
+    Disturbance(kind="flood", name=f"{FLOOD} campaigns of 20,000 candidates in flight", disturb=_flood),
+    _reads("6 boundaries at the same thresholds", *["boundary?t_b=1&d_th=0.05"] * 6),
+    _reads("6 boundaries at different thresholds", *[f"boundary?t_b=1&d_th=0.0{n}" for n in range(1, 7)]),
+    _reads(
+        "archive, map and pages",
+        "archive.npz",
+        "map",
+        "outcomes?solutions=true",
+        *["solutions?limit=1000"] * 3,
+    ),
 ]
 """All disturbances, in the order in which they are measured."""
