@@ -387,3 +387,11 @@ def test_a_campaign_starts_from_a_data_frame(folder: Path) -> None:
     assert result.evaluated == 40
     with pytest.raises(InvalidInput, match="expected the id of a campaign, a result, a data frame"):
         brink.run(brink.Campaign(problem="mtq@1", simulations=40, start_from=7))  # type: ignore[arg-type]
+
+
+def test_a_search_of_which_all_few_calls_fail_shows_the_exception(folder: Path) -> None:
+    def broken(x: float) -> float:
+        raise RuntimeError(f"no road at {x:.0f}")
+
+    with pytest.raises(CampaignUnfinished, match=r"3 of 3 calls failed.*RuntimeError: no road"):
+        brink.search(broken, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=3, progress=False)

@@ -402,7 +402,7 @@ def test_database_that_cannot_shrink_is_one_line_after_the_summary(
 def test_hints_do_not_show_the_password_of_the_database(monkeypatch: pytest.MonkeyPatch) -> None:
     url = "postgresql://brink:s3cret@db/brink"
     monkeypatch.delenv("BRINK_DATABASE", raising=False)
-    assert database_option(Settings(database=url)) == " --database postgresql+psycopg://brink:***@db/brink"
+    assert database_option(Settings(database=url)) == " --database 'postgresql+psycopg://brink:***@db/brink'"
     assert database_option(Settings()) == ""
     monkeypatch.setenv("BRINK_DATABASE", url)
     assert database_option(Settings()) == "", "the next command inherits it"
