@@ -1,19 +1,22 @@
 """Unsafe probability from gradient-boosted trees, calibrated on drives that each tree did not see.
 
-The simulated solutions are divided into ten folds, and ten models are fitted, each without one fold. A model is
-scikit-learn's histogram gradient boosting on `brink.search.features`, fitted to every solution in all its equivalent
-orders; its score is the mean over the orders, in log odds. The score of a new solution is the mean of the ten.
+A model is scikit-learn's histogram gradient boosting on `brink.search.features`, fitted to every solution in all its
+equivalent orders; its score is the mean over the orders, in log odds. One model is fitted to all simulated solutions,
+and gives the score of a new one. Ten more are fitted without one tenth each. `brink.search.analysis.folds` divides
+the solutions so that no model scores a solution that is nearly one of its own.
 
-Every simulated solution has a score by the one model that did not see it. These out-of-fold scores and the verdicts
-calibrate the probability: a logistic regression on the score (Platt). The limits of the interval are those of the
-score plus and minus z standard errors. The error covers two uncertainties: how much the score would change with
-other simulations (the delete-a-group jackknife over the ten models) and the error of the calibration.
+Every simulated solution has a score by a model that saw nothing like it. These out-of-fold scores and the verdicts
+calibrate the probability: a logistic regression on the score (Platt). Both are scores of single models, so that what
+is calibrated is what is used: the mean of several models varies less, and needs another slope. The limits of the
+interval are those of the score plus and minus z standard errors. The error covers two uncertainties: how much the
+score would change with other simulations (the delete-a-group jackknife) and the error of the calibration. Both take
+solutions that are alike as dependent.
 
 Only fitting needs scikit-learn (extra `analysis`). The trees are kept as arrays (`brink.forest`), and NumPy alone
 evaluates them.
 
-Source: Friedman 2001 (gradient boosting); Platt 1999 (calibration, with his smoothed targets); Efron and Stein 1981
-(the jackknife).
+Source: Friedman 2001 (gradient boosting); Platt 1999 (calibration, with his smoothed targets); Efron and Stein 1981,
+Shao and Wu 1989 (the jackknife).
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,11 +28,14 @@ import numpy as np
 
 from brink.extras import install_command
 from brink.forest import Forest
+from brink.search.analysis.folds import Division, connected, divisions, kinds_of_solutions
+from brink.search.analysis.statistics import clustered
 from brink.search.errors import MissingExtra
 from brink.search.features import FeatureArray, Features
 from brink.search.space import BoolArray, FloatArray, IntArray, frozen_array
 
-FOLDS: Final = 10
+FOLDS: Final = (10, 5, 3)
+"""Numbers of folds, of which the first is used that the solutions allow."""
 TREES: Final = 100
 """Number of trees of each model."""
 SHRINKAGE: Final = 5.0
@@ -37,6 +43,8 @@ SHRINKAGE: Final = 5.0
 LEAST_OF_A_VERDICT: Final = 10
 """Fewest solutions of each verdict to which trees are fitted."""
 _TOLERANCE: Final = 1e-6
+_CHECKED: Final = 200
+"""Number of solutions on which the exported trees are compared with scikit-learn's."""
 
 
 def is_installed() -> bool:
@@ -50,15 +58,18 @@ class BoostedTrees:
 
     Attributes:
         features: Turns solutions into features.
-        forest: The trees of all models.
+        forest: The trees of the models without some of the solutions, then those of the model of all of them.
         calibration: Intercept and slope that turn a score into calibrated log odds, shape ``(2,)``.
         covariance: Covariance of intercept and slope, shape ``(2, 2)``.
+        inflation: Variance of the score as a multiple of that of the models without some of the solutions; None for
+            trees of an earlier version, which have no model of all solutions: the score is the mean of the others.
     """
 
     features: Features
     forest: Forest
     calibration: FloatArray
     covariance: FloatArray
+    inflation: float | None
 
     @classmethod
     def fitted(
@@ -86,11 +97,20 @@ class BoostedTrees:
                 f"expected at least {LEAST_OF_A_VERDICT} safe and {LEAST_OF_A_VERDICT} unsafe solutions for trees, "
                 f"got {int((~unsafe).sum())} and {int(unsafe.sum())}"
             )
-        shown = features.in_every_order(vectors)
-        folds = _folds(vectors, unsafe, rng)
-        forest, unseen = _grown(shown, unsafe, folds)
-        calibration, covariance = calibrated(unseen, unsafe)
-        return cls(features=features, forest=forest, calibration=calibration, covariance=covariance)
+        kinds = kinds_of_solutions(features.space, vectors, rng)
+        parts = divisions(kinds, unsafe, rng, FOLDS)
+        if not parts:
+            raise ValueError(
+                f"expected at least {FOLDS[-1]} solutions unlike each other, with both verdicts outside every fold; "
+                f"got {np.unique(connected(kinds)).size} unlike each other"
+            )
+        forest, unseen = _grown(features.in_every_order(vectors), unsafe, parts)
+        calibration = calibrated(unseen, unsafe)
+        left_out = 1.0 - float(np.mean([one.fitted.mean() for one in parts]))
+        return cls(
+            features=features, forest=forest, calibration=calibration,
+            covariance=_covariance(calibration, unseen, unsafe, kinds), inflation=(1.0 - left_out) / left_out,
+        )  # fmt: skip
 
     @classmethod
     def of(cls, features: Features, document: Mapping[str, Any]) -> Self:
@@ -117,17 +137,27 @@ class BoostedTrees:
             raise ValueError(
                 f"expected a slope >= 0 and a covariance, got {calibration.tolist()}, {covariance.tolist()}"
             )
+        inflation = float(document["inflation"]) if "inflation" in document else None
+        forest = Forest.of(document["forest"], len(features.names()))
+        if inflation is not None and not (0 < inflation < np.inf and forest.offsets.size > 1):
+            raise ValueError(
+                f"expected several models and an inflation > 0, got {forest.offsets.size}, {inflation}"
+            )
         return cls(
-            features=features, forest=Forest.of(document["forest"], len(features.names())),
-            calibration=calibration, covariance=covariance,
-        )  # fmt: skip
+            features=features,
+            forest=forest,
+            calibration=calibration,
+            covariance=covariance,
+            inflation=inflation,
+        )
 
     def to_document(self) -> dict[str, Any]:
         """Return the model as a JSON object."""
-        return {
+        found = {
             "calibration": self.calibration.tolist(), "covariance": self.covariance.tolist(),
             "forest": self.forest.to_document(),
         }  # fmt: skip
+        return found if self.inflation is None else found | {"inflation": self.inflation}
 
     def estimate(self, rows: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return unsafe probabilities and the lower and upper limits of their intervals, each of shape ``(m,)``.
@@ -139,9 +169,10 @@ class BoostedTrees:
         shown = self.features.in_every_order(rows)
         orders, count, width = shown.shape
         scores = self.forest.scores(shown.reshape(-1, width)).reshape(orders, count, -1).mean(axis=0)
-        score = scores.mean(axis=1)
-        models = scores.shape[1]
-        of_score = (models - 1) / models * ((scores - score[:, None]) ** 2).sum(axis=1)
+        if self.inflation is None:
+            score, of_score = scores.mean(axis=1), (scores.shape[1] - 1) * scores.var(axis=1)
+        else:
+            score, of_score = scores[:, -1], self.inflation * scores[:, :-1].var(axis=1)
         terms = np.stack([np.ones_like(score), score])
         of_calibration = np.einsum("im,ij,jm->m", terms, self.covariance, terms)
         error = np.sqrt(self.calibration[1] ** 2 * of_score + np.maximum(of_calibration, 0.0))
@@ -156,60 +187,39 @@ def _expit(log_odds: FloatArray) -> FloatArray:
     return probability
 
 
-def _folds(vectors: FloatArray, unsafe: BoolArray, rng: np.random.Generator) -> IntArray:
-    """Return the fold of each solution, shape ``(n,)``: identical ones share a fold, verdicts are spread evenly.
-
-    Raises:
-        ValueError: Some verdict does not occur outside every fold.
-    """
-    which = np.unique(vectors, axis=0, return_inverse=True)[1].ravel()
-    share = np.bincount(which, unsafe) / np.bincount(which)
-    # Sorted by unsafe share, ties at random, each ten in a row go to the ten folds in random order.
-    order = np.lexsort((rng.random(share.size), share))
-    fold = np.empty(share.size, np.int64)
-    for first in range(0, share.size, FOLDS):
-        part = order[first : first + FOLDS]
-        fold[part] = rng.permutation(FOLDS)[: part.size]
-    folds: IntArray = fold[which]
-    for one in range(FOLDS):
-        others = unsafe[folds != one]
-        if others.all() or not others.any() or not (folds == one).any():
-            raise ValueError(
-                f"expected at least {FOLDS} different solutions, with both verdicts outside every fold; "
-                f"got {share.size} different solutions"
-            )
-    return folds
-
-
-def _grown(shown: FeatureArray, unsafe: BoolArray, folds: IntArray) -> tuple[Forest, FloatArray]:
-    """Fit one model without each fold.
+def _grown(shown: FeatureArray, unsafe: BoolArray, parts: Sequence[Division]) -> tuple[Forest, FloatArray]:
+    """Fit a model to each part, and one to everything.
 
     Args:
         shown: Features in every order, shape ``(orders, n, features)``.
         unsafe: Verdicts, shape ``(n,)``.
-        folds: Fold of each solution, shape ``(n,)``.
+        parts: Divisions, which together score each solution once.
 
     Returns:
-        The trees, and the score of each solution by the model that did not see it, shape ``(n,)``.
+        The trees, those of everything last, and the score of each solution by the model that did not see it, shape
+        ``(n,)``.
     """
     from sklearn.ensemble import HistGradientBoostingClassifier  # optional, and slow to import
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
-    models, expected = [], np.empty(len(unsafe))
+    every = np.ones(len(unsafe), np.bool_)
+    models, unseen = [], np.empty(len(unsafe))
     # More threads cost more than they save at this size, and much more on a busy machine.
     with threadpool_limits(limits=1):
-        for fold in range(FOLDS):
-            kept = folds != fold
+        for part in (*parts, Division(fitted=every, scored=~every)):
             model = HistGradientBoostingClassifier(
                 max_iter=TREES, l2_regularization=SHRINKAGE, early_stopping=False, random_state=0
             )
-            model.fit(np.concatenate(shown[:, kept]), np.tile(unsafe[kept], len(shown)))
+            model.fit(np.concatenate(shown[:, part.fitted]), np.tile(unsafe[part.fitted], len(shown)))
             models.append(model)
-            left_out = shown[:, ~kept]
-            expected[~kept] = np.mean([model.decision_function(part) for part in left_out], axis=0)
+            if part.scored.any():
+                unseen[part.scored] = np.mean(
+                    [model.decision_function(rows) for rows in shown[:, part.scored]], axis=0
+                )
+        checked = shown[0, :_CHECKED]
+        expected = np.stack([model.decision_function(checked) for model in models], axis=1)
     forest = forest_of(models, shown.shape[2])
-    unseen = np.mean([forest.scores(part)[np.arange(len(unsafe)), folds] for part in shown], axis=0)
-    if not np.allclose(unseen, expected, atol=_TOLERANCE):
+    if not np.allclose(forest.scores(checked), expected, atol=_TOLERANCE):
         raise RuntimeError("this version of scikit-learn stores its trees in a way that Brink cannot read")
     return forest, unseen
 
@@ -241,8 +251,8 @@ def forest_of(models: Sequence[Any], features: int) -> Forest:
     return Forest.of(document, features)
 
 
-def calibrated(score: FloatArray, unsafe: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return intercept and slope of the log odds of being unsafe, and their covariance.
+def calibrated(score: FloatArray, unsafe: BoolArray) -> FloatArray:
+    """Return intercept and slope of the log odds of being unsafe, shape ``(2,)``.
 
     Args:
         score: Out-of-fold scores, shape ``(n,)``.
@@ -250,10 +260,7 @@ def calibrated(score: FloatArray, unsafe: BoolArray) -> tuple[FloatArray, FloatA
     """
     from scipy.optimize import minimize  # slow to import
 
-    hazards, harmless = int(unsafe.sum()), int((~unsafe).sum())
-    # Platt's targets: finite estimates even if the scores separate the verdicts.
-    target = np.where(unsafe, (hazards + 1) / (hazards + 2), 1 / (harmless + 2))
-    terms = np.stack([np.ones_like(score), score])
+    target, terms = _targets(unsafe), np.stack([np.ones_like(score), score])
 
     def loss(w: FloatArray) -> tuple[float, FloatArray]:
         log_odds = w @ terms
@@ -262,7 +269,25 @@ def calibrated(score: FloatArray, unsafe: BoolArray) -> tuple[FloatArray, FloatA
 
     # A negative slope would mean that the trees are worse than guessing; then only the intercept is kept.
     found = minimize(loss, np.array([0.0, 1.0]), jac=True, bounds=[(None, None), (0.0, None)])
-    calibration: FloatArray = found.x
+    return frozen_array(found.x)
+
+
+def _targets(unsafe: BoolArray) -> FloatArray:
+    """Return Platt's targets: with them, estimates are finite even if the scores separate the verdicts."""
+    hazards, harmless = int(unsafe.sum()), int((~unsafe).sum())
+    return np.where(unsafe, (hazards + 1) / (hazards + 2), 1 / (harmless + 2))
+
+
+def _covariance(
+    calibration: FloatArray, score: FloatArray, unsafe: BoolArray, kinds: Sequence[IntArray]
+) -> FloatArray:
+    """Return the covariance of intercept and slope, shape ``(2, 2)``, where solutions of a kind are dependent.
+
+    It is at least that of independent solutions.
+    """
+    terms = np.stack([np.ones_like(score), score])
     risk = _expit(calibration @ terms)
-    covariance = np.linalg.pinv((terms * (risk * (1 - risk))) @ terms.T)
-    return frozen_array(calibration), frozen_array(0.5 * (covariance + covariance.T))
+    independent = np.linalg.pinv((terms * (risk * (1 - risk))) @ terms.T)
+    dependent = independent @ clustered((terms * (_targets(unsafe) - risk)).T, kinds) @ independent
+    more = max(1.0, float(np.trace(dependent) / np.trace(independent)))
+    return frozen_array(0.5 * more * (independent + independent.T))

@@ -5,11 +5,10 @@ positive for a horizon if the violation follows within it. Negative steps far fr
 that are kept count for those left out.
 
 Drives are divided, never steps: neighbouring steps of a drive are almost equal, and so are drives of the same
-scenario or behaviour in the campaign of a search. Out-of-fold scores, by models that saw neither the scenario nor the
+scenario or behaviour in the campaign of a search. `brink.search.analysis.folds` divides them into three folds, or in
+a campaign of MLCSHE into nine combinations. Out-of-fold scores, by models that saw neither the scenario nor the
 behaviour of a drive, calibrate the probabilities and choose the threshold of the alarm. The model itself is fitted to
-all drives. Where drives that share one or the other fall into many groups, these groups are divided into three folds.
-In a campaign of MLCSHE everything is connected: there, scenarios and behaviours are divided into three folds each,
-and every one of the nine combinations has its own model, fitted to the drives that share neither with it.
+all drives.
 
 Only fitting needs scikit-learn (extra `analysis`); the result is a `brink.forest.Forest`.
 
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from brink.extras import install_command
 from brink.forest import Forest
 from brink.search.analysis.boosted_trees import calibrated, forest_of, is_installed
+from brink.search.analysis.folds import Division, divisions, numbered
 from brink.search.errors import MissingExtra
 from brink.search.space import BoolArray, FloatArray, IntArray
 
@@ -133,7 +133,7 @@ def fit_horizons(
     return FittedHorizons(
         forest=forest,
         calibration=np.array([
-            calibrated(np.concatenate([one[:, place] for one in unseen]), _labels(drives, horizon_s))[0]
+            calibrated(np.concatenate([one[:, place] for one in unseen]), _labels(drives, horizon_s))
             for place, horizon_s in enumerate(horizons_s)
         ]),
         unseen=tuple(unseen),
@@ -261,20 +261,7 @@ def _labels(drives: Sequence[DriveSeries], horizon_s: float) -> BoolArray:
     return labels
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Division:
-    """The drives of one model.
-
-    Attributes:
-        fitted: Mask of the drives to which it is fitted, shape ``(drives,)``.
-        scored: Mask of the drives that it scores, none of which shares a scenario or a behaviour with those.
-    """
-
-    fitted: BoolArray
-    scored: BoolArray
-
-
-def _divisions(drives: Sequence[DriveSeries], rng: np.random.Generator) -> list[_Division]:
+def _divisions(drives: Sequence[DriveSeries], rng: np.random.Generator) -> list[Division]:
     """Return the drives of each model: of those that score every drive once, and last of the model of all drives.
 
     Raises:
@@ -287,73 +274,25 @@ def _divisions(drives: Sequence[DriveSeries], rng: np.random.Generator) -> list[
             f"expected at least {LEAST_VIOLATIONS} drives with and without a violation, "
             f"got {int(violated.sum())} and {int((~violated).sum())}"
         )
-    scenarios, behaviours = _numbered([one.scenario for one in drives]), _behaviours(drives)
+    scenarios, behaviours = numbered([one.scenario for one in drives]), _behaviours(drives)
+    # An ODD may leave a single scenario or behaviour: then the other one alone is divided.
     kinds = [kind for kind in (scenarios, behaviours) if np.unique(kind).size >= FOLDS]
-    groups = _connected(kinds)
-    if groups is not None and np.bincount(groups).max() * FOLDS <= len(drives):
-        kinds = [
-            groups
-        ]  # an ODD may leave a single scenario or behaviour: then the other one alone is divided
-    folds = [_spread(kind, violated, rng) for kind in kinds]
-    found = []
-    for which in np.ndindex(*(FOLDS,) * len(folds)):
-        same: BoolArray = np.array([fold == one for fold, one in zip(folds, which, strict=True)])
-        division = _Division(fitted=np.asarray(~same.any(axis=0)), scored=np.asarray(same.all(axis=0)))
-        if division.scored.any():
-            found.append(division)
-    if not folds or not all(_teaches(violated[one.fitted]) for one in found):
+    found = divisions(kinds, violated, rng, (FOLDS,)) if kinds else []
+    if not found:
         raise ValueError(
             f"expected drives of at least {FOLDS} scenarios, with and without a violation outside every fold; "
             f"got {np.unique(scenarios).size} scenarios and {np.unique(behaviours).size} behaviours"
         )
     every = np.ones(len(drives), np.bool_)
-    return [*found, _Division(fitted=every, scored=~every)]
-
-
-def _teaches(violated: BoolArray) -> bool:
-    return bool(violated.any() and not violated.all())
-
-
-def _numbered(kinds: Sequence[Hashable]) -> IntArray:
-    """Return consecutive numbers of equal values, shape ``(n,)``."""
-    numbers: dict[Hashable, int] = {}
-    return np.array([numbers.setdefault(kind, len(numbers)) for kind in kinds], np.int64)
+    return [*found, Division(fitted=every, scored=~every)]
 
 
 def _behaviours(drives: Sequence[DriveSeries]) -> IntArray:
     """Return the number of each behaviour; drives that report nothing have one each."""
-    return _numbered([
+    return numbered([
         ("nothing", place) if one.behaviour is None else ("behaviour", one.behaviour)
         for place, one in enumerate(drives)
     ])  # fmt: skip
-
-
-def _connected(kinds: Sequence[IntArray]) -> IntArray | None:
-    """Return the groups of drives that share a number of any kind, directly or over others; None without kinds."""
-    if not kinds:
-        return None
-    group = np.arange(kinds[0].size)
-    while True:
-        before = group.copy()
-        for kind in kinds:
-            least = np.full(int(kind.max()) + 1, kind.size, np.int64)
-            np.minimum.at(least, kind, group)
-            group = least[kind]
-        if (group == before).all():
-            return _numbered(group.tolist())
-
-
-def _spread(groups: IntArray, violated: BoolArray, rng: np.random.Generator) -> IntArray:
-    """Return the fold of each drive, shape ``(n,)``: a group is in one fold, violations are spread evenly."""
-    members = [np.flatnonzero(groups == group) for group in range(int(groups.max()) + 1)]
-    shares = np.array([violated[one].mean() for one in members])
-    order = np.lexsort((rng.random(len(members)), shares))
-    folds = np.empty(groups.size, np.int64)
-    for first in range(0, len(order), FOLDS):
-        part = order[first : first + FOLDS]
-        for group, fold in zip(part.tolist(), rng.permutation(FOLDS).tolist(), strict=False):
-            folds[members[group]] = fold
-    return folds
 
 
 def _check_forest(forest: Forest, models: Sequence[Any], steps: _Steps) -> None:

@@ -45,11 +45,13 @@ from brink.search.streams import Stream, generator
 from brink.user_file import read_text
 
 FORMAT: Final = "brink-monitor"
-VERSION: Final = 3
-LARGEST_BYTES: Final = 256 * 1024**2
-"""Maximum size of a file."""
+VERSION: Final = 4
 VERSION_WITHOUT_TREES: Final = 2
 """Version of files that always hold the model `neighbours`."""
+VERSIONS: Final = range(VERSION_WITHOUT_TREES, VERSION + 1)
+"""Versions that can be read; trees of version 3 have no model of all solutions."""
+LARGEST_BYTES: Final = 256 * 1024**2
+"""Maximum size of a file."""
 
 
 class Answer(StrEnum):
@@ -357,9 +359,9 @@ class Monitor:
             raise DocumentError(f"expected a monitor: {error}") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise DocumentError(f"expected a document with format {FORMAT!r}")
-        if document.get("version") not in (VERSION, VERSION_WITHOUT_TREES):
+        if document.get("version") not in VERSIONS:
             raise DocumentError(
-                f"expected version {VERSION_WITHOUT_TREES} or {VERSION}, got {document.get('version')!r}: "
+                f"expected version {VERSIONS[0]} to {VERSIONS[-1]}, got {document.get('version')!r}: "
                 "fit the monitor again"
             )
         try:

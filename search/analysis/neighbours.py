@@ -2,10 +2,10 @@
 
 Every evaluated solution has a weight that falls with its distance, exp(-sum of w_j d_j) over the parameters j. d_j is
 the difference of two numbers as a share of their range, or 1 for different categories; w_j >= 0 is the weight of the
-parameter. The weights are chosen to minimise the mean log loss when each solution is predicted from all others; most
-become 0. With n the sum of weights and k that of the unsafe solutions, the unsafe probability is
-(k + m) / (n + 1); the overall unsafe share m has the weight of one evaluation. The interval is Wilson's for k of n:
-where few solutions were simulated, n is small and the interval wide.
+parameter. The weights are chosen to minimise the mean log loss when each solution is predicted from those unlike it
+(`brink.search.analysis.folds`); most become 0. With n the sum of weights and k that of the unsafe solutions, the
+unsafe probability is (k + m) / (n + 1); the overall unsafe share m has the weight of one evaluation. The interval is
+Wilson's for k of n: where few solutions were simulated, n is small and the interval wide.
 
 Source: Wilson 1927; kernel regression (Nadaraya 1964, Watson 1964).
 """
@@ -16,6 +16,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from brink.search.analysis.folds import kinds_of_solutions
 from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
 
 LEVELS: Final = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -131,7 +132,7 @@ def _scaled(rows: FloatArray, scales: FloatArray) -> FloatArray:
 def _best_weights(
     space: SearchSpace, vectors: FloatArray, unsafe: BoolArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the weights with the smallest mean log loss when each solution is predicted from all others.
+    """Return the weights with the smallest mean log loss when each solution is predicted from those unlike it.
 
     Coordinate descent: one parameter after the other until nothing changes. On ties the smallest weight wins, so
     that parameters without an effect are left out.
@@ -139,7 +140,9 @@ def _best_weights(
     learned = np.sort(rng.permutation(len(vectors))[:MAX_LEARNED])
     rows, truth = vectors[learned], unsafe[learned]
     predicted = np.sort(rng.permutation(len(rows))[:MAX_PREDICTED])
-    itself = (np.arange(predicted.size), predicted)
+    alike = np.zeros((predicted.size, len(rows)), np.bool_)
+    for kind in kinds_of_solutions(space, rows, rng):
+        alike |= kind[predicted, None] == kind[None, :]
     counts, share = truth.astype(np.float32), float(unsafe.mean())
 
     def difference(column: int) -> NDArray[np.float32]:
@@ -150,7 +153,7 @@ def _best_weights(
 
     def loss(exponent: NDArray[np.float32]) -> float:
         kernel = np.exp(-exponent)
-        kernel[itself] = 0.0
+        kernel[alike] = 0.0
         risk = (kernel @ counts + share) / (kernel.sum(axis=1) + 1.0)
         risk = np.clip(risk.astype(np.float64), 1e-6, 1 - 1e-6)
         return -float(np.mean(np.where(truth[predicted], np.log(risk), np.log1p(-risk))))

@@ -138,7 +138,7 @@ def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPa
         ("[]", "format 'brink-monitor'"),
         (
             '{"format": "brink-monitor", "version": 1}',
-            "expected version 2 or 3, got 1: fit the monitor again",
+            "expected version 2 to 4, got 1: fit the monitor again",
         ),
         ('{"format": "brink-monitor", "version": 2}', "expected a monitor: KeyError"),
     ],
