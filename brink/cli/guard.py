@@ -49,6 +49,7 @@ from brink.sim.guard.model import GuardModel, Sensor
 FRESH_SEED = 2_001
 """Seed of fresh drives; seeds of campaigns are usually small."""
 RANDOM_SEED = 1_001
+INTERVALS = "95% intervals, drives that share a scenario or a behaviour counting as dependent"
 
 guard = typer.Typer(
     name="guard",
@@ -359,8 +360,8 @@ def _print(evaluation: GuardEvaluation) -> None:
     )
     leads = [f"{lead_s:g} s" for lead_s in LEADS_S if lead_s]
     screen.print(
-        f"violations predicted at least this long ahead, with alarms in at most {FALSE_ALARMS:.0%} of the safe "
-        "drives (each threshold is read off the ROC curve of these very drives):",
+        f"violations predicted at least this long ahead, with alarms in {FALSE_ALARMS:.0%} of the safe drives (each "
+        f"drive is judged with a threshold that other drives choose; {INTERVALS}):",
         soft_wrap=True,
     )
     table = plain_table(
@@ -372,9 +373,10 @@ def _print(evaluation: GuardEvaluation) -> None:
     own = evaluation.own
     lead = "none" if own.median_lead_s is None else f"{own.median_lead_s:.1f} s"
     screen.print(
-        f"with its own threshold ({own.point.threshold:.3f}): {own.point.recall:.0%} of violations predicted at "
-        f"least {LEAD_S:g} s ahead, {own.recent:.0%} by an alarm of the last seconds; alarms in "
-        f"{own.point.false_alarms:.1%} of safe drives, {own.false_per_hour:.1f} an hour; median lead {lead}",
+        f"with its own threshold ({own.point.threshold:.3f}): {own.point.recall:.0%} ({_limits(own.interval)}) of "
+        f"violations predicted at least {LEAD_S:g} s ahead, {own.recent:.0%} by an alarm of the last seconds; alarms "
+        f"in {own.point.false_alarms:.1%} ({_limits(own.false_interval, 1)}) of safe drives, "
+        f"{own.false_per_hour:.1f} an hour; median lead {lead}",
         soft_wrap=True,
     )
     table = plain_table(
@@ -389,7 +391,11 @@ def _print(evaluation: GuardEvaluation) -> None:
 
 
 def _row(one: PredictorResult) -> list[str]:
-    low, high = one.interval
-    interval = f"{low:.0%} to {high:.0%}" if one.shown == one.compared else ""
+    interval = _limits(one.interval) if one.shown == one.compared else ""
     warned = [f"{share:.0%}" for lead_s, share in zip(LEADS_S, one.shown.warned, strict=True) if lead_s]
     return [f"  {one.name}", f"{one.shown.false_alarms:.1%}", *warned, interval]
+
+
+def _limits(interval: tuple[float, float], decimals: int = 0) -> str:
+    low, high = interval
+    return f"{low:.{decimals}%} to {high:.{decimals}%}"

@@ -25,7 +25,8 @@ from brink.guard.loop import (
 )
 from brink.guard.seen import SeenDrives
 from brink.guard.sight import LEAD_S, WINDOW_S, Reported
-from brink.search.analysis.guard_drives import CONFIDENCE, Estimate, GuardWorth
+from brink.search.analysis.guard_drives import Estimate, GuardWorth
+from brink.search.analysis.intervals import CONFIDENCE
 from brink.search.space import BoolArray
 from brink.server.campaigns.body import PluginChoice
 from brink.server.documents import parse_yaml
@@ -124,8 +125,8 @@ def drive(
 ) -> None:
     """Run fresh drives without and with a guard, and report what its fallback prevents, costs and causes.
 
-    Each drive runs without the guard, and again with it at each threshold. Intervals are 95% bootstrap intervals over
-    the seeds.
+    Each drive runs without the guard, and again with it at each threshold. Intervals are 95% intervals with the drive
+    as unit: Wilson's for shares of drives, gamma intervals for other figures.
 
     Example: brink guard drive guard.json --drives 200 --seeds 10 --out guard-drives
     """  # fmt: skip

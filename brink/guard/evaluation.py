@@ -4,9 +4,14 @@ The unit is the drive. A *false alarm* is an alarm at any time in a drive withou
 *predicted* with a lead if the first alarm of its drive came at least that long before it. Violations that happen
 sooner after the start than the lead cannot be predicted, and count as missed.
 
-Predictors are compared at the point of their ROC curves with the most predictions at a fixed share of false alarms.
-That threshold is read off the very drives on which it is reported. The guard's own threshold was set in fitting, and
-what its alarms do is reported beside it.
+Predictors are compared with alarms in a fixed share of the safe drives. The threshold with which a drive is judged is
+chosen on the others, none of which shares its scenario or its behaviour: it is the lowest with which at most that
+share of those that are safe has an alarm. The guard's own threshold was set in fitting, and what its alarms do is
+reported beside it.
+
+Intervals of shares are those of `brink.search.analysis.intervals`, in which drives that share a scenario or a
+behaviour depend on each other. That of a recall at a fixed share of false alarms includes how uncertain the threshold
+for that share is.
 
 The baselines are the time to collision on reported boxes (`ttc@1`), the same on the range sensor if the car has one
 (`range-ttc@1`), an alarm in every drive from its start, and none at all. They compute what those guards compute in
@@ -15,15 +20,17 @@ the car. All predictors confirm an alarm over as many steps as the guard does: a
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brink.guard.drives import STEP_S, Drive
+from brink.search.analysis.folds import Division, divisions
+from brink.search.analysis.guard_training import DriveSeries, kinds_of_drives
+from brink.search.analysis.intervals import share_interval
 from brink.search.analysis.monitor_evaluation import classification_metrics
-from brink.search.fitness import wilson_interval
-from brink.search.space import BoolArray, FloatArray
+from brink.search.space import BoolArray, FloatArray, IntArray
 from brink.server.errors import Conflict
 from brink.sim.guard.model import GuardModel, Sensor
 from brink.sim.guard.monitor import Alarm
@@ -34,6 +41,10 @@ LEAD_S: Final = 1.5
 """The lead that counts."""
 FALSE_ALARMS: Final = 0.05
 """The share of safe drives with an alarm at which predictors are compared."""
+MORE_FALSE_ALARMS: Final = (0.1, 0.2)
+"""Further such shares."""
+FOLDS: Final = (10, 5, 3)
+"""Numbers of parts of the drives, each judged with the threshold of the others; the first is used that they allow."""
 RECENT_S: Final = 6.0
 """An alarm raised longer than this before a violation may have had another reason."""
 POINTS: Final = 200
@@ -72,25 +83,24 @@ class PredictorResult:
 
     Attributes:
         name: Name of the predictor.
-        points: Points at all thresholds, ascending by false alarms.
-        compared: The point with the most predictions, with alarms in at most `FALSE_ALARMS` of the safe drives.
-        interval: Its recall's 95% Wilson interval.
+        points: Points at all thresholds, ascending by false alarms: the ROC curve of these drives.
+        compared: What it does with thresholds that are chosen on other drives than those judged, for alarms in
+            `FALSE_ALARMS` of the safe drives. Its threshold is the one that all drives together choose.
+        interval: 95% interval of its recall.
+        more: The same for alarms in each of `MORE_FALSE_ALARMS`.
     """
 
     name: str
     points: tuple[WarningPoint, ...]
     compared: WarningPoint
     interval: tuple[float, float]
+    more: tuple[WarningPoint, ...]
 
     @property
     def shown(self) -> WarningPoint:
         """The compared point; of the baselines that always or never raise an alarm, the only one that they have."""
         places = {ALWAYS: -1, NEVER: 0}
         return self.points[places[self.name]] if self.name in places else self.compared
-
-    def recall_at(self, false_alarms: float) -> float:
-        """Return the largest recall with alarms in at most a share of the safe drives."""
-        return max(point.recall for point in self.points if point.false_alarms <= false_alarms)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +109,8 @@ class OwnAlarms:
 
     Attributes:
         point: Predicted violations and false alarms.
+        interval: 95% interval of the recall.
+        false_interval: 95% interval of the share of safe drives with an alarm.
         recent: Share of violations before which an alarm was raised between `LEAD_S` and `RECENT_S` ahead, or was
             still on `LEAD_S` ahead.
         median_lead_s: Median time from the first alarm to the violation, of violations with an alarm; None if there
@@ -108,6 +120,8 @@ class OwnAlarms:
     """
 
     point: WarningPoint
+    interval: tuple[float, float]
+    false_interval: tuple[float, float]
     recent: float
     median_lead_s: float | None
     false_per_hour: float
@@ -186,7 +200,7 @@ def evaluate(model: GuardModel, drives: Sequence[Drive]) -> GuardEvaluation:
         drives: Recorded drives.
 
     Raises:
-        Conflict: The drives lack a requirement of the guard, or do not both violate and hold it.
+        Conflict: The drives lack a requirement of the guard, or too few violate or hold it.
     """
     watched = [_Watched.of(drive, model) for drive in drives]
     violations = sum(one.violated_at_s is not None for one in watched)
@@ -194,12 +208,13 @@ def evaluate(model: GuardModel, drives: Sequence[Drive]) -> GuardEvaluation:
         raise Conflict(
             f"expected drives with and without a violation, got {violations} of {len(watched)} with one"
         )
+    judged = JudgedDrives.of([one.series for one in watched])
     probabilities = predict(model, [one.features for one in watched])
     deciding = [one[:, model.deciding] for one in probabilities]
     confirm = model.alarm.confirm_steps
-    predictors = [_warnings(GUARD, watched, deciding, confirm)]
+    predictors = [_warnings(GUARD, watched, judged, deciding, confirm)]
     predictors += [
-        _warnings(name, watched, [score(one.features) for one in watched], confirm)
+        _warnings(name, watched, judged, [score(one.features) for one in watched], confirm)
         for name, score in _baselines(model.sensor)
     ]
     return GuardEvaluation(
@@ -209,7 +224,7 @@ def evaluate(model: GuardModel, drives: Sequence[Drive]) -> GuardEvaluation:
         violations=violations,
         too_early=sum(one.violated_at_s is not None and one.violated_at_s <= LEAD_S for one in watched),
         predictors=tuple(predictors),
-        own=_own_alarms(model, watched, deciding),
+        own=_own_alarms(model, watched, judged, deciding),
         horizons=tuple(_accuracies(model, watched, probabilities)),
     )
 
@@ -219,17 +234,111 @@ class _Watched:
     """A drive until its first violation.
 
     Attributes:
-        features: Features of the guard, shape ``(steps, features)``.
+        series: What the guard sees.
         violated_at_s: When it was violated; None if it was not.
     """
 
-    features: NDArray[np.float16]
+    series: DriveSeries
     violated_at_s: float | None
+
+    @property
+    def features(self) -> NDArray[np.float16]:
+        """Features of the guard, shape ``(steps, features)``."""
+        return self.series.features
 
     @classmethod
     def of(cls, drive: Drive, model: GuardModel) -> "_Watched":
         series = drive.series(model.requirements, len(model.sensor.features))
-        return cls(features=series.features, violated_at_s=drive.first_violation_s(model.requirements))
+        return cls(series=series, violated_at_s=drive.first_violation_s(model.requirements))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JudgedDrives:
+    """Drives, each of which is judged with a threshold that drives unlike it choose.
+
+    Attributes:
+        violated: Whether each is violated, shape ``(n,)``.
+        kinds: By what they are alike.
+        parts: Those that choose a threshold, with those that are judged with it.
+    """
+
+    violated: BoolArray
+    kinds: Sequence[IntArray]
+    parts: Sequence[Division]
+
+    @classmethod
+    def of(cls, drives: Sequence[DriveSeries]) -> Self:
+        """Divide drives.
+
+        Raises:
+            Conflict: They are too few, or too much alike.
+        """
+        violated = np.array([one.violated for one in drives], np.bool_)
+        kinds = kinds_of_drives(drives)
+        parts = divisions(kinds, violated, np.random.default_rng(0), FOLDS) if kinds else []
+        if not parts:
+            raise Conflict(
+                "expected drives with and without a violation from which a threshold can be chosen for others: at "
+                f"least two of each, unlike in scenario and behaviour; got {int(violated.sum())} with a violation "
+                f"of {len(drives)}"
+            )
+        return cls(violated=violated, kinds=kinds, parts=parts)
+
+    def share(self, hits: BoolArray, counted: BoolArray) -> tuple[float, tuple[float, float]]:
+        """Return the share of hits among the counted drives, with its interval; masks of shape ``(n,)``."""
+        share = float(hits[counted].mean())
+        influence = np.where(counted, hits - share, 0.0) / counted.sum()
+        return share, share_interval(share, int(counted.sum()), influence, self.kinds)
+
+    def warnings(
+        self, strengths: FloatArray, false_alarms: float
+    ) -> tuple[WarningPoint, tuple[float, float]]:
+        """Return what a predictor does with alarms in a share of the safe drives, with the interval of its recall.
+
+        Args:
+            strengths: The highest confirmed score of each drive until each of `LEADS_S` before its violation; of a
+                safe drive, until its end. Shape ``(n, leads)``.
+            false_alarms: The share, in (0, 1).
+        """
+        harmless, lead = strengths[~self.violated, 0], LEADS_S.index(LEAD_S)
+        raised = np.zeros(strengths.shape, np.bool_)
+        for part in self.parts:
+            threshold = threshold_at(strengths[part.fitted & ~self.violated, 0], false_alarms)
+            raised[part.scored] = strengths[part.scored] >= threshold
+        point = WarningPoint(
+            threshold=threshold_at(harmless, false_alarms), false_alarms=float(raised[~self.violated, 0].mean()),
+            warned=tuple(raised[self.violated].mean(axis=0).tolist()),
+        )  # fmt: skip
+        hazards, safe = int(self.violated.sum()), harmless.size
+        steepness = _steepness(strengths[self.violated, lead], harmless, false_alarms)
+        influence = np.where(
+            self.violated,
+            (raised[:, lead] - point.recall) / hazards,
+            -steepness * (raised[:, 0] - point.false_alarms) / safe,
+        )
+        return point, share_interval(point.recall, hazards, influence, self.kinds)
+
+
+def _steepness(hazards: FloatArray, harmless: FloatArray, false_alarms: float) -> float:
+    """Return by how much the recall rises with the share of false alarms, over one standard error of that share."""
+    error = np.sqrt(false_alarms * (1.0 - false_alarms) / harmless.size)
+    rates = []
+    for share in (max(false_alarms - error, 0.0), min(false_alarms + error, 1.0 - 1e-9)):
+        threshold = threshold_at(harmless, share)
+        rates.append(((hazards >= threshold).mean(), (harmless >= threshold).mean()))
+    (recall, rate), (more, higher) = rates
+    return float((more - recall) / (higher - rate)) if higher > rate else 0.0
+
+
+def threshold_at(peaks: FloatArray, false_alarms: float) -> float:
+    """Return the lowest threshold that at most a share of the safe drives reach.
+
+    Args:
+        peaks: Highest confirmed score in each safe drive, shape ``(n,)``, n >= 1.
+        false_alarms: The share, in [0, 1).
+    """
+    allowed = int(np.floor(false_alarms * peaks.size + 1e-9))
+    return float(np.nextafter(np.sort(peaks)[::-1][allowed], np.inf))
 
 
 def predict(model: GuardModel, features: Sequence[NDArray[np.float16]]) -> list[FloatArray]:
@@ -274,25 +383,20 @@ def _baselines(sensor: Sensor) -> Iterator[tuple[str, Score]]:
 
 
 def _warnings(
-    name: str, watched: Sequence[_Watched], scores: Sequence[FloatArray], confirm: int
+    name: str, watched: Sequence[_Watched], judged: JudgedDrives, scores: Sequence[FloatArray], confirm: int
 ) -> PredictorResult:
-    safe, unsafe = [], []
-    for one, score in zip(watched, scores, strict=True):
-        strengths = confirmed(score, confirm)
-        if one.violated_at_s is None:
-            safe.append(peak(strengths))
-        else:
-            unsafe.append([peak(strengths, one.violated_at_s - lead_s) for lead_s in LEADS_S])
-    harmless, hazards = np.sort(safe), np.sort(np.array(unsafe), axis=0)
+    strengths = np.empty((len(watched), len(LEADS_S)))
+    for row, one, score in zip(strengths, watched, scores, strict=True):
+        found = confirmed(score, confirm)
+        end_s = np.inf if one.violated_at_s is None else one.violated_at_s
+        row[:] = [peak(found, end_s - lead_s) for lead_s in LEADS_S]
+    harmless, hazards = np.sort(strengths[~judged.violated, 0]), np.sort(strengths[judged.violated], axis=0)
     points = [_point(threshold, harmless, hazards) for threshold in _thresholds(harmless, hazards)]
-    compared = max(
-        (point for point in points if point.false_alarms <= FALSE_ALARMS),
-        key=lambda point: (point.recall, -point.false_alarms),
-    )
-    low, high = wilson_interval(round(compared.recall * len(hazards)), len(hazards))
+    compared, interval = judged.warnings(strengths, FALSE_ALARMS)
     return PredictorResult(
-        name=name, points=tuple(points), compared=compared, interval=(float(low), float(high))
-    )
+        name=name, points=tuple(points), compared=compared, interval=interval,
+        more=tuple(judged.warnings(strengths, share)[0] for share in MORE_FALSE_ALARMS),
+    )  # fmt: skip
 
 
 def _thresholds(harmless: FloatArray, hazards: FloatArray) -> list[float]:
@@ -321,31 +425,36 @@ def _point(threshold: float, harmless: FloatArray, hazards: FloatArray) -> Warni
     )
 
 
-def _own_alarms(model: GuardModel, watched: Sequence[_Watched], deciding: Sequence[FloatArray]) -> OwnAlarms:
+def _own_alarms(
+    model: GuardModel, watched: Sequence[_Watched], judged: JudgedDrives, deciding: Sequence[FloatArray]
+) -> OwnAlarms:
     leads: list[float] = []
-    recent = alarms = steps = on = with_alarm = safe = hazards = 0
-    warned = np.zeros(len(LEADS_S))
-    for one, scores in zip(watched, deciding, strict=True):
+    recent = alarms = steps = on = 0
+    raised = np.zeros((len(watched), len(LEADS_S)), np.bool_)
+    for warned, one, scores in zip(raised, watched, deciding, strict=True):
         alarm = Alarm(model.alarm)
         states = np.array([alarm.step(score) for score in scores.tolist()], np.bool_)
         starts = np.flatnonzero(states & ~np.concatenate([[False], states[:-1]])) * STEP_S
         if one.violated_at_s is None:
-            safe += 1
-            with_alarm += bool(starts.size)
+            warned[:] = bool(starts.size)
             alarms += starts.size
             steps += states.size
             on += int(states.sum())
             continue
-        hazards += 1
         if starts.size:
             leads.append(one.violated_at_s - float(starts[0]))
-            warned += np.array([leads[-1] >= lead_s - 1e-9 for lead_s in LEADS_S])
+            warned[:] = [leads[-1] >= lead_s - 1e-9 for lead_s in LEADS_S]
         recent += _is_recent(one.violated_at_s, starts, states)
+    violated = judged.violated
+    false_alarms, false_interval = judged.share(raised[:, 0], ~violated)
     return OwnAlarms(
         point=WarningPoint(
-            threshold=model.alarm.threshold, false_alarms=with_alarm / safe, warned=tuple((warned / hazards).tolist())
+            threshold=model.alarm.threshold, false_alarms=false_alarms,
+            warned=tuple(raised[violated].mean(axis=0).tolist()),
         ),
-        recent=recent / hazards,
+        interval=judged.share(raised[:, LEADS_S.index(LEAD_S)], violated)[1],
+        false_interval=false_interval,
+        recent=recent / int(violated.sum()),
         median_lead_s=float(np.median(leads)) if leads else None,
         false_per_hour=alarms / (steps * STEP_S / 3600.0),
         on_share=on / steps,

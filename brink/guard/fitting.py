@@ -7,10 +7,9 @@ import numpy as np
 
 from brink import __version__
 from brink.guard.drives import Drive
-from brink.guard.evaluation import FALSE_ALARMS, confirmed, peak
+from brink.guard.evaluation import FALSE_ALARMS, confirmed, peak, threshold_at
 from brink.guard.seen import ABOUT, SeenDrives
 from brink.search.analysis.guard_training import fit_horizons
-from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
 from brink.server.errors import Conflict
 from brink.sim.guard.model import AlarmRule, GuardModel, Sensor, calibrated_probabilities
@@ -62,7 +61,7 @@ def fit(
         for scores, drive in zip(fitted.unseen, series, strict=True)
         if not drive.violated
     ]
-    threshold = threshold_for(np.array(peaks), false_alarms)
+    threshold = float(np.clip(threshold_at(np.array(peaks), false_alarms), np.nextafter(0.0, 1.0), 1.0))
     return GuardModel(
         sensor=sensor,
         requirements=tuple(requirements),
@@ -82,15 +81,3 @@ def fit(
             **(about or {}),
         },
     )  # fmt: skip
-
-
-def threshold_for(peaks: FloatArray, false_alarms: float) -> float:
-    """Return the lowest threshold that at most a share of the safe drives reach.
-
-    Args:
-        peaks: Highest confirmed probability in each safe drive, shape ``(n,)``, n >= 1.
-        false_alarms: The share, in [0, 1).
-    """
-    allowed = int(np.floor(false_alarms * peaks.size + 1e-9))
-    highest = float(np.sort(peaks)[::-1][allowed])
-    return float(min(np.nextafter(max(highest, 0.0), np.inf), 1.0))

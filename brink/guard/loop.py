@@ -133,7 +133,7 @@ class GuardedLoop:
             part: Mask of the drives that count, shape ``(drives,)``; all by default.
         """
         drives = self.drives(condition)
-        return guard_worth(drives if part is None else drives.of(part), np.random.default_rng(0))
+        return guard_worth(drives if part is None else drives.of(part))
 
     @property
     def chooses(self) -> BoolArray:

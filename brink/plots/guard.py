@@ -46,7 +46,7 @@ def figure_guard(evaluation: GuardEvaluation) -> Figure:
         f"Guard on {evaluation.drives:,} drives ({evaluation.sensor})",
         f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}.\nLeft: each point "
         f"is an alarm threshold; solid: predicted at least {LEAD_S:g} s ahead, dashed: 0.5 s, dotted: 3 s. Right: "
-        "with the thresholds at the dotted line on the left.",
+        f"with alarms in {FALSE_ALARMS:.0%} of the safe drives (dotted on the left), by thresholds of other drives.",
     )
     left, right = add_panels(figure, 2, top_px=190, bottom_px=70, left_px=96)
     drawn = [one for one in evaluation.predictors if one.name not in (ALWAYS, NEVER)]
@@ -98,7 +98,7 @@ def _plot_leads(axes: Axes, drawn: list[PredictorResult]) -> None:
     axes.set_xlim(0, LEADS_S[-1])
     axes.set_ylim(0, 1)
     show_percent(axes.yaxis)
-    set_panel_title(axes, f"Lead time, alarms in at most {FALSE_ALARMS:.0%} of safe drives")
+    set_panel_title(axes, f"Lead time, alarms in {FALSE_ALARMS:.0%} of safe drives")
     axes.set_xlabel("predicted at least this many seconds ahead")
     axes.set_ylabel("predicted violations")
     style_axes(axes, grid="both")

@@ -44,7 +44,7 @@ def figure_guard_tradeoff(
         HEIGHT_PX,
         f"What a guard with the fallback {fallback} prevents and costs: {first.drives:,} drives",
         f"{first.violations_without:,} of the drives violate {' or '.join(requirements)} without the guard. Each "
-        f"point is a threshold of the alarm; lines are 95% intervals over {first.seeds} seeds.\n"
+        f"point is a threshold of the alarm; lines are 95% intervals.\n"
         f"Green: violations fall by at least {AIM[1]:.0%} at a loss of at most {AIM[0]:.0%} of the mean distance of "
         "drives that are safe without the guard.",
     )

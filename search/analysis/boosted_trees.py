@@ -29,7 +29,7 @@ import numpy as np
 from brink.extras import install_command
 from brink.forest import Forest
 from brink.search.analysis.folds import Division, connected, divisions, kinds_of_solutions
-from brink.search.analysis.statistics import clustered
+from brink.search.analysis.intervals import clustered
 from brink.search.errors import MissingExtra
 from brink.search.features import FeatureArray, Features
 from brink.search.space import BoolArray, FloatArray, IntArray, frozen_array

@@ -1,8 +1,7 @@
 """What a guard and its fallback are worth: the same drives without and with them, compared with intervals.
 
-Every figure is a ratio of two sums over drives. Its interval is that of a bootstrap over seeds (Efron 1979,
-percentiles), which shows how much the figure varies from one set of drives to another. A plain share of drives has a
-Wilson interval instead: where nothing or everything was found, resamples would all be the same.
+The drives are independent draws, whatever seed they were drawn with: the unit of every interval is the drive. A share
+of drives has Wilson's interval, a ratio of two sums over drives a gamma interval (`brink.search.analysis.intervals`).
 """
 
 from collections.abc import Mapping
@@ -12,11 +11,10 @@ from typing import Final
 
 import numpy as np
 
+from brink.search.analysis.intervals import CONFIDENCE, ratio_interval
 from brink.search.fitness import wilson_interval
 from brink.search.space import BoolArray, FloatArray, IntArray
 
-RESAMPLES: Final = 2000
-CONFIDENCE: Final = 0.95
 _HOUR_S: Final = 3600.0
 
 
@@ -62,8 +60,8 @@ class Estimate:
 
     Attributes:
         value: The figure; None if there is nothing to divide by.
-        low: Lower limit of the interval; None with a single seed.
-        high: Upper limit of the interval; None with a single seed.
+        low: Lower limit of the interval; None if a single drive says something of it, or none.
+        high: Upper limit of the interval; None in the same cases.
     """
 
     value: float | None
@@ -116,19 +114,11 @@ class GuardWorth:
     intervention_share: Estimate
 
 
-def guard_worth(
-    drives: GuardedDrives,
-    rng: np.random.Generator,
-    *,
-    resamples: int = RESAMPLES,
-    confidence: float = CONFIDENCE,
-) -> GuardWorth:
+def guard_worth(drives: GuardedDrives, *, confidence: float = CONFIDENCE) -> GuardWorth:
     """Return what a guard and its fallback did in some drives.
 
     Args:
         drives: The drives, at least one.
-        rng: Source of randomness of the bootstrap.
-        resamples: Number of resamples.
         confidence: Level of the intervals, in (0, 1).
 
     Raises:
@@ -136,39 +126,34 @@ def guard_worth(
     """
     if not len(drives):
         raise ValueError("expected at least one drive, got none")
-    seeds, place = np.unique(drives.seed, return_inverse=True)
-    weights = rng.multinomial(seeds.size, np.full(seeds.size, 1.0 / seeds.size), size=resamples)
-    quantile = NormalDist().inv_cdf(0.5 * (1.0 + confidence))
-    tails = [50.0 * (1.0 - confidence), 50.0 * (1.0 + confidence)]
-
-    def estimate(name: str, above: FloatArray, below: FloatArray) -> Estimate:
-        sums = np.array([np.bincount(place, weights=one, minlength=seeds.size) for one in (above, below)])
-        total, denominator = sums.sum(axis=1)
-        if denominator == 0.0:
-            return Estimate(value=None, low=None, high=None)
-        sign, offset = (-1.0, 1.0) if name in _FALLS else (1.0, 0.0)
-        value = offset + sign * float(total / denominator)
-        if seeds.size == 1:
-            return Estimate(value=value, low=None, high=None)
-        if name in _SHARES:
-            limits = wilson_interval(round(total), round(denominator), quantile)
-            return Estimate(value=value, low=float(limits[0]), high=float(limits[1]))
-        again, dividing = (weights @ one for one in sums)
-        ratios = offset + sign * again[dividing > 0.0] / dividing[dividing > 0.0]
-        low, high = np.percentile(ratios, tails)
-        return Estimate(value=value, low=float(low), high=float(high))
-
     before, after = drives.violated_without, drives.violated_with
     return GuardWorth(
         drives=len(drives),
-        seeds=int(seeds.size),
+        seeds=int(np.unique(drives.seed).size),
         violations_without=int(before.sum()),
         violations_with=int(after.sum()),
         prevented=int((before & ~after).sum()),
         prevented_entirely=int((before & ~after & drives.held_with).sum()),
         caused=int((~before & after).sum()),
-        **{name: estimate(name, above, below) for name, (above, below) in _ratios(drives).items()},
+        **{name: _estimate(name, *terms, confidence) for name, terms in _ratios(drives).items()},
     )
+
+
+def _estimate(name: str, above: FloatArray, below: FloatArray, step: float, confidence: float) -> Estimate:
+    total, divisor = float(above.sum()), float(below.sum())
+    if divisor == 0.0:
+        return Estimate(value=None, low=None, high=None)
+    sign, offset = (-1.0, 1.0) if name in _FALLS else (1.0, 0.0)
+    value = offset + sign * total / divisor
+    if name in _SHARES:
+        quantile = NormalDist().inv_cdf(0.5 * (1.0 + confidence))
+        low, high = wilson_interval(round(total), round(divisor), quantile)
+        return Estimate(value=value, low=float(low), high=float(high))
+    limits = ratio_interval(above, below, step=step, confidence=confidence)
+    if limits is None:
+        return Estimate(value=value, low=None, high=None)
+    least, most = sorted(offset + sign * one for one in limits)
+    return Estimate(value=value, low=least, high=most)
 
 
 _FALLS: Final = frozenset({"reduction", "distance_lost", "distance_lost_when_safe"})
@@ -179,21 +164,23 @@ _SHARES: Final = frozenset({
 """Figures that are plain shares of drives."""
 
 
-def _ratios(drives: GuardedDrives) -> Mapping[str, tuple[FloatArray, FloatArray]]:
-    """Return the terms of both sums of each figure, by its name, shape ``(n,)`` each."""
+def _ratios(drives: GuardedDrives) -> Mapping[str, tuple[FloatArray, FloatArray, float]]:
+    """Return the terms of both sums of each figure, shape ``(n,)`` each, and the largest step of the upper one."""
     one = np.ones(len(drives))
     before, after = drives.violated_without.astype(float), drives.violated_with.astype(float)
     safe = 1.0 - before
+    alarms = safe * drives.alarms
+    longest_s = float(drives.intervention_s.max() or drives.time_with_s.mean())
     return {
-        "share_without": (before, one),
-        "share_with": (after, one),
-        "reduction": (after, before),
-        "prevented_share": (before * (1.0 - after), before),
-        "caused_share": (safe * after, safe),
-        "other_share": (safe * drives.other_with, safe),
-        "distance_lost": (drives.way_with_m, drives.way_without_m),
-        "distance_lost_when_safe": (safe * drives.way_with_m, safe * drives.way_without_m),
-        "false_alarms_per_h": (safe * drives.alarms, safe * drives.time_with_s / _HOUR_S),
-        "alarmed_when_safe": (safe * (drives.alarms > 0), safe),
-        "intervention_share": (drives.intervention_s, drives.time_with_s),
+        "share_without": (before, one, 1.0),
+        "share_with": (after, one, 1.0),
+        "reduction": (after, before, 1.0),
+        "prevented_share": (before * (1.0 - after), before, 1.0),
+        "caused_share": (safe * after, safe, 1.0),
+        "other_share": (safe * drives.other_with, safe, 1.0),
+        "distance_lost": (drives.way_with_m, drives.way_without_m, 0.0),
+        "distance_lost_when_safe": (safe * drives.way_with_m, safe * drives.way_without_m, 0.0),
+        "false_alarms_per_h": (alarms, safe * drives.time_with_s / _HOUR_S, max(float(alarms.max()), 1.0)),
+        "alarmed_when_safe": (safe * (drives.alarms > 0), safe, 1.0),
+        "intervention_share": (drives.intervention_s, drives.time_with_s, longest_s),
     }

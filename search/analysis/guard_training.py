@@ -274,25 +274,32 @@ def _divisions(drives: Sequence[DriveSeries], rng: np.random.Generator) -> list[
             f"expected at least {LEAST_VIOLATIONS} drives with and without a violation, "
             f"got {int(violated.sum())} and {int((~violated).sum())}"
         )
-    scenarios, behaviours = numbered([one.scenario for one in drives]), _behaviours(drives)
-    # An ODD may leave a single scenario or behaviour: then the other one alone is divided.
-    kinds = [kind for kind in (scenarios, behaviours) if np.unique(kind).size >= FOLDS]
+    kinds = kinds_of_drives(drives)
     found = divisions(kinds, violated, rng, (FOLDS,)) if kinds else []
     if not found:
+        scenarios, behaviours = (
+            len({getattr(one, kind) for one in drives}) for kind in ("scenario", "behaviour")
+        )
         raise ValueError(
             f"expected drives of at least {FOLDS} scenarios, with and without a violation outside every fold; "
-            f"got {np.unique(scenarios).size} scenarios and {np.unique(behaviours).size} behaviours"
+            f"got {scenarios} scenarios and {behaviours} behaviours"
         )
     every = np.ones(len(drives), np.bool_)
     return [*found, Division(fitted=every, scored=~every)]
 
 
-def _behaviours(drives: Sequence[DriveSeries]) -> IntArray:
-    """Return the number of each behaviour; drives that report nothing have one each."""
-    return numbered([
+def kinds_of_drives(drives: Sequence[DriveSeries]) -> list[IntArray]:
+    """Return by what drives are alike: the numbers of their scenarios and of their behaviours, shape ``(n,)`` each.
+
+    Drives that report nothing have a behaviour each. An ODD may leave a single scenario or behaviour, or two: those
+    are left out.
+    """
+    behaviours = [
         ("nothing", place) if one.behaviour is None else ("behaviour", one.behaviour)
         for place, one in enumerate(drives)
-    ])  # fmt: skip
+    ]
+    kinds = (numbered([one.scenario for one in drives]), numbered(behaviours))
+    return [kind for kind in kinds if np.unique(kind).size >= FOLDS]
 
 
 def _check_forest(forest: Forest, models: Sequence[Any], steps: _Steps) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from brink.search.space import FloatArray, IntArray
+from brink.search.space import FloatArray
 
 # scipy.stats takes half a second to import, so the functions below import it.
 
@@ -67,30 +67,6 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> MeanInte
         stats.t.ppf(0.5 + confidence / 2, sample.size - 1) * sample.std(ddof=1) / np.sqrt(sample.size)
     )
     return MeanInterval(mean=mean, low=mean - half, high=mean + half, repeats=int(sample.size))
-
-
-def clustered(influence: FloatArray, kinds: Sequence[IntArray]) -> FloatArray:
-    """Return the covariance of the sum of values, those with a label in common being dependent, shape ``(p, p)``.
-
-    Args:
-        influence: Values with mean zero, shape ``(n, p)``.
-        kinds: Labels of the values, from 0, shape ``(n,)`` each, at least one kind.
-
-    References:
-        Cameron, Gelbach and Miller 2011 (clusters of several kinds; negative eigenvalues become zero).
-    """
-
-    def of(label: IntArray) -> FloatArray:
-        count = int(label.max()) + 1
-        sums = np.stack([np.bincount(label, column, count) for column in influence.T], axis=1)
-        product: FloatArray = sums.T @ sums * count / max(count - 1, 1)
-        return product
-
-    common = np.unique(np.stack(kinds, axis=1), axis=0, return_inverse=True)[1].ravel()
-    total = sum((of(kind) for kind in kinds), -(len(kinds) - 1) * of(common))
-    values, vectors = np.linalg.eigh(total)
-    found: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return found
 
 
 def a12(first: Sequence[float] | FloatArray, second: Sequence[float] | FloatArray) -> float:

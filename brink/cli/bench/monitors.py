@@ -157,7 +157,7 @@ def _guard_row(one: "Judged") -> tuple[object, ...]:
     return (
         one.trained_on, one.sensor, one.judged_on, f"{evaluation.drives:,}", f"{evaluation.violations:,}",
         f"{compared.recall:.2f}", f"{low:.2f} to {high:.2f}",
-        f"{evaluation.guard.recall_at(0.1):.2f}", f"{evaluation.guard.recall_at(0.2):.2f}",
+        *(f"{point.recall:.2f}" for point in evaluation.guard.more),
         f"{own.point.recall:.2f}", f"{own.recent:.2f}",
         f"{own.point.false_alarms:.1%}", f"{own.false_per_hour:.1f}", lead, f"{last.auroc:.3f}",
         f"{last.brier:.4f}", f"{one.fit_s:.0f}",
