@@ -15,6 +15,8 @@ FAST = {
     "tolerance, screened: 10% of the drives that hold leak": 24,
     "dependence: chi-squared test of random solutions": 60,
     "rules: leaf counted elsewhere": 60,
+    "guard drive: violations fall, 200 drives": 100,
+    "guard judge: 200 random drives": 200,
 }
 """Studies that every run of the tests repeats, and how often."""
 
