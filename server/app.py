@@ -97,7 +97,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
         loop = asyncio.get_running_loop()
         context = _context(settings, engines, metrics, access, loop, sweeping=sweeping)
         app.state.context = context
-        serving = USER_CODE.begin(settings.plugin_timeout_s)
+        serving = USER_CODE.begin(settings.plugin_timeout_s, patient=not sweeping)
         stopping = asyncio.Event()
         sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
         heard = context.queue.wakeups.wake, context.scheduler.advance_own

@@ -1,9 +1,10 @@
 """Calls code that a user brought: on threads of its own, and for a limited time.
 
 Such code may sleep, hang or compute without end. While a coordinator serves, each call of it runs on a daemon thread,
-and its caller waits no longer than the time limit. A call that takes longer is abandoned: the caller gets
-`CodeStalled`, and an exception is raised in the thread again and again, which ends a loop in Python. Until the call
-has ended, it counts as stalled. Few calls may be stalled for one caller: after that, its calls are refused at once.
+and its caller waits no longer than its time limit. A call that takes longer is abandoned: the caller gets
+`CodeStalled`. After the coordinator's time limit, an exception is raised in the thread again and again, which ends a
+loop in Python; but never in an import, which would leave modules half loaded. Until the call has ended, it counts as
+stalled. Few calls may be stalled for one caller: after that, its calls are refused at once.
 So code that hangs costs a few idle threads and nothing else. The end of the process waits for none of them.
 
 `guarded` makes all methods of a plug-in such calls, so that whoever calls them needs to know nothing of this. Brink's
@@ -34,6 +35,10 @@ P = ParamSpec("P")
 DEFAULT_LIMIT_S: Final = 60.0
 VIEW_LIMIT_S: Final = 3.0
 """Time limit for a caller that set none: a request that waits for an answer."""
+VIEW_CONSTRUCTION_LIMIT_S: Final = 20.0
+"""The same for an import and a construction, which may load a library or a network. They go on if nobody waits."""
+IMPORT: Final = "import"
+CONSTRUCTION: Final = "construction"
 LOOP_LIMIT_S: Final = 0.25
 """Time limit on the thread of an event loop. User code does not belong there, and all requests wait for it."""
 LINE_S: Final = 2.0
@@ -102,19 +107,28 @@ class Serving:
     Attributes:
         limit_s: Time limit of a call.
         loop_thread: Identifier of the thread of its event loop.
+        patient: Whether its requests wait as long as that, because it serves a single command.
         stopping: Whether it is stopping: nobody waits for user code any more.
     """
 
     limit_s: float
     loop_thread: int
+    patient: bool = False
     stopping: bool = False
 
 
 class _Call:
-    """One call, and its answer for whoever waits."""
+    """One call, and its answer for whoever waits.
 
-    def __init__(self, function: Callable[[], Any]) -> None:
+    Attributes:
+        answer: What it returned or raised, or why nobody waits any more.
+        interruptible: Whether an exception may be raised in its thread.
+        began_s: Monotonic time of its beginning, in seconds.
+    """
+
+    def __init__(self, function: Callable[[], Any], *, interruptible: bool) -> None:
         self._function = function
+        self.interruptible = interruptible
         self.answer: Future[Any] = Future()
         self.began_s = time.monotonic()
 
@@ -172,9 +186,14 @@ class UserCode:
     _lines: dict[str, threading.BoundedSemaphore] = field(default_factory=dict)
     timeouts: int = 0
 
-    def begin(self, limit_s: float) -> Serving:
-        """Limit calls from now on, because a coordinator serves; called on the thread of its event loop."""
-        serving = Serving(limit_s=limit_s, loop_thread=threading.get_ident())
+    def begin(self, limit_s: float, *, patient: bool = False) -> Serving:
+        """Limit calls from now on, because a coordinator serves; called on the thread of its event loop.
+
+        Args:
+            limit_s: Time limit of a call.
+            patient: Whether its requests wait as long as that.
+        """
+        serving = Serving(limit_s=limit_s, loop_thread=threading.get_ident(), patient=patient)
         with self._lock:
             self._serving.append(serving)
         return serving
@@ -185,7 +204,7 @@ class UserCode:
             serving.stopping = True
             waiting = list(self._waiting.items())
         for call, thread in waiting:
-            self._abandon(call, thread, Unavailable("the coordinator is stopping"))
+            self._abandon(call, thread, Unavailable("the coordinator is stopping"), 0.0)
 
     def end(self, serving: Serving) -> None:
         """Forget a coordinator that has stopped."""
@@ -230,16 +249,16 @@ class UserCode:
         """
         if not self._serving or isinstance(threading.current_thread(), _CallThread):
             return function(*args, **kwargs)
-        caller = self._caller_of(plugin)
+        caller = self._caller_of(plugin, what)
         with self._line(caller, plugin):
             self._check_stalled(caller, plugin)
-            call = _Call(functools.partial(function, *args, **kwargs))
+            call = _Call(functools.partial(function, *args, **kwargs), interruptible=what != IMPORT)
             thread = self._start(call)
             try:
                 return cast(T, call.wait(caller.limit_s))
             except TimeoutError:
                 error = CodeStalled(f"{what} of {plugin} did not return within {caller.limit_s:g} s")
-                if self._abandon(call, thread, error):
+                if self._abandon(call, thread, error, self.limit_s - caller.limit_s):
                     self._note_stalled(StalledCall(
                         caller=caller.name, what=f"{what} of {plugin}", since_s=call.began_s, thread=thread,
                     ))  # fmt: skip
@@ -267,14 +286,17 @@ class UserCode:
             self._idle.append(thread)
             return True
 
-    def _caller_of(self, plugin: str) -> Caller:
+    def _caller_of(self, plugin: str, what: str) -> Caller:
         caller: Caller | None = getattr(self._caller, "value", None)
         if caller is not None:
             return caller
         here = threading.get_ident()
         if any(one.loop_thread == here for one in self._serving):
             return Caller(name=plugin, limit_s=min(LOOP_LIMIT_S, self.limit_s))
-        return Caller(name=plugin, limit_s=min(VIEW_LIMIT_S, self.limit_s), at_once=AT_ONCE)
+        limit_s = VIEW_CONSTRUCTION_LIMIT_S if what in (IMPORT, CONSTRUCTION) else VIEW_LIMIT_S
+        if all(one.patient for one in self._serving):
+            limit_s = self.limit_s
+        return Caller(name=plugin, limit_s=min(limit_s, self.limit_s), at_once=AT_ONCE)
 
     @contextmanager
     def _line(self, caller: Caller, plugin: str) -> Iterator[None]:
@@ -324,15 +346,26 @@ class UserCode:
         thread.inbox.put(call)
         return thread
 
-    def _abandon(self, call: _Call, thread: _CallThread, error: Exception) -> bool:
-        """Answer a call with an error, and end its thread, unless it has just returned; return whether it was."""
+    def _abandon(self, call: _Call, thread: _CallThread, error: Exception, left_s: float) -> bool:
+        """Answer a call with an error, unless it has just returned; return whether it was abandoned.
+
+        Args:
+            call: The call.
+            thread: Its thread.
+            error: The error.
+            left_s: How long it may still run before it is interrupted.
+        """
         with self._lock:
             if call.answer.done():
                 return False
             thread.abandoned = True
             with suppress(InvalidStateError):
                 call.answer.set_exception(error)
-        threading.Thread(target=_end, args=(thread,), name="brink-end-user-code", daemon=True).start()
+        if call.interruptible:
+            ending = threading.Thread(
+                target=_end, args=(thread, left_s), name="brink-end-user-code", daemon=True
+            )
+            ending.start()
         return True
 
     def _note_stalled(self, call: StalledCall) -> None:
@@ -344,9 +377,15 @@ class UserCode:
         )
 
 
-def _end(thread: _CallThread) -> None:
-    """Raise an exception in a thread until it has ended: code that waits in a system call sees it only afterwards."""
+def _end(thread: _CallThread, left_s: float) -> None:
+    """Raise an exception in a thread until it has ended: code that waits in a system call sees it only afterwards.
+
+    Args:
+        thread: The thread.
+        left_s: How long it may still run.
+    """
     began = time.monotonic()
+    thread.join(left_s)
     while thread.is_alive() and thread.ident is not None:
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(_Abandoned))
         thread.join(_END_EVERY_S)

@@ -33,7 +33,7 @@ from brink.server.problems.base import (
     SimulatedProblem,
 )
 from brink.server.problems.requirements import ANY
-from brink.server.user_code import USER_CODE, guarded
+from brink.server.user_code import CONSTRUCTION, IMPORT, USER_CODE, guarded
 from brink.sim.catalogue import (
     REQUIREMENTS,
     is_own_plugin,
@@ -142,7 +142,7 @@ def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:
             f"brink --plugin MODULE … ({more})"
         )
         raise InvalidInput([FieldError(pointer=pointer, message=message, nearest=nearest(plugin_id, known))])
-    return run_plugin(group, plugin_id, "import", lambda: load_plugin(group, plugin_id))
+    return run_plugin(group, plugin_id, IMPORT, lambda: load_plugin(group, plugin_id))
 
 
 def run_plugin(group: str, plugin_id: str, what: str, run: Callable[[], T]) -> T:
@@ -175,7 +175,7 @@ def make_algorithm(algorithm_id: str) -> Algorithm:
 
 @lru_cache(maxsize=64)  # an instance holds no state, and lists of campaigns need one for each entry
 def _made_algorithm(algorithm_id: str, factory: Callable[[], Algorithm]) -> Algorithm:
-    return USER_CODE.call(algorithm_id, "construction", lambda: guarded(algorithm_id, factory()))
+    return USER_CODE.call(algorithm_id, CONSTRUCTION, lambda: guarded(algorithm_id, factory()))
 
 
 def algorithms_that(supports: type[Any]) -> list[str]:
@@ -242,7 +242,7 @@ def spelled_out(problem_id: str, params: Mapping[str, Any]) -> tuple[Problem, di
         problem, everything = _spelled_out(kind, problem_id, params)
         return guarded(problem_id, problem), everything
 
-    return USER_CODE.call(problem_id, "construction", construct)
+    return USER_CODE.call(problem_id, CONSTRUCTION, construct)
 
 
 def _spelled_out(
@@ -384,7 +384,7 @@ def takes_requirement(problem_id: str, requirement: str) -> bool:
 def requirement_options() -> list[dict[str, str]]:
     """Return the registered requirements, each with its meaning in words, from the documentation of its class."""
     return [
-        {"value": name, "words": run_plugin(REQUIREMENTS, name, "import", partial(requirement_words, name))}
+        {"value": name, "words": run_plugin(REQUIREMENTS, name, IMPORT, partial(requirement_words, name))}
         for name in requirement_ids()
     ]
 

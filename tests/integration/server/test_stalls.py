@@ -1,8 +1,11 @@
 """A coordinator beside code and requests that stall, as `brink bench stalls` measures it."""
 
+import pytest
+
 from brink.bench.stalls import DISTURBANCES, PROBES, measure_stall
 
 
+@pytest.mark.long("starts a coordinator, and measures wall-clock time")
 def test_a_stall_is_measured_beside_every_probe() -> None:
     (raises,) = (one for one in DISTURBANCES if one.title == "plug-in: tell raises an error")
     stalled = measure_stall(raises, seconds=1.0, idle_s=0.5)

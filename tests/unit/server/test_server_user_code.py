@@ -229,3 +229,30 @@ def test_on_the_thread_of_an_event_loop_code_gets_little_time(gate: threading.Ev
             brought.waits()
     finally:
         USER_CODE.end(started)
+
+
+def test_a_request_that_gives_up_leaves_the_code_its_time(
+    gate: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(user_code, "VIEW_LIMIT_S", 0.01)
+    returned: list[str] = []
+    with serving(limit_s=3600.0):
+        with pytest.raises(CodeStalled, match=r"within 0\.01 s"):
+            USER_CODE.call(PLUGIN, "words", lambda: returned.append(Brought(gate).waits()))
+        (stalled,) = USER_CODE.stalled()
+        gate.set()
+        stalled.thread.join(60.0)
+    assert returned == ["returned"]
+
+
+def test_an_import_is_never_interrupted(gate: threading.Event) -> None:
+    returned: list[str] = []
+    before = set(threading.enumerate())
+    with serving(limit_s=0.01), USER_CODE.on_behalf("campaign"):
+        with pytest.raises(CodeStalled, match="import of brought@1"):
+            USER_CODE.call(PLUGIN, user_code.IMPORT, lambda: returned.append(Brought(gate).waits()))
+        (stalled,) = USER_CODE.stalled()
+        assert set(threading.enumerate()) - before <= {stalled.thread}, "nobody ends it"
+        gate.set()
+        stalled.thread.join(60.0)
+    assert returned == ["returned"]
