@@ -278,6 +278,7 @@ class _Trial:
                 self._probe_heartbeat,
                 self._probe_lease,
                 self._probe_submission,
+                self._probe_search,
             )
         ]
         try:
