@@ -155,6 +155,7 @@ class Stepper:
         self._max_stored_distances = max_stored_distances
         self._live = LiveSearches(most_bytes=live_searches_mib * MIB, on_drop=self._on_drop)
         self._same_simulator: set[str] = set()
+        self._starting: set[str] = set()
         self._user_code: OrderedDict[str, bool] = OrderedDict()
 
     def adopt(self, campaign_id: str, live: LiveSearch) -> None:
@@ -212,10 +213,15 @@ class Stepper:
         archive: Archive = _run(live.plan, "archive", lambda: live.state.archive)
         return archive
 
+    def start_later(self, campaign_id: str) -> None:
+        """Start the search of a new campaign, which is large, with its first step."""
+        self._starting.add(campaign_id)
+        self.take_over(campaign_id)
+
     def is_storing(self, campaign_id: str) -> bool:
-        """Return whether a campaign's search is in memory, and some of what it asks for is not stored yet."""
+        """Return whether a campaign's search is to be started, or asks for something that is not stored yet."""
         live = self._live.get(campaign_id)
-        return live is not None and not live.is_stored
+        return campaign_id in self._starting if live is None else not live.is_stored
 
     def advance(self, campaign_id: str) -> bool:
         """Take all steps of a campaign that are due, or store one more piece of what its search asks for.
@@ -241,6 +247,7 @@ class Stepper:
         return moved
 
     def _step(self, campaign_id: str) -> bool:
+        self._starting.discard(campaign_id)
         with self._engines.reader.connect() as connection:
             campaign = CAMPAIGNS.find(connection, campaign_id)
             if campaign is None or campaign.status is not CampaignStatus.RUNNING:

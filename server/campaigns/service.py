@@ -290,7 +290,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             if campaign.first is not None:
                 self.scheduler.stepper.adopt(campaign.id, campaign.first[0])
             else:
-                self.scheduler.stepper.take_over(campaign.id)
+                self.scheduler.stepper.start_later(campaign.id)
         self.wakeups.wake()
         storing = [one.id for one in campaigns if one.first is not None and not one.first[0].is_stored]
         self.scheduler.advance_soon([*idle, *storing])
