@@ -20,6 +20,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
@@ -538,7 +539,8 @@ class _Import:
             asked = problem.dataset_evaluation(vectors)
         else:
             asked = problem.episode(vectors, solution.seed)
-        if asked.canonical_json() != row["spec"]:
+        # Of which code: workers compare that with theirs, and the first step with that of the campaign.
+        if replace(asked, sources=spec.sources).canonical_json() != row["spec"]:
             raise BadFile(f"{where}: spec: expected the simulation that {problem.id} asks for")
 
     def _traces(self) -> int:

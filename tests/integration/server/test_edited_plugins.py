@@ -2,14 +2,17 @@
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 
 import httpx
 import pytest
 from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, submit
-from support.databases import on_sqlite
+from support.databases import Databases, on_sqlite
 from support.problems import SIMULATOR
+from typer.testing import CliRunner
 
 from brink.api.client import Api
+from brink.cli.commands import app
 from brink.cli.experiment_run import ExperimentRun
 from brink.cli.run import CampaignRun
 from brink.server.campaigns.body import parse_body
@@ -120,3 +123,29 @@ def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client
     found, said = asyncio.run(latest(submit=True))
     assert found == [True, True]
     assert said.count("was simulated with other code of ball@1 (source ") == 2
+
+
+@on_sqlite
+@pytest.mark.parametrize("edited", [False, True])
+def test_a_campaign_that_may_run_is_imported_and_only_continued_with_the_same_code(
+    databases: Databases, engines: Engines, database_url: str, tmp_path: Path, edit: Edit, *, edited: bool
+) -> None:
+    file = str(tmp_path / "half.brink")
+    with coordinator(database_url) as client:
+        half = submit(client, ball())
+        FakeWorker(client).lease(max_jobs=3)
+        expect(client.post(f"{API}/{half}/pause"))
+    run = CliRunner()
+    assert run.invoke(app, ["export", half, "--out", file, "--database", database_url]).exit_code == 0
+    if edited:
+        edit()
+    with databases.database("other") as elsewhere:
+        told = run.invoke(app, ["import", file, "--database", elsewhere])
+        assert told.exit_code == 0, told.output or told.exception
+        with coordinator(elsewhere) as client:
+            expect(client.post(f"{API}/{half}/resume"))
+            if not edited:
+                assert FakeWorker(client).work(half)["status"] == "finished"
+                return
+            eventually(lambda: progress(client, half)["status"] == "paused", "its step pauses it")
+            assert "simulated with other code of ball@1" in progress(client, half)["status_reason"]
