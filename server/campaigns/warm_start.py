@@ -141,11 +141,12 @@ def _settings(there: CampaignBody, here: CampaignBody) -> list[tuple[str, object
 
 
 def _evaluated(connection: Connection, source: Campaign) -> list[KnownRecord]:
-    """Return the results that a campaign has simulated, by number, and then those that it started from itself."""
+    """Return the results in a campaign's archive, by number, and then those that it started from itself."""
     query = (
         select(SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness)
         .where(
             SolutionRow.campaign_id == source.id,
+            SolutionRow.generation < source.generation,
             SolutionRow.verdict.in_((SolutionVerdict.SAFE, SolutionVerdict.UNSAFE)),
         )
         .order_by(SolutionRow.number)

@@ -1,13 +1,14 @@
 """Work in pieces: no transaction stores much, and whatever happens between two pieces, a campaign finds the same."""
 
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
 import pytest
 from sqlalchemy import Connection, func, select
-from support.api import FakeWorker, ball, eventually, expect, progress, submit, undisturbed_digest
+from support.api import FakeWorker, ball, completes, eventually, expect, progress, submit, undisturbed_digest
 from support.coordinators import Coordinators
 from support.marks import mostly_long
 
@@ -16,7 +17,8 @@ from brink.server.campaigns.store import set_status
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, SolutionRow
 from brink.server.experiments import service as experiments
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, SolutionVerdict
+from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 pytestmark = pytest.mark.usefixtures("small_problems", "few_trees")
 API = "/api/v1/campaigns"
@@ -148,18 +150,56 @@ def test_nothing_more_is_stored_of_a_campaign_that_was_stopped(
 
 
 def test_results_of_a_large_generation_are_written_before_its_step_but_for_failures(
-    client: httpx.Client, small_pieces: None, inserted: list[int]
+    client: httpx.Client, engines: Engines, small_pieces: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fails = {"limit": 1.0, "fault": "error", "fault_from": 1.5}
     body = ball(
-        simulations=60, problem={"id": "ball@1", "params": fails},
-        execution={"max_failed_share": 1.0, "max_attempts": 1},
+        simulations=60, execution={"max_failed_share": 1.0, "max_attempts": 1},
         algorithm={"id": "random@1", "params": {"generation_size": 60}},
     )  # fmt: skip
-    campaign = submit(client, body)
+    campaign, seen = submit(client, body), Counter[str]()
+    write_step = step_store.write_step
+
+    def looking(connection: Connection, step: step_store.Step) -> bool:
+        seen.update(connection.execute(select(SolutionRow.verdict)).scalars())
+        return write_step(connection, step)
+
+    monkeypatch.setattr(step_store, "write_step", looking)
+    done = FakeWorker(client, judge=fails_in_the_east).work(campaign)
+    assert done["status"] == "finished"
+    assert 0 < done["failed"] < 60 - PIECE
+    pending = seen.pop(SolutionVerdict.PENDING)
+    assert pending == max(PIECE, done["failed"]), (
+        "those that failed, whose jobs may be retried, are among them"
+    )
+    assert SolutionVerdict.FAILED not in seen
+
+
+def fails_in_the_east(job: LeasedJob) -> Completed | JobFailed:
+    east = job.spec["scenario"]["x"] > 1.0
+    return JobFailed(reason="invalid", message="boom") if east else completes(job)
+
+
+def test_what_was_written_before_a_step_that_was_never_taken_is_not_known_to_other_campaigns(
+    client: httpx.Client, small_pieces: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    params = {"generation_size": 30, "in_flight": 1}
+    campaign = submit(client, ball(simulations=60, algorithm={"id": "random@1", "params": params}))
+    write_step = step_store.write_step
+
+    def cancelled(connection: Connection, step: step_store.Step) -> bool:
+        if step.generation == 1:
+            set_status(connection, campaign, CampaignStatus.CANCELLED, "")
+        return write_step(connection, step)
+
+    monkeypatch.setattr(step_store, "write_step", cancelled)
     done = FakeWorker(client).work(campaign)
-    assert (done["status"], done["evaluated"]) == ("finished", 60)
-    assert max(inserted) <= PIECE
+    assert (done["status"], done["evaluated"]) == ("cancelled", 30)
+    monkeypatch.undo()
+    warm = submit(
+        client, {**ball(simulations=60), "algorithm": {"id": "edge@1"}, "start_from": {"campaign": campaign}}
+    )
+    known = expect(client.get(f"{API}/{warm}/known"))["solutions"]
+    assert max(one["number"] for one in known) < 30
 
 
 def test_a_campaign_with_too_much_in_flight_is_refused_with_both_numbers(client: httpx.Client) -> None:
