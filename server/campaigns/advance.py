@@ -742,6 +742,7 @@ class Scheduler:
     stepper: Stepper
     wakeups: Wakeups
     _swept: bool = False
+    _closing: bool = False
     _due: set[str] = field(default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _last: dict[str, asyncio.Task[None]] = field(default_factory=dict)
@@ -809,6 +810,8 @@ class Scheduler:
                 await loop.run_in_executor(None, self.stepper.uses_user_code, campaign)
             threads = self._pieces if self.stepper.is_storing(campaign) else self._steps
             beside = self.stepper.uses_user_code(campaign)
+            if self._closing:  # the next coordinator goes on, also between two pieces
+                return
             moved = await loop.run_in_executor(self._plugin_steps if beside else threads, step)
         except Unavailable as error:
             self._due.discard(campaign)
@@ -843,5 +846,6 @@ class Scheduler:
 
     def close(self) -> None:
         """Finish the running steps, and start no more."""
+        self._closing = True
         for threads in (self._steps, self._pieces, self._plugin_steps):
             threads.shutdown(wait=True, cancel_futures=True)

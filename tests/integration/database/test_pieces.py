@@ -1,6 +1,8 @@
 """Work in pieces: no transaction stores much, and whatever happens between two pieces, a campaign finds the same."""
 
+import logging
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -8,8 +10,19 @@ from typing import Any
 import httpx
 import pytest
 from sqlalchemy import Connection, func, select
-from support.api import FakeWorker, ball, completes, eventually, expect, progress, submit, undisturbed_digest
+from support.api import (
+    FakeWorker,
+    ball,
+    completes,
+    coordinator,
+    eventually,
+    expect,
+    progress,
+    submit,
+    undisturbed_digest,
+)
 from support.coordinators import Coordinators
+from support.databases import on_sqlite
 from support.marks import mostly_long
 
 from brink.server.campaigns import advance, plan, step_store
@@ -101,6 +114,26 @@ def test_a_coordinator_that_is_killed_between_pieces_is_continued(two: Coordinat
         two.steppers[0] = two.stepper(0)  # and it is killed again after each piece, and after each step
         assert two.steppers[0].advance("c0ffee"), "it goes on"
     assert two.digest() == undisturbed_digest(BODIES["random"])
+
+
+@on_sqlite
+def test_a_coordinator_that_stops_between_pieces_reports_no_error(
+    database_url: str, small_pieces: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_piece = step_store.write_piece
+
+    def slowly(*args: Any, **settings: Any) -> int | None:
+        time.sleep(0.02)  # so that pieces are left
+        return write_piece(*args, **settings)
+
+    monkeypatch.setattr(step_store, "write_piece", slowly)
+    body = {
+        "name": "x", "problem": {"id": "mtq@1"}, "budget": {"simulations": 700},
+        "algorithm": {"id": "random@1", "params": {"generation_size": 700}},
+    }  # fmt: skip
+    with coordinator(database_url) as client:
+        submit(client, body)
+    assert not [one.getMessage() for one in caplog.records if one.levelno >= logging.WARNING]
 
 
 def test_nothing_is_told_before_everything_in_flight_is_stored(two: Coordinators) -> None:
