@@ -286,14 +286,19 @@ class _Trial:
         finally:
             for task in tasks:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            for ended in await asyncio.gather(*tasks, return_exceptions=True):
+                if isinstance(ended, Exception):
+                    raise ended
 
     async def _repeat(self, probe: str, request: Callable[[], Awaitable[bool]]) -> None:
         """Send a request again and again, and note its times."""
         while True:
             times, began = self._times, time.perf_counter()
             try:
-                ok = await asyncio.wait_for(request(), GIVE_UP_S)
+                async with asyncio.timeout(
+                    GIVE_UP_S
+                ):  # unlike wait_for, never swallows that the probe is cancelled
+                    ok = await request()
             except (TimeoutError, httpx.HTTPError, OSError):
                 ok = False
             times.seconds[probe].append(time.perf_counter() - began)

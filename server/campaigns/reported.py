@@ -193,7 +193,8 @@ def _read_new(
         )
     )
     return {
-        row.number: _parsed(problem, row.number, row.vector, row.result) for row in connection.execute(query)
+        row.number: _parsed(problem, row.number, row.vector, row.result)
+        for row in connection.execute(query).all()  # read to the end, whatever the problem raises
     }
 
 

@@ -160,7 +160,12 @@ class ResultChecks:
             expected = self._find(campaign)
             if expected is None:
                 return [Judgement()] * len(results)
-            return [self._judgement(expected, campaign.id, one.kind, one.result) for one in results]
+            judged: list[Judgement] = []
+            for one in results:
+                if campaign.id in self._expected and self._expected[campaign.id] is None:
+                    break  # the check of an earlier one failed or was late
+                judged.append(self._judgement(expected, campaign.id, one.kind, one.result))
+            return judged + [Judgement()] * (len(results) - len(judged))
 
     def _judgement(self, expected: _Expected, campaign_id: str, kind: str, result: Completed) -> Judgement:
         try:

@@ -309,3 +309,16 @@ def test_a_coordinator_stops_while_code_hangs(
         began = time.monotonic()
     assert time.monotonic() - began < 60.0
     assert not [record for record in caplog.records if record.exc_info]
+
+
+def test_reading_results_whose_evaluation_hangs_leaves_no_connection_with_an_old_snapshot(
+    stuck_client: httpx.Client, fault: Fault
+) -> None:
+    campaign, worker = submit(stuck_client, stuck()), FakeWorker(stuck_client)
+    jobs = worker.lease_all()
+    worker.report(jobs[:-1])
+    fault.place = "evaluation"
+    assert progress(stuck_client, campaign)["status"] == "running"
+    for seed in range(3):
+        later = submit(stuck_client, ball(seed=seed))
+        assert expect(stuck_client.get(f"/api/v1/campaigns/{later}"))["id"] == later
