@@ -25,6 +25,13 @@ SHORTEST_ID: Final = 2
 """Least number of characters by which a campaign or an experiment can be named."""
 
 
+LONGEST_POINTER: Final = 500
+LONGEST_MESSAGE: Final = 2_000
+"""Maximum number of characters of an error's pointer and message, which may quote the input."""
+LONGEST_NAME: Final = 200
+"""Longer names are similar to none: comparing them takes a time that grows with their length."""
+
+
 class ServerError(Exception):
     """Base class of all errors that the server package raises deliberately."""
 
@@ -45,6 +52,11 @@ class FieldError:
     message: str
     nearest: str | None = None
     place: str = ""
+
+    def __post_init__(self) -> None:
+        """Cut what quotes very long input, so that an answer is not larger than the request."""
+        object.__setattr__(self, "pointer", _cut(self.pointer, LONGEST_POINTER))
+        object.__setattr__(self, "message", _cut(self.message, LONGEST_MESSAGE))
 
     def __str__(self) -> str:
         hint = f" (did you mean {self.nearest!r}?)" if self.nearest else ""
@@ -127,5 +139,11 @@ class Damaged(DatabaseError):
 
 def nearest(name: str, valid: Iterable[str]) -> str | None:
     """Return the valid name most similar to the given one, or None if none is similar."""
+    if len(name) > LONGEST_NAME:
+        return None
     matches = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.5)
     return matches[0] if matches else None
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 1]}…"

@@ -20,8 +20,15 @@ MAX_DEPTH = 32
 MAX_NAMED = 64
 """Most verdicts, and most objectives, of a result."""
 
+LARGEST_NUMBER = 1e100
+"""Largest number that a result may have in either direction: sums of squares of such numbers are finite."""
+LONGEST_S = 1e9
+"""Largest simulated time of a result, in seconds."""
+
 NO_NUL = r"^[^\x00]*$"
 """Pattern of text that every database can store."""
+
+Number = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER, allow_inf_nan=False)]
 
 LeaseToken = Annotated[
     str,
@@ -167,9 +174,9 @@ def _few(value: object) -> object:
 class WireVerdict(Message):
     """The verdict of one requirement on an episode."""
 
-    robustness: Annotated[float, Field(allow_inf_nan=False, description="Negative if violated.")]
+    robustness: Annotated[Number, Field(description="Negative if violated.")]
     unit: Annotated[str, Field(max_length=16)]
-    violated_at_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None
+    violated_at_s: Annotated[float, Field(ge=0, le=LONGEST_S, allow_inf_nan=False)] | None
 
 
 class Completed(Message):
@@ -177,11 +184,9 @@ class Completed(Message):
 
     kind: Literal["completed"] = "completed"
     verdicts: Annotated[dict[ValueName, WireVerdict], Field(max_length=MAX_NAMED), BeforeValidator(_few)]
-    objectives: Annotated[
-        dict[ValueName, Annotated[float, Field(allow_inf_nan=False)]],
-        Field(max_length=MAX_NAMED),
-        BeforeValidator(_few),
-    ] = Field(default_factory=dict)
+    objectives: Annotated[dict[ValueName, Number], Field(max_length=MAX_NAMED), BeforeValidator(_few)] = (
+        Field(default_factory=dict)
+    )
     features: Annotated[JsonValues, Field(max_length=256)] = Field(default_factory=dict)
     provenance: Annotated[JsonValues, Field(max_length=64)] = Field(default_factory=dict)
     trace: Annotated[str, Field(max_length=8_000_000, description="The npz trace in base64.")] | None = None

@@ -20,7 +20,7 @@ from brink.server.documents import (
 )
 from brink.server.errors import InvalidInput
 from brink.server.llm.settings import LlmSettings
-from brink.worker.wire import JsonValues
+from brink.worker.wire import JsonValues, Number
 
 LONGEST_NAME = 200
 DEFAULT_T_B = 0.10
@@ -147,10 +147,9 @@ class KnownSolution(Body):
         ),
     ]
     robustness: Annotated[
-        float | None,
+        Number | None,
         Field(
-            allow_inf_nan=False,
-            description="Its known result, negative if unsafe; without it, the solution is simulated first.",
+            description="Its known result, negative if unsafe; without it, the solution is simulated first."
         ),
     ] = None
 

@@ -6,6 +6,7 @@ and pairs are made without them. See docs/adr/0043-warm-starts.md.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Self
 
 import numpy as np
@@ -97,6 +98,8 @@ def given_records(space: SearchSpace, solutions: Sequence[KnownSolution]) -> lis
     records: list[KnownRecord] = []
     first: dict[bytes, int] = {}
     for place, solution in enumerate(solutions):
+        if len(errors) >= _MOST_ERRORS:
+            break
         pointer = f"/start_from/solutions/{place}"
         row = _encoded(space, solution.values, f"{pointer}/values", errors)
         if row is None:
@@ -122,8 +125,7 @@ def _encoded(
             pointer=f"{pointer}/{name.replace('~', '~0').replace('/', '~1')}",
             message="unknown parameter; expected component.parameter", nearest=nearest(name, names),
         )
-        for name in values
-        if name not in names
+        for name in islice((one for one in values if one not in names), _MOST_ERRORS)
     ]  # fmt: skip
     wrong += [
         FieldError(pointer=f"{pointer}/{name}", message="missing; every parameter is required")

@@ -17,7 +17,7 @@ from brink.server.documents import check_printable
 from brink.server.llm.calls import Outcome
 from brink.server.llm.protocol import Mode
 from brink.server.operations.export_file import BadFile
-from brink.worker.wire import Completed
+from brink.worker.wire import LARGEST_NUMBER, Completed
 
 _SIGNED: Final = frozenset({"priority", "robustness"})
 """Columns of numbers that may be negative."""
@@ -78,6 +78,8 @@ def _converted(value: Any, column: Column[Any]) -> Any:
             raise ValueError(f"expected a {bits}-bit integer")
     if wanted in (int, float) and value < 0 and column.name not in _SIGNED:
         raise ValueError(f"expected a number >= 0, got {value}")
+    if wanted is float and abs(value) > LARGEST_NUMBER:
+        raise ValueError(f"expected a number of at most {LARGEST_NUMBER:g}, got {value:g}")
     length = getattr(column.type, "length", None)
     if isinstance(value, str) and length and len(value) > length:
         raise ValueError(f"expected at most {length} characters")
@@ -111,8 +113,8 @@ def _name(text: str) -> None:
 
 
 def _numbers_by_name(values: Mapping[str, Any]) -> None:
-    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values.values()):
-        raise ValueError("expected numbers by name")
+    if not all(type(value) in (int, float) and abs(value) <= LARGEST_NUMBER for value in values.values()):
+        raise ValueError(f"expected numbers of at most {LARGEST_NUMBER:g} by name")
 
 
 def _positive(value: float) -> None:

@@ -422,6 +422,13 @@ LIKE_THE_API: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] 
     "an integer without end": (
         {"solutions.jsonl": in_line(lambda row: row.update(robustness=10**4000))}, "line 1: robustness: ",
     ),
+    "a number beyond the limits": (
+        {"solutions.jsonl": in_line(lambda row: row.update(robustness=-1e308))}, "at most 1e+100",
+    ),
+    "a violation beyond the limits": (
+        {"jobs.jsonl": in_line(lambda row: row.update(result=row["result"].replace("null", "1e308", 1)))},
+        "violated_at_s",
+    ),
     "deep nesting": (
         {"solutions.jsonl": lambda data: b"[" * 500_000 + b"\n" + data}, "nested too deeply",
     ),

@@ -29,6 +29,7 @@ SECURITY = Path(__file__).parents[3] / "docs" / "reference" / "security.md"
 INSIDES = ("Traceback", "site-packages", "sqlalchemy", "psycopg", "[SQL", "postgresql://", "sqlite:///")
 NOT_THE_COORDINATORS = ("httpx", "httpcore", "uvicorn.access")
 """Loggers of the client, and one that the coordinator has turned off, whatever pytest hangs on it."""
+LARGEST_REFUSAL = 32 * 1024
 OWN_TESTS: dict[str, tuple[int, ...]] = {}
 """What the tests below try, and the statuses that it gets."""
 
@@ -69,6 +70,7 @@ def test_a_hostile_request_gets_what_it_should_and_changes_nothing(
         assert attack.says in answer.text, answer.whole
         if answer.status >= 400 and attack.problem:
             assert answer.headers["content-type"] == "application/problem+json", answer.whole
+        assert answer.status < 400 or len(answer.text) <= LARGEST_REFUSAL, "the input is repeated at length"
         whole = answer.whole
         for hidden in (*INSIDES, *attack.hides, *map(secret, target.tokens.values())):
             assert hidden not in whole

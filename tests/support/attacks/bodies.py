@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterable, Iterator
 
 from support.api import ball
-from support.hostile import Answer, Attack, Target, row
+from support.hostile import Answer, Attack, Target, results, row
 
 MOST_BYTES = 12 * 1024 * 1024
 """The bound of the coordinator that is attacked."""
@@ -211,8 +211,22 @@ def _both(target: Target) -> Iterable[Answer]:
     yield target.send(HEAD + both + hidden)
 
 
+@row("a name of a megabyte", 422)
+def _long_names(target: Target) -> Iterable[Answer]:
+    long = "x" * 1024**2
+    start = {"solutions": [{"values": {long: 1}}]}
+    for body in (
+        {**ball(seed=9), long: 1}, ball(seed=9, execution={long: 1}), ball(seed=9, start_from=start),
+        ball(seed=9, sources={long: 1}), ball(seed=9, problem={"id": "ball@1", "params": {long: 1}}),
+    ):  # fmt: skip
+        yield target.submit(body)
+    for outcome in ({"kind": long}, {"kind": "completed", "verdicts": {long: 1}}):
+        yield target.say("results", results(target.mine.job, target.mine.token, outcome))
+
+
 BODIES: tuple[Attack, ...] = (
     _not_finite, _huge_integers, _deep, _twice, _no_json, _no_campaign, _unknown_fields, _types, _billions,
     _content_types, _bomb, _too_long, _endless, _many_values, _many_fields, _many_parameters,
     _aliases, _lie, _longer, _unended, _no_length, _both,
+    _long_names,
 )  # fmt: skip

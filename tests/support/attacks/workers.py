@@ -75,6 +75,18 @@ def _not_finite(target: Target) -> Iterable[Answer]:
             yield target.say("results", body.replace(b'"NUMBER"', number))
 
 
+@row("a number of a result beyond the limits", 422)
+def _immense(target: Target) -> Iterable[Answer]:
+    whole = outcome_of(target.mine)
+    verdict = whole["verdicts"]["distance@1"]
+    for outcome in (
+        {**whole, "verdicts": {"distance@1": {**verdict, "violated_at_s": 1e308}}},
+        {**whole, "verdicts": {"distance@1": {**verdict, "robustness": -1e308}}},
+        {**whole, "objectives": {"distance": 1e308}},
+    ):
+        yield target.say("results", results(target.mine.job, target.mine.token, outcome))
+
+
 @row("a malformed result", 422)
 def _no_result(target: Target) -> Iterable[Answer]:
     whole = outcome_of(target.mine)
@@ -178,6 +190,6 @@ def _no_numbers(target: Target) -> Iterable[Answer]:
 
 WORKERS: tuple[Attack, ...] = (
     _forged, _another_jobs, _another_workers, _twice, _late, _nowhere, _heartbeat, _release, _not_finite,
-    _no_result, _enormous, _no_base64, _enormous_trace, _odd_text, _identity, _wishes,
+    _immense, _no_result, _enormous, _no_base64, _enormous_trace, _odd_text, _identity, _wishes,
     _no_numbers,
 )  # fmt: skip

@@ -21,13 +21,14 @@ from brink.worker.child_protocol import (
 )
 from brink.worker.errors import BrokenFrame, UnexpectedReply, UnserializableResult
 from brink.worker.process import episode_result, parse_outcome
-from brink.worker.wire import Completed, JobFailed
+from brink.worker.wire import LARGEST_NUMBER, Completed, JobFailed
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
+NUMBERS = st.floats(-LARGEST_NUMBER, LARGEST_NUMBER)
 NAMES = st.text("abc@1-", min_size=1, max_size=8)
 VERDICTS = st.builds(
     Verdict,
-    robustness=FINITE,
+    robustness=NUMBERS,
     unit=st.sampled_from(["m", "s", "m/s"]),
     violated_at_s=st.none() | st.floats(0.0, 1e6),
 )
@@ -39,7 +40,7 @@ JSON = st.recursive(
 RESULTS = st.builds(
     EpisodeResult,
     verdicts=st.dictionaries(NAMES, VERDICTS, max_size=3),
-    objectives=st.dictionaries(NAMES, FINITE, max_size=3),
+    objectives=st.dictionaries(NAMES, NUMBERS, max_size=3),
     features=st.dictionaries(NAMES, JSON, max_size=3),
     provenance=st.dictionaries(NAMES, JSON, max_size=3),
     trace=st.none() | st.binary(max_size=50),
