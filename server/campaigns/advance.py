@@ -15,11 +15,11 @@ import hashlib
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, Protocol
 
 import numpy as np
 from sqlalchemy import Connection
@@ -53,6 +53,7 @@ from brink.server.campaigns.plan import (
     ask_more,
     make_plan,
     next_piece,
+    of_state,
     restored_archive,
     seed_request,
     start_search,
@@ -78,7 +79,7 @@ from brink.server.errors import Damaged, InvalidInput, Unavailable
 from brink.server.llm.settings import LlmSettings
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem
-from brink.server.problems.catalogue import ALGORITHMS, run_plugin, uses_user_code
+from brink.server.problems.catalogue import uses_user_code
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobOutcome, first_line
 from brink.server.queue.wakeups import Wakeups
@@ -94,8 +95,6 @@ FIRST_FAILURES = 5
 PLUGIN_STEPS_AT_ONCE: Final = 16
 """Maximum number of campaigns with code that a user brought whose steps run at a time. They mostly wait for it."""
 KNOWN_CAMPAIGNS: Final = 10_000
-
-T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -210,7 +209,7 @@ class Stepper:
         live = self._live.get(campaign_id)
         if live is None or live.generation != generation:
             return None
-        archive: Archive = _run(live.plan, "archive", lambda: live.state.archive)
+        archive: Archive = of_state(live.plan, "archive", lambda: live.state.archive)
         return archive
 
     def start_later(self, campaign_id: str) -> None:
@@ -372,7 +371,7 @@ class Stepper:
         if proposals is None:
             return False
         seeded = algorithm.seeded(live.state, proposals)
-        checkpoint = _run(plan, "state", lambda: _checkpoint(plan, seeded, campaign.generation))
+        checkpoint = of_state(plan, "state", lambda: _checkpoint(plan, seeded, campaign.generation))
         after, asked = next_piece(replace(live, state=seeded))
         written = self._writer.submit(
             lambda connection: step_store.write_seeded(connection, campaign, checkpoint, asked)
@@ -386,7 +385,7 @@ class Stepper:
 
     def _tell(self, campaign: Campaign, live: LiveSearch, outcomes: Sequence[JobOutcome]) -> bool:
         began = time.perf_counter()
-        pending: Sequence[Candidate] = _run(live.plan, "pending", lambda: live.state.pending)
+        pending: Sequence[Candidate] = of_state(live.plan, "pending", lambda: live.state.pending)
         evaluations = _evaluations(live.plan.problem, pending, outcomes)
         failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
         pause = _too_many_failures(campaign, evaluations, failed, len(pending))
@@ -401,7 +400,7 @@ class Stepper:
         make_step = partial(
             self._make_step, campaign, live.plan, evaluations, without_result, told, asked, finished, began
         )
-        step, archive = _run(live.plan, "state", lambda: (make_step(), told.archive))
+        step, archive = of_state(live.plan, "state", lambda: (make_step(), told.archive))
         repeats = self._repeats(campaign, live.plan, archive) if finished else None
 
         if not self._write_early(step):
@@ -560,7 +559,7 @@ class Stepper:
             )
         # What is not stored yet is asked for piece by piece.
         asking = ask_more(begun, sum(map(len, in_flight)))
-        live = _run(plan, "pending", lambda: _without_stored(campaign, asking, in_flight))
+        live = of_state(plan, "pending", lambda: _without_stored(campaign, asking, in_flight))
         log.info("campaign restored", extra=_about(campaign))
         return live
 
@@ -574,11 +573,6 @@ class Stepper:
             )
         ).result()
         log.warning("campaign %s", status, extra={**_about(campaign), "reason": reason})
-
-
-def _run(plan: Plan, what: str, run: Callable[[], T]) -> T:
-    """Return what the state of a search says, which is code of its algorithm."""
-    return run_plugin(ALGORITHMS, plan.body.algorithm.id, what, run)
 
 
 def _about(campaign: Campaign) -> dict[str, object]:

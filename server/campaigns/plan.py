@@ -3,10 +3,10 @@
 import itertools
 import logging
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from operator import itemgetter
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from sqlalchemy import Connection
@@ -66,6 +66,8 @@ from brink.server.states import JobKind
 from brink.server.user_code import USER_CODE, guarded_like
 from brink.sim.catalogue import GROUPS, named_sources, with_sources
 from brink.sim.episode import digest_of
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -491,7 +493,9 @@ def ask_more(live: LiveSearch, most: int) -> LiveSearch:
     unstored = list(live.unstored)
     if seed_request(live.plan, live.state) is not None:
         return live
-    for state, candidates in ask_each(live.plan.algorithm, live.state):
+    generations = ask_each(live.plan.algorithm, live.state)
+    while (asked := of_state(live.plan, "ask", lambda: next(generations, None))) is not None:
+        state, candidates = asked
         unstored += [(live.asked, candidate) for candidate in candidates]
         live = replace(live, state=state, asked=live.asked + 1)
         if len(unstored) > most:
@@ -513,11 +517,15 @@ def next_piece(live: LiveSearch) -> tuple[LiveSearch, Asked]:
     """
     asking = ask_more(live, PIECE)
     piece, left = asking.unstored[:PIECE], asking.unstored[PIECE:]
-    pending = asking.state.pending
+    state = asking.state
+    pending = of_state(live.plan, "pending", lambda: tuple(state.pending))
+    origins = of_state(live.plan, "queue_origins", lambda: tuple(getattr(state, "queue_origins", ())))
+    # In the order of numbers, beginning with the oldest candidate in flight.
+    origin_of = dict(enumerate(origins, pending[0].number)) if pending else {}
     asked = Asked(
         first=piece[0][0] if piece else live.asked,
         generations=[
-            new_solutions(live.plan.problem, [one for _, one in group], asking.state, live.plan.body.seed)
+            new_solutions(live.plan.problem, [one for _, one in group], origin_of, live.plan.body.seed)
             for _, group in itertools.groupby(piece, key=itemgetter(0))
         ],
         end=pending[-1].number + 1 if pending else None,
@@ -530,23 +538,32 @@ def seed_request(plan: Plan, state: Any) -> SeedRequest | None:
     return plan.algorithm.wanted(state) if isinstance(plan.algorithm, Seeded) else None
 
 
+def of_state(plan: Plan, what: str, run: Callable[[], T]) -> T:
+    """Return what the state of a search says, which is code of its algorithm.
+
+    Args:
+        plan: Its plan.
+        what: What is asked for, for messages.
+        run: The code.
+    """
+    return run_plugin(ALGORITHMS, plan.body.algorithm.id, what, run)
+
+
 def new_solutions(
-    problem: Problem, candidates: Sequence[Candidate], state: Any, campaign_seed: int
+    problem: Problem, candidates: Sequence[Candidate], origins: Mapping[int, object], campaign_seed: int
 ) -> list[NewSolution]:
     """Return the candidates of a generation as solutions to store, with their simulations.
 
     Args:
         problem: The campaign's problem.
         candidates: The generation.
-        state: The algorithm's state, which may have the origins of all candidates in flight, `queue_origins`.
+        origins: Where candidates come from, by number, as far as the algorithm says.
         campaign_seed: The campaign's seed.
 
     Raises:
         InvalidInput: The algorithm needs a data set, which the problem does not have.
     """
     solutions = []
-    # In the order of numbers, beginning with the oldest candidate in flight.
-    origins = dict(enumerate(getattr(state, "queue_origins", ()), state.pending[0].number))
     simulated = (
         None if isinstance(problem, InProcessProblem) else problem
     )  # slow: it looks up every attribute

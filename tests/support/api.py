@@ -132,7 +132,7 @@ def _digest(document: str, trees: int) -> str:
     while not algorithm.finished(state):
         state, _ = ask_all(algorithm, state)
         candidates = state.pending
-        solutions = new_solutions(plan.problem, candidates, state, body.seed)
+        solutions = new_solutions(plan.problem, candidates, {}, body.seed)
         evaluations = {}
         for candidate, solution in zip(candidates, solutions, strict=True):
             spec = plan.problem.episode(candidate.vectors, solution.seed)

@@ -109,6 +109,16 @@ class StuckBall(Ball):
         return "somewhere"
 
 
+class StuckState(RandomSearchState):
+    """The state of random search, whose properties hang."""
+
+    @property
+    def pending(self) -> tuple[Candidate, ...]:
+        """The oldest generation that was not told yet."""
+        FAULT.at("pending")
+        return self.ledger.pending
+
+
 class StuckSearch(RandomSearch):
     """Random search, whose methods hang."""
 
@@ -122,7 +132,8 @@ class StuckSearch(RandomSearch):
     def tell(self, state: RandomSearchState, evaluations: Mapping[int, Evaluation]) -> RandomSearchState:
         """Return the state after the pending generation was evaluated."""
         FAULT.at("tell")
-        return super().tell(state, evaluations)
+        told = super().tell(state, evaluations)
+        return StuckState(config=told.config, ledger=told.ledger)
 
 
 @pytest.fixture
@@ -159,7 +170,7 @@ def is_paused(client: httpx.Client, campaign: str) -> Callable[[], bool]:
     return lambda: expect(client.get(f"/api/v1/campaigns/{campaign}"))["status"] == "paused"
 
 
-@pytest.mark.parametrize("place", ["evaluation", "ask", "tell", "episode"])
+@pytest.mark.parametrize("place", ["evaluation", "ask", "tell", "episode", "pending"])
 def test_a_step_that_hangs_pauses_its_own_campaign_and_no_other_notices(
     stuck_client: httpx.Client, fault: Fault, place: str
 ) -> None:
