@@ -210,18 +210,22 @@ def test_a_solution_and_its_pair_count_the_same_parameters(client: httpx.Client)
     assert opposite["differences"] == sum(len(change["names"]) for change in pair["changes"]) == 3
 
 
-def picture(client: httpx.Client, campaign: str, side: str = "safe", **query: Any) -> httpx.Response:
-    return client.get(f"{API}/{campaign}/pairs/0-1/{side}.png", params={"wait_s": 0, **query})
+def picture(client: httpx.Client, campaign: str, side: str = "safe") -> httpx.Response:
+    return client.get(f"{API}/{campaign}/pairs/0-1/{side}.png", params={"wait_s": 0})
+
+
+def ask_for_picture(client: httpx.Client, campaign: str) -> httpx.Response:
+    return client.post(f"{API}/{campaign}/pairs/0-1/safe.png")
 
 
 def test_workers_record_what_the_pictures_of_a_pair_need_and_both_are_requested_at_once(
     client: httpx.Client,
 ) -> None:
     campaign = urban(client)
-    assert picture(client, campaign, record=False).status_code == 204
+    assert picture(client, campaign).status_code == 204
     worker = FakeWorker(client, capabilities=(URBAN,), judge=filmed)
     assert worker.lease() == [], "nothing is recorded that was not asked for"
-    assert picture(client, campaign).status_code == 202
+    assert ask_for_picture(client, campaign).status_code == 202
     jobs = [*worker.lease(), *worker.lease()]
     assert [job.record for job in jobs] == [True, True]
     worker.report(jobs)
@@ -231,7 +235,7 @@ def test_workers_record_what_the_pictures_of_a_pair_need_and_both_are_requested_
         assert (answer.status_code, answer.headers["content-type"]) == (200, "image/png")
         images.append(Image.open(io.BytesIO(answer.content)))
     assert {image.size for image in images} == {(720, 340)}
-    assert picture(client, campaign, record=False).status_code == 200, "they are kept now"
+    assert ask_for_picture(client, campaign).status_code == 204, "they are kept now"
 
 
 def test_solutions_that_do_not_exist_have_no_picture(client: httpx.Client) -> None:
@@ -244,7 +248,7 @@ def test_solutions_that_do_not_exist_have_no_picture(client: httpx.Client) -> No
 def test_a_simulator_without_traces_has_no_pictures(client: httpx.Client) -> None:
     campaign = finish(client, ball(simulations=20, execution={"keep_traces": 0}), completes)
     worker = FakeWorker(client)
-    assert picture(client, campaign).status_code == 202
+    assert ask_for_picture(client, campaign).status_code == 202
     worker.report(worker.lease())
     assert picture(client, campaign).status_code == 204
     assert SIMULATOR in worker.capabilities
