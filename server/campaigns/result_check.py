@@ -17,7 +17,7 @@ from brink.search.algorithm import Evaluation, NeedsObjectives, Scored
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.db.engine import Engines, read
-from brink.server.errors import InvalidInput
+from brink.server.errors import InvalidInput, Unavailable
 from brink.server.problems.base import InProcessProblem, MeasuresOnData, NamesRequirements, SimulatedProblem
 from brink.server.problems.catalogue import PROBLEMS, uses_user_code
 from brink.server.queue.report_store import Judgement, UnjudgedResult
@@ -172,6 +172,10 @@ class ResultChecks:
             evaluation = evaluate(expected.problem, JobKind(kind), result)
         except UNREADABLE as error:
             return Judgement(_reason(expected.problem, result, error))
+        except Unavailable as error:  # its code did not return, or the coordinator is stopping
+            log.warning("results are stored unchecked: %s", error, extra={"campaign": campaign_id})
+            self._keep(campaign_id, None)
+            return Judgement()
         except Exception:  # a plug-in's fault must not fail the results of others; the step reports it
             log.exception("result cannot be checked", extra={"campaign": campaign_id})
             self._keep(campaign_id, None)
@@ -190,6 +194,9 @@ class ResultChecks:
         try:
             expected = _expected(make_plan(campaign.body))
         except InvalidInput:  # its plug-in is not installed here
+            expected = None
+        except Unavailable as error:
+            log.warning("results are stored unchecked: %s", error, extra={"campaign": campaign.id})
             expected = None
         except (
             Exception

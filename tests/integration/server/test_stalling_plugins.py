@@ -307,16 +307,17 @@ def test_pages_about_a_campaign_whose_problem_hangs_say_so_and_its_progress_is_s
     assert progress(stuck_client, campaign)["status"] == "running"
 
 
+@pytest.mark.parametrize("place", ["tell", "evaluation"])
 def test_a_coordinator_stops_while_code_hangs(
-    database_url: str, fault: Fault, caplog: pytest.LogCaptureFixture
+    database_url: str, fault: Fault, caplog: pytest.LogCaptureFixture, place: str
 ) -> None:
     fault.times_out = False
     with coordinator(database_url, plugin_timeout_s=3600.0) as client:
         worker = FakeWorker(client)
         submit(client, stuck())
-        fault.place = "tell"
+        fault.place = place
         worker.report(worker.lease_all())
-        eventually(lambda: bool(USER_CODE._waiting), "the step hangs")
+        eventually(lambda: bool(USER_CODE._waiting), "it hangs")
         began = time.monotonic()
     assert time.monotonic() - began < 60.0
     assert not [record for record in caplog.records if record.exc_info]
