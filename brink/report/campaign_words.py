@@ -256,7 +256,8 @@ def _chance(facts: Facts) -> str:
         if pairs.tried:
             return (
                 f"{pairs.confirmed:,} of {count(pairs.tried, 'pair')} that were simulated again with other seeds are "
-                f"confirmed, {pairs.refuted:,} are refuted: chance decides there. {pairs.undecided:,} are undecided."
+                f"confirmed, {pairs.refuted:,} are refuted: chance has a part there. "
+                f"{pairs.undecided:,} are undecided."
             )
         checked = ""
         if pairs.checked:

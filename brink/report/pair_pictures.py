@@ -120,7 +120,7 @@ def findings(pair: PairView) -> list[str]:
         found.append(f"Confirmed with {_drives_a_side(again)} other seeds each side.")
     elif again.state is Confirmation.REFUTED:
         # First, because it limits what the rest says.
-        found.insert(0, f"Refuted, so chance decides: with other seeds, {_doubt(again)}.")
+        found.insert(0, f"Refuted, so chance has a part: with other seeds, {_doubt(again)}.")
     elif again.state is Confirmation.UNDECIDED:
         found.insert(0, f"Undecided with {_drives_a_side(again)} other seeds each side: chance may decide.")
     return found

@@ -47,7 +47,8 @@ def legend(view: PairsView) -> list[str]:
         )
     if Confirmation.REFUTED in states:
         found.append(
-            f"refuted: a side is beyond its limit, with the same error rate ({view.rule.error:.0%}): chance decides"
+            f"refuted: a side is beyond its limit, with the same error rate ({view.rule.error:.0%}), so chance has "
+            "a part"
         )
     if Confirmation.UNDECIDED in states:
         found.append("undecided: neither confirmed nor refuted by these simulations; more may tell")

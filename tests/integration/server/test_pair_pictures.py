@@ -217,12 +217,12 @@ def test_the_findings_say_what_is_to_blame(
         (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds each side."),
         (
             Confirmation.REFUTED, 7, 10,
-            "Refuted, so chance decides: with other seeds, the safe side was unsafe in 7 of 10.",
+            "Refuted, so chance has a part: with other seeds, the safe side was unsafe in 7 of 10.",
         ),
         (
             Confirmation.REFUTED, 6, 3,
-            "Refuted, so chance decides: with other seeds, the safe side was unsafe in 6 of 10 and the unsafe side "
-            "in only 3 of 10.",
+            "Refuted, so chance has a part: with other seeds, the safe side was unsafe in 6 of 10 and the unsafe "
+            "side in only 3 of 10.",
         ),
         (
             Confirmation.UNDECIDED, 1, 9,
