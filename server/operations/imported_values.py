@@ -21,6 +21,10 @@ from brink.worker.wire import LARGEST_NUMBER, Completed
 
 _SIGNED: Final = frozenset({"priority", "robustness"})
 """Columns of numbers that may be negative."""
+LONGEST_TIMEOUT_S: Final = 7 * 86_400.0
+"""Largest wall-clock limit of a job: a worker cannot wait for much longer ones."""
+LARGEST_EXACT: Final = 2**53
+"""Largest number of a solution: every JSON parser reads it exactly."""
 _HASH: Final = re.compile(r"[0-9a-f]{64}")
 _ID: Final = re.compile(r"[0-9A-Za-z]{1,16}")
 
@@ -117,9 +121,14 @@ def _numbers_by_name(values: Mapping[str, Any]) -> None:
         raise ValueError(f"expected numbers of at most {LARGEST_NUMBER:g} by name")
 
 
-def _positive(value: float) -> None:
-    if value <= 0:
-        raise ValueError(f"expected a number > 0, got {value:g}")
+def _timeout(value: float) -> None:
+    if not 0 < value <= LONGEST_TIMEOUT_S:
+        raise ValueError(f"expected a number > 0, of at most {LONGEST_TIMEOUT_S:g}, got {value:g}")
+
+
+def _number(value: int) -> None:
+    if value > LARGEST_EXACT:
+        raise ValueError(f"expected at most {LARGEST_EXACT}, got {value}")
 
 
 _RULES: Final[Mapping[str, Callable[[Any], object]]] = {
@@ -136,7 +145,8 @@ _RULES: Final[Mapping[str, Callable[[Any], object]]] = {
     "mode": Mode,
     "outcome": Outcome,
     "objectives": _numbers_by_name,
-    "timeout_s": _positive,
+    "number": _number,
+    "timeout_s": _timeout,
     "result": Completed.model_validate_json,
 }
 """For each column with further conditions, what raises ValueError if a value does not meet them."""

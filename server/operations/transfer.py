@@ -36,9 +36,10 @@ from sqlalchemy.exc import DataError, IntegrityError
 from brink import __version__
 from brink.search.errors import ConfigError
 from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, MOST_TAGS, search_text, stored_body
-from brink.server.campaigns.plan import Plan, make_plan
+from brink.server.campaigns.plan import Plan, make_plan, restored_archive
 from brink.server.campaigns.repeats import is_follow_up
-from brink.server.campaigns.store import CAMPAIGNS, ENDED
+from brink.server.campaigns.step_store import read_archive
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.db.models import (
     Base,
     CampaignRow,
@@ -55,7 +56,7 @@ from brink.server.db.models import (
     ViolationNameRow,
 )
 from brink.server.db.sql import allow_pauses, database_now, in_list
-from brink.server.errors import Conflict, NotFound
+from brink.server.errors import Conflict, Damaged, NotFound
 from brink.server.llm.access import LlmAccess
 from brink.server.operations.export_file import (
     FORMAT,
@@ -70,8 +71,9 @@ from brink.server.operations.export_file import (
     reading,
 )
 from brink.server.operations.imported_values import imported_value, type_of
-from brink.server.operations.verification import verify_counts
+from brink.server.operations.verification import count_missing_jobs, verify_counts, verify_results
 from brink.server.problems.base import InProcessProblem, MeasuresOnData
+from brink.server.problems.catalogue import uses_user_code
 from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import SimulatorError
@@ -381,10 +383,34 @@ class _Import:
             if name != "campaigns" and (name not in _OPTIONAL or self._has(f"{name}.jsonl")):
                 counts[name] = self._insert(name, model)
         counts["traces"] = self._traces()
-        stored = CAMPAIGNS.get(self._connection, self._id)
+        self._verify(CAMPAIGNS.get(self._connection, self._id))
+        return counts
+
+    def _verify(self, stored: Campaign) -> None:
+        """Verify the stored campaign as `brink doctor` would, and as its first reader will.
+
+        Results are not evaluated by a plug-in's code, which may take long, and which may have changed.
+
+        Raises:
+            BadFile: What it consists of does not fit together.
+        """
         if (wrong := verify_counts(self._connection, stored)) is not None:
             raise BadFile(f"{self._folder}campaigns.jsonl: {wrong}")
-        return counts
+        for _, count, first in count_missing_jobs(self._connection, self._id):
+            raise BadFile(
+                f"{self._folder}jobs.jsonl: expected a job for each solution with spec_hash, but {count} have none, "
+                f"such as solution {first}"
+            )
+        try:
+            restored_archive(
+                self.plan, read_archive(self._connection, self._id, self.plan.problem.space.dimension)
+            )
+        except (Damaged, ValueError) as error:
+            raise BadFile(f"{self._folder}checkpoints.jsonl: {error}") from None
+        if not uses_user_code(self.plan.body.problem.id, self.plan.body.algorithm.id):
+            done = verify_results(self._connection, stored, None)
+            if done.damaged:
+                raise BadFile(f"{self._folder}solutions.jsonl: {done}")
 
     def _has(self, name: str) -> bool:
         return f"{self._folder}{name}" in self._file.members
@@ -491,6 +517,8 @@ class _Import:
         block = self._file.array(member, "<f4")
         if block.shape != (row["rows"], row["columns"]):
             raise BadFile(f"{member}: expected {row['rows']} x {row['columns']} numbers")
+        if row["columns"] != row["first_row"] + row["rows"]:
+            raise BadFile(f"{member}: expected one column for each solution up to the last row")
         data = block.tobytes()
         if hashlib.sha256(data).hexdigest() != row["sha256"]:
             raise BadFile(f"{member}: damaged: it does not match its checksum")

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
-from sqlalchemy import Connection, Row, and_, func, select
+from sqlalchemy import Connection, Row, and_, func, select, true
 
 from brink.search.algorithm import Evaluation, Measured, Scored
 from brink.server.campaigns.plan import make_plan
@@ -85,12 +85,20 @@ def verify_counts(connection: Connection, campaign: Campaign) -> str | None:
     return None
 
 
-def count_missing_jobs(connection: Connection) -> Iterator[tuple[str, int, int]]:
-    """Yield each campaign with solutions that have lost their jobs: its id, their number, and the first of them."""
+def count_missing_jobs(
+    connection: Connection, campaign_id: str | None = None
+) -> Iterator[tuple[str, int, int]]:
+    """Yield each campaign with solutions that have lost their jobs: its id, their number, and the first of them.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The only campaign to look at; None for all.
+    """
     query = (
         select(SolutionRow.campaign_id, func.count(), func.min(SolutionRow.number))
         .join(CampaignRow, CampaignRow.id == SolutionRow.campaign_id)
         .where(CampaignRow.deleted_at.is_(None))
+        .where(true() if campaign_id is None else SolutionRow.campaign_id == campaign_id)
         .where(SolutionRow.spec_hash.is_not(None), ~select(JobRow.id).where(_ITS_JOB).exists())
         .group_by(SolutionRow.campaign_id)
         .order_by(SolutionRow.campaign_id)
@@ -125,7 +133,8 @@ def verify_results(connection: Connection, campaign: Campaign, limit: int | None
         .order_by(SolutionRow.number.desc())
         .limit(limit)
     )  # fmt: skip
-    with connection.execution_options(stream_results=True, yield_per=_ROWS_AT_ONCE).execute(query) as rows:
+    streamed = {"stream_results": True, "yield_per": _ROWS_AT_ONCE}  # not of the connection, which may write
+    with connection.execute(query, execution_options=streamed) as rows:
         for row in rows:
             done.verified += 1
             if _is_late(row, campaign.job_settings):

@@ -29,6 +29,7 @@ from brink.server.operations.export_file import BadFile, open_export
 from brink.server.operations.transfer import export_campaign
 from brink.server.problems.urban_injected import SIMULATOR
 from brink.sim.episode import EpisodeSpec
+from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 pytestmark = pytest.mark.usefixtures("small_problems")
 
@@ -387,6 +388,22 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "a tag in capitals": (
         {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "Night"}'}, "in lower case",
     ),
+    "a checkpoint of another archive": (
+        {"checkpoints.jsonl": in_line(lambda row: row.update(generation=0))}, "checkpoints.jsonl: neighbours: ",
+    ),
+    "a damaged checkpoint": (
+        {"arrays/checkpoint-document.npy": array(np.zeros(9, "u1"))}, "checkpoints.jsonl: campaign",
+    ),
+    "distances of other solutions": (
+        {"distance_blocks.jsonl": in_line(lambda row: row.update(first_row=1))}, "up to the last row",
+    ),
+    "a solution without its job": (
+        {"jobs.jsonl": lambda data: data.split(b"\n", 1)[1]}, "expected a job for each solution",
+    ),
+    "a number that JSON cannot carry": (
+        {"solutions.jsonl": in_line(lambda row: row.update(number=2**53 + 1))}, "number: expected at most",
+    ),
+    "a time limit of ages": ({"jobs.jsonl": in_line(lambda row: row.update(timeout_s=1e9))}, "of at most 604800"),
     "an unknown problem": (
         {"campaigns.jsonl": in_line(lambda row: row["document"]["problem"].update(id="none@1"))}, "unknown problem",
     ),
@@ -623,6 +640,38 @@ def test_an_imported_campaign_that_may_run_is_checked_like_a_new_one(
     with engines.reader.connect() as connection:
         assert connection.execute(select(func.count()).select_from(CampaignRow)).scalar_one() == 0
     engines.dispose()
+
+
+def _holds_all(job: LeasedJob) -> Completed:
+    verdict = WireVerdict(robustness=0.5, unit="m", violated_at_s=None)
+    return Completed(verdicts=dict.fromkeys(job.spec["requirements"], verdict))
+
+
+@on_sqlite
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"robustness": 0.4}, "robustness 0.4, but its result says 0.5"),
+        ({"objectives": {"front-gap@1": 0.4}}, "its objectives differ from those of its result"),
+    ],
+)
+def test_a_verdict_that_its_result_does_not_give_is_refused(
+    elsewhere: str, database_url: str, tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    file = tmp_path / "drives.brink"
+    body = ball(
+        simulations=4, problem={"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
+        algorithm={"id": "random@1", "params": {"generation_size": 4}}, execution={"keep_traces": 0},
+    )  # fmt: skip
+    with coordinator(database_url) as client:
+        campaign = submit(client, body)
+        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=_holds_all)
+        assert worker.work(campaign)["status"] == "finished"
+    assert run("export", campaign, "--out", str(file), "--database", database_url).exit_code == 0
+    forged = rewritten(file, {"solutions.jsonl": in_line(lambda row: row.update(changes))})
+    with pytest.raises(BadFile, match=message):
+        run("import", str(forged), "--database", elsewhere)
+    assert run("import", str(file), "--database", elsewhere).exit_code == 0
 
 
 def test_which_campaign_is_meant_must_be_clear(database_url: str, tmp_path: Path) -> None:
