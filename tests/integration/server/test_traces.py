@@ -36,7 +36,7 @@ from brink.cli.commands import app
 from brink.cli.run import CampaignRun
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import parse_body
-from brink.server.campaigns.checks import SLOW_AT_ONCE
+from brink.server.campaigns.checks import PLUGIN_CHECKS_AT_ONCE, SLOW_AT_ONCE
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, WorkerRow
 from brink.server.operations.prune import prune
@@ -650,8 +650,13 @@ def test_drawing_does_not_block_other_requests(client: httpx.Client, monkeypatch
 
 
 @on_sqlite
+@pytest.mark.parametrize(
+    ("problem", "at_once"),
+    [("mtq@1", SLOW_AT_ONCE), ("ball@1", PLUGIN_CHECKS_AT_ONCE)],
+    ids=["own", "plug-in"],
+)
 def test_checking_a_submission_blocks_no_request(
-    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch, problem: str, at_once: int
 ) -> None:
     submit(client, ball())
     blocker = Blocker()
@@ -664,9 +669,10 @@ def test_checking_a_submission_blocks_no_request(
 
     usual = brink.server.campaigns.plan.make_checked_plan
     monkeypatch.setattr(brink.server.campaigns.plan, "make_checked_plan", checked)
-    with many_requests(client, "POST", "/api/v1/campaigns", json=ball(seed=2, simulations=20)) as statuses:
+    body = {**ball(seed=2, simulations=20, algorithm={"id": "random@1"}), "problem": {"id": problem}}
+    with many_requests(client, "POST", "/api/v1/campaigns", json=body) as statuses:
         try:
-            eventually(lambda: blocker.within == SLOW_AT_ONCE, "some submissions are being checked")
+            eventually(lambda: blocker.within == at_once, "some submissions are being checked")
             assert_others_are_served(client)
         finally:
             blocker.release()
