@@ -28,7 +28,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from brink.server.db.types import UtcDateTime
+from brink.server.db.types import Reason, UtcDateTime
 from brink.server.states import CampaignStatus, JobKind, JobStatus, Scope, SolutionVerdict
 
 JobId = BigInteger().with_variant(Integer(), "sqlite")
@@ -81,7 +81,7 @@ class CampaignRow(Base):
     document_hash: Mapped[str] = mapped_column(String(64), index=True)
     idempotency_key: Mapped[str | None] = mapped_column(String(200), unique=True)
     status: Mapped[str] = mapped_column(String(16))
-    status_reason: Mapped[str] = mapped_column(Text, default="")
+    status_reason: Mapped[str] = mapped_column(Reason, default="")
     seed: Mapped[int] = mapped_column(BigInteger)
     priority: Mapped[int] = mapped_column(Integer)
     budget: Mapped[int] = mapped_column(BigInteger)
@@ -194,7 +194,7 @@ class SolutionRow(Base):
     verdict: Mapped[str] = mapped_column(String(8), default=SolutionVerdict.PENDING)
     robustness: Mapped[float | None]
     objectives: Mapped[dict[str, Any] | None]
-    failure: Mapped[str | None] = mapped_column(Text)
+    failure: Mapped[str | None] = mapped_column(Reason)
     origin: Mapped[str | None] = mapped_column(String(16))
 
 
@@ -300,7 +300,7 @@ class JobRow(Base):
     """Whether no coordinator was there during the last lease, which was not renewed since: its end is not a loss."""
     failed_worker: Mapped[str | None] = mapped_column(String(64))
     result: Mapped[str | None] = mapped_column(Text)
-    last_error: Mapped[str | None] = mapped_column(Text)
+    last_error: Mapped[str | None] = mapped_column(Reason)
     created_at: Mapped[datetime]
     finished_at: Mapped[datetime | None]
 
@@ -344,7 +344,7 @@ class LlmCallRow(Base):
     estimated: Mapped[bool]
     cost: Mapped[float | None]
     latency_s: Mapped[float]
-    error: Mapped[str | None] = mapped_column(Text)
+    error: Mapped[str | None] = mapped_column(Reason)
     called_at: Mapped[datetime]
 
 

@@ -1,9 +1,15 @@
 """Column types that behave the same on SQLite and Postgres."""
 
+import re
 from datetime import UTC, datetime
+from typing import Final
 
-from sqlalchemy import DateTime, Dialect
+from sqlalchemy import DateTime, Dialect, Text
 from sqlalchemy.types import TypeDecorator
+
+LONGEST_REASON: Final = 8_000
+"""Maximum number of characters of a `Reason`: twice that of a worker's message."""
+_NOT_STORABLE: Final = re.compile("[\x00\ud800-\udfff]")
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -30,3 +36,26 @@ class UtcDateTime(TypeDecorator[datetime]):
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+class Reason(TypeDecorator[str]):
+    r"""Why something failed, in words that may be those of an exception of a plug-in.
+
+    What no database can store, NUL and lone surrogates, is written out, such as ``\u0000``, and very long words are
+    cut: the failure itself must be stored in any case.
+    """
+
+    impl = Text
+    cache_ok = True
+
+    @property
+    def python_type(self) -> type[str]:
+        """The type of the values."""
+        return str
+
+    def process_bind_param(self, value: str | None, dialect: Dialect) -> str | None:
+        """Return words that can be stored."""
+        if value is None:
+            return None
+        words = value if len(value) <= LONGEST_REASON else f"{value[: LONGEST_REASON - 1]}…"
+        return _NOT_STORABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", words)
