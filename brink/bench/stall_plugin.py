@@ -22,6 +22,8 @@ from brink.sim.catalogue import register
 from brink.sim.episode import EpisodeSpec
 from brink.worker.wire import Completed
 
+PLUGIN = "stalling"
+"""Name under which a coordinator imports the copy."""
 PROBLEM = "stall@1"
 ALGORITHM = "stall-random@1"
 PLACES = ("none", "construction", "episode", "evaluation", "words", "ask", "tell")
@@ -147,5 +149,6 @@ class StallingSearch(RandomSearch):
         return super().tell(state, evaluations)
 
 
-register(PROBLEMS, PROBLEM, StallingProblem)
-register(ALGORITHMS, ALGORITHM, StallingSearch)
+if __name__ == PLUGIN:  # in the copy alone: who imports this module only wants its names
+    register(PROBLEMS, PROBLEM, StallingProblem)
+    register(ALGORITHMS, ALGORITHM, StallingSearch)

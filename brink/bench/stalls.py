@@ -31,8 +31,6 @@ from brink.bench.processes import CoordinatorProcess
 from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.wire import machine_name
 
-PLUGIN: Final = "stalling"
-"""Name under which the coordinator imports the copy of `brink.bench.stall_plugin`."""
 PLUGIN_TIMEOUT_S: Final = 5.0
 """Time limit for a plug-in's code, shorter than a coordinator's default so that a trial does not take long."""
 PROBES: Final = ("healthz", "heartbeat", "lease", "submission", "search")
@@ -172,12 +170,12 @@ def measure_stall(disturbance: Disturbance, *, seconds: float, idle_s: float = 3
     """
     with tempfile.TemporaryDirectory(prefix="brink-stalls-") as name:
         folder = Path(name)
-        shutil.copy(Path(stall_plugin.__file__), folder / f"{PLUGIN}.py")
+        shutil.copy(Path(stall_plugin.__file__), folder / f"{stall_plugin.PLUGIN}.py")
         coordinator = CoordinatorProcess(
             f"sqlite:///{folder}/coordinator.db",
             folder / "coordinator.log",
             {
-                PLUGINS_VARIABLE: f"{MODULE},{PLUGIN}", "BRINK_PLUGIN_TIMEOUT_S": f"{PLUGIN_TIMEOUT_S:g}",
+                PLUGINS_VARIABLE: f"{MODULE},{stall_plugin.PLUGIN}", "BRINK_PLUGIN_TIMEOUT_S": f"{PLUGIN_TIMEOUT_S:g}",
                 "BRINK_RATE_LIMIT": "0", "PYTHONPATH": _python_path(folder),
             },
         )  # fmt: skip

@@ -18,7 +18,7 @@ CONDITIONS = [
 ]
 
 
-def body(seed: int = 1, simulations: int = 800, **changes: Any) -> dict[str, Any]:
+def body(seed: int = 1, simulations: int = 1400, **changes: Any) -> dict[str, Any]:
     """Return the body of a search for tolerances."""
     params = {"cells": CELLS, "conditions": CONDITIONS, "without_error": 25, **changes}
     return {

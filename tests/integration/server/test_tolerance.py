@@ -102,7 +102,8 @@ def test_the_finding_says_what_a_missing_limit_does_not_mean(service: Service) -
         for cell in service.get()["cells"]
         if cell["tolerated"]["finding"] == "throughout"
     ]
-    assert f"{min(shares)}% to {max(shares)}% of drives violate" in caveat
+    low, high = min(shares), max(shares)
+    assert f"makes {low}%{f' to {high}%' if low < high else ''} of drives violate" in caveat
     assert (finding["pairs"], finding["best"]) == (None, [])
 
 
