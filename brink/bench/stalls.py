@@ -175,10 +175,12 @@ def measure_stall(disturbance: Disturbance, *, seconds: float, idle_s: float = 3
             f"sqlite:///{folder}/coordinator.db",
             folder / "coordinator.log",
             {
-                PLUGINS_VARIABLE: f"{MODULE},{stall_plugin.PLUGIN}", "BRINK_PLUGIN_TIMEOUT_S": f"{PLUGIN_TIMEOUT_S:g}",
-                "BRINK_RATE_LIMIT": "0", "PYTHONPATH": _python_path(folder),
+                PLUGINS_VARIABLE: f"{MODULE},{stall_plugin.PLUGIN}",
+                "BRINK_PLUGIN_TIMEOUT_S": f"{PLUGIN_TIMEOUT_S:g}",
+                "BRINK_RATE_LIMIT": "0",
+                "PYTHONPATH": _python_path(folder),
             },
-        )  # fmt: skip
+        )
         try:
             coordinator.start_ready()
             trial = _Trial(coordinator.url, folder)

@@ -16,7 +16,24 @@ def test_types_say_in_how_many_drives_of_their_solutions_they_were_seen_again() 
         np.arange(6), np.array(speeds)[:, None], np.ones(6, np.bool_), -np.ones(6)
     )
     numbers = {"always": [0, 3], "once of three": [4], "not simulated again": [2], "two solutions": [0, 1, 5]}
-    types = [TypeView.model_construct(type=name, numbers=its) for name, its in numbers.items()]
+    types = [
+        TypeView(
+            type=name,
+            numbers=its,
+            solutions=len(its),
+            avoided="",
+            instances=1,
+            first=its[0],
+            example=its[0],
+            named=0,
+            avoidable=None,
+            avoider="",
+            avoided_by=None,
+            avoidable_by={},
+            at_fault=False,
+        )
+        for name, its in numbers.items()
+    ]
     told = {one.type: one.again for one in _seen_again(types, archive)}
     assert told == {
         "always": "1 of 1", "once of three": "0 of 2", "not simulated again": "", "two solutions": "1 of 3",
