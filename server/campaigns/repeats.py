@@ -43,6 +43,7 @@ from brink.server.campaigns.store import Campaign, campaigns_of
 from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
 from brink.server.db.sql import note_change
 from brink.server.errors import FieldError, InvalidInput
+from brink.server.queue.job_store import is_told
 from brink.server.states import CampaignStatus, SolutionVerdict
 
 MOST = 1_000
@@ -390,6 +391,6 @@ def _verdicts(connection: Connection, campaign_id: str) -> dict[int, str]:
     """Return whether each simulation of a campaign that has ended was safe or unsafe, or failed, by number."""
     ended = (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE, SolutionVerdict.FAILED)
     query = select(SolutionRow.number, SolutionRow.verdict).where(
-        SolutionRow.campaign_id == campaign_id, SolutionRow.verdict.in_(ended)
+        SolutionRow.campaign_id == campaign_id, SolutionRow.verdict.in_(ended), is_told(campaign_id)
     )
     return {row.number: row.verdict for row in connection.execute(query)}

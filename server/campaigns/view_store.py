@@ -10,7 +10,14 @@ from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
 from brink.server.campaigns.step_store import GenerationSummary
 from brink.server.db.models import CampaignRow, GenerationRow, JobRow, SolutionRow
-from brink.server.queue.job_store import EVALUATIONS, IS_EVALUATION, MAX_NAMED, count_unfinished, first_line
+from brink.server.queue.job_store import (
+    EVALUATIONS,
+    IS_EVALUATION,
+    MAX_NAMED,
+    count_unfinished,
+    first_line,
+    is_told,
+)
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 RATE_WINDOW: Final = 5
@@ -338,7 +345,9 @@ def read_episodes(connection: Connection, campaign_id: str) -> dict[int, tuple[i
 def read_failed(connection: Connection, campaign_id: str) -> list[int]:
     """Return the numbers of the solutions of a campaign that have no verdict because their simulations failed."""
     query = select(SolutionRow.number).where(
-        SolutionRow.campaign_id == campaign_id, SolutionRow.verdict == SolutionVerdict.FAILED
+        SolutionRow.campaign_id == campaign_id,
+        SolutionRow.verdict == SolutionVerdict.FAILED,
+        is_told(campaign_id),
     )
     return [row.number for row in connection.execute(query)]
 
@@ -347,7 +356,11 @@ def read_measured(connection: Connection, campaign_id: str) -> list[tuple[bytes,
     """Return the vectors of the solutions that were measured on a data set, ascending, with their objectives."""
     query = (
         select(SolutionRow.vector, SolutionRow.objectives)
-        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.verdict == SolutionVerdict.MEASURED)
+        .where(
+            SolutionRow.campaign_id == campaign_id,
+            SolutionRow.verdict == SolutionVerdict.MEASURED,
+            is_told(campaign_id),
+        )
         .order_by(SolutionRow.number)
     )
     return [(row.vector, row.objectives or {}) for row in connection.execute(query)]
@@ -368,7 +381,7 @@ def page_solutions(
     query = _solutions(campaign_id).where(SolutionRow.number > after).limit(limit)
     if unsafe is not None:
         wanted = SolutionVerdict.UNSAFE if unsafe else SolutionVerdict.SAFE
-        query = query.where(SolutionRow.verdict == wanted)
+        query = query.where(SolutionRow.verdict == wanted, is_told(campaign_id))
     return list(connection.execute(query))
 
 

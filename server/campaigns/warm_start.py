@@ -27,6 +27,7 @@ from brink.server.db.models import SolutionRow
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import ODD
+from brink.server.queue.job_store import is_told
 from brink.server.states import SolutionVerdict
 from brink.sim.catalogue import with_sources
 
@@ -146,7 +147,7 @@ def _evaluated(connection: Connection, source: Campaign) -> list[KnownRecord]:
         select(SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness)
         .where(
             SolutionRow.campaign_id == source.id,
-            SolutionRow.generation < source.generation,
+            is_told(source.id),
             SolutionRow.verdict.in_((SolutionVerdict.SAFE, SolutionVerdict.UNSAFE)),
         )
         .order_by(SolutionRow.number)

@@ -55,6 +55,15 @@ EVALUATIONS = (
 """The jobs that evaluate solutions, for joins with the table of solutions: at most one job for each solution."""
 
 
+def is_told(campaign_id: str) -> ColumnElement[bool]:
+    """Return the condition that a solution of a campaign belongs to a generation whose step was taken.
+
+    Verdicts of a large generation are stored before its step. If the campaign ends in between, no archive has them.
+    """
+    reached = select(CampaignRow.generation).where(CampaignRow.id == campaign_id).scalar_subquery()
+    return SolutionRow.generation < reached
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewJob:
     """A simulation to enqueue.
@@ -378,8 +387,9 @@ def generation_outcomes(connection: Connection, campaign_id: str, generation: in
 
 
 def unsafe_outcomes(connection: Connection, campaign_id: str) -> list[JobOutcome]:
-    """Return the outcomes of a campaign's unsafe solutions, ascending by number."""
-    return _outcomes(connection, campaign_id, SolutionRow.verdict == SolutionVerdict.UNSAFE)
+    """Return the outcomes of the unsafe solutions in a campaign's archive, ascending by number."""
+    unsafe = and_(SolutionRow.verdict == SolutionVerdict.UNSAFE, is_told(campaign_id))
+    return _outcomes(connection, campaign_id, unsafe)
 
 
 def _outcomes(connection: Connection, campaign_id: str, condition: ColumnElement[bool]) -> list[JobOutcome]:

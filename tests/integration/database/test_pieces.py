@@ -25,11 +25,12 @@ from support.coordinators import Coordinators
 from support.databases import on_sqlite
 from support.marks import mostly_long
 
-from brink.server.campaigns import advance, plan, step_store
+from brink.server.campaigns import advance, plan, repeats, step_store, view_store
 from brink.server.campaigns.store import set_status
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, SolutionRow
 from brink.server.experiments import service as experiments
+from brink.server.queue import job_store
 from brink.server.states import CampaignStatus, SolutionVerdict
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
@@ -233,6 +234,30 @@ def test_what_was_written_before_a_step_that_was_never_taken_is_not_known_to_oth
     )
     known = expect(client.get(f"{API}/{warm}/known"))["solutions"]
     assert max(one["number"] for one in known) < 30
+
+
+def test_results_that_were_written_before_a_step_that_was_never_taken_are_read_by_nobody(
+    client: httpx.Client, engines: Engines
+) -> None:
+    campaign = submit(client, ball(simulations=20, algorithm={"id": "random@1"}))
+    wrote = [
+        step_store.SolutionResult(number=number, verdict=verdict, robustness=robustness)
+        for number, (verdict, robustness) in enumerate(
+            [
+                (SolutionVerdict.SAFE, 1.0), (SolutionVerdict.UNSAFE, -1.0), (SolutionVerdict.MEASURED, None),
+                (SolutionVerdict.FAILED, None),
+            ]
+        )
+    ]  # fmt: skip
+    with engines.writer.begin() as connection:
+        assert step_store.write_results(connection, campaign, 0, wrote)
+    expect(client.post(f"{API}/{campaign}/cancel"))
+    with engines.reader.connect() as connection:
+        assert job_store.unsafe_outcomes(connection, campaign) == []
+        assert view_store.read_measured(connection, campaign) == []
+        assert view_store.read_failed(connection, campaign) == []
+        assert repeats._verdicts(connection, campaign) == {}
+    assert expect(client.get(f"{API}/{campaign}/solutions", params={"unsafe": True}))["solutions"] == []
 
 
 def test_a_campaign_with_too_much_in_flight_is_refused_with_both_numbers(client: httpx.Client) -> None:
