@@ -211,7 +211,8 @@ class Report:
         owners: The campaign of each known job.
         quarantined: The final attempts at jobs that went into quarantine.
         changes_queue: Whether anything but the accepted jobs may have changed, or these went back to the queue.
-        unjudged: What `ResultCheck.judge` is to tell of, by job: these outcomes changed nothing.
+        unjudged: What `ResultCheck.judge` is to tell of, by job; of several results of a job, any. These outcomes
+            changed nothing.
     """
 
     statuses: tuple[str, ...]
@@ -302,7 +303,9 @@ def _judge(
     accepted: dict[int, Outcome] = {}
     unjudged: dict[int, UnjudgedResult] = {}
     for outcome in outcomes:
-        status = _status_of(rows.get(outcome.job), outcome, outcome.job in accepted)
+        # A result after an unjudged one is judged, too, and found to be a duplicate once the first is stored.
+        before = unjudged if outcome.completed is None else {}
+        status = _status_of(rows.get(outcome.job), outcome, outcome.job in accepted or outcome.job in before)
         if status == "accepted":
             row = rows[outcome.job]
             judgement = _judgement(row, outcome, check)

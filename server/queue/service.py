@@ -284,7 +284,13 @@ class QueueService:
         """
         waiting = [place for place, status in enumerate(report.statuses) if status == UNJUDGED]
         outcomes = [exchange.outcomes[place] for place in waiting]
-        judgements = await check.judge([report.unjudged[outcome.job] for outcome in outcomes])
+        judgements = await check.judge(
+            [
+                replace(report.unjudged[one.job], result=one.completed)
+                for one in outcomes
+                if one.completed is not None
+            ]
+        )
         judged = [replace(one, judgement=found) for one, found in zip(outcomes, judgements, strict=True)]
         again = Exchange(terms=exchange.terms, outcomes=tuple(judged), check=check)
         then = (await self.writer.write(BatchedUnit(run_exchanges, again))).report

@@ -29,6 +29,11 @@ def says_nothing(job: LeasedJob) -> Completed | JobFailed:
     return without(completes(job), verdicts={})
 
 
+def fails(job: LeasedJob) -> JobFailed:
+    """Return the outcome of a job that failed."""
+    return JobFailed(reason="crashed", message="boom")
+
+
 def test_a_result_without_a_requirement_is_refused_and_its_job_retried(client: httpx.Client) -> None:
     campaign = submit(client, ball(simulations=20))
     bad, good = FakeWorker(client, id="bad", judge=says_nothing), FakeWorker(client, id="good")
@@ -76,6 +81,17 @@ def test_other_results_of_the_same_message_are_stored(client: httpx.Client) -> N
     jobs = worker.lease()
     worker.judge = lambda job: says_nothing(job) if job == jobs[1] else completes(job)
     assert worker.report(jobs) == ["accepted", "invalid", *["accepted"] * (len(jobs) - 2)]
+
+
+def test_of_two_results_of_a_job_in_the_first_message_of_a_campaign_the_first_counts(
+    client: httpx.Client,
+) -> None:
+    submit(client, ball(simulations=20))
+    outcomes = iter([completes, fails, says_nothing, says_nothing, completes])
+    worker = FakeWorker(client, judge=lambda job: next(outcomes)(job))
+    good, bad = worker.lease(max_jobs=2)
+    expected = ["accepted", "duplicate", "duplicate", "invalid", "duplicate"]
+    assert worker.report([good, good, good, bad, bad]) == expected
 
 
 def test_a_refused_result_is_not_shared_with_another_campaign(client: httpx.Client) -> None:
