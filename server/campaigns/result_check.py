@@ -6,6 +6,7 @@ at the next generation step, when no worker can be asked again.
 
 import asyncio
 import logging
+import time
 from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -33,7 +34,9 @@ CACHED: Final = 1000
 CHECK_S: Final = 1.0
 """How long a worker's request waits for a plug-in's code."""
 MOST_LATE: Final = 3
-"""After this many checks that took longer, the results of a campaign are no longer checked."""
+"""After this many checks that took longer, the results of a campaign are not checked for `UNCHECKED_S`."""
+UNCHECKED_S: Final = 60.0
+"""How long the results of a campaign are stored unchecked after its code has failed to check one."""
 CHECKS_AT_ONCE: Final = 4
 
 log = logging.getLogger(__name__)
@@ -73,6 +76,17 @@ class _Expected:
     user_code: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Unchecked:
+    """The results of a campaign are stored unchecked, until its code is tried again.
+
+    Attributes:
+        until: When that is, on the monotonic clock.
+    """
+
+    until: float = field(default_factory=lambda: time.monotonic() + UNCHECKED_S)
+
+
 @dataclass(slots=True)
 class ResultChecks:
     """Checks the results of all campaigns; keeps what the last ones expect. Safe to use from several threads.
@@ -86,7 +100,7 @@ class ResultChecks:
     """
 
     engines: Engines
-    _expected: OrderedDict[str, _Expected | None] = field(default_factory=OrderedDict)
+    _expected: OrderedDict[str, _Expected | _Unchecked] = field(default_factory=OrderedDict)
     _late: Counter[str] = field(default_factory=Counter)
     _running: Counter[str] = field(default_factory=Counter)
     _lock: Lock = field(default_factory=Lock)
@@ -104,14 +118,12 @@ class ResultChecks:
         """
         if kind == JobKind.TRACE:  # the trace is what counts, and it is checked when it is drawn
             return Judgement()
-        with self._lock:
-            if campaign_id not in self._expected:
-                return None
-            self._expected.move_to_end(campaign_id)
-            expected = self._expected[campaign_id]
-        if expected is None:
+        expected = self._known(campaign_id)
+        if isinstance(expected, _Unchecked):
             return Judgement()
-        return None if expected.user_code else self._judgement(expected, campaign_id, kind, result)
+        if expected is None or expected.user_code:
+            return None
+        return self._judgement(expected, campaign_id, kind, result)
 
     async def judge(self, results: Sequence[UnjudgedResult]) -> Sequence[Judgement]:
         """Return whether campaigns can use results, after `CHECK_S` at the latest."""
@@ -147,7 +159,7 @@ class ResultChecks:
         self._late[campaign_id] += 1
         log.warning("results are stored unchecked: the plug-in is slow", extra={"campaign": campaign_id})
         if self._late[campaign_id] >= MOST_LATE:
-            self._keep(campaign_id, None)
+            self._keep(campaign_id, _Unchecked())
         return unchecked
 
     def _end(self, campaign_id: str) -> None:
@@ -158,11 +170,11 @@ class ResultChecks:
     def _look(self, results: Sequence[UnjudgedResult], campaign: Campaign) -> Sequence[Judgement]:
         with USER_CODE.on_behalf(f"results of {campaign.id}"):
             expected = self._find(campaign)
-            if expected is None:
+            if isinstance(expected, _Unchecked):
                 return [Judgement()] * len(results)
             judged: list[Judgement] = []
             for one in results:
-                if campaign.id in self._expected and self._expected[campaign.id] is None:
+                if isinstance(self._known(campaign.id), _Unchecked):
                     break  # the check of an earlier one failed or was late
                 judged.append(self._judgement(expected, campaign.id, one.kind, one.result))
             return judged + [Judgement()] * (len(results) - len(judged))
@@ -174,11 +186,11 @@ class ResultChecks:
             return Judgement(_reason(expected.problem, result, error))
         except Unavailable as error:  # its code did not return, or the coordinator is stopping
             log.warning("results are stored unchecked: %s", error, extra={"campaign": campaign_id})
-            self._keep(campaign_id, None)
+            self._keep(campaign_id, _Unchecked())
             return Judgement()
         except Exception:  # a plug-in's fault must not fail the results of others; the step reports it
             log.exception("result cannot be checked", extra={"campaign": campaign_id})
-            self._keep(campaign_id, None)
+            self._keep(campaign_id, _Unchecked())
             return Judgement()
         if isinstance(evaluation, Scored):
             missing = [name for name in expected.objectives if name not in evaluation.objectives]
@@ -186,27 +198,35 @@ class ResultChecks:
                 return Judgement(f"{expected.algorithm} expects the objective {missing[0]}, which is missing")
         return Judgement()
 
-    def _find(self, campaign: Campaign) -> _Expected | None:
-        """Return what a campaign expects; None if it expects nothing that can be checked here."""
+    def _known(self, campaign_id: str) -> _Expected | _Unchecked | None:
+        """Return what is kept about a campaign; None if that is nothing, or its code is to be tried again."""
         with self._lock:
-            if campaign.id in self._expected:
-                return self._expected[campaign.id]
+            found = self._expected.get(campaign_id)
+            if found is None or (isinstance(found, _Unchecked) and time.monotonic() >= found.until):
+                return None
+            self._expected.move_to_end(campaign_id)
+            return found
+
+    def _find(self, campaign: Campaign) -> _Expected | _Unchecked:
+        """Return what a campaign expects, or that this cannot be checked here at present."""
+        known = self._known(campaign.id)
+        if known is not None:
+            return known
+        expected: _Expected | _Unchecked = _Unchecked()
         try:
-            expected = _expected(make_plan(campaign.body))
+            expected = _expected(make_plan(campaign.body)) or _Unchecked()
         except InvalidInput:  # its plug-in is not installed here
-            expected = None
+            pass
         except Unavailable as error:
             log.warning("results are stored unchecked: %s", error, extra={"campaign": campaign.id})
-            expected = None
         except (
             Exception
         ):  # a plug-in that does not load must not fail the results of others; the step reports it
             log.exception("results cannot be checked", extra={"campaign": campaign.id})
-            expected = None
         self._keep(campaign.id, expected)
         return expected
 
-    def _keep(self, campaign_id: str, expected: _Expected | None) -> None:
+    def _keep(self, campaign_id: str, expected: _Expected | _Unchecked) -> None:
         with self._lock:
             self._expected[campaign_id] = expected
             self._expected.move_to_end(campaign_id)

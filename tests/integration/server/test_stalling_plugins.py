@@ -237,6 +237,22 @@ def test_results_are_acknowledged_although_their_check_hangs(database_url: str, 
         expect(client.delete(f"/api/v1/campaigns/{campaign}"), 204)
 
 
+@pytest.mark.parametrize(("unchecked_s", "then"), [(3600.0, "accepted"), (0.0, "invalid")])
+def test_results_are_checked_again_some_time_after_a_check_that_hung(
+    stuck_client: httpx.Client, fault: Fault, monkeypatch: pytest.MonkeyPatch, unchecked_s: float, then: str
+) -> None:
+    monkeypatch.setattr(result_check, "UNCHECKED_S", unchecked_s)
+    campaign = submit(stuck_client, stuck())
+    worker = FakeWorker(stuck_client, judge=lambda job: Completed(verdicts={}))
+    fault.place = "construction"
+    assert worker.report(worker.lease(max_jobs=1)) == ["accepted"], "it is not checked"
+    fault.place = ""
+    fault.released.set()
+    eventually(lambda: not USER_CODE.stalled(f"results of {campaign}"), "the call has ended")
+    monkeypatch.setattr(result_check, "CHECK_S", 60.0)
+    assert worker.report(worker.lease(max_jobs=1)) == [then]
+
+
 def test_a_submission_whose_problem_hangs_is_refused_and_others_are_accepted(
     stuck_client: httpx.Client, fault: Fault
 ) -> None:
