@@ -5,7 +5,7 @@ import logging
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
-from functools import cache, partial
+from functools import cache
 
 from fastapi import APIRouter, FastAPI
 from starlette.routing import BaseRoute
@@ -53,6 +53,7 @@ from brink.server.dashboard.page import add_dashboard
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
+from brink.server.experiments.body import MAX_CAMPAIGNS
 from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.access import LlmAccess
@@ -68,6 +69,13 @@ from brink.server.user_code import USER_CODE
 log = logging.getLogger(__name__)
 
 PREFIX = "/api/v1"
+DRAWING_LIMIT_S = 60.0
+FIT_LIMIT_S = 120.0
+"""Time limit of a monitor's fit, which takes up to 36 s for the most solutions that one is fitted to."""
+SCORES_LIMIT_S = 600.0
+"""Time limit of a campaign's scores or pairs in an experiment: nobody waits for them, and they are kept."""
+MOST_SCORED = 4 * MAX_CAMPAIGNS
+"""Maximum number of campaigns in line for those: scores and pairs of two of the largest experiments."""
 DESCRIPTION = """
 Brink finds where a driving system with a machine-learned component stops being safe.
 
@@ -118,11 +126,11 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.campaigns.close)
-            await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
+            reading = (
+                context.drawing, context.fits, context.scores, context.figures, context.pages, context.analyses
+            )  # fmt: skip
+            await asyncio.gather(*(loop.run_in_executor(None, one.close) for one in reading))
             await loop.run_in_executor(None, context.decoding.shutdown)
-            await loop.run_in_executor(None, context.figures.close)
-            await loop.run_in_executor(None, context.pages.close)
-            await loop.run_in_executor(None, context.analyses.close)
             await loop.run_in_executor(None, context.scheduler.close)
             await loop.run_in_executor(None, context.queue.close)
             engines.dispose()
@@ -229,7 +237,17 @@ def _context(
     pages = ReadThreads(SLOW_AT_ONCE, "brink-pages", limit_s=settings.read_limit_s)
     analyses = ReadThreads(SLOW_AT_ONCE, "brink-analyses", limit_s=settings.read_limit_s)
     archives = Archives(engines=engines, stepper=stepper, threads=pages)
-    drawing = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw")
+    drawing = ReadThreads(
+        SLOW_AT_ONCE, "brink-draw", limit_s=DRAWING_LIMIT_S, instead="ask for a still image (png)"
+    )
+    fits = ReadThreads(
+        SLOW_AT_ONCE, "brink-fits", limit_s=FIT_LIMIT_S,
+        instead="fit the monitor on your machine with `brink monitor fit`, and ask its file",
+    )  # fmt: skip
+    scores = ReadThreads(
+        SLOW_AT_ONCE, "brink-scores", limit_s=SCORES_LIMIT_S, most_pending=MOST_SCORED, patient=True,
+        instead="ask about one campaign instead of an experiment, or for pairs with a smaller eps",
+    )  # fmt: skip
     return Context(
         settings=settings,
         engines=engines,
@@ -240,8 +258,8 @@ def _context(
         experiments=ExperimentService(
             engines=engines, writer=writer, eraser=eraser, checks=campaigns.checks, campaigns=campaigns
         ),
-        scorebook=ScoreCache(archives=archives, threads=drawing),
-        monitors=Monitors(archives=archives, threads=drawing),
+        scorebook=ScoreCache(archives=archives, threads=scores),
+        monitors=Monitors(archives=archives, threads=fits),
         pages=pages,
         analyses=analyses,
         archives=archives,
@@ -251,12 +269,14 @@ def _context(
         pair_pictures=SingleFlightCache(pair_pictures.KEPT, drawing),
         pairs=Pairs(engines=engines, threads=analyses),
         tolerances=Tolerances(engines=engines, threads=analyses),
-        experiment_pairs=PairCache(engines=engines, archives=archives, threads=drawing),
+        experiment_pairs=PairCache(engines=engines, archives=archives, threads=scores),
         films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,
         figures=Figures(SLOW_AT_ONCE, archives),
         drawing=drawing,
+        fits=fits,
+        scores=scores,
         decoding=ThreadPoolExecutor(1, thread_name_prefix="brink-decode"),
     )
 

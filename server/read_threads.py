@@ -5,6 +5,7 @@ computes or renders more than that runs on the threads of a `ReadThreads`, so th
 """
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,6 +24,10 @@ T = TypeVar("T")
 MOST_PENDING: Final = 64
 """Maximum number of costly reads of a pool, running ones included."""
 RETRY_AFTER_S: Final = 10
+STOPPING: Final = "the coordinator is stopping"
+_CLOSED: Final = 0.0
+"""When functions were due that end because their threads are closed."""
+ASK_FOR_LESS: Final = "ask for less, such as a larger d_th, a smaller t_b, eps or limit"
 
 
 class ReadThreads(ThreadPoolExecutor):
@@ -31,13 +36,26 @@ class ReadThreads(ThreadPoolExecutor):
     Args:
         threads: How many run at once.
         name: Prefix of the threads' names.
-        limit_s: Time limit in seconds, including the time that a function waits for others.
+        limit_s: Time limit in seconds, including the time that a function waits for others unless `patient`.
         most_pending: Maximum number of functions, running ones included.
+        patient: Whether the time that a function waits for others does not count.
+        instead: What to do about a function whose time was up.
     """
 
-    def __init__(self, threads: int, name: str, *, limit_s: float, most_pending: int = MOST_PENDING) -> None:
+    def __init__(
+        self,
+        threads: int,
+        name: str,
+        *,
+        limit_s: float,
+        most_pending: int = MOST_PENDING,
+        patient: bool = False,
+        instead: str = ASK_FOR_LESS,
+    ) -> None:
         super().__init__(threads, thread_name_prefix=name)
         self._limit_s = limit_s
+        self._patient = patient
+        self._instead = instead
         self._most_pending = most_pending
         self._pending: dict[int, Deadline] = {}
         self._changing = Lock()
@@ -46,12 +64,13 @@ class ReadThreads(ThreadPoolExecutor):
         """Run a function on one of the threads.
 
         Returns:
-            A future for its result or error. The error is `TooCostly` if its time was up.
+            A future for its result or error. The error is `TooCostly` if its time was up, and `Unavailable` if the
+            threads were closed.
 
         Raises:
             Unavailable: Too many are pending.
         """
-        deadline = Deadline(time.monotonic() + self._limit_s)
+        deadline = Deadline(math.inf if self._patient else time.monotonic() + self._limit_s)
         with self._changing:
             if len(self._pending) >= self._most_pending:
                 raise Unavailable(
@@ -63,14 +82,15 @@ class ReadThreads(ThreadPoolExecutor):
             future: Future[T] = super().submit(self._limited, deadline, lambda: fn(*args, **kwargs))
         except RuntimeError:
             self._pending.pop(id(deadline))
-            raise Unavailable("the coordinator is stopping") from None
+            raise Unavailable(STOPPING) from None
         future.add_done_callback(lambda _: self._pending.pop(id(deadline)))
         return future
 
     def close(self) -> None:
         """End the running functions, and cancel those in line."""
-        for deadline in list(self._pending.values()):
-            deadline.due_s = 0.0
+        with self._changing:
+            for deadline in list(self._pending.values()):
+                deadline.due_s = _CLOSED
         self.shutdown(cancel_futures=True)
 
     async def run(self, compute: Callable[[], T]) -> T:
@@ -92,6 +112,11 @@ class ReadThreads(ThreadPoolExecutor):
         return await self.run(look)
 
     def _limited(self, deadline: Deadline, compute: Callable[[], T]) -> T:
+        with self._changing:
+            if deadline.due_s == math.inf:
+                deadline.due_s = time.monotonic() + self._limit_s
+        if deadline.due_s == _CLOSED:
+            raise Unavailable(STOPPING)
         if deadline.is_over:
             raise TooCostly(
                 f"this read waited for others for more than the {self._limit_s:g} s that it may take; try again "
@@ -102,8 +127,10 @@ class ReadThreads(ThreadPoolExecutor):
             with time_limit(deadline):
                 return compute()
         except OutOfTime:
+            if deadline.due_s == _CLOSED:
+                raise Unavailable(STOPPING) from None
             raise TooCostly(
-                f"this read was ended after {self._limit_s:g} s, the most that it may take; ask for less, such as a "
-                "larger d_th, a smaller t_b, eps or limit, or try again when fewer costly reads are made",
+                f"this read was ended after {self._limit_s:g} s, the most that it may take; {self._instead}, or "
+                "try again when fewer costly reads are made",
                 retry_after_s=RETRY_AFTER_S,
             ) from None

@@ -55,8 +55,10 @@ class SingleFlightCache(Generic[V]):
         value.add_done_callback(self._on_done)
         return value
 
-    def _on_done(self, _: asyncio.Future[V]) -> None:
+    def _on_done(self, value: asyncio.Future[V]) -> None:
         self._pending -= 1
+        if not value.cancelled():
+            value.exception()  # whoever asked may have gone, and then nobody else looks at it
 
     async def get(self, key: Hashable, version: int, compute: Callable[[], V]) -> V:
         """Return a value as `start` does, once it is computed. Cancelling this does not cancel the computation.

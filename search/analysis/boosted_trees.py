@@ -30,6 +30,7 @@ from brink.extras import install_command
 from brink.forest import Forest
 from brink.search.analysis.folds import Division, connected, divisions, kinds_of_solutions
 from brink.search.analysis.intervals import clustered
+from brink.search.deadline import check_time
 from brink.search.errors import MissingExtra
 from brink.search.features import FeatureArray, Features
 from brink.search.space import BoolArray, FloatArray, IntArray, frozen_array
@@ -85,6 +86,7 @@ class BoostedTrees:
 
         Raises:
             MissingExtra: scikit-learn is not installed.
+            OutOfTime: The `time_limit` around it is up.
             ValueError: There are too few solutions of a verdict, or too few different solutions.
         """
         if not is_installed():
@@ -207,6 +209,7 @@ def _grown(shown: FeatureArray, unsafe: BoolArray, parts: Sequence[Division]) ->
     # More threads cost more than they save at this size, and much more on a busy machine.
     with threadpool_limits(limits=1):
         for part in (*parts, Division(fitted=every, scored=~every)):
+            check_time()
             model = HistGradientBoostingClassifier(
                 max_iter=TREES, l2_regularization=SHRINKAGE, early_stopping=False, random_state=0
             )

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from brink.search.deadline import check_time
 from brink.search.metric import Metric
 from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 
@@ -124,7 +125,7 @@ def kinds_of_solutions(space: SearchSpace, vectors: FloatArray, rng: np.random.G
     References:
         Milà et al. 2022 (folds in which distances are those between the training data and what is to be predicted).
     """
-    draws = np.array([space.join(space.sample(rng)) for _ in range(len(vectors))])
+    draws = np.array([_drawn(space, rng) for _ in range(len(vectors))])
     near = _near(space, vectors, draws[:MAX_DRAWS])
     kinds = []
     for part in space.slices:
@@ -137,6 +138,11 @@ def kinds_of_solutions(space: SearchSpace, vectors: FloatArray, rng: np.random.G
         if np.unique(shared).size < len(vectors):
             kinds.append(connected([numbered(shared.tolist()), near]))
     return kinds or [near]
+
+
+def _drawn(space: SearchSpace, rng: np.random.Generator) -> FloatArray:
+    check_time()
+    return space.join(space.sample(rng))
 
 
 def _near(space: SearchSpace, vectors: FloatArray, draws: FloatArray) -> IntArray:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from brink.search.analysis.folds import kinds_of_solutions
+from brink.search.deadline import check_time
 from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
 
 LEVELS: Final = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -95,6 +96,7 @@ class Neighbours:
         n, k = np.zeros(len(rows)), np.zeros(len(rows))
         step = max(1, BLOCK_PAIRS // len(self.vectors))
         for first in range(0, len(rows), step):
+            check_time()
             part = slice(first, first + step)
             kernel = self._kernel(rows[part])
             n[part] = kernel.sum(axis=1)
@@ -152,6 +154,7 @@ def _best_weights(
         return shares
 
     def loss(exponent: NDArray[np.float32]) -> float:
+        check_time()
         kernel = np.exp(-exponent)
         kernel[alike] = 0.0
         risk = (kernel @ counts + share) / (kernel.sum(axis=1) + 1.0)

@@ -23,6 +23,7 @@ import numpy as np
 from brink.search.analysis.boundary import dbs_by_budget
 from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.archive import Archive
+from brink.search.deadline import check_time
 from brink.search.metric import Metric
 from brink.search.space import FloatArray, IntArray, SearchSpace, frozen_array
 from brink.search.streams import Stream, generator
@@ -142,6 +143,7 @@ def blind_archive(archive: Archive, risk: ScenarioRisk, *, seed: int, draw: int 
         seed: Determines the verdicts, together with `draw` and the candidate numbers.
         draw: Number of the control, >= 0.
     """
+    check_time()
     uniform = [generator(seed, Stream.CONTROL, draw, number).random() for number in archive.numbers.tolist()]
     robustness = np.array(uniform) - risk.probability(archive.vectors[:, risk.part])
     return archive.with_verdicts(robustness < 0, robustness)

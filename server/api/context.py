@@ -65,8 +65,12 @@ class Context:
     seeds: LlmSeeds
     metrics: Metrics
     figures: Figures
-    drawing: ThreadPoolExecutor
+    drawing: ReadThreads
     """Threads for rendering: a video takes seconds, and nothing else should wait for it."""
+    fits: ReadThreads
+    """Threads for fitting monitors."""
+    scores: ReadThreads
+    """Threads for the scores and pairs of campaigns, of which an experiment has hundreds."""
     decoding: ThreadPoolExecutor
     """A thread for large messages: decoding one takes too long for the event loop, and several take much memory."""
 

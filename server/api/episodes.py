@@ -14,6 +14,7 @@ from fastapi import Path as PathParameter
 from fastapi.responses import JSONResponse
 from sqlalchemy import Connection
 
+from brink.search.deadline import check_time
 from brink.server.api.context import Context, Services, client_gone
 from brink.server.api.episode_views import EpisodeView, episode_view
 from brink.server.api.schemas import MAX_NUMBER, BeingMade, ProblemDetail
@@ -118,7 +119,12 @@ async def get_replay(
 
     def draw() -> bytes:
         judged = deciding_requirements(campaign.body)
-        return render_bytes(Trace.from_bytes(document), f".{extension}", requirement=judged or None)
+        return render_bytes(
+            Trace.from_bytes(document),
+            f".{extension}",
+            requirement=judged or None,
+            on_progress=lambda *_: check_time(),
+        )
 
     return Response(await _drawn(services.drawing, number, draw), media_type=REPLAY_MEDIA[extension])
 

@@ -8,7 +8,7 @@ does without. Archives are read past the cache of archives, which holds those th
 import logging
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 from threading import RLock
@@ -31,13 +31,16 @@ from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.campaigns.violations import read_violations
 from brink.server.dashboard.overview import Outline
 from brink.server.db.models import GenerationRow
-from brink.server.errors import InvalidInput, NotFound
+from brink.server.errors import InvalidInput, NotFound, TooCostly, Unavailable
 from brink.server.problems.base import ReportsViolations
+from brink.server.read_threads import ReadThreads
 
 log = logging.getLogger(__name__)
 
 KEPT: Final = 2_000
 """Maximum number of campaigns whose words are in memory."""
+LIMIT_S: Final = 60.0
+"""Time limit for what one campaign found."""
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive that is searched for pairs or combinations for a list; a campaign's page has those of others."""
 
@@ -70,8 +73,8 @@ class FoundWords:
     _pairs: OrderedDict[str, tuple[int, Sides | None]] = field(default_factory=OrderedDict)
     _pending: set[str] = field(default_factory=set)
     _lock: RLock = field(default_factory=RLock)  # what is done at once is taken while it is held
-    _thread: ThreadPoolExecutor = field(
-        default_factory=lambda: ThreadPoolExecutor(1, thread_name_prefix="brink-found")
+    _thread: ReadThreads = field(
+        default_factory=lambda: ReadThreads(1, "brink-found", limit_s=LIMIT_S, patient=True)
     )
 
     def of(self, outlines: Sequence[Outline]) -> Mapping[str, Found | None]:
@@ -93,18 +96,25 @@ class FoundWords:
             return {one.id: self._found[one.id][1] if one.id in self._found else None for one in ended}
 
     def _start(self, one: Outline) -> None:
+        try:
+            work = self._thread.submit(self._work_out, one)
+        except Unavailable:
+            return  # the line is full; whoever asks again later starts it
         self._pending.add(one.id)
-        work = self._thread.submit(self._work_out, one)
         work.add_done_callback(partial(self._take, one))
 
     def _take(self, one: Outline, work: "Future[Found]") -> None:
         if work.cancelled():
             return
         error = work.exception()
-        if error is not None:
+        if isinstance(error, TooCostly):
+            log.warning("campaign %s: what it found takes too long to tell", one.id)
+        elif error is not None and not isinstance(error, Unavailable):
             log.error("campaign %s: what it found cannot be told", one.id, exc_info=error)
         with self._lock:
             self._pending.discard(one.id)
+            if isinstance(error, Unavailable) and not isinstance(error, TooCostly):
+                return  # now, but perhaps not later
             self._found[one.id] = _version(one), Found() if error is not None else work.result()
             while len(self._found) > KEPT:
                 self._pairs.pop(self._found.popitem(last=False)[0], None)
@@ -186,8 +196,8 @@ class FoundWords:
         return _plural(hazardous, "hazardous chain") + (f", {together} only together" if together else "")
 
     def close(self) -> None:
-        """Finish what is being worked out, and cancel the rest."""
-        self._thread.shutdown(cancel_futures=True)
+        """End what is being worked out, and cancel the rest."""
+        self._thread.close()
 
 
 def found_so_far(algorithm: str, boundary: Sequence[int]) -> Found:

@@ -145,6 +145,7 @@ def render_bytes(
     *,
     requirement: str | Sequence[str] | None = None,
     size: tuple[int, int] | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> bytes:
     """Render an episode and return the content of the file.
 
@@ -153,13 +154,14 @@ def render_bytes(
         extension: Such as ``.mp4``.
         requirement: As for `render`.
         size: As for `render`.
+        on_progress: As for `render`.
 
     Raises:
         ReplayError: As for `render`.
     """
     with TemporaryDirectory(prefix="brink-replay-") as folder:
         path = Path(folder) / f"replay{_known_extension(extension)}"
-        render(trace, path, requirement=requirement, size=size)
+        render(trace, path, requirement=requirement, size=size, on_progress=on_progress)
         return path.read_bytes()
 
 

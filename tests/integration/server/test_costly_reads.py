@@ -13,8 +13,11 @@ from support.databases import Databases, module_on_sqlite
 from support.problems import small_problems
 
 from brink.search import metric
-from brink.search.analysis import boundary
+from brink.search.analysis import boundary, neighbours
+from brink.search.analysis.folds import kinds_of_solutions
+from brink.search.analysis.monitor import Monitor
 from brink.search.metric import Metric
+from brink.server import app as server_app
 from brink.server.api import analysis, finding, outcomes, pairs, repeats, solutions
 from brink.server.campaigns import outcomes as campaign_outcomes
 from brink.server.campaigns import plan
@@ -162,3 +165,64 @@ def test_a_read_that_takes_too_long_is_ended_and_says_what_to_ask_instead(
         assert "a larger d_th, a smaller t_b" in error["detail"]
         read = f"{API}/{campaign}/boundary?t_b=1&d_th=0.05"
         eventually(lambda: client.get(read).status_code == httpx.codes.OK, "the failure is not kept")
+
+
+def scored(client: httpx.Client, campaign: str) -> httpx.Response:
+    asked = {"solutions": [{"where": {"x": 0}, "what": {"y": 0}}], "model": "neighbours"}
+    return client.post(f"{API}/{campaign}/monitor/score", json=asked)
+
+
+@pytest.fixture
+def endless_fit(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Let monitors be fitted for hours; the event tells that one is being fitted."""
+    began = threading.Event()
+
+    def begun(*args: Any) -> Any:
+        began.set()
+        return kinds_of_solutions(*args)
+
+    monkeypatch.setattr(neighbours, "kinds_of_solutions", begun)
+    monkeypatch.setattr(neighbours, "LEVELS", neighbours.LEVELS * 10**6)
+    return began
+
+
+def test_monitors_are_fitted_on_threads_of_their_own(
+    client: httpx.Client, campaign: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted_by: list[str] = []
+    fit = Monitor.fitted
+
+    def noted(*args: Any, **kwargs: Any) -> Monitor:
+        fitted_by.append(threading.current_thread().name)
+        return fit(*args, **kwargs)
+
+    monkeypatch.setattr(Monitor, "fitted", noted)
+    expect(scored(client, campaign))
+    assert [name.startswith("brink-fits") for name in fitted_by] == [True]
+
+
+def test_a_fit_that_takes_too_long_is_ended_and_says_what_to_do_instead(
+    module_databases: Databases, monkeypatch: pytest.MonkeyPatch, endless_fit: threading.Event
+) -> None:
+    monkeypatch.setattr(server_app, "FIT_LIMIT_S", LIMIT_S)
+    with module_databases.database("fitting") as url, small_problems(), listening_coordinator(url) as client:
+        answer = scored(client, finish(client, ball()))
+        error = expect(answer, 503)
+        assert endless_fit.is_set()
+        assert error["title"] == "Too costly"
+        assert f"after {LIMIT_S:g} s" in error["detail"]
+        assert "brink monitor fit" in error["detail"]
+
+
+def test_stopping_ends_a_fit(module_databases: Databases, endless_fit: threading.Event) -> None:
+    with (
+        ThreadPoolExecutor(1) as people,
+        module_databases.database("stopping") as url,
+        small_problems(),
+        listening_coordinator(url) as client,
+    ):
+        asked = people.submit(scored, client, finish(client, ball()))
+        assert endless_fit.wait(60.0)
+        assert not asked.done()
+    # otherwise, the coordinator would go on for hours
+    assert asked.exception() is not None or asked.result().status_code == 503

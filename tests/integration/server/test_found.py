@@ -1,18 +1,23 @@
 """What each campaign found, in a few words in the list of campaigns."""
 
+import time
 from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, ball, eventually, expect, finish, progress, submit
+from support.api import FakeWorker, ball, eventually, expect, finish, listening_coordinator, progress, submit
+from support.databases import Databases, on_sqlite
+from support.problems import small_problems
 from support.tolerance import body as tolerance
 from support.tolerance import judge
 from support.traffic import traffic_worker
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 
+from brink.search.deadline import check_time
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
+from brink.server.dashboard import found
 from brink.server.dashboard.found import FoundWords
 from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
@@ -149,3 +154,20 @@ def test_what_cannot_be_told_is_left_out(
     monkeypatch.setattr(FoundWords, "_pairs_words", fails)
     assert column(client) == {campaign: ""}
     assert "what it found cannot be told" in caplog.text
+
+
+@on_sqlite
+def test_what_takes_too_long_to_tell_is_ended_and_left_out(
+    databases: Databases, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def endless(self: FoundWords, campaign: Campaign, plan: Plan) -> str:
+        while True:
+            check_time()
+            time.sleep(0.01)
+
+    monkeypatch.setattr(FoundWords, "_pairs_words", endless)
+    monkeypatch.setattr(found, "LIMIT_S", 0.2)
+    with databases.database() as url, small_problems(), listening_coordinator(url) as client:
+        campaign = finish(client, ball(name="edge", algorithm=EDGE))
+        assert column(client) == {campaign: ""}
+    assert "takes too long to tell" in caplog.text

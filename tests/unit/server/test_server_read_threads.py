@@ -65,8 +65,26 @@ def test_closing_ends_what_is_going_on_and_cancels_what_waits() -> None:
     running, waiting = threads.submit(for_ever, began), threads.submit(lambda: 7)
     assert began.wait(60.0)
     threads.close()
-    with pytest.raises(TooCostly):
+    with pytest.raises(Unavailable, match="stopping"):
         running.result(0)
     assert waiting.cancelled()
     with pytest.raises(Unavailable, match="stopping"):
         threads.submit(lambda: 7)
+
+
+def test_time_in_line_does_not_count_on_patient_threads() -> None:
+    threads = ReadThreads(1, "brink-test", limit_s=0.05, patient=True)
+    began, go_on = threading.Event(), threading.Event()
+
+    def hold() -> bool:
+        began.set()
+        return go_on.wait(60.0)
+
+    first, second = threads.submit(hold), threads.submit(for_ever, threading.Event())
+    assert began.wait(60.0)
+    time.sleep(0.1)  # longer than a function may take
+    go_on.set()
+    assert first.result(60.0)
+    with pytest.raises(TooCostly, match=r"ended after 0\.05 s"):
+        second.result(60.0)
+    threads.close()
