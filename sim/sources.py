@@ -8,14 +8,15 @@ folder, unless that is where packages are installed. An installed distribution l
 files among them, which is what counts then.
 """
 
-import ast
 import hashlib
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import Distribution
 from importlib.util import find_spec
+from modulefinder import ModuleFinder
 from pathlib import Path
+from types import CodeType
 from typing import Final
 
 OWN: Final = "brink"
@@ -134,15 +135,19 @@ def _files_below(folder: Path) -> list[Path]:
 
 
 def _imports(file: Path) -> Iterator[str]:
-    """Yield the top-level names that a file imports, but for Brink's."""
+    """Yield the top-level names that a file imports, but for Brink's.
+
+    They are read from its byte code. A syntax tree would do as well, but CPython 3.11 counts the depth of trees for
+    all threads together, and raises SystemError if another thread builds one, as the printing of a traceback does.
+    """
     try:
-        tree = ast.parse(file.read_bytes())
+        waiting = [compile(file.read_bytes(), str(file), "exec", dont_inherit=True)]
     except (SyntaxError, ValueError):
         return
-    for node in ast.walk(tree):
-        names: list[str] = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module is not None and node.level == 0:
-            names = [node.module]
-        yield from (name.partition(".")[0] for name in names if not is_own(name))
+    finder = ModuleFinder()
+    while waiting:
+        code = waiting.pop()
+        waiting += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+        for kind, what in finder.scan_opcodes(code):
+            if kind == "absolute_import" and not is_own(what[1]):
+                yield str(what[1]).partition(".")[0]

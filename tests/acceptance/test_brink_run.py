@@ -49,7 +49,7 @@ def test_a_campaign_file_becomes_results(
             rf"no earlier campaign of .*campaign.yaml, as it is now, in .*{place}: this", said.stdout
         )
         [page] = re.findall(r"watch it in a browser until it ends: http://127.0.0.1:\d+(/\S+)", said.stdout)
-        again = rf"look at it again: \S*brink serve --database \S*{place}, then open http://127.0.0.1:8700{page}\n"
+        again = rf"look at it again: \S*brink serve --database \S*{place}'?, then open http://127.0.0.1:8700{page}\n"
         assert re.search(again, said.stdout), said.stdout
         monkeypatch.chdir(tmp_path)
         shown = CliRunner().invoke(app, [*command, url, "--no-pictures"])  # importing takes longer than this

@@ -160,3 +160,18 @@ def test_an_installed_distribution_counts_with_its_recorded_files(tmp_path: Path
 
     assert digest("a") == digest("a", script="b")
     assert digest("a") != digest("b")
+
+
+def test_sources_are_read_while_another_thread_builds_a_syntax_tree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mismatch(*_: object, **__: object) -> None:
+        raise SystemError("AST constructor recursion depth mismatch (before=75, after=68)")
+
+    (tmp_path / "helping_plugin.py").write_text("FACTOR = 2\n")
+    (tmp_path / "asking_plugin.py").write_text(
+        "def ask():\n    from helping_plugin import FACTOR\n    return FACTOR\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr("ast.parse", mismatch)
+    assert set(source_files("asking_plugin")) == {"asking_plugin.py", "helping_plugin.py"}
