@@ -342,7 +342,7 @@ def test_commands_read_the_same_from_a_database_and_from_a_server(
             where = place[1] if place[0] == "--server" else ""
             assert f"campaign 'zzzz': no such campaign in {where}" in wrong
             assert f"which has {campaign} (" in wrong
-            shown = " ".join(place).replace("postgresql://", "postgresql+psycopg://")
+            shown = shlex.join(place).replace("postgresql://", "postgresql+psycopg://")
             assert wrong.endswith(f"list them with: brink status {shown}")
         again = brink("results", campaign, "--out", "boundary.txt", *places[0])
         assert ".csv, .jsonl, .parquet or .json" in again.line
