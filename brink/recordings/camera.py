@@ -101,29 +101,25 @@ class CameraModel:
         """
         if not isinstance(document, Mapping):
             raise CameraError(f"{where}: expected a camera with {', '.join(_FIELDS)}; got {document!r:.80}")
-        unknown = [str(name) for name in document if name not in _FIELDS]
-        numbers = {name: document.get(name) for name in _FIELDS}
-        if numbers["fy"] is None:
-            numbers["fy"] = numbers["fx"]
-        if numbers["pitch_deg"] is None:
-            numbers["pitch_deg"] = 0.0
-        wrong = [
-            name
-            for name, value in numbers.items()
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)
-        ]
+        given = {"fy": document.get("fx"), "pitch_deg": 0.0, **document}
+        unknown = [f"unknown: {name!r:.40}" for name in given if name not in _FIELDS]
+        wrong = [f"{name}: {given.get(name)!r:.40}" for name in _FIELDS if not _is_number(given.get(name))]
         if unknown or wrong:
             raise CameraError(
                 f"{where}: expected the numbers {', '.join(_FIELDS)} (fy and pitch_deg are optional); "
-                + "; ".join(
-                    [f"unknown: {name!r:.40}" for name in unknown]
-                    + [f"{name}: {document.get(name)!r:.40}" for name in wrong]
-                )
+                + "; ".join(unknown + wrong)
             )
+        width, height, fx, fy, cx, cy, above, pitch = (float(given[name]) for name in _FIELDS)
         return cls(
-            width_px=numbers["width"], height_px=numbers["height"], fx_px=numbers["fx"], fy_px=numbers["fy"],
-            cx_px=numbers["cx"], cy_px=numbers["cy"], above_m=numbers["above_m"], pitch_deg=numbers["pitch_deg"],
-        )  # fmt: skip
+            width_px=width,
+            height_px=height,
+            fx_px=fx,
+            fy_px=fy,
+            cx_px=cx,
+            cy_px=cy,
+            above_m=above,
+            pitch_deg=pitch,
+        )
 
     def box(self, label: ObstacleLabel, sides: Sequence[float], camera: Camera) -> Box:
         """Return a box in the driving system's image: the same rays and the same ground.
@@ -153,3 +149,7 @@ class CameraModel:
         down = (y_px - self.cy_px) / self.fy_px
         ahead = max(math.cos(pitch_rad) - down * math.sin(pitch_rad), 1e-6)
         return (down * math.cos(pitch_rad) + math.sin(pitch_rad)) / ahead, ahead
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
