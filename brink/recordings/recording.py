@@ -19,6 +19,10 @@ MAX_BYTES: Final = 512 * 1024**2
 """Maximum size of a file."""
 MAX_BOXES: Final = 5_000_000
 """Most boxes of a recording."""
+MAX_IMAGES: Final = 2_000_000
+"""Most images of a recording."""
+MAX_SEQUENCES: Final = 10_000
+"""Most files or folders that are looked at in a folder."""
 TIME_DECIMALS: Final = 3
 """Decimal places of times: images within a millisecond are one."""
 
@@ -109,12 +113,14 @@ class RecordedDrive:
     Attributes:
         name: Its name.
         images: Its images by time, in any order.
+        detections_elsewhere: Detections at times at which there is no image, by time.
         condition: Name of its condition; None if nothing is said.
         camera: Its camera; None for that of the whole recording.
     """
 
     name: str
     images: dict[float, Image] = field(default_factory=dict)
+    detections_elsewhere: dict[float, list[Detection]] = field(default_factory=dict)
     condition: str | None = None
     camera: CameraModel | None = None
 
@@ -125,6 +131,20 @@ class RecordedDrive:
         if image is None:
             image = self.images[time_s] = Image(time_s=time_s)
         return image
+
+    def report(self, time_s: float, detection: Detection) -> None:
+        """Add a detection to the image at its time; without an image, to `detections_elsewhere`."""
+        time_s = round(time_s, TIME_DECIMALS)
+        image = self.images.get(time_s)
+        if image is None:
+            self.detections_elsewhere.setdefault(time_s, []).append(detection)
+        else:
+            image.detections.append(detection)
+
+    def place_detections(self) -> None:
+        """Move detections that were read before the image at their time to that image."""
+        for time_s in self.detections_elsewhere.keys() & self.images.keys():
+            self.images[time_s].detections.extend(self.detections_elsewhere.pop(time_s))
 
 
 @dataclass(slots=True, kw_only=True)
@@ -137,12 +157,14 @@ class Recording:
         camera: The camera of drives without one of their own; None for the driving system's.
         dropped: How many rows or boxes of the files were left out, by reason, such as ``boxes without width or
             height``.
+        notes: What the reader assumed or did not read, in sentences for the user.
     """
 
     name: str
     drives: dict[str, RecordedDrive] = field(default_factory=dict)
     camera: CameraModel | None = None
     dropped: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
 
     def drive(self, name: str) -> RecordedDrive:
         """Return a drive, which is added if there is none."""
@@ -204,6 +226,18 @@ class ReadOptions:
             )
         return found
 
+    def label(self, where: str, name: str) -> ObstacleLabel | None:
+        """Return what a detector should report for a class; None if the class is to be ignored.
+
+        Raises:
+            RecordingError: Nobody said what the class means.
+        """
+        return LABELS.get(self.meaning(where, name))
+
+    def camera_of(self, drive: str) -> CameraModel | None:
+        """Return the camera that the user gave for a drive; None if nothing is said."""
+        return self.cameras.get(drive, self.camera)
+
 
 LABELS: Final[Mapping[ClassMeaning, ObstacleLabel]] = {
     ClassMeaning.VEHICLE: ObstacleLabel.VEHICLE,
@@ -249,7 +283,8 @@ def checked_sides(
                 f"{width_px:g} x {height_px:g} px; expected the camera of the images (--camera or --calibration), "
                 "or --clip to clip boxes"
             )
-        recording.dropped["boxes clipped to the image"] += reaches_beyond
+        if reaches_beyond:
+            recording.dropped["boxes clipped to the image"] += 1
         x_min, x_max = max(x_min, 0.0), min(x_max, width_px)
         y_min, y_max = max(y_min, 0.0), min(y_max, height_px)
     if x_max <= x_min or y_max <= y_min:
