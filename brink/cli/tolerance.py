@@ -223,7 +223,11 @@ def _read_detector(
                 condition=drive.condition,
                 measures={
                     target.value: {kind.value: magnitude for kind, magnitude in errors.items()}
-                    for target, errors in drive.measures.items()
+                    for target, errors in drive.errors.magnitudes.items()
+                },
+                at_least={
+                    target.value: sorted(kind.value for kind in kinds)
+                    for target, kinds in drive.errors.at_least.items()
                 },
             )
             for drive in drives
@@ -257,7 +261,7 @@ def _hold_against(
 
 _RESULT_STYLES: Final = {
     CheckResult.MET: "green", CheckResult.NOT_MET: "red", CheckResult.TOO_LITTLE: "yellow",
-    CheckResult.NOT_MEASURED: "dim",
+    CheckResult.NO_DATA: "dim",
 }  # fmt: skip
 
 
@@ -275,6 +279,8 @@ def show_detector(screen: Console, view: DetectorView) -> None:
         right=("drives", "median", "95% within", "beyond", "violate"),
     )  # fmt: skip
     for cell in view.cells:
+        if cell.result is CheckResult.NO_DATA:
+            continue
         share, interval = "–", ""
         if cell.share is not None and cell.low is not None and cell.high is not None:
             share, interval = f"{cell.share:.1%}", f"[{cell.low:.1%}, {cell.high:.1%}]"
@@ -284,6 +290,9 @@ def show_detector(screen: Console, view: DetectorView) -> None:
             interval, Text(cell.result, _RESULT_STYLES[cell.result]), " ".join(cell.worst[:3]),
         )  # fmt: skip
     screen.print(table)
+    for words in (view.no_data, *view.next):
+        if words:
+            screen.print(words, soft_wrap=True)
     for one in view.conditions:
         if one.violations is not None:
             screen.print(

@@ -2,9 +2,9 @@
 
 import asyncio
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -18,7 +18,16 @@ from brink.server.api.context import Services
 from brink.server.api.pair_views import ShareView
 from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified
 from brink.server.api.schemas import View
-from brink.server.campaigns.detector_check import MOST_DRIVES, CheckResult, Drive, check_detector, read_drives
+from brink.server.campaigns.detector_check import (
+    ALL_DRIVES,
+    LEAST_DRIVES,
+    MOST_DRIVES,
+    CellCheck,
+    CheckResult,
+    Drive,
+    check_detector,
+    read_drives,
+)
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
@@ -201,26 +210,48 @@ class DriveBody(BaseModel):
 
     name: Annotated[str, Field(max_length=200)]
     condition: Annotated[
-        str | None,
-        Field(description="One of the campaign's conditions; null if the drive counts under each."),
+        str | None, Field(description="One of the campaign's conditions; null if it is unknown.")
     ] = None
     measures: Annotated[
         dict[str, dict[str, FiniteFloat]],
-        Field(description="Magnitude of each type of error, by target; shares as fractions of 1."),
+        Field(
+            description="Magnitude of each type of error, by target; shares as fractions of 1. What the drive cannot "
+            "tell is missing."
+        ),
     ]
+    at_least: Annotated[
+        dict[str, list[str]],
+        Field(
+            description="Types whose magnitude is a lower bound, by target, such as a miss at the end of a "
+            "recording. A lower bound of no error tells nothing."
+        ),
+    ] = {}
 
     @field_validator("measures")
     @classmethod
     def _known(cls, measures: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+        _check_errors(measures)
         for target, errors in measures.items():
-            if target not in _TARGETS:
-                raise ValueError(f"expected targets of {', '.join(_TARGETS)}; got {target!r}")
             for kind, magnitude in errors.items():
-                if kind not in _TYPES:
-                    raise ValueError(f"{target}: expected types of {', '.join(_TYPES)}; got {kind!r}")
                 if magnitude < 0.0:
                     raise ValueError(f"{target}.{kind}: expected a magnitude >= 0, got {magnitude:g}")
         return measures
+
+    @field_validator("at_least")
+    @classmethod
+    def _known_bounds(cls, at_least: dict[str, list[str]]) -> dict[str, list[str]]:
+        _check_errors(at_least)
+        return at_least
+
+
+def _check_errors(errors: Mapping[str, Collection[str]]) -> None:
+    """Refuse unknown targets and types of error."""
+    for target, kinds in errors.items():
+        if target not in _TARGETS:
+            raise ValueError(f"expected targets of {', '.join(_TARGETS)}; got {target!r}")
+        for kind in kinds:
+            if kind not in _TYPES:
+                raise ValueError(f"{target}: expected types of {', '.join(_TYPES)}; got {kind!r}")
 
 
 class DetectorBody(BaseModel):
@@ -235,12 +266,25 @@ class DetectorBody(BaseModel):
 class DetectorCell(View):
     """A detector's errors of one cell."""
 
-    place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
     choices: dict[str, str]
     error: str
     condition: str
     result: CheckResult
-    drives: Annotated[int, Field(description="Drives of the detector under the condition.")]
+    drives: Annotated[
+        int,
+        Field(description="Drives of the detector under the condition that tell how gross this error is."),
+    ]
+    needed: Annotated[
+        int | None,
+        Field(
+            description="Drives with such errors that would decide, or without errors if there are none yet; null if "
+            "more drives would not, or if it is decided."
+        ),
+    ]
+    at_least: Annotated[
+        int,
+        Field(description="Drives whose error was cut off by the recording, so that it is a lower bound."),
+    ]
     typical: Annotated[float | None, Field(description="Median magnitude, in the unit of the cell.")]
     grossest: Annotated[float | None, Field(description="Magnitude that 5% of the drives exceed.")]
     unit: str
@@ -269,8 +313,12 @@ class DetectorView(View):
     limit: float
     confidence: float
     note: str
+    no_data: Annotated[str, Field(description="What no drive tells anything about; empty for nothing.")]
+    next: Annotated[list[str], Field(description="What to record next to decide more, in sentences.")]
     conditions: list[DetectorConditionView]
-    cells: list[DetectorCell]
+    cells: Annotated[
+        list[DetectorCell], Field(description="Those that are not met first, those without data last.")
+    ]
 
 
 @router.get("/detector")
@@ -297,7 +345,10 @@ async def post_detector(campaign_id: str, services: Services, body: DetectorBody
     campaign = await services.campaigns.get(campaign_id)
     archive = await services.archives.get(campaign)
     found = await services.tolerances.get(campaign, archive)
-    drives = [Drive(name=one.name, condition=one.condition, measures=one.measures) for one in body.drives]
+    drives = [
+        Drive(name=one.name, condition=one.condition, measures=one.measures, at_least=one.at_least)
+        for one in body.drives
+    ]
     return await services.analyses.run(
         lambda: detector_view(campaign, archive.plan, found, body.detector, drives)
     )
@@ -318,45 +369,80 @@ def detector_view(
     Raises:
         InvalidInput: The errors do not fit the campaign.
     """
-    checks = check_detector(found, plan.problem, drives, campaign.body.seed)
-    cells = []
-    for check in checks:
-        cell = found.layout.cells[check.cell]
-        choices = dict(zip(found.layout.names, cell.choices, strict=True))
-        scale = plan.problem.severity_scale(choices) if isinstance(plan.problem, ScalesSeverity) else None
-        middle, most = (
-            np.quantile(check.severity, [0.5, 0.95], method="inverted_cdf").tolist()
-            if check.drives
-            else (None, None)
-        )
-        share = check.share
-        cells.append(
-            DetectorCell(
-                place=check.cell + 1, choices=choices, error=error_words(plan.problem, choices),
-                condition=cell.condition, result=check.result, drives=check.drives,
-                typical=_in_unit(scale, middle), grossest=_in_unit(scale, most),
-                unit=scale.unit if scale else "", beyond=check.beyond,
-                share=share.value if share else None, low=share.low if share else None,
-                high=share.high if share else None, worst=list(check.worst),
-            )
-        )  # fmt: skip
+    order = list(_SHOWN)
+    checks = sorted(
+        check_detector(found, plan.problem, drives, campaign.body.seed),
+        key=lambda check: order.index(check.result),
+    )
+    cells = [_detector_cell(plan, check) for check in checks]
     results = [check.result for check in checks]
     conditions = []
-    for condition in found.layout.conditions:
-        here = [drive for drive in drives if drive.condition in (None, condition)]
+    for condition in dict.fromkeys((*found.layout.conditions, *(check.condition for check in checks))):
+        here = [drive for drive in drives if condition in (drive.condition, ALL_DRIVES)]
         known = [drive.unsafe for drive in here if drive.unsafe is not None]
         conditions.append(
             DetectorConditionView(
                 condition=condition, drives=len(here), violations=sum(known) if known else None
             )
         )
-    counts = ", ".join(
-        f"{result.value} in {results.count(result)}" for result in CheckResult if result in results
-    )
+    counts = ", ".join(f"{result.value} in {results.count(result)}" for result in _SHOWN if result in results)
     return DetectorView(
         campaign=campaign.id, detector=name, limit=found.config.limit, confidence=found.config.confidence,
-        note=f"{name}, {len(drives)} drives: {counts} of {len(cells)} cells", conditions=conditions, cells=cells,
+        note=f"{name}, {len(drives)} drives: {counts} of {len(cells)} cells",
+        no_data=_no_data(cells), next=_next(cells), conditions=conditions, cells=cells,
     )  # fmt: skip
+
+
+_SHOWN: Final = (CheckResult.NOT_MET, CheckResult.TOO_LITTLE, CheckResult.MET, CheckResult.NO_DATA)
+"""The order in which results matter."""
+
+
+def _detector_cell(plan: Plan, check: CellCheck) -> DetectorCell:
+    scale = plan.problem.severity_scale(check.choices) if isinstance(plan.problem, ScalesSeverity) else None
+    drives, share = len(check.severity), check.share
+    middle, most = (
+        np.quantile(check.severity, [0.5, 0.95], method="inverted_cdf").tolist() if drives else (None, None)
+    )
+    return DetectorCell(
+        choices=dict(check.choices), error=error_words(plan.problem, check.choices), condition=check.condition,
+        result=check.result, drives=drives, needed=check.needed, at_least=check.bounds,
+        typical=_in_unit(scale, middle), grossest=_in_unit(scale, most), unit=scale.unit if scale else "",
+        beyond=check.beyond, share=share.value if share else None, low=share.low if share else None,
+        high=share.high if share else None, worst=list(check.worst),
+    )  # fmt: skip
+
+
+def _no_data(cells: Sequence[DetectorCell]) -> str:
+    """Return what no drive tells anything about, in one sentence."""
+    parts = []
+    for condition in dict.fromkeys(cell.condition for cell in cells):
+        here = [cell for cell in cells if cell.condition == condition]
+        without = [cell.error for cell in here if cell.result is CheckResult.NO_DATA]
+        if without:
+            parts.append(f"{condition}: {'everything' if len(without) == len(here) else ', '.join(without)}")
+    return f"No data on {'; '.join(parts)}." if parts else ""
+
+
+def _next(cells: Sequence[DetectorCell]) -> list[str]:
+    """Return what to record next, by condition and target."""
+    missing: dict[tuple[str, str], list[int]] = {}
+    for cell in cells:
+        if cell.needed is not None:
+            target = next((value for name, value in cell.choices.items() if name.endswith(".target")), "")
+            missing.setdefault((cell.condition, target), []).append(cell.needed - cell.drives)
+    return [
+        f"{as_sentence(condition)}: {'about ' if most > LEAST_DRIVES else ''}{most:,} more drives with "
+        f"{_IN_SIGHT.get(target, 'such a road user')} in sight would decide {len(more)} "
+        f"{'cell' if len(more) == 1 else 'cells'} if they are like those so far"
+        for (condition, target), more in missing.items()
+        if (most := max(more)) > 0
+    ]
+
+
+_IN_SIGHT: Final[Mapping[str, str]] = {
+    Target.LEAD: "a vehicle ahead", Target.ONCOMING: "an oncoming vehicle", Target.CROSSING: "a crossing vehicle",
+    Target.PEDESTRIAN: "a pedestrian near the lane", Target.EVERYBODY: "somebody",
+}  # fmt: skip
 
 
 def _in_unit(scale: SeverityScale | None, severity: float | None) -> float | None:

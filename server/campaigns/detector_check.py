@@ -1,16 +1,15 @@
 """Whether a detector meets the requirement of a campaign, judged by its errors in drives of its own."""
 
 import json
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 from sqlalchemy import Connection
 
 from brink.search.algorithms.tolerance import Layout
-from brink.search.curves import LEAST_DRIVES, Interval, expected_share
+from brink.search.curves import Curve, DriveShares, Interval, flawless_drives
 from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
 from brink.server.campaigns import view_store
@@ -24,6 +23,10 @@ from brink.sim.urban.error_meter import MEASURES
 MOST_DRIVES = 10_000
 WORST = 5
 """Most drives listed as the worst of a cell."""
+ALL_DRIVES = "all drives"
+"""The condition of drives of which none is known."""
+LEAST_DRIVES = 10
+"""Drives below which a requirement is not called met, however harmless its errors are."""
 
 
 class CheckResult(StrEnum):
@@ -32,7 +35,8 @@ class CheckResult(StrEnum):
     MET = "met"
     NOT_MET = "not met"
     TOO_LITTLE = "not enough data"
-    NOT_MEASURED = "not measured"
+    NO_DATA = "no data"
+    """No drive tells: the target never was in sight, or errors of the type are not measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,14 +45,16 @@ class Drive:
 
     Attributes:
         name: Name of the drive, such as the number of its solution.
-        condition: Name of its condition; None if it belongs to any.
-        measures: Magnitude of each type of error, by target.
+        condition: Name of its condition; None if it is unknown.
+        measures: Magnitude of each type of error, by target; what the drive cannot tell is missing.
+        at_least: Types whose magnitude is a lower bound, by target.
         unsafe: Whether it violated the requirement; None if that is unknown.
     """
 
     name: str
     condition: str | None
     measures: Mapping[str, Mapping[str, float]]
+    at_least: Mapping[str, Collection[str]] = field(default_factory=dict)
     unsafe: bool | None = None
 
 
@@ -57,22 +63,32 @@ class CellCheck:
     """A detector's errors of one cell.
 
     Attributes:
-        cell: Place of the cell in the layout.
-        drives: Drives of the detector under the cell's condition.
-        severity: How gross the error was in each, shape ``(drives,)``.
+        choices: The error, as choices of parameters by component.parameter.
+        condition: Condition of the drives.
+        severity: How gross the error was in each drive that tells, shape ``(n,)``.
+        bounds: How many of these are lower bounds.
         share: Share of drives with a violation that such errors cause; None without drives.
-        beyond: Drives with a grosser error than is tolerated.
+        tolerated: Severity at which the share of violations reaches the limit; infinite beyond the scale.
         result: Whether the detector meets the requirement.
+        needed: Drives with such errors, or without any if there are none yet, that would decide; None where more
+            drives would not, or nothing is left to decide.
         worst: Names of the drives with the grossest errors, grossest first.
     """
 
-    cell: int
-    drives: int
+    choices: Mapping[str, str]
+    condition: str
     severity: FloatArray
+    bounds: int
     share: Interval | None
-    beyond: int
+    tolerated: float
     result: CheckResult
+    needed: int | None
     worst: tuple[str, ...]
+
+    @property
+    def beyond(self) -> int:
+        """Drives with a grosser error than is tolerated."""
+        return int((self.severity > self.tolerated).sum())
 
 
 def check_detector(
@@ -80,11 +96,14 @@ def check_detector(
 ) -> list[CellCheck]:
     """Judge a detector by each cell of a campaign.
 
+    Drives whose condition is unknown count under `ALL_DRIVES` and under no other condition. Where the campaign has
+    conditions of its own, they are judged there by whichever of its curves is the worst, or, for *not met*, the best.
+
     Args:
         found: The tolerances of the campaign.
         problem: Its problem.
         drives: The detector's drives.
-        seed: Seed of the bootstrap.
+        seed: Seed of the intervals.
 
     Raises:
         InvalidInput: The problem does not know measured errors, or a condition is none of the campaign's.
@@ -94,50 +113,74 @@ def check_detector(
             "/path/campaign_id", "the problem of this campaign does not know measured errors"
         )
     conditions = found.layout.conditions
+    has_conditions = tuple(conditions) != (ALL_DRIVES,)
     for drive in drives:
-        if drive.condition is not None and drive.condition not in conditions:
+        if has_conditions and drive.condition is not None and drive.condition not in conditions:
             raise InvalidInput.at(
                 "/drives",
                 f"drive {drive.name}: expected one of the conditions {'; '.join(conditions)}; got "
                 f"{drive.condition!r}",
             )
-    return [_checked(found, problem, place, drives, seed) for place in range(len(found.layout.cells))]
+    cells: dict[tuple[str, tuple[str, ...]], list[Curve]] = {
+        (cell.condition, cell.choices): [curve]
+        for cell, curve in zip(found.layout.cells, found.curves, strict=True)
+    }
+    if has_conditions and any(drive.condition is None for drive in drives):
+        for cell, curve in zip(found.layout.cells, found.curves, strict=True):
+            cells.setdefault((ALL_DRIVES, cell.choices), []).append(curve)
+    by_condition = {
+        condition: [drive for drive in drives if condition in (drive.condition, ALL_DRIVES)]
+        for condition in (*conditions, ALL_DRIVES)
+    }
+    return [
+        _checked(
+            found, problem, dict(zip(found.layout.names, choices, strict=True)), condition, curves,
+            by_condition[condition], generator(seed, Stream.TOLERANCE, 4, place),
+        )
+        for place, ((condition, choices), curves) in enumerate(cells.items())
+    ]  # fmt: skip
 
 
 def _checked(
-    found: CampaignTolerance, problem: RatesMeasuredErrors, place: int, drives: Sequence[Drive], seed: int
+    found: CampaignTolerance,
+    problem: RatesMeasuredErrors,
+    choices: Mapping[str, str],
+    condition: str,
+    curves: Sequence[Curve],
+    drives: Sequence[Drive],
+    rng: np.random.Generator,
 ) -> CellCheck:
-    cell, curve = found.layout.cells[place], found.curves[place]
-    choices = dict(zip(found.layout.names, cell.choices, strict=True))
-    here = [drive for drive in drives if drive.condition in (None, cell.condition)]
-    rated = [(problem.measured_severity(choices, drive.measures), drive.name) for drive in here]
-    known = [(severity, name) for severity, name in rated if severity is not None]
-    if here and not known:
-        return CellCheck(
-            cell=place, drives=0, severity=np.zeros(0), share=None, beyond=0, result=CheckResult.NOT_MEASURED,
-            worst=(),
-        )  # fmt: skip
-    concerned = sum(bool(drive.measures) for drive in here)
-    severity = np.array([one for one, _ in known])
-    share = None
+    limit, confidence = found.config.limit, found.config.confidence
+    rated = [
+        (problem.measured_severity(choices, drive.measures, drive.at_least), drive.name) for drive in drives
+    ]
+    known = [(one, name) for one, name in rated if one is not None]
+    severity = np.array([one.severity for one, _ in known])
+    share, needed, result = None, None, CheckResult.NO_DATA
     if known:
-        rng = generator(seed, Stream.TOLERANCE, 4, place)
-        share = expected_share(curve, severity, rng, found.config.confidence)
-    result = CheckResult.TOO_LITTLE
-    if share is not None and min(len(known), concerned) >= LEAST_DRIVES:
-        if share.high <= found.config.limit:
+        shares = DriveShares.of(curves, severity)
+        share = shares.interval(rng, confidence)
+        result = CheckResult.TOO_LITTLE
+        if share.high <= limit and len(known) >= LEAST_DRIVES:
             result = CheckResult.MET
-        elif share.low > found.config.limit:
+        elif share.low > limit:
             result = CheckResult.NOT_MET
-    worst = sorted((one for one in known if one[0] > 0.0), key=lambda one: -one[0])
-    tolerated = curve.tolerated.value
+        elif share.high <= limit:
+            needed = LEAST_DRIVES
+        else:
+            needed = shares.needed(rng, confidence, limit, MOST_DRIVES)
+    elif problem.measures_errors(choices):
+        needed = flawless_drives(limit, confidence)
+    worst = sorted((one for one in known if one[0].severity > 0.0), key=lambda one: -one[0].severity)
     return CellCheck(
-        cell=place,
-        drives=len(known),
+        choices=choices,
+        condition=condition,
         severity=severity,
+        bounds=sum(one.is_bound for one, _ in known),
         share=share,
-        beyond=0 if math.isinf(tolerated) else int((severity > tolerated).sum()),
+        tolerated=min(curve.tolerated.value for curve in curves),
         result=result,
+        needed=needed,
         worst=tuple(name for _, name in worst[:WORST]),
     )
 
@@ -181,6 +224,7 @@ def read_drives(connection: Connection, campaign: Campaign, read: ReadArchive, l
         raise InvalidInput.at(
             "/query/episodes",
             f"campaign {campaign.id}: expected drives with a detector in the loop under the conditions of the "
-            "requirement, such as those of urban-camera@1; found none",
+            "requirement, such as those of urban-camera@1; found none (drives of versions before 1.0 were measured "
+            "in another way: simulate them again, with cache: false)",
         )
     return drives

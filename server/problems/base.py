@@ -7,7 +7,7 @@ classes of either kind, constructed from their `params_type`. The other protocol
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Protocol, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -316,19 +316,42 @@ class ScalesSeverity(Protocol):
         ...
 
 
+class MeasuredSeverity(NamedTuple):
+    """How gross a measured error was.
+
+    Attributes:
+        severity: On the scale of the error; above 1 beyond it.
+        is_bound: Whether the severity is a lower bound.
+    """
+
+    severity: float
+    is_bound: bool
+
+
 @runtime_checkable
 class RatesMeasuredErrors(Protocol):
     """A problem that can rate the measured errors of a component on the scale of its severity."""
 
-    def measured_severity(
-        self, choices: Mapping[str, str], measures: Mapping[str, Mapping[str, float]]
-    ) -> float | None:
-        """Return how severe an error was in a drive; None if errors of this kind are not measured.
+    def measures_errors(self, choices: Mapping[str, str]) -> bool:
+        """Return whether errors of a kind are measured.
 
         Args:
             choices: Which error, as choices of parameters by component.parameter.
-            measures: The magnitude of each type of error in the drive, by target. A target that the drive lacked is
-                missing, and no error can have concerned it.
+        """
+        ...
+
+    def measured_severity(
+        self,
+        choices: Mapping[str, str],
+        measures: Mapping[str, Mapping[str, float]],
+        at_least: Mapping[str, Collection[str]],
+    ) -> MeasuredSeverity | None:
+        """Return how severe an error was in a drive; None if the drive does not tell.
+
+        Args:
+            choices: Which error, as choices of parameters by component.parameter.
+            measures: The magnitude of each type of error in the drive, by target; what it cannot tell is missing.
+            at_least: Types whose magnitude is a lower bound, by target. Such a bound of no error tells nothing.
         """
         ...
 

@@ -13,7 +13,14 @@ import numpy as np
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import setting
 from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
-from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
+from brink.server.problems.base import (
+    BEHAVIOUR,
+    Activity,
+    MeasuredSeverity,
+    SeverityScale,
+    SimulatedSolution,
+    Vectors,
+)
 from brink.server.problems.changes import different
 from brink.server.problems.perception_errors import NO_ERROR, HasTrueVariant, severity_scale
 from brink.server.problems.requirements import JudgedByRequirements, requirement_setting
@@ -202,18 +209,26 @@ class UrbanErrors(HasTrueVariant, JudgedByRequirements):
         kind, target = ErrorType(choices[f"{_FIRST}.type"]), choices.get(f"{_FIRST}.target")
         return activity_of_error(kind, None if target is None else Target(target), magnitude)
 
+    def measures_errors(self, choices: Mapping[str, str]) -> bool:
+        """Return whether errors of a type are measured."""
+        return f"{_FIRST}.target" in choices and ErrorType(choices[f"{_FIRST}.type"]) in MEASURED
+
     def measured_severity(
-        self, choices: Mapping[str, str], measures: Mapping[str, Mapping[str, float]]
-    ) -> float | None:
-        """Return how severe an error was in a drive; None if errors of this type are not measured."""
-        kind = ErrorType(choices[f"{_FIRST}.type"])
-        target = choices.get(f"{_FIRST}.target")
-        if kind not in MEASURED or target is None:
+        self,
+        choices: Mapping[str, str],
+        measures: Mapping[str, Mapping[str, float]],
+        at_least: Mapping[str, Collection[str]],
+    ) -> MeasuredSeverity | None:
+        """Return how severe an error was in a drive; None if the drive does not tell."""
+        if not self.measures_errors(choices):
             return None
-        if target not in measures:
-            return 0.0
-        magnitude = measures[target].get(kind.value)
-        return None if magnitude is None else MAGNITUDES[kind].severity(magnitude)
+        kind, target = ErrorType(choices[f"{_FIRST}.type"]), choices[f"{_FIRST}.target"]
+        magnitude = measures.get(target, {}).get(kind.value)
+        if magnitude is None:
+            return None
+        severity = MAGNITUDES[kind].severity(magnitude)
+        is_bound = kind.value in at_least.get(target, ())
+        return None if is_bound and severity == 0.0 else MeasuredSeverity(severity, is_bound)
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
         """Return which parameters had a part in an episode: those that the type of an error has, if it ever acted."""

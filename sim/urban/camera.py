@@ -33,7 +33,7 @@ from brink.sim.rendering.street import building_from_fixture, road_surfaces
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome
 from brink.sim.urban.erroneous_detector import Observer
-from brink.sim.urban.error_meter import MEASURES, ErrorMeter
+from brink.sim.urban.error_meter import MEASURES, ErrorMeter, ReportedBox
 from brink.sim.urban.simulator import BrinkDrive, UrbanDetector
 from brink.sim.world.ego import EgoMotion
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M
@@ -197,14 +197,14 @@ class _InTheLoop:
 
         def detects(time_s: float) -> tuple[Box, ...]:
             found = eyes.boxes(world.ego, _bodies(world, eyes.first_id, time_s), time_s)
-            meter.see(time_s, observer.look(time_s).true_boxes(), found)
+            meter.see(time_s, observer.look(time_s).true_boxes(), [ReportedBox(box) for box in found])
             return found
 
         return detects
 
     def features(self, outcome: Outcome) -> dict[str, Json]:
         """Return the detector's errors."""
-        measures = {} if self._meter is None else self._meter.measures()
+        measures = {} if self._meter is None else self._meter.errors().magnitudes
         return {
             MEASURES: {
                 target.value: {kind.value: magnitude for kind, magnitude in errors.items()}

@@ -21,7 +21,7 @@ from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.errors import SimulatorError
 from brink.sim.urban.detection_errors import PEDESTRIAN_WITHIN_M, Target
-from brink.sim.urban.error_meter import HALF_LANE_M, SUSTAINED_S, ErrorMeter, MeasuredDrive, TrueBox
+from brink.sim.urban.error_meter import HALF_LANE_M, SUSTAINED_S, ErrorMeter, MeasuredDrive, ReportedBox, TrueBox
 from brink.user_file import read_file, read_text
 
 COLUMNS: Final = ("drive", "time_s", "source", "id", "label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
@@ -374,7 +374,7 @@ def _measure(where: str, name: str, drive: _Drive) -> MeasuredDrive:
             )
         detections.setdefault(nearest, []).extend(boxes)
     camera = Camera()
-    meter = ErrorMeter(camera, step_s)
+    meter = ErrorMeter(camera, step_s, is_excerpt=True)
     numbers: dict[str, int] = {}
     for time_s in times:
         truth = [
@@ -383,8 +383,8 @@ def _measure(where: str, name: str, drive: _Drive) -> MeasuredDrive:
             )
             for one in drive.truth[time_s]
         ]
-        meter.see(time_s, truth, detections.get(time_s, ()))
-    return MeasuredDrive(name=name, condition=drive.condition, measures=meter.measures())
+        meter.see(time_s, truth, [ReportedBox(box) for box in detections.get(time_s, ())])
+    return MeasuredDrive(name=name, condition=drive.condition, errors=meter.errors())
 
 
 def _kind(one: _True, others: Sequence[_True], camera: Camera) -> tuple[Target, bool]:

@@ -1,32 +1,38 @@
 """Measures the errors of an obstacle detector against the truth, in the terms of `detection_errors`.
 
-The boxes of a drive are compared frame by frame. A detection belongs to the true box that it overlaps most. For each
-type of error and target, the measure is the worst of the drive:
+The boxes of a drive are compared image by image. A detection belongs to the true box that it overlaps most. A road
+user's *life* is the time for which it is visible; a detector is judged by the part in which the road user is a target
+within the distance that matters to the driving system, whether or not it was reported before. For each type of error
+and target, the measure is the worst of the drive:
 
-- `miss`, `wrong_label`: the longest time, after the first detection;
-- `late`: the longest delay from first sight to first detection, of road users that become a target;
+- `miss`, `wrong_label`: the longest time, in images on end;
+- `late`: the longest visible time before the first detection of a road user that becomes a target, from its first
+  sight at any distance, as in `detection_errors`; time out of sight does not count, and one that is never reported is
+  late by its whole life;
 - `flicker` and errors of place and size: the mean while the target is there, if it is for `SUSTAINED_S` or longer;
 - `short_range`: the distance from which on fewer than half of the sightings are detections;
 - `ghost_on_road`: the longest time of a detection in the ego's lane where there is nothing.
 
-Concerning a target that stands for several road users, an error is one of all of them at a time, as in
-`detection_errors`. All but `late` concern road users within the distance that matters to the driving system. Ghosts
-that stay in the image are not told apart from those on the road, and are not measured.
+What a drive cannot tell is left out: errors of place without a detection, a mean over a target that was there for
+less than `SUSTAINED_S`, a target that was there for less than `SHORTEST_S`.
 
-This module has no heavy imports: detections from other sources are measured in the same way.
+Concerning a target that stands for several road users, an error is one of all of them at a time, as in
+`detection_errors`. Ghosts that stay in the image are not told apart from those on the road, and are not measured.
+
+This module has no heavy imports: recordings are measured in the same way as simulated drives.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.urban.behaviour import PERCEPTION_STEP_S
-from brink.sim.urban.detection_errors import GHOSTS, MAGNITUDES, RELEVANT_M, ErrorType, Target
+from brink.sim.urban.detection_errors import RELEVANT_M, ErrorType, Target
 
-MEASURES: Final = "detector_errors"
+MEASURES: Final = "measured_errors"
 """Name of the feature with the detector's errors: the magnitude of each type, by target."""
 SUSTAINED_S: Final = 4.0
 """Errors of place, size and share are means over the time for which the target is there, if it is this long."""
@@ -36,15 +42,17 @@ MATCHES_FROM: Final = 0.3
 """Overlap (IoU) from which a detection belongs to a true box."""
 NOTHING_BELOW: Final = 0.1
 """A detection that overlaps every true box by less than this is a ghost."""
+INSIDE_FROM: Final = 0.5
+"""A detection is inside an ignored region if this share of it is."""
 GHOST_WITHIN_M: Final = 40.0
 HALF_LANE_M: Final = 1.75
+RANGE_FROM_M: Final = 20.0
+"""A drive without a sighting beyond this distance does not tell how far the detector sees."""
 _BIN_M: Final = 5.0
 
-_NOTHING_THERE: Final = {kind: MAGNITUDES[kind].none for kind in ErrorType if kind not in GHOSTS}
-"""The errors concerning a target that a drive lacks: none."""
 MEASURED: Final = tuple(kind for kind in ErrorType if kind is not ErrorType.GHOST_IN_IMAGE)
 Measures = Mapping[Target, Mapping[ErrorType, float]]
-"""Magnitude of each type of error, by target; targets that a drive lacks are missing."""
+"""Magnitude of each type of error, by target. What a drive cannot tell is missing."""
 
 
 class TrueBox(NamedTuple):
@@ -55,15 +63,35 @@ class TrueBox(NamedTuple):
         box: Its true box.
         kind: What it is: `Target.LEAD` for any vehicle that goes the ego's way.
         is_target: Whether it is the lead itself, or the nearest pedestrian in or beside the ego's lane.
+        is_visible: Whether enough of it can be seen for a detector to be expected to report it.
+        depth_m: Distance of its nearest point ahead of the camera; None to take it from the box's bottom edge.
+        left_m: How far left of the camera's axis its middle is; None to take it from the box.
     """
 
     track: int
     box: Box
     kind: Target
     is_target: bool
+    is_visible: bool = True
+    depth_m: float | None = None
+    left_m: float | None = None
 
 
-class _Sample(NamedTuple):
+class ReportedBox(NamedTuple):
+    """A detection.
+
+    Attributes:
+        box: Its box.
+        depth_m: Reported distance ahead of the camera; None to take it from the box's bottom edge.
+        left_m: Reported place to the left of the camera's axis; None to take it from the box.
+    """
+
+    box: Box
+    depth_m: float | None = None
+    left_m: float | None = None
+
+
+class Sample(NamedTuple):
     """One true box and its detection, if there is one.
 
     Attributes:
@@ -71,6 +99,8 @@ class _Sample(NamedTuple):
         track: Of the true box.
         kind: Of the true box.
         is_target: Of the true box.
+        is_visible: Of the true box.
+        label: Of the true box.
         depth_m: True distance.
         is_seen: Whether there is a detection.
         is_wrong: Whether the detection has the wrong label.
@@ -83,6 +113,8 @@ class _Sample(NamedTuple):
     track: int
     kind: Target
     is_target: bool
+    is_visible: bool
+    label: ObstacleLabel
     depth_m: float
     is_seen: bool
     is_wrong: bool = False
@@ -91,28 +123,96 @@ class _Sample(NamedTuple):
     size: float = math.nan
 
 
+class Span(NamedTuple):
+    """When an error occurred in a drive.
+
+    Attributes:
+        from_s: Time of its first image.
+        duration_s: How long it lasted.
+        track: The road user that it concerned; None if it concerned none or several.
+    """
+
+    from_s: float
+    duration_s: float
+    track: int | None = None
+
+
+@dataclass(slots=True)
+class DriveErrors:
+    """The errors of a detector in one drive.
+
+    Attributes:
+        magnitudes: Magnitude of each type of error, by target; what the drive cannot tell is missing.
+        at_least: Types whose magnitude is a lower bound, by target: the drive was cut off at the time, or the road
+            user was never reported. A lower bound of no error tells nothing.
+        spans: When the worst error of those types occurred that have a time.
+    """
+
+    magnitudes: dict[Target, dict[ErrorType, float]] = field(default_factory=dict)
+    at_least: dict[Target, set[ErrorType]] = field(default_factory=dict)
+    spans: dict[Target, dict[ErrorType, Span]] = field(default_factory=dict)
+
+    def note(self, target: Target, kind: ErrorType, span: Span, *, at_least: bool = False) -> None:
+        """Note an error with a time, the worst of its type."""
+        self.magnitudes.setdefault(target, {})[kind] = span.duration_s
+        if span.duration_s > 0.0:
+            self.spans.setdefault(target, {})[kind] = span
+        if at_least:
+            self.at_least.setdefault(target, set()).add(kind)
+
+
+_Run = list[list[Sample]]
+"""Consecutive images in which a target was there, each with its road users."""
+
+
+_Predicate = Callable[[Sequence[Sample]], bool]
+"""Whether the samples of an image are wrong."""
+
+
 class ErrorMeter:
     """Measures one drive.
 
     Args:
         camera: Camera of the boxes.
         step_s: Time between images.
+        is_excerpt: Whether the images were cut out of a longer drive, so that what is there in the first image may
+            have been in sight before.
+
+    Attributes:
+        samples: All true boxes, in the order of their images.
+        ghosts: Time of each image, and the labels of the detections in the ego's lane where nothing is.
     """
 
-    def __init__(self, camera: Camera, step_s: float = PERCEPTION_STEP_S) -> None:
+    def __init__(
+        self, camera: Camera, step_s: float = PERCEPTION_STEP_S, *, is_excerpt: bool = False
+    ) -> None:
         self._camera = camera
         self._step_s = step_s
-        self._samples: list[_Sample] = []
-        self._ghosts: list[tuple[float, frozenset[ObstacleLabel]]] = []
+        self._is_excerpt = is_excerpt
+        self.samples: list[Sample] = []
+        self.ghosts: list[tuple[float, frozenset[ObstacleLabel]]] = []
 
-    def see(self, time_s: float, truth: Sequence[TrueBox], detections: Sequence[Box]) -> None:
-        """Compare the boxes of one image; times must ascend."""
+    def see(
+        self,
+        time_s: float,
+        truth: Sequence[TrueBox],
+        detections: Sequence[ReportedBox],
+        ignored: Sequence[Box] = (),
+    ) -> None:
+        """Compare the boxes of one image; times must ascend.
+
+        Args:
+            time_s: Time of the image.
+            truth: Its true boxes, hidden ones included.
+            detections: What was reported.
+            ignored: Regions in which nothing is known: what is reported there is no ghost.
+        """
         overlaps = sorted(
             (
                 (overlap, row, column)
                 for row, true in enumerate(truth)
-                for column, box in enumerate(detections)
-                if (overlap := _overlap(true.box, box)) >= MATCHES_FROM
+                for column, reported in enumerate(detections)
+                if (overlap := _overlap(true.box, reported.box)) >= MATCHES_FROM
             ),
             reverse=True,
         )
@@ -121,76 +221,91 @@ class ErrorMeter:
             if row not in matched and column not in matched.values():
                 matched[row] = column
         for row, true in enumerate(truth):
-            self._samples.append(
+            self.samples.append(
                 self._compared(time_s, true, detections[matched[row]] if row in matched else None)
             )
         ghosts = {
-            box.label
-            for column, box in enumerate(detections)
+            reported.box.label
+            for column, reported in enumerate(detections)
             if column not in matched.values()
-            and self._is_in_lane(box)
-            and all(_overlap(true.box, box) < NOTHING_BELOW for true in truth)
+            and self._is_in_lane(reported)
+            and all(_overlap(true.box, reported.box) < NOTHING_BELOW for true in truth)
+            and all(_inside(reported.box, region) < INSIDE_FROM for region in ignored)
         }
-        self._ghosts.append((time_s, frozenset(ghosts)))
+        self.ghosts.append((time_s, frozenset(ghosts)))
 
-    def _is_in_lane(self, box: Box) -> bool:
-        depth_m = self._camera.ground_depth_m(box.y_max_px)
+    def _is_in_lane(self, reported: ReportedBox) -> bool:
+        box, depth_m, left_m = reported
+        if depth_m is None:
+            depth_m = self._camera.ground_depth_m(box.y_max_px)
         if depth_m is None or depth_m > GHOST_WITHIN_M:
             return False
-        return abs(self._camera.left_m(0.5 * (box.x_min_px + box.x_max_px), depth_m)) < HALF_LANE_M
+        if left_m is None:
+            left_m = self._camera.left_m(0.5 * (box.x_min_px + box.x_max_px), depth_m)
+        return abs(left_m) < HALF_LANE_M
 
-    def _compared(self, time_s: float, true: TrueBox, found: Box | None) -> _Sample:
-        camera, box = self._camera, true.box
-        depth_m = camera.ground_depth_m(box.y_max_px)
-        if depth_m is None:
-            depth_m = camera.far_m
-        if found is None:
-            return _Sample(time_s, true.track, true.kind, true.is_target, depth_m, is_seen=False)
-        found_m = camera.ground_depth_m(found.y_max_px)
-        middle_px = 0.5 * (found.x_min_px + found.x_max_px - box.x_min_px - box.x_max_px)
-        return _Sample(
-            time_s,
-            true.track,
-            true.kind,
-            true.is_target,
-            depth_m,
-            is_seen=True,
+    def _compared(self, time_s: float, true: TrueBox, reported: ReportedBox | None) -> Sample:
+        depth_m = self._depth_m(true.box) if true.depth_m is None else true.depth_m
+        sample = Sample(
+            time_s, true.track, true.kind, true.is_target, true.is_visible, true.box.label, depth_m,
+            is_seen=reported is not None,
+        )  # fmt: skip
+        if reported is None:
+            return sample
+        box, found = true.box, reported.box
+        if true.depth_m is None or reported.depth_m is None:
+            far = self._depth_m(found) / self._depth_m(box)
+        else:
+            far = reported.depth_m / max(true.depth_m, self._camera.near_m)
+        if true.left_m is None or reported.left_m is None:
+            middle_px = 0.5 * (found.x_min_px + found.x_max_px - box.x_min_px - box.x_max_px)
+            right_m = middle_px * depth_m / self._camera.focal_px
+        else:
+            right_m = true.left_m - reported.left_m
+        return sample._replace(
             is_wrong=found.label is not box.label,
-            far=(camera.far_m if found_m is None else min(found_m, camera.far_m)) / depth_m - 1.0,
-            right_m=middle_px * depth_m / camera.focal_px,
+            far=far - 1.0,
+            right_m=right_m,
             size=math.sqrt(_area(found) / _area(box)) - 1.0,
         )
 
-    def measures(self) -> Measures:
-        """Return the magnitude of each type of error, by target."""
-        found: dict[Target, dict[ErrorType, float]] = {}
+    def _depth_m(self, box: Box) -> float:
+        depth_m = self._camera.ground_depth_m(box.y_max_px)
+        return self._camera.far_m if depth_m is None else min(depth_m, self._camera.far_m)
+
+    def errors(self) -> DriveErrors:
+        """Return how wrong the detector was."""
+        found = DriveErrors()
         for target in Target:
             single = target in (Target.LEAD, Target.PEDESTRIAN)
-            members = [s for s in self._samples if target in (Target.EVERYBODY, s.kind)]
-            near = [s for s in members if s.depth_m <= RELEVANT_M and (s.is_target or not single)]
-            series = self._series(near, split=single)
-            frames = [frame for run in series for frame in run]
-            if len(frames) * self._step_s < SHORTEST_S:
+            members = [sample for sample in self.samples if target in (Target.EVERYBODY, sample.kind)]
+            visible = [sample for sample in members if sample.is_visible]
+            near = [s for s in visible if s.depth_m <= RELEVANT_M and (s.is_target or not single)]
+            runs = self._runs(near, split=single)
+            if sum(map(len, runs)) * self._step_s < SHORTEST_S:
                 continue
-            errors = self._windowed(series)
-            tracks = {s.track for s in members if s.is_target} if single else {s.track for s in members}
-            errors[ErrorType.LATE] = max(
-                (self._delay_s([s for s in members if s.track == track]) for track in tracks), default=0.0
-            )
-            errors[ErrorType.SHORT_RANGE] = _range_m(members)
-            found[target] = errors
+            self._note_longest(found, target, ErrorType.MISS, runs, _is_missed)
+            if (
+                sum(any(s.is_seen for s in image) for run in runs for image in run) * self._step_s
+                >= SHORTEST_S
+            ):
+                self._note_longest(found, target, ErrorType.WRONG_LABEL, runs, _is_mislabelled)
+            _note_means(found.magnitudes[target], runs, self._step_s)
+            self._note_delay(found, target, members, {sample.track for sample in near})
+            range_m = _range_m(visible)
+            if range_m is not None:
+                found.magnitudes[target][ErrorType.SHORT_RANGE] = range_m
         for label, target in (
             (ObstacleLabel.VEHICLE, Target.LEAD),
             (ObstacleLabel.PERSON, Target.PEDESTRIAN),
         ):
-            held_s = self._longest_s([(time_s, label in labels) for time_s, labels in self._ghosts])
-            if held_s > 0.0 or target in found:
-                found.setdefault(target, dict(_NOTHING_THERE))[ErrorType.GHOST_ON_ROAD] = held_s
+            span = self._longest((time_s, label in labels, None) for time_s, labels in self.ghosts)
+            found.note(target, ErrorType.GHOST_ON_ROAD, span)
         return found
 
-    def _series(self, samples: Sequence[_Sample], *, split: bool) -> list[list[list[_Sample]]]:
+    def _runs(self, samples: Sequence[Sample], *, split: bool) -> list[_Run]:
         """Return runs of consecutive images, each with the samples in it; `split` where the road user changes."""
-        runs: list[list[list[_Sample]]] = []
+        runs: list[_Run] = []
         for sample in samples:
             last = runs[-1][-1] if runs else None
             if last is not None and last[0].time_s == sample.time_s and not split:
@@ -207,69 +322,100 @@ class ErrorMeter:
                 runs.append([[sample]])
         return runs
 
-    def _windowed(self, runs: Sequence[Sequence[Sequence[_Sample]]]) -> dict[ErrorType, float]:
-        worst = dict.fromkeys(
-            (
-                ErrorType.MISS, ErrorType.WRONG_LABEL, ErrorType.FLICKER, ErrorType.TOO_FAR, ErrorType.TOO_NEAR,
-                ErrorType.LEFT, ErrorType.RIGHT, ErrorType.TOO_LARGE, ErrorType.TOO_SMALL,
-            ),
-            0.0,
-        )  # fmt: skip
-
-        def note(kind: ErrorType, value: float) -> None:
-            if value > worst[kind]:
-                worst[kind] = value
-
-        seen_before: set[int] = set()
-        long_enough = round(SUSTAINED_S / self._step_s)
-        for run in runs:
-            missed: list[tuple[float, bool]] = []
-            wrong: list[tuple[float, bool]] = []
-            for frame in run:
-                known = [s for s in frame if s.is_seen or s.track in seen_before]
-                seen_before |= {s.track for s in frame if s.is_seen}
-                missed.append((frame[0].time_s, bool(known) and not any(s.is_seen for s in frame)))
-                seen = [s for s in frame if s.is_seen]
-                wrong.append((frame[0].time_s, bool(seen) and all(s.is_wrong for s in seen)))
-            note(ErrorType.MISS, self._longest_s(missed))
-            note(ErrorType.WRONG_LABEL, self._longest_s(wrong))
-            if len(run) < long_enough:
-                continue
-            note(ErrorType.FLICKER, sum(off for _, off in missed) / len(run))
-            seen = [s for frame in run for s in frame if s.is_seen]
-            if len(seen) * self._step_s < SHORTEST_S:
-                continue
-            far, right_m, size = (
-                sum(values) / len(seen)
-                for values in zip(*((s.far, s.right_m, s.size) for s in seen), strict=True)
+    def _note_longest(
+        self, found: DriveErrors, target: Target, kind: ErrorType, runs: Sequence[_Run], is_wrong: _Predicate
+    ) -> None:
+        """Note the longest time for which images on end are wrong."""
+        spans = [
+            self._longest(
+                (image[0].time_s, is_wrong(image), image[0].track if len(image) == 1 else None)
+                for image in run
             )
-            note(ErrorType.TOO_FAR, far)
-            note(ErrorType.TOO_NEAR, -far)
-            note(ErrorType.RIGHT, right_m)
-            note(ErrorType.LEFT, -right_m)
-            note(ErrorType.TOO_LARGE, size)
-            note(ErrorType.TOO_SMALL, -size)
+            for run in runs
+        ]
+        worst = max(spans, key=lambda span: span.duration_s)
+        until_s = worst.from_s + worst.duration_s - 0.5 * self._step_s
+        is_cut_off = worst.from_s <= self.ghosts[0][0] or until_s >= self.ghosts[-1][0]
+        found.note(target, kind, worst, at_least=self._is_excerpt and is_cut_off and worst.duration_s > 0.0)
+
+    def _longest(self, flags: Iterable[tuple[float, bool, int | None]]) -> Span:
+        """Return the longest time for which a flag holds in consecutive images.
+
+        Args:
+            flags: Time, flag and track of each image.
+        """
+        worst, from_s, images = Span(0.0, 0.0), 0.0, 0
+        for time_s, holds, track in flags:
+            if not holds:
+                images = 0
+                continue
+            if images == 0:
+                from_s = time_s
+            images += 1
+            if images * self._step_s > worst.duration_s:
+                worst = Span(from_s, images * self._step_s, track)
         return worst
 
-    def _longest_s(self, flags: Sequence[tuple[float, bool]]) -> float:
-        """Return the longest time for which a flag holds in consecutive images."""
-        longest = held = 0
-        for _, holds in flags:
-            held = held + 1 if holds else 0
-            longest = max(longest, held)
-        return longest * self._step_s
+    def _note_delay(
+        self, found: DriveErrors, target: Target, samples: Sequence[Sample], tracks: Iterable[int]
+    ) -> None:
+        """Note the longest visible time before the first detection, of road users that become a target."""
+        worst, is_bound, tells = Span(0.0, 0.0), False, False
+        lives: dict[int, list[Sample]] = {track: [] for track in sorted(tracks)}
+        for sample in samples:
+            if sample.track in lives:
+                lives[sample.track].append(sample)
+        for track, life in lives.items():
+            first = next((i for i, sample in enumerate(life) if sample.is_seen), len(life))
+            delay_s = self._step_s * sum(sample.is_visible for sample in life[:first])
+            was_there = self._is_excerpt and life[0].time_s <= self.ghosts[0][0]
+            tells = tells or delay_s > 0.0 or not was_there
+            if delay_s > worst.duration_s:
+                worst = Span(life[0].time_s, delay_s, track)
+                is_bound = was_there or first == len(life)
+        # Of road users that were reported in the first image of an excerpt, nobody knows how late that was.
+        found.note(target, ErrorType.LATE, worst, at_least=is_bound or not tells)
 
-    def _delay_s(self, samples: Sequence[_Sample]) -> float:
-        """Return the time from the first sight of a road user to its first detection, or to its last sight."""
-        first_s = samples[0].time_s
-        seen_s = next((s.time_s for s in samples if s.is_seen), samples[-1].time_s + self._step_s)
-        return seen_s - first_s
+
+def _is_missed(image: Sequence[Sample]) -> bool:
+    return not any(sample.is_seen for sample in image)
 
 
-def _range_m(samples: Sequence[_Sample]) -> float:
+def _is_mislabelled(image: Sequence[Sample]) -> bool:
+    seen = [sample for sample in image if sample.is_seen]
+    return bool(seen) and all(sample.is_wrong for sample in seen)
+
+
+def _note_means(magnitudes: dict[ErrorType, float], runs: Sequence[_Run], step_s: float) -> None:
+    """Note the worst means over the time for which the target is there; none where it never is for long enough."""
+
+    def note(kind: ErrorType, value: float) -> None:
+        magnitudes[kind] = max(value, magnitudes.get(kind, 0.0))
+
+    for run in runs:
+        if len(run) < round(SUSTAINED_S / step_s):
+            continue
+        note(ErrorType.FLICKER, sum(map(_is_missed, run)) / len(run))
+        seen = [sample for image in run for sample in image if sample.is_seen]
+        if len(seen) * step_s < SHORTEST_S:
+            continue
+        far, right_m, size = (
+            sum(values) / len(seen)
+            for values in zip(*((s.far, s.right_m, s.size) for s in seen), strict=True)
+        )
+        note(ErrorType.TOO_FAR, far)
+        note(ErrorType.TOO_NEAR, -far)
+        note(ErrorType.RIGHT, right_m)
+        note(ErrorType.LEFT, -right_m)
+        note(ErrorType.TOO_LARGE, size)
+        note(ErrorType.TOO_SMALL, -size)
+
+
+def _range_m(samples: Sequence[Sample]) -> float | None:
     """Return the distance from which on fewer than half of the sightings are detections; `RELEVANT_M` for none.
 
-    Distances count in bins of `_BIN_M`, from the farthest that has a sighting.
+    Distances count in bins of `_BIN_M`, from the farthest that has a sighting. None if every sighting was near and
+    most of the farthest were detections, so that the range is not known.
     """
     bins: dict[int, list[bool]] = {}
     for sample in samples:
@@ -280,6 +426,8 @@ def _range_m(samples: Sequence[_Sample]) -> float:
         if 2 * sum(bins[number]) >= len(bins[number]):
             break
         range_m = number * _BIN_M
+    if range_m == RELEVANT_M and all(number * _BIN_M < RANGE_FROM_M for number in bins):
+        return None
     return range_m
 
 
@@ -287,13 +435,22 @@ def _area(box: Box) -> float:
     return (box.x_max_px - box.x_min_px) * (box.y_max_px - box.y_min_px)
 
 
-def _overlap(one: Box, other: Box) -> float:
-    """Return the intersection over union of two boxes, whatever their labels."""
+def _shared(one: Box, other: Box) -> float:
+    """Return the area that two boxes share."""
     wide = min(one.x_max_px, other.x_max_px) - max(one.x_min_px, other.x_min_px)
     high = min(one.y_max_px, other.y_max_px) - max(one.y_min_px, other.y_min_px)
-    if wide <= 0.0 or high <= 0.0:
-        return 0.0
-    return wide * high / (_area(one) + _area(other) - wide * high)
+    return max(wide, 0.0) * max(high, 0.0)
+
+
+def _overlap(one: Box, other: Box) -> float:
+    """Return the intersection over union of two boxes, whatever their labels."""
+    shared = _shared(one, other)
+    return shared / (_area(one) + _area(other) - shared) if shared > 0.0 else 0.0
+
+
+def _inside(box: Box, region: Box) -> float:
+    """Return the share of a box that lies in a region."""
+    return _shared(box, region) / _area(box)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -303,9 +460,9 @@ class MeasuredDrive:
     Attributes:
         name: Name of the drive.
         condition: Name of its condition; None if it is unknown.
-        measures: Magnitude of each type of error, by target.
+        errors: How wrong the detector was.
     """
 
     name: str
     condition: str | None
-    measures: Measures
+    errors: DriveErrors

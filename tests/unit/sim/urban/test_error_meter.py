@@ -13,7 +13,7 @@ from brink.sim.episode import EpisodeSpec
 from brink.sim.urban.camera import BrinkDriveCamera
 from brink.sim.urban.detection_errors import MAGNITUDES, RELEVANT_M, ErrorType, Target
 from brink.sim.urban.detection_files import CameraModel, DetectionFileError, read_coco, read_csv
-from brink.sim.urban.error_meter import MEASURES, ErrorMeter, Measures, TrueBox
+from brink.sim.urban.error_meter import MEASURES, RANGE_FROM_M, ErrorMeter, Measures, ReportedBox, TrueBox
 
 CAMERA = Camera()
 STEPS = 100
@@ -37,8 +37,8 @@ def measured(report: Report, true: Box = LEAD, kind: Target = Target.LEAD) -> Me
     meter = ErrorMeter(CAMERA)
     for step in range(STEPS):
         box = report(step, true)
-        meter.see(step / 10, [TrueBox(7, true, kind, True)], [] if box is None else [box])
-    return meter.measures()
+        meter.see(step / 10, [TrueBox(7, true, kind, True)], [] if box is None else [ReportedBox(box)])
+    return meter.errors().magnitudes
 
 
 def at_distance(box: Box, depth_m: float) -> Box:
@@ -47,7 +47,8 @@ def at_distance(box: Box, depth_m: float) -> Box:
 
 def test_a_true_report_has_no_error() -> None:
     found = measured(lambda step, box: box)
-    assert set(found) == {Target.LEAD, Target.EVERYBODY}
+    assert set(found) == {Target.LEAD, Target.EVERYBODY, Target.PEDESTRIAN}
+    assert set(found[Target.PEDESTRIAN]) == {ErrorType.GHOST_ON_ROAD}
     for errors in found.values():
         assert {kind: MAGNITUDES[kind].severity(value) for kind, value in errors.items()} == dict.fromkeys(
             errors, 0.0
@@ -73,8 +74,8 @@ def test_a_true_report_has_no_error() -> None:
 def test_each_error_is_measured_in_its_unit(report: Report, kind: ErrorType, expected: float) -> None:
     errors = measured(report)[Target.LEAD]
     assert errors[kind] == pytest.approx(expected, abs=1e-6)
-    if kind is not ErrorType.MISS:
-        assert errors[ErrorType.MISS] == (0.5 if kind is ErrorType.FLICKER else 0.0)
+    missed_s = {ErrorType.MISS: 1.3, ErrorType.LATE: 1.3, ErrorType.FLICKER: 0.5}
+    assert errors[ErrorType.MISS] == pytest.approx(missed_s.get(kind, 0.0))
 
 
 def test_sizes_are_measured_about_the_centre() -> None:
@@ -98,30 +99,36 @@ def test_a_range_is_short_only_if_there_was_something_beyond_it() -> None:
     for step in range(STEPS):
         depth_m = 50.0 - 0.4 * step
         box = standing(depth_m)
-        meter.see(step / 10, [TrueBox(1, box, Target.LEAD, True)], [box] if depth_m <= 25.0 else [])
-    assert meter.measures()[Target.LEAD][ErrorType.SHORT_RANGE] == pytest.approx(25.0, abs=0.5)
-    assert measured(lambda step, box: box)[Target.LEAD][ErrorType.SHORT_RANGE] == RELEVANT_M
+        meter.see(
+            step / 10, [TrueBox(1, box, Target.LEAD, True)], [ReportedBox(box)] if depth_m <= 25.0 else []
+        )
+    assert meter.errors().magnitudes[Target.LEAD][ErrorType.SHORT_RANGE] == pytest.approx(25.0, abs=0.5)
+    far = measured(lambda step, box: box, standing(RANGE_FROM_M + 1.0))
+    assert far[Target.LEAD][ErrorType.SHORT_RANGE] == RELEVANT_M
+    assert ErrorType.SHORT_RANGE not in measured(lambda step, box: box)[Target.LEAD]
 
 
 def test_a_few_far_detections_are_no_range() -> None:
     meter = ErrorMeter(CAMERA)
     for step in range(STEPS):
         box = standing(58.0 - 0.5 * step)
-        meter.see(step / 10, [TrueBox(1, box, Target.LEAD, True)], [box] if step in (1, 50) else [])
-    assert meter.measures()[Target.LEAD][ErrorType.SHORT_RANGE] < 10.0
+        meter.see(
+            step / 10, [TrueBox(1, box, Target.LEAD, True)], [ReportedBox(box)] if step in (1, 50) else []
+        )
+    assert meter.errors().magnitudes[Target.LEAD][ErrorType.SHORT_RANGE] < 10.0
 
 
 def test_what_is_missed_beyond_the_relevant_distance_does_not_count() -> None:
     far = standing(RELEVANT_M + 5.0)
-    assert Target.LEAD not in measured(lambda step, box: None, far)
+    assert set(measured(lambda step, box: None, far)[Target.LEAD]) == {ErrorType.GHOST_ON_ROAD}
 
 
 def test_a_detection_in_the_lane_where_nothing_is_counts_as_a_ghost() -> None:
     meter, far, ghost = ErrorMeter(CAMERA), standing(40.0), standing(8.0, 0.3)
     for step in range(STEPS):
-        boxes = [far, ghost] if step < 7 else [far]
+        boxes = [ReportedBox(far), ReportedBox(ghost)] if step < 7 else [ReportedBox(far)]
         meter.see(step / 10, [TrueBox(1, far, Target.LEAD, True)], boxes)
-    assert meter.measures()[Target.LEAD][ErrorType.GHOST_ON_ROAD] == pytest.approx(0.7)
+    assert meter.errors().magnitudes[Target.LEAD][ErrorType.GHOST_ON_ROAD] == pytest.approx(0.7)
     assert measured(lambda step, box: box)[Target.LEAD][ErrorType.GHOST_ON_ROAD] == 0.0
 
 
@@ -129,7 +136,85 @@ def test_a_target_that_is_hardly_there_is_not_measured() -> None:
     meter = ErrorMeter(CAMERA)
     for step in range(5):
         meter.see(step / 10, [TrueBox(1, LEAD, Target.LEAD, True)], [])
-    assert meter.measures() == {}
+    assert all(set(errors) == {ErrorType.GHOST_ON_ROAD} for errors in meter.errors().magnitudes.values())
+
+
+def test_a_target_that_is_never_reported_is_missed_and_late_for_its_whole_life() -> None:
+    found = measured(lambda step, box: None)[Target.LEAD]
+    assert found[ErrorType.MISS] == found[ErrorType.LATE] == pytest.approx(STEPS / 10)
+    assert found[ErrorType.FLICKER] == 1.0
+    # Nobody knows where a detection would have been.
+    assert not found.keys() & {ErrorType.TOO_FAR, ErrorType.LEFT, ErrorType.TOO_LARGE, ErrorType.WRONG_LABEL}
+
+
+def test_a_miss_counts_while_the_road_user_is_a_target_whatever_it_was_before() -> None:
+    meter, beside, ahead = ErrorMeter(CAMERA), standing(20.0, 3.5), standing(20.0)
+    for step in range(STEPS):
+        is_target = step >= 50
+        box = ahead if is_target else beside
+        reported = [] if 50 <= step < 90 else [ReportedBox(box)]
+        meter.see(step / 10, [TrueBox(1, box, Target.LEAD, is_target)], reported)
+    errors = meter.errors()
+    assert errors.magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(4.0)
+    assert errors.magnitudes[Target.LEAD][ErrorType.LATE] == 0.0
+    assert errors.spans[Target.LEAD][ErrorType.MISS] == (5.0, pytest.approx(4.0), 1)
+
+
+def test_time_out_of_sight_is_no_delay() -> None:
+    meter = ErrorMeter(CAMERA)
+    for step in range(240):
+        is_hidden = 20 <= step < 220
+        hidden = TrueBox(1, LEAD, Target.LEAD, not is_hidden, is_visible=not is_hidden)
+        truth = [] if 120 <= step < 220 else [hidden]
+        meter.see(step / 10, truth, [])
+    errors = meter.errors()
+    assert errors.magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(2.0)
+    assert errors.magnitudes[Target.LEAD][ErrorType.LATE] == pytest.approx(4.0)
+    assert ErrorType.LATE in errors.at_least[Target.LEAD]
+
+
+def test_a_report_while_out_of_sight_is_the_first_detection_and_no_ghost() -> None:
+    meter, near = ErrorMeter(CAMERA), standing(12.0)
+    for step in range(STEPS):
+        is_visible = step >= 10
+        true = TrueBox(1, near, Target.LEAD, is_visible, is_visible=is_visible)
+        meter.see(step / 10, [true], [ReportedBox(near)])
+    found = meter.errors().magnitudes[Target.LEAD]
+    assert (found[ErrorType.LATE], found[ErrorType.GHOST_ON_ROAD]) == (0.0, 0.0)
+
+
+def test_nobody_knows_how_late_what_an_excerpt_begins_with_was_reported() -> None:
+    for is_excerpt in (False, True):
+        for missed in (0, 3):
+            meter = ErrorMeter(CAMERA, is_excerpt=is_excerpt)
+            for step in range(STEPS):
+                reported = [] if step < missed else [ReportedBox(LEAD)]
+                meter.see(step / 10, [TrueBox(1, LEAD, Target.LEAD, True)], reported)
+            errors = meter.errors()
+            assert errors.magnitudes[Target.LEAD][ErrorType.LATE] == pytest.approx(missed / 10)
+            assert (ErrorType.LATE in errors.at_least.get(Target.LEAD, ())) is is_excerpt
+            assert (ErrorType.MISS in errors.at_least.get(Target.LEAD, ())) is (is_excerpt and missed > 0)
+
+
+def test_what_is_reported_where_nothing_was_labelled_is_no_ghost() -> None:
+    ghost, far = standing(8.0), standing(40.0)
+    for ignored, expected_s in (([], STEPS / 10), ([ghost], 0.0)):
+        meter = ErrorMeter(CAMERA)
+        for step in range(STEPS):
+            truth = [TrueBox(1, far, Target.LEAD, True)]
+            meter.see(step / 10, truth, [ReportedBox(far), ReportedBox(ghost)], ignored)
+        found = meter.errors().magnitudes[Target.LEAD]
+        assert found[ErrorType.GHOST_ON_ROAD] == pytest.approx(expected_s)
+
+
+def test_places_that_are_given_count_instead_of_the_box() -> None:
+    meter = ErrorMeter(CAMERA)
+    for step in range(STEPS):
+        true = TrueBox(1, LEAD, Target.LEAD, True, depth_m=30.0, left_m=0.0)
+        meter.see(step / 10, [true], [ReportedBox(LEAD, depth_m=36.0, left_m=0.5)])
+    found = meter.errors().magnitudes[Target.LEAD]
+    assert (found[ErrorType.TOO_FAR], found[ErrorType.LEFT]) == (pytest.approx(0.2), pytest.approx(0.5))
+    assert found[ErrorType.SHORT_RANGE] == RELEVANT_M
 
 
 def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
@@ -140,13 +225,13 @@ def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
             "road_length": 0, "driving_task": "follow_road",
         },
         behaviour={"mode": "detector", "detector": "brink-det@2", "threshold": 0.5},
-        requirements=("front-gap@1",), seed=1, duration_s=3.0, options={"fidelity": "bicycle"},
+        requirements=("front-gap@1",), seed=1, duration_s=5.0, options={"fidelity": "bicycle"},
     )  # fmt: skip
     found = BrinkDriveCamera().run(spec).features[MEASURES]
     assert isinstance(found, dict)
     lead = found["lead"]
     assert isinstance(lead, dict)
-    assert set(lead) >= {kind.value for kind in (ErrorType.MISS, ErrorType.TOO_FAR, ErrorType.SHORT_RANGE)}
+    assert set(lead) >= {kind.value for kind in (ErrorType.MISS, ErrorType.TOO_FAR, ErrorType.LATE)}
     assert float(str(lead["too_far"])) < 0.3
     assert float(str(lead["miss"])) < 3.0
 
@@ -178,8 +263,8 @@ def written(path: Path, lines: list[str], header: str = HEADER) -> Path:
 def test_a_csv_file_is_measured_like_a_drive(tmp_path: Path) -> None:
     (drive,) = read_csv(written(tmp_path, rows()))
     assert (drive.name, drive.condition) == ("a", "by night")
-    assert drive.measures[Target.LEAD][ErrorType.MISS] == pytest.approx(1.3)
-    assert drive.measures[Target.LEAD][ErrorType.TOO_FAR] == pytest.approx(0.0, abs=1e-9)
+    assert drive.errors.magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(1.3)
+    assert drive.errors.magnitudes[Target.LEAD][ErrorType.TOO_FAR] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_boxes_of_another_camera_mean_the_same_places(tmp_path: Path) -> None:
@@ -198,9 +283,9 @@ def test_of_several_vehicles_the_nearest_in_the_lane_is_the_lead(tmp_path: Path)
             sides = f"{box.x_min_px},{box.x_max_px},{box.y_min_px},{box.y_max_px}"
             lines.append(f"a,{step / 10:.3f},truth,{track},car,{sides},,by night")
     (drive,) = read_csv(written(tmp_path, lines))
-    assert drive.measures[Target.LEAD][ErrorType.MISS] == pytest.approx(1.3)
-    assert drive.measures[Target.LEAD][ErrorType.LATE] == 0.0
-    assert Target.ONCOMING not in drive.measures
+    assert drive.errors.magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(1.3)
+    assert drive.errors.magnitudes[Target.LEAD][ErrorType.LATE] == 0.0
+    assert Target.ONCOMING not in drive.errors.magnitudes
 
 
 def replaced(lines: list[str], place: int, old: str, new: str) -> list[str]:
@@ -266,9 +351,9 @@ def in_files(folder: Path, document: Any, results: Any) -> tuple[Path, Path]:
 def test_a_coco_data_set_with_sequences_is_measured(tmp_path: Path) -> None:
     (drive,) = read_coco(*in_files(tmp_path, *coco()), frames_per_s=10.0)
     assert (drive.name, drive.condition) == ("4", None)
-    assert drive.measures[Target.LEAD][ErrorType.MISS] == pytest.approx(1.3)
+    assert drive.errors.magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(1.3)
     (sure,) = read_coco(*in_files(tmp_path, *coco()), frames_per_s=10.0, threshold=0.3)
-    assert sure.measures[Target.LEAD][ErrorType.MISS] == 0.0
+    assert sure.errors.magnitudes[Target.LEAD][ErrorType.MISS] == 0.0
 
 
 @pytest.mark.parametrize(
