@@ -8,6 +8,7 @@ import numpy as np
 
 from brink.server.problems.urban_injected import REQUIREMENTS
 from brink.sim.urban.detection_errors import MAGNITUDES, ErrorType
+from brink.sim.urban.error_meter import MEASURES
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 from support.api import FakeWorker, submit
 
@@ -31,7 +32,7 @@ def body(seed: int = 1, simulations: int = 1400, **changes: Any) -> dict[str, An
 def camera(seed: int = 3) -> dict[str, Any]:
     return {
         "name": "camera", "problem": {"id": "urban-camera@1"}, "algorithm": {"id": "random@1"},
-        "budget": {"simulations": 60}, "seed": seed,
+        "budget": {"simulations": 200}, "seed": seed,
     }  # fmt: skip
 
 
@@ -52,7 +53,7 @@ def judge(job: LeasedJob) -> Completed | JobFailed:
     if spec["behaviour"]["mode"] == "detector":
         miss = 6.0 if spec["scenario"]["time_of_day"] == "night" else 0.4
         measures = {"lead": {"miss": miss * chance[1], "left": 0.1}}
-        return outcome(bool(chance[0] < 0.1), {"detector_errors": measures})
+        return outcome(bool(chance[0] < 0.1), {MEASURES: measures})
     unsafe = bool(chance[0] < 0.15)
     for error in spec["behaviour"]["errors"]:
         severity = MAGNITUDES[ErrorType(error["type"])].severity(error["magnitude"])

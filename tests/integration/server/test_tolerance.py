@@ -169,28 +169,74 @@ def test_a_detector_is_held_against_the_tolerances(service: Service) -> None:
     assert by_night["beyond"] > 0 == by_day["beyond"]
     assert by_night["low"] > view["limit"] > by_day["high"]
     assert len(by_night["worst"]) == 5
-    assert sum(one["drives"] for one in view["conditions"]) == 60
-    assert sum(one["violations"] for one in view["conditions"]) < 20
+    assert sum(one["drives"] for one in view["conditions"]) == 200
+    assert sum(one["violations"] for one in view["conditions"]) < 40
+    assert view["cells"][0]["result"] == "not met"
+    # No drive had a pedestrian.
+    nobody = [cell for cell in view["cells"] if "pedestrian" in cell["choices"].values()]
+    assert {(cell["result"], cell["share"], cell["high"]) for cell in nobody} == {("no data", None, None)}
+    assert "by day: not reporting the nearest pedestrian for …, " in view["no_data"]
+    assert any("By night: about 59 more drives with a pedestrian near the lane" in words for words in view["next"])
 
 
-def test_drives_without_the_target_say_too_little_and_without_the_type_nothing(service: Service) -> None:
-    path = f"{API}/{service.campaign}/tolerance/detector"
-    for measures, result in (({}, "not enough data"), ({"lead": {"left": 0.1}}, "not measured")):
-        drives = [{"name": f"d{i}", "measures": measures} for i in range(40)]
-        view = expect(service.client.post(path, json={"detector": "mine", "drives": drives}))
-        assert view["cells"][0]["choices"]["behaviour.error_1.type"] == "miss"
-        assert view["cells"][0]["result"] == result
-
-
-def test_few_drives_say_too_little(service: Service) -> None:
-    drives = [
-        {"name": f"d{i}", "condition": "by night", "measures": {"lead": {"miss": 0.1, "left": 0.0}}}
-        for i in range(9)
-    ]
+def judged(service: Service, drives: list[Any]) -> dict[tuple[str, ...], Any]:
+    """Return what the coordinator says of drives, by type, target and condition."""
     path = f"{API}/{service.campaign}/tolerance/detector"
     view = expect(service.client.post(path, json={"detector": "mine", "drives": drives}))
-    assert {cell["result"] for cell in view["cells"]} == {"not enough data"}
-    assert {cell["drives"] for cell in view["cells"]} == {0, 9}
+    return {(*cell["choices"].values(), cell["condition"]): cell for cell in view["cells"]}
+
+
+def test_drives_that_do_not_tell_give_no_verdict(service: Service) -> None:
+    silent: list[dict[str, Any]] = [
+        {"measures": {}},
+        {"measures": {"lead": {"left": 0.1}}},
+        {"measures": {"pedestrian": {"miss": 0.0}}},
+        {"measures": {"lead": {"miss": 0.0}}, "at_least": {"lead": ["miss"]}},
+    ]
+    for drive in silent:
+        cells = judged(service, [{"name": f"d{i}", "condition": "by night", **drive} for i in range(200)])
+        cell = cells["miss", "lead", "by night"]
+        assert (cell["result"], cell["drives"], cell["share"], cell["needed"]) == ("no data", 0, None, 59)
+
+
+def test_few_drives_say_too_little_and_how_many_would_do(service: Service) -> None:
+    def drives(count: int) -> list[Any]:
+        measures = {"lead": {"miss": 0.1, "left": 0.0}}
+        return [{"name": f"d{i}", "condition": "by night", "measures": measures} for i in range(count)]
+
+    few = judged(service, drives(20))["miss", "lead", "by night"]
+    assert (few["result"], few["drives"]) == ("not enough data", 20)
+    assert few["high"] > few["low"]
+    assert 30 < few["needed"] <= 70
+    enough = judged(service, drives(few["needed"] + 10))["miss", "lead", "by night"]
+    assert (enough["result"], enough["needed"]) == ("met", None)
+    assert enough["high"] > 0.0
+
+
+def test_a_blind_detector_is_not_met_after_a_dozen_drives(service: Service) -> None:
+    blind = [
+        {"name": f"d{i}", "condition": "by night", "measures": {"lead": {"miss": 8.0}}} for i in range(12)
+    ]
+    assert judged(service, blind)["miss", "lead", "by night"]["result"] == "not met"
+
+
+def test_drives_without_a_condition_count_under_all_drives_alone(service: Service) -> None:
+    bad = {"measures": {"lead": {"miss": 6.0}}}
+    cells = judged(service, [{"name": f"d{i}", **bad} for i in range(40)])
+    assert cells["miss", "lead", "all drives"]["result"] == "not met"
+    for condition in ("by day", "by night"):
+        assert cells["miss", "lead", condition]["result"] == "no data"
+    named = judged(service, [{"name": "d", "condition": "by day", **bad}])
+    assert ("miss", "lead", "all drives") not in named
+
+
+def test_what_is_beyond_the_scale_may_be_as_bad_as_can_be(service: Service) -> None:
+    def cell(magnitude: float) -> Any:
+        measures = {"pedestrian": {"left": magnitude}}
+        drives = [{"name": f"d{i}", "condition": "by day", "measures": measures} for i in range(40)]
+        return judged(service, drives)["left", "pedestrian", "by day"]
+
+    assert cell(4.0)["high"] < 0.2 < 0.9 < cell(9.0)["high"]
 
 
 @pytest.mark.parametrize(
