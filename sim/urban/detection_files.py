@@ -21,7 +21,14 @@ from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.errors import SimulatorError
 from brink.sim.urban.detection_errors import PEDESTRIAN_WITHIN_M, Target
-from brink.sim.urban.error_meter import HALF_LANE_M, SUSTAINED_S, ErrorMeter, MeasuredDrive, ReportedBox, TrueBox
+from brink.sim.urban.error_meter import (
+    HALF_LANE_M,
+    SUSTAINED_S,
+    ErrorMeter,
+    MeasuredDrive,
+    ReportedBox,
+    TrueBox,
+)
 from brink.user_file import read_file, read_text
 
 COLUMNS: Final = ("drive", "time_s", "source", "id", "label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
