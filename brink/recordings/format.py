@@ -4,7 +4,7 @@ The builder owns what all formats share: boxes are checked against the camera's 
 track occurs once in an image, and a recording stays within its bounds.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -81,6 +81,56 @@ class RecordingBuilder:
             drive.camera = self.options.camera_of(name) or camera
         return drive
 
+    def check_size(self, where: str, drive: RecordedDrive, width_px: float, height_px: float) -> None:
+        """Check that the camera of a drive has the size that its files say.
+
+        Raises:
+            RecordingError: It has another.
+        """
+        camera = drive.camera
+        if camera is not None and (camera.width_px, camera.height_px) != (width_px, height_px):
+            raise RecordingError(
+                f"{where}: the images of drive {drive.name} are {width_px:g} x {height_px:g} px, but those of its "
+                f"camera {camera.width_px:g} x {camera.height_px:g} px"
+            )
+
+    def note_assumed_camera(self, where: Path) -> None:
+        """Note that the cameras of some drives were assumed, unless the user gave all."""
+        if any(self.options.camera_of(name) is None for name in self.recording.drives):
+            self.recording.notes.append(
+                f"{where} does not say which camera took the images: assumed a level one with a horizontal field of "
+                f"view of {ASSUMED_FOV_DEG:g} degrees, {_OWN.above_m:g} m above the ground; distances depend on it "
+                "(--camera or --calibration)"
+            )
+
+    def pair_sequences(
+        self, truth: Mapping[str, Path], detections: Mapping[str, Path], looked_for: str
+    ) -> list[tuple[str, Path, Path]]:
+        """Return name, truth and detections of each sequence that has both; what was left out is counted and noted.
+
+        Args:
+            truth: Where the truth of each sequence is.
+            detections: Where its detections are. A file without rows says that nothing was detected.
+            looked_for: Which files were looked for, for messages.
+
+        Raises:
+            RecordingError: No sequence has both.
+        """
+        both = sorted(truth.keys() & detections.keys())
+        if not both:
+            raise RecordingError(
+                f"expected sequences with truth and detections: {looked_for}; found truth of {_names(truth)}, and "
+                f"detections of {_names(detections)}"
+            )
+        for lacking, names in (("detections", truth.keys() - both), ("truth", detections.keys() - both)):
+            if names:
+                self.recording.dropped[f"sequences without a file of {lacking}"] += len(names)
+                self.recording.notes.append(
+                    f"left out, without a file of {lacking}: {_names(names)}"
+                    + (" (an empty file says that nothing was detected)" if lacking == "detections" else "")
+                )
+        return [(name, truth[name], detections[name]) for name in both]
+
     def set_condition(self, where: str, drive: RecordedDrive, condition: object) -> None:
         """Set the condition of a drive; None says nothing.
 
@@ -107,6 +157,17 @@ class RecordingBuilder:
         self._images += len(drive.images) - before
         if self._images > MAX_IMAGES:
             raise RecordingError(f"{where}: expected at most {MAX_IMAGES} images in a recording")
+
+    def add_frames(self, where: str, drive: RecordedDrive, count: int, frames_per_s: float) -> None:
+        """Add the images of a drive that begins at 0 s, where there are none yet.
+
+        Raises:
+            RecordingError: The recording has too many images.
+        """
+        if count > MAX_IMAGES:  # said at once: that many take long to add
+            raise RecordingError(f"{where}: expected at most {MAX_IMAGES} images in a recording, got {count}")
+        for frame in range(count):
+            self.add_image(where, drive, frame / frames_per_s)
 
     def add_road_user(self, where: str, drive: RecordedDrive, time_s: float, road_user: RoadUser) -> None:
         """Add a true road user to an image, which is added if there is none.
@@ -178,6 +239,7 @@ class RecordingBuilder:
 
 
 _OWN: Final = CameraModel.own()
+_SHOWN: Final = 8
 
 
 def assumed_camera(width_px: float, height_px: float) -> CameraModel:
@@ -198,6 +260,12 @@ def target_of(where: str, name: object) -> Target | None:
             f"{where}: target: expected one of {', '.join(TARGETS)}, or nothing; got {name!r:.80}"
         )
     return TARGETS[name]
+
+
+def _names(names: Iterable[str]) -> str:
+    ordered = sorted(names)
+    more = f" and {len(ordered) - _SHOWN} more" if len(ordered) > _SHOWN else ""
+    return ", ".join(ordered[:_SHOWN]) + more or "none"
 
 
 def _area(sides: Sides) -> float:

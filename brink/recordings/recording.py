@@ -19,7 +19,7 @@ MAX_BYTES: Final = 512 * 1024**2
 """Maximum size of a file."""
 MAX_BOXES: Final = 5_000_000
 """Most boxes of a recording."""
-MAX_IMAGES: Final = 2_000_000
+MAX_IMAGES: Final = 1_000_000
 """Most images of a recording."""
 MAX_SEQUENCES: Final = 10_000
 """Most files or folders that are looked at in a folder."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from brink.recordings.files import first_bytes, read_json
-from brink.recordings.format import ASSUMED_FOV_DEG, Format, RecordingBuilder, assumed_camera, target_of
+from brink.recordings.format import Format, RecordingBuilder, assumed_camera, target_of
 from brink.recordings.recording import (
     ClassMeaning,
     Detection,
@@ -81,28 +81,20 @@ def _categories(path: Path, document: Mapping[str, Any], options: ReadOptions) -
 
 def _add_images(path: Path, document: Mapping[str, Any], builder: RecordingBuilder) -> dict[Any, _CocoImage]:
     images: dict[Any, _CocoImage] = {}
-    sizes: dict[str, tuple[float, float]] = {}
     for where, image in _objects(path, document, "images", ("id", "width", "height")):
         name = image.get("video_id", image.get("sequence"))
         if not isinstance(name, int | str) or isinstance(name, bool) or name == "":
             raise RecordingError(f"{where}: expected video_id or sequence, so that images have an order")
         size_px = _positive(where, image, "width"), _positive(where, image, "height")
-        if sizes.setdefault(str(name), size_px) != size_px:
-            raise RecordingError(
-                f"{where}: expected all images of sequence {name} in one size, got {size_px}"
-            )
         drive = builder.drive(str(name), assumed_camera(*size_px))
+        builder.check_size(where, drive, *size_px)
         builder.set_condition(where, drive, image.get("condition"))
         time_s = _time_of(where, image, builder.options.frames_per_s)
         builder.add_image(where, drive, time_s)
         if image["id"] in images:
             raise RecordingError(f"{where}: expected each id of an image once, got {image['id']!r:.80} twice")
         images[image["id"]] = _CocoImage(drive=drive, time_s=time_s)
-    if any(builder.options.camera_of(name) is None for name in sizes):
-        builder.recording.notes.append(
-            f"{path} does not say what camera took the images: assumed a level one with a horizontal field of view "
-            f"of {ASSUMED_FOV_DEG:g} degrees (--camera or --calibration)"
-        )
+    builder.note_assumed_camera(path)
     return images
 
 

@@ -48,7 +48,7 @@ def test_sequences_become_drives_and_results_keep_their_scores(tmp_path: Path) -
     assert drive.camera is not None
     assert drive.camera.width_px == 960.0
     assert drive.camera.fx_px == pytest.approx(480.0)
-    assert any("does not say what camera" in note for note in recording.notes)
+    assert any("does not say which camera" in note for note in recording.notes)
 
 
 def test_crowds_are_regions_and_annotations_say_more(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def without(item: Json, name: str) -> Json:
         (lambda d, r: ({**d, "images": [d["images"][0]] * 2}, r), "each id of an image once, got 0 twice"),
         (
             lambda d, r: ({**d, "images": [d["images"][0], {**d["images"][1], "width": 9}]}, r),
-            "all images of sequence 4 in one size",
+            "the images of drive 4 are 9 x 540 px, but those of its camera 960 x 540 px",
         ),
         (
             lambda d, r: ({**d, "annotations": [without(d["annotations"][0], "track_id")]}, r),
