@@ -103,7 +103,7 @@ class CameraModel:
             raise CameraError(f"{where}: expected a camera with {', '.join(_FIELDS)}; got {document!r:.80}")
         given = {"fy": document.get("fx"), "pitch_deg": 0.0, **document}
         unknown = [f"unknown: {name!r:.40}" for name in given if name not in _FIELDS]
-        wrong = [f"{name}: {given.get(name)!r:.40}" for name in _FIELDS if not _is_number(given.get(name))]
+        wrong = [f"{name}: {given.get(name)!r:.40}" for name in _FIELDS if not is_number(given.get(name))]
         if unknown or wrong:
             raise CameraError(
                 f"{where}: expected the numbers {', '.join(_FIELDS)} (fy and pitch_deg are optional); "
@@ -151,5 +151,11 @@ class CameraModel:
         return (down * math.cos(pitch_rad) + math.sin(pitch_rad)) / ahead, ahead
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def is_number(value: object) -> bool:
+    """Return whether a value of a document is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond those of floating point
+        return False

@@ -208,8 +208,9 @@ class RecordingBuilder:
         """Add a detection; it makes no image.
 
         Raises:
-            RecordingError: Its box cannot be.
+            RecordingError: Its box cannot be, or it is reported behind the camera.
         """
+        _check_distance(where, detection.distance_m)
         sides = self._sides(where, drive, detection.sides)
         if sides is not None:
             drive.report(time_s, detection if sides == detection.sides else replace(detection, sides=sides))
@@ -225,7 +226,7 @@ class RecordingBuilder:
     def drop_detection(self, where: str, name: str) -> None:
         """Count a detection of a class to ignore."""
         self._count_box(where)
-        self.recording.dropped[f"detections of the class {name.strip().lower()}, which is ignored"] += 1
+        self.recording.dropped[f"detections of the class {name.strip().lower():.40}, which is ignored"] += 1
 
     def _sides(self, where: str, drive: RecordedDrive, sides: Sequence[float]) -> Sides | None:
         self._count_box(where)
@@ -283,7 +284,11 @@ def _check_said(where: str, road_user: RoadUser) -> None:
     for name, share in (("visible_share", road_user.visible_share), ("truncation", road_user.truncation)):
         if share is not None and not 0.0 <= share <= 1.0:
             raise RecordingError(f"{where}: {name}: expected a share between 0 and 1, got {share:g}")
-    if road_user.distance_m is not None and road_user.distance_m < 0.0:
+    _check_distance(where, road_user.distance_m)
+
+
+def _check_distance(where: str, distance_m: float | None) -> None:
+    if distance_m is not None and distance_m < 0.0:
         raise RecordingError(
-            f"{where}: distance_m: expected the distance of something ahead, got {road_user.distance_m:g}"
+            f"{where}: distance_m: expected the distance of something ahead, got {distance_m:g}"
         )

@@ -52,10 +52,12 @@ def read_recording(
         RecordingError: The format is unknown, or the files cannot be used.
     """
     options = options or ReadOptions()
-    chosen = _recognised(detections, truth) if format is None else _named(format)
-    recording = chosen.read(
-        detections, truth, replace(options, classes={**chosen.classes, **options.classes})
-    )
+    try:
+        chosen = _recognised(detections, truth) if format is None else _named(format)
+        classes = {**chosen.classes, **options.classes}
+        recording = chosen.read(detections, truth, replace(options, classes=classes))
+    except OSError as error:
+        raise RecordingError(f"{error.filename or detections}: {error.strerror or error}") from error
     unknown = sorted((options.cameras.keys() | options.conditions.keys()) - recording.drives.keys())
     if unknown:
         raise RecordingError(

@@ -1,11 +1,11 @@
 """Recordings as a data set in COCO format, whose images have a sequence and a time, and COCO's format of results."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from brink.recordings.camera import is_number
 from brink.recordings.files import first_bytes, read_json
 from brink.recordings.format import Format, RecordingBuilder, assumed_camera, target_of
 from brink.recordings.recording import (
@@ -113,7 +113,7 @@ def _add_annotations(
             builder.add_region(where, image.drive, image.time_s, sides)
             continue
         if name.strip().lower() not in builder.options.classes:
-            builder.recording.dropped[f"true boxes of the class {name}"] += 1
+            builder.recording.dropped[f"true boxes of the class {name:.40}"] += 1
             continue
         label = builder.label(where, name)
         if label is None:
@@ -156,7 +156,7 @@ def _add_results(
         if score is None:
             raise RecordingError(f"{where}: score: expected a number, got None")
         if name.strip().lower() not in builder.options.classes:
-            builder.recording.dropped[f"detections of the class {name}"] += 1
+            builder.recording.dropped[f"detections of the class {name:.40}"] += 1
             continue
         label = builder.label(where, name)
         if label is None:
@@ -209,19 +209,15 @@ def _category_of(where: str, item: Mapping[str, Any], categories: Mapping[Any, s
 
 
 def _time_of(where: str, image: Mapping[str, Any], frames_per_s: float | None) -> float:
-    if _is_number(image.get("time_s")):
+    if is_number(image.get("time_s")):
         return float(image["time_s"])
     frame = image.get("frame_id", image.get("frame_index"))
-    if _is_number(frame) and frames_per_s:
+    if is_number(frame) and frames_per_s:
         return float(frame) / frames_per_s
     raise RecordingError(
         f"{where}: expected time_s, or frame_id and the number of frames per second (frames_per_s in the file of "
         "--calibration)"
     )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _positive(where: str, item: Mapping[str, Any], name: str) -> float:
@@ -235,13 +231,13 @@ def _optional(where: str, item: Mapping[str, Any], name: str) -> float | None:
     value = item.get(name)
     if value is None:
         return None
-    if not _is_number(value):
+    if not is_number(value):
         raise RecordingError(f"{where}: {name}: expected a number, got {value!r:.80}")
     return float(value)
 
 
 def _sides(where: str, bbox: Any) -> Sides:
-    if not (isinstance(bbox, list) and len(bbox) == 4 and all(map(_is_number, bbox))):
+    if not (isinstance(bbox, list) and len(bbox) == 4 and all(map(is_number, bbox))):
         raise RecordingError(f"{where}: bbox: expected x, y, width and height, got {bbox!r:.80}")
     x, y, wide, high = map(float, bbox)
     if wide < 0.0 or high < 0.0:

@@ -15,6 +15,9 @@ import pytest
 from brink.guard.drives import load_drives
 from brink.packed import read_arrays
 from brink.python.study import Study
+from brink.recordings.files import read_json
+from brink.recordings.reading import read_recording, read_settings
+from brink.recordings.recording import RecordingError
 from brink.search.analysis.monitor import Monitor
 from brink.search.document import Document
 from brink.search.errors import DocumentError
@@ -54,6 +57,12 @@ READERS: dict[Callable[[Path], Any], type[Exception]] = {
     read_csv: DetectionFileError,
     _json: DetectionFileError,
     read_coco: DatasetError,
+    read_settings: InvalidInput,
+    lambda path: read_recording(path, path, format="csv"): RecordingError,
+    lambda path: read_recording(path, path, format="coco"): RecordingError,
+    lambda path: read_recording(path, path, format="kitti"): RecordingError,
+    lambda path: read_recording(path, path, format="mot"): RecordingError,
+    lambda path: read_recording(path): RecordingError,
     lambda path: weights_file(f"onnx:{path}"): DetectorError,
     lambda path: _bytes(str(path)): OwnFilesError,
     lambda path: read_text(path, MIB): OSError,
@@ -69,6 +78,20 @@ def test_a_pipe_and_a_device_are_refused_at_once(reader: Callable[[Path], Any], 
     for path in (pipe, Path("/dev/zero")):
         with pytest.raises(READERS[reader]):
             reader(path)
+
+
+@pytest.mark.timeout(30)
+def test_pipes_in_the_folders_of_a_recording_are_refused_at_once(tmp_path: Path) -> None:
+    for folder in ("kitti", "S/gt", "S/det"):
+        (tmp_path / folder).mkdir(parents=True)
+    for pipe in ("kitti/0000.txt", "S/gt/gt.txt", "S/det/det.txt"):
+        os.mkfifo(tmp_path / pipe)
+    with pytest.raises(RecordingError):
+        read_recording(tmp_path / "kitti", tmp_path / "kitti", format="kitti")
+    with pytest.raises(RecordingError):
+        read_recording(tmp_path / "S", tmp_path, format="mot")
+    with pytest.raises(RecordingError):
+        read_recording(tmp_path)
 
 
 @pytest.mark.timeout(30)
@@ -164,6 +187,7 @@ def test_json_that_is_nested_too_deeply_is_an_error(tmp_path: Path) -> None:
     file.write_text("[" * 100_000)
     for reader, kind in (
         (_json, DetectionFileError),
+        (read_json, RecordingError),
         (Study.load, DocumentError),
         (Monitor.load, DocumentError),
     ):

@@ -135,6 +135,7 @@ def without(item: Json, name: str) -> Json:
         (lambda d, r: (d, [{**r[0], "category_id": 5000}]), "expected the id of a category, got 5000"),
         (lambda d, r: (d, [{**r[0], "bbox": [1, 2, -1, 4]}]), "got a negative size"),
         (lambda d, r: (d, [{**r[0], "bbox": [1, 2, 3]}]), "expected x, y, width and height"),
+        (lambda d, r: (d, [{**r[0], "bbox": [1, 2, 3, 10**400]}]), "expected x, y, width and height"),
         (lambda d, r: (d, [{"image_id": 0}]), "expected image_id, category_id, bbox and score"),
         (lambda d, r: (d, [{**r[0], "score": "0.9"}]), "result 0: score: expected a number, got '0.9'"),
         (lambda d, r: (d, [{**r[0], "image_id": [0]}]), "result 0: image_id: expected an id, got"),

@@ -192,6 +192,14 @@ def test_a_value_of_an_optional_column_is_checked(
         read(tmp_path, [f"{TRUTH},{value}"], f"{HEADER},{column}")
 
 
+def test_a_detection_is_ahead_and_in_no_region_to_ignore(tmp_path: Path) -> None:
+    row = TRUTH.replace("truth,7", "detection,")
+    with pytest.raises(RecordingError, match="distance_m: expected the distance of something ahead, got -3"):
+        read(tmp_path, [f"{row},-3"], f"{HEADER},distance_m")
+    with pytest.raises(RecordingError, match="ignore: expected 1 in rows of truth alone"):
+        read(tmp_path, [f"{row},1"], f"{HEADER},ignore")
+
+
 def test_conditions_belong_to_drives(tmp_path: Path) -> None:
     rows = [f"{TRUTH},day", f"b,0,truth,7,car,{BOX},", f"c,0,truth,7,car,{BOX},"]
     header = f"{HEADER},condition"

@@ -48,6 +48,10 @@ def test_what_is_not_there_is_named(tmp_path: Path) -> None:
         read_recording(tmp_path / "none", tmp_path / "truth")
     with pytest.raises(RecordingError, match=r"format: expected one of .*csv.*; got 'cvs'"):
         read_recording(csv_file(tmp_path), format="cvs")
+    with pytest.raises(RecordingError, match="File name too long"):
+        read_recording(tmp_path / ("a" * 300))
+    with pytest.raises(RecordingError, match="does not exist"):
+        read_recording(Path("a\0b"))
 
 
 def test_a_file_that_two_formats_recognise_asks_for_its_format(tmp_path: Path) -> None:
@@ -125,6 +129,7 @@ def test_settings_of_a_drive_that_is_not_there_are_refused(tmp_path: Path) -> No
         ("camera: {width: 800}", "camera: expected the numbers width, height"),
         ("drives: {a: {camera: {width: 800}}}", "camera of drive a: expected the numbers"),
         ("camera: 3", "camera"),
+        (SETTINGS.replace("1242", "1" * 400), "camera: expected the numbers width"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, words: str) -> None:
