@@ -147,3 +147,17 @@ def test_classes_have_a_meaning() -> None:
     for given in ("cyclist", "=person", "cyclist=", "cyclist=bike"):
         with pytest.raises(RecordingError, match="classes: expected CLASS=MEANING"):
             parse_classes([given])
+
+
+def test_the_documented_examples_are_read(tmp_path: Path) -> None:
+    page = Path(__file__).parents[3] / "docs" / "how-to" / "judge-a-detector-on-recordings.md"
+    blocks = page.read_text().split("```")[1::2]
+    (rows,) = (block for block in blocks if block.startswith("\ndrive,"))
+    (settings,) = (block.removeprefix("yaml") for block in blocks if block.startswith("yaml"))
+    (tmp_path / "boxes.csv").write_text(rows.strip())
+    (tmp_path / "settings.yaml").write_text(settings)
+    (drive,) = read_recording(tmp_path / "boxes.csv").drives.values()
+    assert (drive.condition, sorted(drive.images)) == ("night, wet", [0.0, 0.1])
+    image = drive.images[0.0]
+    assert (len(image.road_users), len(image.detections), len(image.ignored)) == (1, 1, 1)
+    assert read_settings(tmp_path / "settings.yaml").conditions == {"0003": "night"}
