@@ -98,9 +98,9 @@ class RecordingBuilder:
         """Note that the cameras of some drives were assumed, unless the user gave all."""
         if any(self.options.camera_of(name) is None for name in self.recording.drives):
             self.recording.notes.append(
-                f"{where} does not say which camera took the images: assumed a level one with a horizontal field of "
+                f"{where} does not say which camera took the images. Assumed a level one with a horizontal field of "
                 f"view of {ASSUMED_FOV_DEG:g} degrees, {_OWN.above_m:g} m above the ground; distances depend on it "
-                "(--camera or --calibration)"
+                "(--camera or --calibration)."
             )
 
     def pair_sequences(
@@ -126,8 +126,8 @@ class RecordingBuilder:
             if names:
                 self.recording.dropped[f"sequences without a file of {lacking}"] += len(names)
                 self.recording.notes.append(
-                    f"left out, without a file of {lacking}: {_names(names)}"
-                    + (" (an empty file says that nothing was detected)" if lacking == "detections" else "")
+                    f"Left out, without a file of {lacking}: {_names(names)}."
+                    + (" An empty file says that nothing was detected." if lacking == "detections" else "")
                 )
         return [(name, truth[name], detections[name]) for name in both]
 

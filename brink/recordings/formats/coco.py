@@ -215,8 +215,7 @@ def _time_of(where: str, image: Mapping[str, Any], frames_per_s: float | None) -
     if is_number(frame) and frames_per_s:
         return float(frame) / frames_per_s
     raise RecordingError(
-        f"{where}: expected time_s, or frame_id and the number of frames per second (frames_per_s in the file of "
-        "--calibration)"
+        f"{where}: expected time_s, or frame_id and the number of frames per second (--frames-per-s)"
     )
 
 

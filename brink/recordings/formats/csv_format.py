@@ -66,7 +66,7 @@ def _read_file(path: Path, builder: RecordingBuilder) -> None:
     _check_columns(path, names)
     unread = [name for name in names if name not in (*COLUMNS, *OPTIONAL)]
     if unread:
-        builder.recording.notes.append(f"{path}: these columns were not read: {', '.join(unread)[:200]}")
+        builder.recording.notes.append(f"Columns of {path} that were not read: {', '.join(unread)[:200]}.")
     drives_with_lanes: set[str] = set()
     for fields in rows:
         where = f"{path}:{rows.line_num}"

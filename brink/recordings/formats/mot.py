@@ -111,7 +111,7 @@ def _read_sequence(builder: RecordingBuilder, name: str, folder: Path, detection
     if rate is None:
         raise RecordingError(
             f"{folder}: expected the number of frames per second; looked for frameRate in {folder / 'seqinfo.ini'} "
-            "(or give frames_per_s in the file of --calibration)"
+            "(or give --frames-per-s)"
         )
     drive = builder.drive(name, None if info.size_px is None else assumed_camera(*info.size_px))
     if info.size_px is not None:

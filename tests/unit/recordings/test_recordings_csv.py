@@ -78,7 +78,7 @@ def test_all_optional_columns_are_read(tmp_path: Path) -> None:
     assert drive.images[0.0].ignored == [Sides(1, 2, 3, 4)]
     (detection,) = drive.images[0.0].detections
     assert (detection.score, detection.distance_m, detection.left_m) == (0.25, 22.0, -3.0)
-    assert recording.notes == [f"{tmp_path / 'boxes.csv'}: these columns were not read: speed"]
+    assert recording.notes == [f"Columns of {tmp_path / 'boxes.csv'} that were not read: speed."]
 
 
 def test_images_without_road_users_and_regions_without_class_can_be_said(tmp_path: Path) -> None:

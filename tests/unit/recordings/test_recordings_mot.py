@@ -40,7 +40,7 @@ def test_sequences_become_drives(tmp_path: Path) -> None:
     assert (detection.label, detection.sides, detection.score) == (ObstacleLabel.PERSON, walker.sides, 0.82)
     assert [one.score for one in drive.images[0.1].detections] == [12.5]
     assert drive.camera == CameraModel.level(640, 480, 90.0, 1.7)
-    assert any("assumed" in note for note in recording.notes)
+    assert any("Assumed a level" in note for note in recording.notes)
 
 
 def test_the_first_data_set_has_places_instead_of_classes(tmp_path: Path) -> None:
