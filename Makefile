@@ -26,11 +26,11 @@ $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
 
 # Each module is compiled when it is first imported; compiling all that is installed takes longer than many tests do.
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet --no-compile -c constraints.txt -e '.[dev,analysis,postgres,vision]'
+	$(PIP) install --quiet --no-compile -c constraints.txt -e '.[dev,analysis,postgres,vision,osi]'
 	touch $@ $(VENV)/.base
 
 $(VENV)/.all: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet --no-compile -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray,sumo]'
+	$(PIP) install --quiet --no-compile -c constraints.txt -e '.[dev,analysis,postgres,vision,osi,torch,ray,sumo]'
 	touch $@ $(VENV)/.dev $(VENV)/.base
 
 install: $(VENV)/.base  ## create .venv with everything that the quickstart needs

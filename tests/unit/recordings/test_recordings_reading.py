@@ -22,7 +22,7 @@ def csv_file(folder: Path) -> Path:
 
 
 def test_every_format_says_what_it_looks_for(tmp_path: Path) -> None:
-    assert {"csv", "coco", "kitti", "mot"} <= set(formats_by_name())
+    assert set(formats_by_name()) == {"csv", "coco", "kitti", "mot", "nuscenes", "osi"}
     (tmp_path / "notes.md").touch()
     with pytest.raises(RecordingError) as caught:
         read_recording(tmp_path)
