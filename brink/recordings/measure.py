@@ -288,9 +288,7 @@ def contradictions(recording: Recording) -> list[str]:
     for drive, user in _vehicles(recording.drives.values()):
         convert = _Converter(drive.camera or recording.camera, own)
         box = convert.box(user.label, user.sides)
-        depth_m = own.ground_depth_m(box.y_max_px)
-        if depth_m is None or depth_m > own.far_m:
-            continue
+        depth_m = own.ground_depth_m(box.y_max_px) or math.inf  # above the horizon
         if user.distance_m is not None and user.distance_m > 0.0:
             ratios.append(depth_m / user.distance_m)
         elif not user.truncation:
@@ -299,18 +297,26 @@ def contradictions(recording: Recording) -> list[str]:
     found = []
     if len(ratios) >= _LEAST_BOXES and not RATIOS[0] <= statistics.median(ratios) <= RATIOS[1]:
         found.append(
-            f"by the bottom edges of their boxes, vehicles are {statistics.median(ratios):.2f} times as far away as "
+            f"by the bottom edges of their boxes, vehicles are {_times(statistics.median(ratios))} as far away as "
             "the recording says (median): give the optical axis, height and pitch of the camera with --calibration"
         )
-    if (
-        len(heights_m) >= _LEAST_BOXES
-        and not VEHICLE_HEIGHTS_M[0] <= statistics.median(heights_m) <= (VEHICLE_HEIGHTS_M[1])
-    ):
-        found.append(
-            f"with this camera, vehicles are {statistics.median(heights_m):.1f} m high (median), so distances are "
-            "wrong: give the camera of the images with --camera or --calibration"
-        )
+    if len(heights_m) >= _LEAST_BOXES:
+        height_m = statistics.median(heights_m)
+        if math.isinf(height_m):
+            found.append(f"with this camera, most vehicles stand above the horizon: {_GIVE_CAMERA}")
+        elif not VEHICLE_HEIGHTS_M[0] <= height_m <= VEHICLE_HEIGHTS_M[1]:
+            found.append(
+                f"with this camera, vehicles are {height_m:.1f} m high (median), so distances are wrong: "
+                f"{_GIVE_CAMERA}"
+            )
     return found
+
+
+_GIVE_CAMERA: Final = "give the camera of the images with --camera or --calibration"
+
+
+def _times(ratio: float) -> str:
+    return "infinitely" if math.isinf(ratio) else f"{ratio:.2f} times"
 
 
 def _vehicles(drives: Iterable[RecordedDrive]) -> Iterable[tuple[RecordedDrive, RoadUser]]:

@@ -291,7 +291,7 @@ class ErrorMeter:
             ):
                 self._note_longest(found, target, ErrorType.WRONG_LABEL, runs, _is_mislabelled)
             _note_means(found.magnitudes[target], runs, self._step_s)
-            self._note_delay(found, target, members, {sample.track for sample in near})
+            self._note_delay(found, target, {sample.track for sample in near})
             range_m = _range_m(visible)
             if range_m is not None:
                 found.magnitudes[target][ErrorType.SHORT_RANGE] = range_m
@@ -356,13 +356,11 @@ class ErrorMeter:
                 worst = Span(from_s, images * self._step_s, track)
         return worst
 
-    def _note_delay(
-        self, found: DriveErrors, target: Target, samples: Sequence[Sample], tracks: Iterable[int]
-    ) -> None:
+    def _note_delay(self, found: DriveErrors, target: Target, tracks: Iterable[int]) -> None:
         """Note the longest visible time before the first detection, of road users that become a target."""
         worst, is_bound, tells = Span(0.0, 0.0), False, False
         lives: dict[int, list[Sample]] = {track: [] for track in sorted(tracks)}
-        for sample in samples:
+        for sample in self.samples:  # whatever it was to the ego before
             if sample.track in lives:
                 lives[sample.track].append(sample)
         for track, life in lives.items():
@@ -390,7 +388,7 @@ def _note_means(magnitudes: dict[ErrorType, float], runs: Sequence[_Run], step_s
     """Note the worst means over the time for which the target is there; none where it never is for long enough."""
 
     def note(kind: ErrorType, value: float) -> None:
-        magnitudes[kind] = max(value, magnitudes.get(kind, 0.0))
+        magnitudes[kind] = max(magnitudes.get(kind, 0.0), value)
 
     for run in runs:
         if len(run) < round(SUSTAINED_S / step_s):

@@ -153,7 +153,8 @@ def test_a_miss_counts_while_the_road_user_is_a_target_whatever_it_was_before() 
         is_target = step >= 50
         box = ahead if is_target else beside
         reported = [] if 50 <= step < 90 else [ReportedBox(box)]
-        meter.see(step / 10, [TrueBox(1, box, Target.LEAD, is_target)], reported)
+        kind = Target.LEAD if is_target else Target.EVERYBODY
+        meter.see(step / 10, [TrueBox(1, box, kind, is_target)], reported)
     errors = meter.errors()
     assert errors.magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(4.0)
     assert errors.magnitudes[Target.LEAD][ErrorType.LATE] == 0.0
