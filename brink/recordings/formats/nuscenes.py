@@ -194,7 +194,7 @@ def _images(
     scenes = {sample.scene for sample in samples.values()}
     if len(names) > len(scenes):
         builder.recording.notes.append(
-            f"{len(names) - len(scenes)} of {len(names)} scenes have no results and were left out"
+            f"Left out, without results: {len(names) - len(scenes)} of {len(names)} scenes."
         )
     starts_us: dict[str, float] = {}
     for sample in samples.values():

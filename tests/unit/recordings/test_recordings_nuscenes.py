@@ -251,7 +251,7 @@ def test_scenes_without_results_are_left_out_and_said(tmp_path: Path) -> None:
     tables["sample"].append({"token": "far", "timestamp": START_US, "scene_token": "other"})
     recording = read_recording(*_write(tmp_path, tables, results))
     assert list(recording.drives) == ["scene-0001"]
-    assert recording.notes == ["1 of 2 scenes have no results and were left out"]
+    assert recording.notes == ["Left out, without results: 1 of 2 scenes."]
 
 
 @pytest.mark.parametrize("piece", [2**20, 700, 701, 702, 703, 1000])

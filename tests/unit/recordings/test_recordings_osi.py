@@ -268,7 +268,7 @@ def test_folders_are_paired_by_name(tmp_path: Path) -> None:
     (tmp_path / "b_sv.osi").unlink()
     recording = read_recording(tmp_path)
     assert (list(recording.drives), recording.dropped) == (["a"], {"sequences without a file of truth": 1})
-    assert recording.notes == ["left out, without a file of truth: b"]
+    assert recording.notes == ["Left out, without a file of truth: b."]
     with pytest.raises(RecordingError, match=r"found truth of other, and detections of b$"):
         read_recording(
             _write(tmp_path / "b" / "b_sd.osi", _reports()).parent, _write(tmp_path / "other_gt.osi", [])
