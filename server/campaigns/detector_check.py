@@ -224,7 +224,7 @@ def read_drives(connection: Connection, campaign: Campaign, read: ReadArchive, l
         raise InvalidInput.at(
             "/query/episodes",
             f"campaign {campaign.id}: expected drives with a detector in the loop under the conditions of the "
-            "requirement, such as those of urban-camera@1; found none (drives of versions before 1.0 were measured "
-            "in another way: simulate them again, with cache: false)",
+            "requirement, such as those of urban-camera@1; found none (drives of earlier versions were measured in "
+            "another way: simulate them again, with cache: false)",
         )
     return drives
