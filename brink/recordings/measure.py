@@ -33,6 +33,7 @@ VEHICLE_HEIGHTS_M: Final = (1.0, 3.2)
 RATIOS: Final = (0.8, 1.25)
 """Where the median ratio of distances by the box to those of the recording is expected, likewise."""
 _LEAST_BOXES: Final = 50
+_TOO_SHORT: Final = f"drives with less than {SUSTAINED_S:g} s of truth"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +80,7 @@ class ObservedDrive:
         meter: Has the comparison of each image, in the driving system's image.
         measured: How wrong the detector was.
         tracks: Ids of the road users in the recording, by their number in the comparison.
+        below_threshold: How many detections did not count for their score.
     """
 
     drive: RecordedDrive
@@ -86,12 +88,13 @@ class ObservedDrive:
     meter: ErrorMeter
     measured: MeasuredDrive
     tracks: tuple[str, ...]
+    below_threshold: int
 
 
 def observe(
     recording: Recording, *, threshold: float = 0.0, visibility: Visibility | None = None
 ) -> list[ObservedDrive]:
-    """Return the comparison of detections and truth in each drive of a recording.
+    """Return the comparison of detections and truth in each drive of a recording that is long enough.
 
     Args:
         recording: The recording.
@@ -99,14 +102,21 @@ def observe(
         visibility: From when road users count as visible.
 
     Raises:
-        RecordingError: A drive is too short, its images are too far apart, or its clocks disagree.
+        RecordingError: All drives are too short, images are too far apart, or clocks disagree.
     """
     rule = visibility or Visibility()
-    return [
-        _observed(
-            f"{recording.name}: drive {drive.name}", drive, drive.camera or recording.camera, threshold, rule
+    lengths_s = {name: drive.length_s for name, drive in recording.drives.items()}
+    longest_s = max(lengths_s.values())
+    if longest_s < SUSTAINED_S:
+        raise RecordingError(
+            f"{recording.name}: expected drives of at least {SUSTAINED_S:g} s of truth, got at most {longest_s:.1f} "
+            "s: too short for durations"
         )
-        for drive in recording.drives.values()
+    recording.dropped[_TOO_SHORT] = sum(length_s < SUSTAINED_S for length_s in lengths_s.values())
+    return [
+        _observed(f"{recording.name}: drive {name}", drive, drive.camera or recording.camera, threshold, rule)
+        for name, drive in recording.drives.items()
+        if lengths_s[name] >= SUSTAINED_S
     ]
 
 
@@ -120,10 +130,13 @@ def _observed(
     elsewhere = _at_images(where, drive.detections_elsewhere, times, step_s)
     meter = ErrorMeter(own, step_s, is_excerpt=True)
     numbers: dict[str, int] = {}
+    below = 0
     has_lanes = any(user.in_lane is not None for image in drive.images.values() for user in image.road_users)
     for time_s in times:
         image = drive.images[time_s]
-        detections = [*image.detections, *elsewhere.get(time_s, ())]
+        reported = [*image.detections, *elsewhere.get(time_s, ())]
+        detections = [one for one in reported if one.score >= threshold]
+        below += len(reported) - len(detections)
         truth = _truth(where, image, convert, visibility, numbers, has_lanes=has_lanes)
         meter.see(
             time_s,
@@ -131,25 +144,26 @@ def _observed(
             [
                 ReportedBox(convert.box(one.label, one.sides), one.distance_m, one.left_m)
                 for one in detections
-                if one.score >= threshold
             ],
             [convert.box(ObstacleLabel.VEHICLE, sides) for sides in image.ignored],
         )
     measured = MeasuredDrive(name=drive.name, condition=drive.condition, errors=meter.errors())
-    return ObservedDrive(drive=drive, step_s=step_s, meter=meter, measured=measured, tracks=tuple(numbers))
+    return ObservedDrive(
+        drive=drive,
+        step_s=step_s,
+        meter=meter,
+        measured=measured,
+        tracks=tuple(numbers),
+        below_threshold=below,
+    )
 
 
 def _step_s(where: str, times: Sequence[float]) -> float:
     """Return the time between images.
 
     Raises:
-        RecordingError: There are too few images, or they are too far apart or too close.
+        RecordingError: They are too far apart or too close.
     """
-    length_s = times[-1] - times[0] if times else 0.0
-    if len(times) < 2 or length_s < SUSTAINED_S:
-        raise RecordingError(
-            f"{where}: expected at least {SUSTAINED_S:g} s of truth, got {length_s:.1f} s: too short for durations"
-        )
     step_s = statistics.median_high([later - earlier for earlier, later in itertools.pairwise(times)])
     if not STEPS_S[0] <= step_s <= STEPS_S[1]:
         hint = " (are the times in milliseconds?)" if step_s >= 10.0 and step_s == round(step_s) else ""

@@ -124,6 +124,11 @@ class RecordedDrive:
     condition: str | None = None
     camera: CameraModel | None = None
 
+    @property
+    def length_s(self) -> float:
+        """Time from its first image to its last."""
+        return max(self.images) - min(self.images) if self.images else 0.0
+
     def image(self, time_s: float) -> Image:
         """Return the image at a time, which is added if there is none."""
         time_s = round(time_s, TIME_DECIMALS)

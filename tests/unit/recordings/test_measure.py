@@ -168,8 +168,13 @@ def test_detections_between_images_belong_to_the_nearest_or_to_none() -> None:
 
 
 def test_drives_that_are_too_short_or_too_coarse_are_refused() -> None:
-    with pytest.raises(RecordingError, match=r"expected at least 4 s of truth, got 1\.9 s"):
-        observe(recording([user(car(TILTED, 20.0))], [], count=20))
+    short = recording([user(car(TILTED, 20.0))], [], count=20)
+    with pytest.raises(RecordingError, match=r"expected drives of at least 4 s of truth, got at most 1\.9 s"):
+        observe(short)
+    made = recording([user(car(TILTED, 20.0))], [])
+    made.drives["short"] = short.drives["d"]
+    assert [drive.drive.name for drive in observe(made)] == ["d"]
+    assert made.dropped["drives with less than 4 s of truth"] == 1
     made = recording([user(car(TILTED, 20.0))], [])
     made.drives["d"].images = {
         100.0 * time_s * 10: image for time_s, image in made.drives["d"].images.items()
