@@ -14,6 +14,7 @@ from brink.recordings.recording import Detection, ReadOptions, RecordedDrive, Re
 from brink.sim.driving.camera import Body, Camera
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.urban.detection_errors import Target
+from brink.sim.urban.error_meter import HALF_LANE_M
 
 CAMERA: Final = Camera()
 _MOST_M: Final = 1e7
@@ -100,7 +101,7 @@ class GroundImage:
         body: Body,
         *,
         has_region: bool = True,
-        in_lane: bool | None = None,
+        shares_lane: bool | None = None,
         occlusion: int | None = None,
         visible_share: float | None = None,
     ) -> None:
@@ -112,7 +113,8 @@ class GroundImage:
             track: Identifies it within its drive.
             body: The object.
             has_region: Whether its box is a region to ignore if its class is ignored.
-            in_lane: Whether it is in the ego's lane; None if that is unknown.
+            shares_lane: Whether it is assigned to the ego's lane; None if lanes are unknown. A lane ends somewhere,
+                so that what is straight ahead is in the ego's lane as well.
             occlusion: As in `RoadUser`.
             visible_share: As in `RoadUser`.
 
@@ -128,6 +130,7 @@ class GroundImage:
         if label is None:
             self.builder.add_region(where, self.drive, self.time_s, view.sides)
             return
+        is_ahead = abs(view.left_m) < HALF_LANE_M
         road_user = RoadUser(
             track=track,
             label=label,
@@ -135,7 +138,7 @@ class GroundImage:
             target=target_by_heading(self.ego, body) if label is ObstacleLabel.VEHICLE else None,
             distance_m=view.distance_m,
             left_m=view.left_m,
-            in_lane=in_lane,
+            in_lane=None if shares_lane is None else shares_lane or is_ahead,
             occlusion=occlusion,
             visible_share=visible_share,
         )

@@ -150,7 +150,7 @@ def _mcap_messages(path: Path, content: bytes) -> Iterator[tuple[str, str, str, 
                 if message.channel_id in channels:
                     number += 1
                     yield f"{path}: message {number}", *channels[message.channel_id], message.data
-    except (McapError, struct.error, UnicodeDecodeError, ValueError) as error:
+    except (McapError, struct.error, ValueError, OverflowError) as error:
         raise RecordingError(f"{path}: expected an MCAP file, got a damaged record: {error!r}") from error
 
 

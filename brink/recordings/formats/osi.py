@@ -349,7 +349,7 @@ def _add_image(name: str, frame: _Frame, report: _Report | None, builder: Record
             one.name,
             one.track,
             one.body,
-            in_lane=True if frame.lanes & one.lanes else None,
+            shares_lane=bool(frame.lanes & one.lanes),
             occlusion=0 if place in visible else _LARGELY_HIDDEN,
         )
     for detected in report.detected if report is not None else ():

@@ -10,10 +10,11 @@ import pytest
 
 from brink.recordings.camera import CameraModel
 from brink.recordings.formats import nuscenes
+from brink.recordings.measure import observe
 from brink.recordings.reading import read_recording
 from brink.recordings.recording import ClassMeaning, ReadOptions, Recording, RecordingError, RoadUser
 from brink.sim.driving.interface import ObstacleLabel
-from brink.sim.urban.detection_errors import Target
+from brink.sim.urban.detection_errors import ErrorType, Target
 
 YAW_RAD = math.radians(30.0)
 START_US = 1_532_402_927_612_460
@@ -99,7 +100,7 @@ def _tables(
 
 OBJECTS: dict[str, tuple[str, list[float], tuple[float, ...], float]] = {
     "lead": ("vehicle.car", [27.3, 0.0], CAR, 5.0),
-    "pedestrian": ("human.pedestrian.adult", [16.0, 4.0], (0.6, 0.6, 1.8), 90.0),
+    "pedestrian": ("human.pedestrian.adult", [16.0, 2.5], (0.6, 0.6, 1.8), 90.0),
     "oncoming": ("vehicle.truck", [40.0, 3.5], (2.5, 8.0, 3.0), 178.0),
     "behind": ("vehicle.car", [-20.0, 0.0], CAR, 0.0),
 }
@@ -156,7 +157,7 @@ def test_scene_becomes_a_drive_with_boxes_in_the_driving_systems_image(tmp_path:
         "pedestrian": (ObstacleLabel.PERSON, None),
         "oncoming": (ObstacleLabel.VEHICLE, Target.ONCOMING),
     }
-    assert users["pedestrian"].left_m == pytest.approx(4.0)
+    assert users["pedestrian"].left_m == pytest.approx(2.5)
     assert users["pedestrian"].distance_m == pytest.approx(16.0 - 0.3 - 1.3, abs=0.01)
     assert users["lead"].left_m == pytest.approx(0.0, abs=1e-6)
     # Its half length and width, turned by 5 degrees, and the camera 1.3 m ahead of the ego's centre.
@@ -167,8 +168,9 @@ def test_scene_becomes_a_drive_with_boxes_in_the_driving_systems_image(tmp_path:
     assert users["lead"].sides.x_min + users["lead"].sides.x_max == pytest.approx(800.0, abs=5.0)
 
 
-def test_lead_that_is_lost_for_two_seconds_is_undetected_in_four_images(tmp_path: Path) -> None:
-    drive = _read(tmp_path).drives["scene-0001"]
+def test_lead_that_is_lost_for_two_seconds_is_missed_for_two_seconds(tmp_path: Path) -> None:
+    recording = _read(tmp_path)
+    drive = recording.drives["scene-0001"]
     undetected = [
         time_s
         for time_s, image in sorted(drive.images.items())
@@ -176,6 +178,14 @@ def test_lead_that_is_lost_for_two_seconds_is_undetected_in_four_images(tmp_path
         if all(detection.sides != one.sides for detection in image.detections)
     ]
     assert undetected == [0.5 * number for number in MISSED]
+    (observed,) = observe(recording, threshold=0.5)
+    misses = {target: by[ErrorType.MISS] for target, by in observed.measured.errors.magnitudes.items()}
+    assert misses == {
+        Target.LEAD: pytest.approx(2.0),
+        Target.ONCOMING: 0.0,
+        Target.PEDESTRIAN: 0.0,
+        Target.EVERYBODY: 0.0,
+    }
     detection = drive.images[0.0].detections[0]
     assert (detection.label, detection.score) == (ObstacleLabel.VEHICLE, 0.8)
     assert detection.distance_m == drive.images[0.0].road_users[0].distance_m

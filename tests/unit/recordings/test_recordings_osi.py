@@ -13,11 +13,12 @@ from mcap.writer import CompressionType, Writer
 from brink.recordings import osi_traces
 from brink.recordings.camera import CameraModel
 from brink.recordings.formats import osi
+from brink.recordings.measure import observe
 from brink.recordings.reading import read_recording
 from brink.recordings.recording import ClassMeaning, ReadOptions, RecordedDrive, Recording, RecordingError
 from brink.search.errors import MissingExtra
 from brink.sim.driving.interface import ObstacleLabel
-from brink.sim.urban.detection_errors import Target
+from brink.sim.urban.detection_errors import ErrorType, Target
 
 Message = list[tuple[int, Any]]
 """Numbers of fields, and their values: a message, a whole number, or a floating-point number."""
@@ -115,7 +116,7 @@ class _Thing:
 
 THINGS = {
     LEAD: _Thing(30.0, 0.0),
-    PEDESTRIAN: _Thing(16.0, -4.0, 90.0, (0.6, 0.6, 1.8), (WALKER, 0)),
+    PEDESTRIAN: _Thing(16.0, -2.5, 90.0, (0.6, 0.6, 1.8), (WALKER, 0)),
     ONCOMING: _Thing(40.0, 3.5, -178.0, (8.0, 2.5, 3.0), (VEHICLE, 7)),
 }
 HOST_VEHICLE = _Thing(0.0, 0.0)
@@ -218,7 +219,7 @@ def test_traces_become_a_drive_with_boxes_in_the_driving_systems_image(
     # From the camera, 1.3 m ahead of the host's centre, to the car's rear bumper.
     assert users[str(LEAD)].distance_m == pytest.approx(30.0 - 2.0 - 1.3)
     assert users[str(LEAD)].left_m == pytest.approx(0.0, abs=1e-6)
-    assert users[str(PEDESTRIAN)].left_m == pytest.approx(-4.0)
+    assert users[str(PEDESTRIAN)].left_m == pytest.approx(-2.5)
     detections = {round(one.left_m or 0.0, 3): one for one in drive.images[1.5].detections}
     for one in users.values():
         detection = detections[round(one.left_m or 0.0, 3)]
@@ -227,8 +228,9 @@ def test_traces_become_a_drive_with_boxes_in_the_driving_systems_image(
         assert detection.sides == pytest.approx(one.sides)
 
 
-def test_lead_that_is_lost_for_two_seconds_is_undetected_in_twenty_images(tmp_path: Path) -> None:
-    drive = _drive(read_recording(*_traces(tmp_path)))
+def test_lead_that_is_lost_for_two_seconds_is_missed_for_two_seconds(tmp_path: Path) -> None:
+    recording = read_recording(*_traces(tmp_path))
+    drive = _drive(recording)
     undetected = [
         time_s
         for time_s, image in sorted(drive.images.items())
@@ -236,6 +238,14 @@ def test_lead_that_is_lost_for_two_seconds_is_undetected_in_twenty_images(tmp_pa
     ]
     assert undetected == pytest.approx([STEP_S * number for number in MISSED])
     assert all(len(image.road_users) == len(THINGS) for image in drive.images.values())
+    (observed,) = observe(recording, threshold=0.5)
+    misses = {target: by[ErrorType.MISS] for target, by in observed.measured.errors.magnitudes.items()}
+    assert misses == {
+        Target.LEAD: pytest.approx(2.0),
+        Target.ONCOMING: 0.0,
+        Target.PEDESTRIAN: 0.0,
+        Target.EVERYBODY: 0.0,
+    }
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -275,15 +285,16 @@ def test_folders_are_paired_by_name(tmp_path: Path) -> None:
         )
 
 
-def test_road_user_with_a_lane_of_the_host_is_in_its_lane(tmp_path: Path) -> None:
-    things = {1: _Thing(20.0, 0.0, lane=5), 2: _Thing(20.0, 4.0, lane=6), 3: _Thing(40.0, -6.0)}
-    drive = _drive(read_recording(*_traces(tmp_path, things=things, host=_Thing(0.0, 0.0, lane=5))))
-    # The next stretch of the lane has another number, so that other lanes do not say that it is elsewhere.
-    assert {one.track: one.in_lane for one in drive.images[0.0].road_users} == {
-        "1": True,
-        "2": None,
-        "3": None,
+def test_lane_is_the_hosts_by_assignment_or_straight_ahead(tmp_path: Path) -> None:
+    things = {
+        1: _Thing(50.0, 9.0, lane=5),
+        2: _Thing(20.0, 4.0, lane=6),
+        3: _Thing(40.0, -6.0),
+        4: _Thing(60.0, 0.5, lane=8),  # the next stretch of the same lane has another number
     }
+    drive = _drive(read_recording(*_traces(tmp_path, things=things, host=_Thing(0.0, 0.0, lane=5))))
+    lanes = {one.track: one.in_lane for one in drive.images[0.0].road_users}
+    assert lanes == {"1": True, "2": False, "3": False, "4": True}
 
 
 def test_road_user_behind_a_nearer_one_is_hidden(tmp_path: Path) -> None:
@@ -486,6 +497,10 @@ MAGIC = b"\x89MCAP0\r\n"
         (
             lambda: struct.pack("<BQ", 6, 2**63),
             r"expected a record of 9223372036854775808 bytes at byte 17, got 0",
+        ),
+        (
+            lambda: _chunk("", 9, b"")[:-8] + struct.pack("<Q", 2**63),
+            r"expected an MCAP file, got a damaged record",
         ),
         (lambda: struct.pack("<BQ", 6, 3) + b"abc", r"expected an MCAP file, got a damaged record"),
         (lambda: struct.pack("<BQHI", 3, 6, 1, 2**31), r"expected an MCAP file, got a damaged record"),
