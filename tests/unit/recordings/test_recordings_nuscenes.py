@@ -69,7 +69,7 @@ def _tables(
         )
         for sensor, off_m in (("front", 5.0), ("top", 0.0)):
             for is_key in (False, True):
-                pose = f"pose-{number}-{sensor}-{is_key}"
+                pose = f"pose-{number}-{sensor}-{'a' if is_key else 'z'}"
                 ahead_m = -nuscenes.CENTRE_AHEAD_M + off_m + (0.0 if is_key else 3.0)
                 tables["ego_pose"].append(
                     {"token": pose, "translation": _place(ahead_m, 0.0, time_s), "rotation": _rotation()}
