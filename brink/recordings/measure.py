@@ -26,7 +26,7 @@ from brink.sim.urban.error_meter import (
     TrueBox,
 )
 
-STEPS_S: Final = (0.02, 0.5)
+STEPS_S: Final = (0.005, 0.5)
 """Shortest and longest time between images."""
 VEHICLE_HEIGHTS_M: Final = (1.0, 3.2)
 """Where the median height of vehicles is expected, if camera and boxes fit together."""
@@ -131,13 +131,12 @@ def _observed(
     meter = ErrorMeter(own, step_s, is_excerpt=True)
     numbers: dict[str, int] = {}
     below = 0
-    has_lanes = any(user.in_lane is not None for image in drive.images.values() for user in image.road_users)
     for time_s in times:
         image = drive.images[time_s]
         reported = [*image.detections, *elsewhere.get(time_s, ())]
         detections = [one for one in reported if one.score >= threshold]
         below += len(reported) - len(detections)
-        truth = _truth(where, image, convert, visibility, numbers, has_lanes=has_lanes)
+        truth = _truth(where, image, convert, visibility, numbers)
         meter.see(
             time_s,
             truth,
@@ -220,13 +219,7 @@ class _Placed:
 
 
 def _truth(
-    where: str,
-    image: Image,
-    convert: _Converter,
-    visibility: Visibility,
-    numbers: dict[str, int],
-    *,
-    has_lanes: bool,
+    where: str, image: Image, convert: _Converter, visibility: Visibility, numbers: dict[str, int]
 ) -> list[TrueBox]:
     """Return the true boxes of an image, with what they are to the ego.
 
@@ -234,7 +227,7 @@ def _truth(
     nearest visible one within `PEDESTRIAN_WITHIN_M` of the middle of the lane. A vehicle without a given direction
     goes the ego's way if it is in its lane; otherwise its direction is unknown.
     """
-    placed = [_place(user, convert, visibility, has_lanes=has_lanes) for user in image.road_users]
+    placed = [_place(user, convert, visibility) for user in image.road_users]
     if len({one.user.track for one in placed}) < len(placed):
         twice = Counter(one.user.track for one in placed).most_common(1)[0][0]
         raise RecordingError(f"{where}: id {twice!r} occurs twice at {image.time_s:g} s")
@@ -272,7 +265,7 @@ def _kind(one: _Placed) -> Target:
     return one.user.target or (Target.LEAD if one.is_in_lane else Target.EVERYBODY)
 
 
-def _place(user: RoadUser, convert: _Converter, visibility: Visibility, *, has_lanes: bool) -> _Placed:
+def _place(user: RoadUser, convert: _Converter, visibility: Visibility) -> _Placed:
     own = convert.own
     box = convert.box(user.label, user.sides)
     depth_m = user.distance_m
@@ -289,7 +282,7 @@ def _place(user: RoadUser, convert: _Converter, visibility: Visibility, *, has_l
         box=box,
         depth_m=own.far_m if depth_m is None else depth_m,
         aside_m=aside_m,
-        is_in_lane=user.in_lane is True if has_lanes else aside_m < HALF_LANE_M,
+        is_in_lane=aside_m < HALF_LANE_M if user.in_lane is None else user.in_lane,
         is_visible=visibility.holds(user, box, own),
     )
 
