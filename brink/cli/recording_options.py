@@ -178,7 +178,7 @@ class GivenRecording:
         """Return what was read, what was left out of it, what counts, and what looks wrong, in sentences.
 
         Args:
-            recording: The recording that was read.
+            recording: The recording, after it was measured, which counts drives that are too short.
         """
         images = [image for drive in recording.drives.values() for image in drive.images.values()]
         scores = list(detection_scores(recording))
@@ -193,8 +193,10 @@ class GivenRecording:
             )
             + "."
         ]
-        if recording.dropped:
-            dropped = "; ".join(f"{reason}: {count:,}" for reason, count in sorted(recording.dropped.items()))
+        dropped = "; ".join(
+            f"{reason}: {count:,}" for reason, count in sorted(recording.dropped.items()) if count
+        )
+        if dropped:
             lines.append(f"Dropped or changed: {dropped}.")
         lines.append(f"A road user should be reported while it is visible: {self.visibility.words}.")
         lines += recording.notes

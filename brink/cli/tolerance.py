@@ -1,8 +1,7 @@
 """`brink tolerance`: how gross a component's errors may be, and the requirement that follows."""
 
 import asyncio
-from collections.abc import Collection, Sequence
-from enum import StrEnum
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -12,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api
-from brink.api.terminal import echo
+from brink.cli.detector import Check, EpisodesCheck, Format, Output, RecordingCheck, chosen_format
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -26,19 +25,27 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
+from brink.cli.recording_options import (
+    LEAST_SHARE,
+    MOST_OCCLUSION,
+    THRESHOLD,
+    Calibration,
+    CameraSizes,
+    Classes,
+    Clip,
+    Condition,
+    FramesPerS,
+    GivenRecording,
+    MaxOcclusion,
+    MinVisible,
+    Threshold,
+    Truth,
+)
+from brink.recordings.reading import formats_by_name
 from brink.report.figures import Drawing
 from brink.report.tolerance import KEY, requirement_document, tolerated_words
-from brink.server.api.tolerance import (
-    AgreementView,
-    CellView,
-    DetectorBody,
-    DetectorView,
-    DriveBody,
-    ToleranceView,
-)
-from brink.server.campaigns.detector_check import CheckResult
+from brink.server.api.tolerance import AgreementView, CellView, ToleranceView
 from brink.server.errors import InvalidInput
-from brink.sim.urban.detection_files import CameraModel, read_coco, read_csv
 
 ROWS_SHOWN: Final = 30
 """Most rows of the table at the end of a run."""
@@ -46,29 +53,30 @@ MOST_CONDITIONS: Final = 4
 """Conditions beside which their tolerances fit."""
 
 
-class Format(StrEnum):
-    """How tolerances are written."""
-
-    TABLE = "table"
-    SENTENCES = "sentences"
-    CSV = "csv"
-    JSON = "json"
-    MARKDOWN = "md"
+RESULTS_FORMATS: Final = {one.value for one in Format}
 
 
 def tolerance(
     campaign: CampaignId,
-    form: Annotated[
-        Format | None,
+    forms: Annotated[
+        list[str] | None,
         typer.Option(
-            "--format", help="Format (default: by the name of --out, else table).", show_default=False
+            "--format",
+            metavar="NAME",
+            show_default=False,
+            help=f"What is printed or written: {', '.join(Format)} (default: by the name of --out, else table). Or "
+            f"the format of --detections: {', '.join(formats_by_name())} (default: recognised). May be said of both.",
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File to write: .csv, .json or .md.", show_default=False)
+        Path | None,
+        typer.Option(help="File to write: .csv, .json or .md; of a detector, .html too.", show_default=False),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw the curves (.png or .svg).", show_default=False)
+        Path | None,
+        typer.Option(
+            help="Draw the curves, or how a detector does (.png, .svg or .pdf).", show_default=False
+        ),
     ] = None,
     against: Annotated[
         str | None,
@@ -91,220 +99,182 @@ def tolerance(
     detections: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.csv",
+            metavar="PATH",
             show_default=False,
-            help="Check a detector against it: its boxes beside the truth as CSV.",
+            help="Check a detector against it: what it reported in recorded drives, as a file or folder.",
         ),
     ] = None,
+    truth: Truth = None,
     coco: Annotated[
         tuple[Path, Path] | None,
         typer.Option(
             metavar="TRUTH RESULTS",
             show_default=False,
-            help="Check a detector against it: sequences in COCO format, and the detections (.json).",
+            help="Short for --truth TRUTH --detections RESULTS --format coco.",
         ),
     ] = None,
-    camera: Annotated[
-        tuple[float, float, float, float] | None,
+    camera: CameraSizes = None,
+    calibration: Calibration = None,
+    frames_per_s: FramesPerS = None,
+    classes: Classes = None,
+    condition: Condition = None,
+    clip: Clip = False,
+    threshold: Threshold = THRESHOLD,
+    thresholds: Annotated[
+        str | None,
         typer.Option(
-            metavar="WIDTH HEIGHT FOV ABOVE",
+            metavar="LIST",
             show_default=False,
-            help="Camera of --detections or --coco: size in px, horizontal field of view in degrees, height in m "
-            "(default: 800 600 90 1.7).",
+            help="Check the detector of a recording with each of these thresholds, such as 0.3,0.5,0.7; auto takes "
+            "nine that are spread over its scores.",
         ),
     ] = None,
-    threshold: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Smallest score of detections in --coco that count.")
-    ] = 0.5,
-    frames_per_s: Annotated[
-        float | None,
-        typer.Option(
-            min=1.0, show_default=False, help="Frames per second of --coco, without times in the images."
-        ),
-    ] = None,
+    max_occlusion: MaxOcclusion = MOST_OCCLUSION,
+    min_visible: MinVisible = LEAST_SHARE,
+    gate: Annotated[
+        bool, typer.Option("--gate", help="Exit with status 1 if a detector does not meet the requirement.")
+    ] = False,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show how gross errors may be, by type of error, target and condition, with intervals.
+    """Show how gross errors may be, by type of error, target and condition, or check a detector against that.
 
     The campaign must be a search for tolerances, such as that of examples/tolerance.yaml. It may still be running.
 
     Example: brink tolerance 3f2a
 
-    Example: brink tolerance 3f2a --format sentences
-
     Example: brink tolerance 3f2a --out requirement.csv --picture requirement.png
 
     Example: brink tolerance 3f2a --against 9c01
 
-    Example: brink tolerance 3f2a --detections my-detector.csv --camera 1920 1080 60 1.4
+    Example: brink tolerance 3f2a --detections det/ --truth label_02/ --calibration camera.yaml --out check.html
+
+    Example: brink tolerance 3f2a --episodes 9c01 --gate
     """
-    given = [name for name, value in (("--against", against), ("--episodes", episodes), ("--detections", detections),
-                                      ("--coco", coco)) if value is not None]  # fmt: skip
+    if coco is not None:
+        if detections is not None or truth is not None:
+            raise InvalidInput.at("--coco", "expected it without --detections and --truth")
+        (truth, detections), forms = coco, [*(forms or ()), "coco"]
+    given = [
+        name
+        for name, value in (("--against", against), ("--episodes", episodes), ("--detections", detections))
+        if value is not None
+    ]
     if len(given) > 1:
         raise InvalidInput.at(given[1], f"expected it without {given[0]}")
-    if episodes is not None or detections is not None or coco is not None:
-        body = None
-        if episodes is None:
-            body = _read_detector(detections, coco, camera, threshold, frames_per_s)
-        _hold_against(campaign, episodes, body, server, database, as_json=as_json)
-        return
+    form, recording_format = _formats(forms or (), detections)
+    _refuse_unused(
+        detections is not None, "--detections",
+        {
+            "--truth": truth, "--camera": camera, "--calibration": calibration, "--frames-per-s": frames_per_s,
+            "--classes": classes, "--condition": condition, "--clip": clip, "--thresholds": thresholds,
+            "--threshold": threshold != THRESHOLD, "--max-occlusion": max_occlusion != MOST_OCCLUSION,
+            "--min-visible": min_visible != LEAST_SHARE,
+        },
+    )  # fmt: skip
+    is_check = detections is not None or episodes is not None
+    _refuse_unused(is_check, "--detections or --episodes", {"--gate": gate})
+    if gate and thresholds is not None:
+        raise InvalidInput.at("--gate", "expected it without --thresholds: it takes one threshold")
+    check_picture(picture)
     if against is not None:
+        for name, value in (("--format", form), ("--out", out), ("--picture", picture)):
+            if value is not None:
+                raise InvalidInput.at(name, "expected it without --against")
         _compare(campaign, against, server, database, as_json=as_json)
         return
-    wanted = _format(form, out, as_json=as_json)
-    check_picture(picture)
+    wanted = Output(form=chosen_format(form, out, as_json=as_json, pages=is_check), out=out, picture=picture)
+    if detections is not None:
+        files = GivenRecording(
+            detections=detections,
+            truth=truth,
+            format=recording_format,
+            camera=camera,
+            calibration=calibration,
+            frames_per_s=frames_per_s,
+            classes=classes or (),
+            condition=condition,
+            clip=clip,
+            threshold=threshold,
+            most_occlusion=max_occlusion,
+            least_share=min_visible,
+        )
+        check: Check = RecordingCheck(campaign, files, thresholds, wanted)
+    elif episodes is not None:
+        check = EpisodesCheck(campaign, episodes, wanted)
+    else:
+        _show(campaign, wanted, server, database)
+        return
+    is_met = with_api(server, database, check.run)
+    if gate and not is_met:
+        raise typer.Exit(1)
+
+
+def _refuse_unused(is_used: bool, by: str, options: Mapping[str, object]) -> None:
+    """Refuse options that would do nothing.
+
+    Raises:
+        InvalidInput: One is given.
+    """
+    unused = [name for name, value in options.items() if value]
+    if unused and not is_used:
+        raise InvalidInput.at(unused[0], f"expected it with {by}")
+
+
+def _formats(given: Sequence[str], detections: Path | None) -> tuple[Format | None, str | None]:
+    """Return the format of what is printed, and that of the recording.
+
+    ``csv`` is that of the recording if the detections are no .csv file.
+
+    Raises:
+        InvalidInput: A format is unknown, does not apply, or is given twice.
+    """
+    written: Format | None = None
+    recording: str | None = None
+    for name in given:
+        is_recorded = detections is not None and name in formats_by_name()
+        if is_recorded and name in RESULTS_FORMATS:
+            is_recorded = detections is not None and detections.suffix.lower() != f".{name}"
+        if is_recorded and recording is None:
+            recording = name
+        elif name in RESULTS_FORMATS and written is None:
+            written = Format(name)
+        elif name in RESULTS_FORMATS or name in formats_by_name():
+            expected = "it once" if detections is not None else "the format of a recording with --detections"
+            raise InvalidInput.at("--format", f"{name}: expected {expected}")
+        else:
+            raise InvalidInput.at(
+                "--format",
+                f"expected one of {', '.join(Format)}, or of a recording {', '.join(formats_by_name())}; got "
+                f"{name!r:.40}",
+            )
+    return written, recording
+
+
+def _show(campaign: str, wanted: Output, server: str | None, database: str | None) -> None:
+    """Print, write and draw the tolerances of a campaign."""
 
     async def work(api: Api) -> None:
         view = await fetch_tolerance(api, campaign)
-        if picture is not None:
-            await asyncio.to_thread(draw_tolerance, view, picture)
-        match wanted:
-            case Format.TABLE:
+        if wanted.picture is not None:
+            await asyncio.to_thread(draw_tolerance, view, wanted.picture)
+        match wanted.form:
+            case Format.TABLE | Format.HTML:
                 show_tolerance(console(), view)
             case Format.SENTENCES:
-                for cell in view.cells:
-                    echo(cell.sentence)
+                wanted.write("".join(f"{cell.sentence}\n" for cell in view.cells))
             case Format.JSON:
-                document = view.model_dump(mode="json")
-                if out is None:
-                    print_json(document)
-                else:
-                    write_json(out, document)
+                wanted.write_json(view.model_dump(mode="json"))
             case Format.MARKDOWN:
-                text = requirement_document(view, None if picture is None else picture.name)
-                if out is None:
-                    echo(text, nl=False)
-                else:
-                    out.write_text(text, encoding="utf-8")
+                wanted.write(
+                    requirement_document(view, None if wanted.picture is None else wanted.picture.name)
+                )
             case Format.CSV:
-                table = await fetch_csv(api, campaign)
-                if out is None:
-                    echo(table.decode(), nl=False)
-                else:
-                    out.write_bytes(table)
-        for path in (out, picture):
-            if path is not None:
-                echo(path)
+                wanted.write((await fetch_csv(api, campaign)).decode())
+        wanted.name_files()
 
     with_api(server, database, work)
-
-
-def _read_detector(
-    detections: Path | None,
-    coco: tuple[Path, Path] | None,
-    camera: tuple[float, float, float, float] | None,
-    threshold: float,
-    frames_per_s: float | None,
-) -> DetectorBody:
-    """Return the errors of a detector from files.
-
-    Raises:
-        DetectionFileError: A file cannot be used.
-    """
-    model = None
-    if camera is not None:
-        width_px, height_px, fov_deg, height_m = camera
-        model = CameraModel(width_px=width_px, height_px=height_px, fov_deg=fov_deg, height_m=height_m)
-    if coco is not None:
-        drives = read_coco(*coco, threshold=threshold, frames_per_s=frames_per_s, camera=model)
-        name = coco[1].stem
-    elif detections is not None:
-        drives = read_csv(detections, model)
-        name = detections.stem
-    else:
-        raise InvalidInput.at("--detections", "expected a file")
-    return DetectorBody(
-        detector=name,
-        drives=[
-            DriveBody(
-                name=drive.name,
-                condition=drive.condition,
-                measures={
-                    target.value: {kind.value: magnitude for kind, magnitude in errors.items()}
-                    for target, errors in drive.errors.magnitudes.items()
-                },
-                at_least={
-                    target.value: sorted(kind.value for kind in kinds)
-                    for target, kinds in drive.errors.at_least.items()
-                },
-            )
-            for drive in drives
-        ],
-    )
-
-
-def _hold_against(
-    campaign: str,
-    episodes: str | None,
-    body: DetectorBody | None,
-    server: str | None,
-    database: str | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Print whether a detector meets the requirement of a campaign."""
-    path = f"/campaigns/{campaign}/tolerance/detector"
-
-    async def work(api: Api) -> DetectorView:
-        if body is None:
-            return await api.read(DetectorView, path, {"episodes": episodes})
-        return await api.send(DetectorView, path, body.model_dump(mode="json"))
-
-    view = with_api(server, database, work)
-    if as_json:
-        print_json(view.model_dump(mode="json"))
-    else:
-        show_detector(console(), view)
-
-
-_RESULT_STYLES: Final = {
-    CheckResult.MET: "green", CheckResult.NOT_MET: "red", CheckResult.TOO_LITTLE: "yellow",
-    CheckResult.NO_DATA: "dim",
-}  # fmt: skip
-
-
-def show_detector(screen: Console, view: DetectorView) -> None:
-    """Print a row for each cell, and how often the detector's own drives violated."""
-    screen.print(view.note, soft_wrap=True, style="bold")
-    screen.print(
-        f"met: with {view.confidence:.0%} confidence, errors of this size make at most {view.limit:.0%} of "
-        "drives violate; each type of error for itself",
-        soft_wrap=True,
-        style="dim",
-    )
-    table = plain_table(
-        "error", "condition", "drives", "median", "95% within", "beyond", "violate", "", "requirement", "worst",
-        right=("drives", "median", "95% within", "beyond", "violate"),
-    )  # fmt: skip
-    for cell in view.cells:
-        if cell.result is CheckResult.NO_DATA:
-            continue
-        share, interval = "–", ""
-        if cell.share is not None and cell.low is not None and cell.high is not None:
-            share, interval = f"{cell.share:.1%}", f"[{cell.low:.1%}, {cell.high:.1%}]"
-        table.add_row(
-            cell.error, cell.condition, str(cell.drives),
-            _with_unit(cell.typical, cell.unit), _with_unit(cell.grossest, cell.unit), str(cell.beyond), share,
-            interval, Text(cell.result, _RESULT_STYLES[cell.result]), " ".join(cell.worst[:3]),
-        )  # fmt: skip
-    screen.print(table)
-    for words in (view.no_data, *view.next):
-        if words:
-            screen.print(words, soft_wrap=True)
-    for one in view.conditions:
-        if one.violations is not None:
-            screen.print(
-                f"{one.condition}: {one.violations} of {one.drives} drives with this detector violate",
-                soft_wrap=True,
-            )
-
-
-def _with_unit(magnitude: float | None, unit: str) -> str:
-    if magnitude is None:
-        return "–"
-    return f"{magnitude:.0f}%" if unit == "%" else f"{magnitude:.1f} {unit}".rstrip()
 
 
 def _compare(campaign: str, fresh: str, server: str | None, database: str | None, *, as_json: bool) -> None:
@@ -328,27 +298,6 @@ def _compare(campaign: str, fresh: str, server: str | None, database: str | None
     screen = console()
     screen.print(table)
     screen.print(view.note, soft_wrap=True)
-
-
-def _format(form: Format | None, out: Path | None, *, as_json: bool) -> Format:
-    """Return the format to write.
-
-    Raises:
-        InvalidInput: The options contradict each other.
-    """
-    if as_json:
-        if form is not None or out is not None:
-            raise InvalidInput.at("--json", "expected --json without --format and --out")
-        return Format.JSON
-    if out is None:
-        return form or Format.TABLE
-    named = out.suffix.removeprefix(".")
-    files = (Format.CSV.value, Format.JSON.value, Format.MARKDOWN.value)
-    if named not in files or (form is not None and form != named):
-        raise InvalidInput.at(
-            "--out", f"{out}: expected a file name that ends in .{form or 'csv, .json or .md'}"
-        )
-    return Format(named)
 
 
 async def fetch_tolerance(api: Api, campaign: str) -> ToleranceView:

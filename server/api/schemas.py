@@ -720,6 +720,12 @@ class ProblemView(View):
     finds: Annotated[
         list[str], Field(description="What a campaign finds besides a boundary: violations, combinations.")
     ]
+    measures_detector: Annotated[
+        bool,
+        Field(
+            description="Whether its drives measure the errors of a detector, to hold it against tolerances."
+        ),
+    ]
     algorithm_defaults: Annotated[
         dict[str, Any],
         Field(

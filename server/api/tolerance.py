@@ -33,7 +33,7 @@ from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import NamesRequirements, ScalesSeverity, SeverityScale
+from brink.server.problems.base import MeasuresDetector, NamesRequirements, ScalesSeverity, SeverityScale
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus
 from brink.sim.urban.detection_errors import Target
@@ -293,6 +293,7 @@ class DetectorCell(View):
     low: float | None
     high: float | None
     worst: Annotated[list[str], Field(description="Drives with the grossest errors, grossest first.")]
+    sentence: Annotated[str, Field(description="The result with its basis.")]
 
 
 class DetectorConditionView(View):
@@ -313,6 +314,7 @@ class DetectorView(View):
     limit: float
     confidence: float
     note: str
+    meaning: Annotated[str, Field(description="What met means, and of what.")]
     no_data: Annotated[str, Field(description="What no drive tells anything about; empty for nothing.")]
     next: Annotated[list[str], Field(description="What to record next to decide more, in sentences.")]
     conditions: list[DetectorConditionView]
@@ -335,7 +337,8 @@ async def get_detector(
     found = await services.tolerances.get(campaign, archive)
     there = await services.archives.get(other)
     drives = await services.pages.read(services.engines, lambda c: read_drives(c, other, there, found.layout))
-    name = str(other.body.problem.params.get("detector", other.body.name))
+    problem = there.plan.problem
+    name = problem.measured_detector if isinstance(problem, MeasuresDetector) else other.body.name
     return await services.analyses.run(lambda: detector_view(campaign, archive.plan, found, name, drives))
 
 
@@ -374,8 +377,11 @@ def detector_view(
         check_detector(found, plan.problem, drives, campaign.body.seed),
         key=lambda check: order.index(check.result),
     )
-    cells = [_detector_cell(plan, check) for check in checks]
-    results = [check.result for check in checks]
+    requirements = list(plan.problem.requirements) if isinstance(plan.problem, NamesRequirements) else []
+    limit, confidence = found.config.limit, found.config.confidence
+    cells = [
+        _detector_cell(check, _Words(plan.problem, check.choices, requirements, limit)) for check in checks
+    ]
     conditions = []
     for condition in dict.fromkeys((*found.layout.conditions, *(check.condition for check in checks))):
         here = [drive for drive in drives if condition in (drive.condition, ALL_DRIVES)]
@@ -385,10 +391,12 @@ def detector_view(
                 condition=condition, drives=len(here), violations=sum(known) if known else None
             )
         )
-    counts = ", ".join(f"{result.value} in {results.count(result)}" for result in _SHOWN if result in results)
     return DetectorView(
-        campaign=campaign.id, detector=name, limit=found.config.limit, confidence=found.config.confidence,
-        note=f"{name}, {len(drives)} drives: {counts} of {len(cells)} cells",
+        campaign=campaign.id, detector=name, limit=limit, confidence=confidence,
+        note=_verdict(name, len(drives), [check.result for check in checks]),
+        meaning="Each cell is a type of error that concerns one target, under one condition. Met: with "
+        f"{confidence:.0%} confidence, errors of the sizes that this detector has make at most {limit:.0%} of drives "
+        f"{_violated(requirements)}. Not met: they make more.",
         no_data=_no_data(cells), next=_next(cells), conditions=conditions, cells=cells,
     )  # fmt: skip
 
@@ -397,18 +405,37 @@ _SHOWN: Final = (CheckResult.NOT_MET, CheckResult.TOO_LITTLE, CheckResult.MET, C
 """The order in which results matter."""
 
 
-def _detector_cell(plan: Plan, check: CellCheck) -> DetectorCell:
-    scale = plan.problem.severity_scale(check.choices) if isinstance(plan.problem, ScalesSeverity) else None
+def _verdict(name: str, drives: int, results: Sequence[CheckResult]) -> str:
+    """Return in how many cells a requirement is met, not met, or neither, in one sentence."""
+    not_met, met, no_data = (
+        results.count(result) for result in (CheckResult.NOT_MET, CheckResult.MET, CheckResult.NO_DATA)
+    )
+    unknown = len(results) - not_met - met
+    if not_met:
+        words = "does not meet the requirement"
+    elif unknown:
+        words = "is not shown to meet the requirement"
+    else:
+        words = "meets the requirement"
+    without = f" ({no_data} without any data)" if no_data else ""
+    return (
+        f"{name} {words}: not met in {not_met} of {len(results)} cells, unknown in {unknown}{without}, met in {met}; "
+        f"from {drives:,} {'drive' if drives == 1 else 'drives'}"
+    )
+
+
+def _detector_cell(check: CellCheck, words: "_Words") -> DetectorCell:
     drives, share = len(check.severity), check.share
     middle, most = (
         np.quantile(check.severity, [0.5, 0.95], method="inverted_cdf").tolist() if drives else (None, None)
     )
+    scale = words.scale
     return DetectorCell(
-        choices=dict(check.choices), error=error_words(plan.problem, check.choices), condition=check.condition,
-        result=check.result, drives=drives, needed=check.needed, at_least=check.bounds,
-        typical=_in_unit(scale, middle), grossest=_in_unit(scale, most), unit=scale.unit if scale else "",
-        beyond=check.beyond, share=share.value if share else None, low=share.low if share else None,
-        high=share.high if share else None, worst=list(check.worst),
+        choices=dict(check.choices), error=words.error, condition=check.condition, result=check.result, drives=drives,
+        needed=check.needed, at_least=check.bounds, typical=_in_unit(scale, middle), grossest=_in_unit(scale, most),
+        unit=scale.unit if scale else "", beyond=check.beyond, share=share.value if share else None,
+        low=share.low if share else None, high=share.high if share else None, worst=list(check.worst),
+        sentence=words.checked(check, middle),
     )  # fmt: skip
 
 
@@ -424,19 +451,43 @@ def _no_data(cells: Sequence[DetectorCell]) -> str:
 
 
 def _next(cells: Sequence[DetectorCell]) -> list[str]:
-    """Return what to record next, by condition and target."""
-    missing: dict[tuple[str, str], list[int]] = {}
+    """Return what to record next: where more drives would decide, where there are none yet, and the rest."""
+    begun: dict[tuple[str, str], list[int]] = {}
+    empty: dict[str, list[DetectorCell]] = {}
     for cell in cells:
-        if cell.needed is not None:
-            target = next((value for name, value in cell.choices.items() if name.endswith(".target")), "")
-            missing.setdefault((cell.condition, target), []).append(cell.needed - cell.drives)
-    return [
+        target = next((value for name, value in cell.choices.items() if name.endswith(".target")), "")
+        if cell.needed is not None and cell.drives:
+            begun.setdefault((cell.condition, target), []).append(cell.needed - cell.drives)
+        elif cell.needed is not None:
+            empty.setdefault(target, []).append(cell)
+    words = [
         f"{as_sentence(condition)}: {'about ' if most > LEAST_DRIVES else ''}{most:,} more drives with "
-        f"{_IN_SIGHT.get(target, 'such a road user')} in sight would decide {len(more)} "
-        f"{'cell' if len(more) == 1 else 'cells'} if they are like those so far"
-        for (condition, target), more in missing.items()
+        f"{_in_sight(target)} would decide {_cells(len(more))} if they are like those so far"
+        for (condition, target), more in begun.items()
         if (most := max(more)) > 0
     ]
+    for target, without in empty.items():
+        conditions = list(dict.fromkeys(cell.condition for cell in without))
+        words.append(
+            f"{as_sentence(', '.join(conditions))}: {max(cell.needed or 0 for cell in without):,} drives or more"
+            f"{' each' if len(conditions) > 1 else ''} with {_in_sight(target)}, before "
+            f"{_cells(len(without))} can be met; there are none yet"
+        )
+    open_ended = sum(cell.result is CheckResult.TOO_LITTLE and cell.needed is None for cell in cells)
+    if open_ended:
+        words.append(
+            f"More drives would not decide {_cells(open_ended)}: the requirement is too uncertain, or the detector "
+            "too close to it; a campaign with a larger budget may decide"
+        )
+    return words
+
+
+def _cells(number: int) -> str:
+    return "1 cell" if number == 1 else f"{number} cells"
+
+
+def _in_sight(target: str) -> str:
+    return f"{_IN_SIGHT.get(target, 'such a road user')} in sight"
 
 
 _IN_SIGHT: Final[Mapping[str, str]] = {
@@ -783,6 +834,30 @@ class _Words:
             case Finding.UNDECIDED:
                 words = f"{activity} probably makes {share} of drives {violated}, or no magnitude does"
         return f"{as_sentence(condition)}: {words}{f' ({basis})' if basis else ''}."
+
+    @property
+    def error(self) -> str:
+        """The error without its magnitude."""
+        return error_words(self._problem, self._choices)
+
+    def checked(self, check: CellCheck, middle: float | None) -> str:
+        """Return whether a detector meets the requirement of a cell, with the basis of that.
+
+        Args:
+            check: The detector's errors.
+            middle: Median of their severities; None without any.
+        """
+        start = f"{as_sentence(check.condition)}: {self.error}: {check.result.value}"
+        if check.share is None or middle is None:
+            return f"{start}: no drive tells anything about it."
+        drives, at_least = len(check.severity), " at least" if check.bounds else ""
+        share = check.share
+        words = (
+            f"in {drives:,} {'drive' if drives == 1 else 'drives'} the worst such error has a median of{at_least} "
+            f"{self._number(middle, unit=True)}; {share.value:.1%} [{100 * share.low:.1f}, {100 * share.high:.1f}] "
+            f"of drives with such errors {_violated(self._requirements)}, {self._limit:.0%} are allowed"
+        )
+        return f"{start}: {words}."
 
     def fall(self, curve: Curve) -> FallView | None:
         fall = curve.fall

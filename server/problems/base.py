@@ -391,6 +391,17 @@ class HasDetector(Protocol):
 
 
 @runtime_checkable
+class MeasuresDetector(Protocol):
+    """A problem whose episodes measure the errors of a detector in the loop, to hold it against tolerances.
+
+    Attributes:
+        measured_detector: Name of the detector.
+    """
+
+    measured_detector: str
+
+
+@runtime_checkable
 class StudiesErrors(Protocol):
     """A problem that simulates errors of a component, for tolerances.
 

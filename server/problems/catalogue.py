@@ -25,6 +25,7 @@ from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
 from brink.server.problems.base import (
     InProcessProblem,
+    MeasuresDetector,
     NamesRequirements,
     NeedsExtra,
     NeedsPython,
@@ -326,6 +327,7 @@ def _describe_problem(problem_id: str) -> dict[str, Any]:
         "space": problem.space.describe(),
         "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
         "finds": _finds(problem),
+        "measures_detector": isinstance(problem, MeasuresDetector),
         "algorithm_defaults": dict(problem.algorithm_defaults),
         "first_algorithm": _first_algorithm(problem),
         "python_only": isinstance(problem, NeedsPython) and problem.python_only,

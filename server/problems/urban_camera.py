@@ -54,6 +54,7 @@ class UrbanCamera(HasTrueVariant, JudgedByRequirements):
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = params.requirements
         self.timeout_s = params.timeout_s
+        self.measured_detector = params.detector
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in the name or file of the detector."""

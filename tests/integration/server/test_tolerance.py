@@ -176,7 +176,7 @@ def test_a_detector_is_held_against_the_tolerances(service: Service) -> None:
     nobody = [cell for cell in view["cells"] if "pedestrian" in cell["choices"].values()]
     assert {(cell["result"], cell["share"], cell["high"]) for cell in nobody} == {("no data", None, None)}
     assert "by day: not reporting the nearest pedestrian for …, " in view["no_data"]
-    assert any("By night: about 59 more drives with a pedestrian near the lane" in words for words in view["next"])
+    assert any("59 drives or more each with a pedestrian near the lane" in words for words in view["next"])
 
 
 def judged(service: Service, drives: list[Any]) -> dict[tuple[str, ...], Any]:
@@ -328,7 +328,7 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     def tolerance(*options: str) -> str:
         done = CliRunner().invoke(app, ["tolerance", service.campaign, "--database", database, *options])
         assert done.exit_code == 0, done.output
-        return done.output
+        return done.stdout
 
     shown = tolerance()
     assert "not reporting the lead for …" in shown

@@ -30,7 +30,6 @@ from brink.sim.guard.model import GuardModel
 from brink.sim.guard.option import guard_digest
 from brink.sim.perception.user_files import DatasetError, DetectorError, read_coco, weights_file
 from brink.sim.trace import Trace
-from brink.sim.urban.detection_files import DetectionFileError, _json, read_csv
 from brink.user_file import open_file, read_file, read_text
 
 MIB = 1024**2
@@ -54,8 +53,6 @@ READERS: dict[Callable[[Path], Any], type[Exception]] = {
     Study.load: OSError,
     GuardModel.load: OSError,
     guard_digest: InvalidEpisode,
-    read_csv: DetectionFileError,
-    _json: DetectionFileError,
     read_coco: DatasetError,
     read_settings: InvalidInput,
     lambda path: read_recording(path, path, format="csv"): RecordingError,
@@ -186,7 +183,6 @@ def test_json_that_is_nested_too_deeply_is_an_error(tmp_path: Path) -> None:
     file = tmp_path / "deep.json"
     file.write_text("[" * 100_000)
     for reader, kind in (
-        (_json, DetectionFileError),
         (read_json, RecordingError),
         (Study.load, DocumentError),
         (Monitor.load, DocumentError),

@@ -1,0 +1,186 @@
+"""The worst episodes of a recording as strips of frames with boxes, so that a person can check them by eye."""
+
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from brink.recordings.camera import CameraModel
+from brink.recordings.measure import ObservedDrive
+from brink.recordings.recording import Image, Sides
+from brink.server.api.tolerance import DetectorCell, DetectorView
+from brink.server.campaigns.detector_check import CheckResult
+from brink.server.problems.changes import as_sentence
+from brink.sim.urban.detection_errors import ErrorType, Target
+from brink.sim.urban.error_meter import Sample, Span
+
+MOST_STRIPS: Final = 10
+FRAMES: Final = 8
+AROUND_S: Final = 0.6
+"""Time shown before and after an error."""
+_LEAST_SHOWN: Final = 0.2
+"""A frame shows at least this share of the image's width."""
+_MARGIN: Final = 1.6
+"""How much larger than the road user's boxes a frame is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownBox:
+    """A box in a frame, in pixels of the camera.
+
+    Attributes:
+        kind: ``true``, ``hidden`` (not visible enough to be reported), ``reported`` or ``ignored`` (a region).
+        is_subject: Whether it is the road user that the episode is about.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+    kind: str
+    is_subject: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One image of an episode: what is said of it, and its boxes."""
+
+    time: str
+    words: str
+    boxes: Sequence[ShownBox]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strip:
+    """An episode.
+
+    Attributes:
+        title: What went wrong.
+        words: Where and when.
+        view_box: The part of the image that is shown: x, y, width, height.
+        image: Size of the whole image.
+        frames: Its frames.
+    """
+
+    title: str
+    words: str
+    view_box: tuple[float, float, float, float]
+    image: tuple[float, float]
+    frames: Sequence[Frame]
+
+
+def worst_strips(
+    view: DetectorView, observed: Iterable[ObservedDrive], camera: CameraModel | None, threshold: float
+) -> list[Strip]:
+    """Return the worst episodes: those of each cell in turn, from the one whose errors make most drives violate.
+
+    Args:
+        view: The check of the detector.
+        observed: Its drives.
+        camera: Camera of drives without one of their own; None for the driving system's.
+        threshold: Smallest score of a detection that counts.
+    """
+    drives = {one.drive.name: one for one in observed}
+    return [
+        _strip(cell, drives[name], span, camera or CameraModel.own(), threshold)
+        for cell, name, span in itertools.islice(_episodes(view, drives), MOST_STRIPS)
+    ]
+
+
+def _episodes(
+    view: DetectorView, drives: Mapping[str, ObservedDrive]
+) -> Iterator[tuple[DetectorCell, str, Span]]:
+    told = (cell for cell in view.cells if cell.result is not CheckResult.NO_DATA)
+    cells = sorted(told, key=lambda cell: -(cell.share or 0.0))
+    shown: set[tuple[str, int | None, float]] = set()
+    for place in range(max((len(cell.worst) for cell in cells), default=0)):
+        for cell in cells:
+            for name in cell.worst[place : place + 1]:
+                span = _span_of(cell, drives.get(name))
+                # One outage may be the worst of several cells: of the lead and of everybody.
+                if span is not None and (name, span.track, span.from_s) not in shown:
+                    shown.add((name, span.track, span.from_s))
+                    yield cell, name, span
+
+
+def _span_of(cell: DetectorCell, drive: ObservedDrive | None) -> Span | None:
+    chosen = {name.rpartition(".")[2]: value for name, value in cell.choices.items()}
+    if drive is None or "type" not in chosen or "target" not in chosen:
+        return None
+    return drive.measured.errors.spans.get(Target(chosen["target"]), {}).get(ErrorType(chosen["type"]))
+
+
+def _strip(
+    cell: DetectorCell, observed: ObservedDrive, span: Span, camera: CameraModel, threshold: float
+) -> Strip:
+    camera = observed.drive.camera or camera
+    track = None if span.track is None else observed.tracks[span.track]
+    until_s = span.from_s + span.duration_s
+    times = [
+        time_s
+        for time_s in sorted(observed.drive.images)
+        if span.from_s - AROUND_S <= time_s <= until_s + AROUND_S
+    ]
+    last = len(times) - 1
+    chosen = sorted({round(place * last / (FRAMES - 1)) for place in range(FRAMES)})
+    images = [observed.drive.images[times[place]] for place in chosen]
+    samples = {
+        (sample.time_s, observed.tracks[sample.track]): sample
+        for sample in observed.meter.samples
+        if times[0] <= sample.time_s <= times[-1]
+    }
+    return Strip(
+        title=f"Drive {observed.drive.name}: {cell.error.replace('…', f'{span.duration_s:.1f} s')}",
+        words=f"{as_sentence(cell.condition)}, from {span.from_s:.1f} to {until_s:.1f} s"
+        + ("" if track is None else f", road user {track}"),
+        view_box=_view_box(_subjects(images, track, threshold), camera),
+        image=(camera.width_px, camera.height_px),
+        frames=[_frame(image, track, samples, threshold) for image in images],
+    )
+
+
+def _subjects(images: Sequence[Image], track: str | None, threshold: float) -> list[Sides]:
+    """Return the boxes that a strip must show: those of its road user, or everything reported."""
+    if track is None:
+        return [one.sides for image in images for one in image.detections if one.score >= threshold]
+    return [user.sides for image in images for user in image.road_users if user.track == track]
+
+
+def _view_box(boxes: Sequence[Sides], camera: CameraModel) -> tuple[float, float, float, float]:
+    """Return the part of the image to show: around the boxes, in the image's own proportions."""
+    if not boxes:
+        return 0.0, 0.0, camera.width_px, camera.height_px
+    x_min, x_max = min(one.x_min for one in boxes), max(one.x_max for one in boxes)
+    y_min, y_max = min(one.y_min for one in boxes), max(one.y_max for one in boxes)
+    share = max(
+        _LEAST_SHOWN,
+        _MARGIN * (x_max - x_min) / camera.width_px,
+        _MARGIN * (y_max - y_min) / camera.height_px,
+    )
+    width, height = min(share, 1.0) * camera.width_px, min(share, 1.0) * camera.height_px
+    left = min(max(0.5 * (x_min + x_max - width), 0.0), camera.width_px - width)
+    top = min(max(0.5 * (y_min + y_max - height), 0.0), camera.height_px - height)
+    return left, top, width, height
+
+
+def _frame(
+    image: Image, track: str | None, samples: Mapping[tuple[float, str], Sample], threshold: float
+) -> Frame:
+    boxes = [_shown(sides, "ignored") for sides in image.ignored]
+    words = "" if track is None else "not in sight"
+    for user in image.road_users:
+        sample = samples[image.time_s, user.track]
+        boxes.append(
+            _shown(user.sides, "true" if sample.is_visible else "hidden", is_subject=user.track == track)
+        )
+        if user.track == track:
+            state = "hidden" if not sample.is_visible else "reported" if sample.is_seen else "missed"
+            words = f"{sample.depth_m:.0f} m, {state}"
+    boxes += [_shown(one.sides, "reported") for one in image.detections if one.score >= threshold]
+    return Frame(f"{image.time_s:.1f} s", words, boxes)
+
+
+def _shown(sides: Sides, kind: str, *, is_subject: bool = False) -> ShownBox:
+    return ShownBox(
+        sides.x_min, sides.y_min, sides.x_max - sides.x_min, sides.y_max - sides.y_min, kind, is_subject
+    )
