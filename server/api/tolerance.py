@@ -441,13 +441,15 @@ def _detector_cell(check: CellCheck, words: "_Words") -> DetectorCell:
 
 def _no_data(cells: Sequence[DetectorCell]) -> str:
     """Return what no drive tells anything about, in one sentence."""
-    parts = []
+    conditions: dict[str, list[str]] = {}
     for condition in dict.fromkeys(cell.condition for cell in cells):
         here = [cell for cell in cells if cell.condition == condition]
         without = [cell.error for cell in here if cell.result is CheckResult.NO_DATA]
         if without:
-            parts.append(f"{condition}: {'everything' if len(without) == len(here) else ', '.join(without)}")
-    return f"No data on {'; '.join(parts)}." if parts else ""
+            errors = "everything" if len(without) == len(here) else ", ".join(without)
+            conditions.setdefault(errors, []).append(condition)
+    parts = [f"{', '.join(names)}: {errors}" for errors, names in conditions.items()]
+    return f"Without data: {'; '.join(parts)}." if parts else ""
 
 
 def _next(cells: Sequence[DetectorCell]) -> list[str]:

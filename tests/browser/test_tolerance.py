@@ -33,14 +33,37 @@ TOLERANCE: dict[str, Any] = {
 }  # fmt: skip
 
 
+CAMERA: dict[str, Any] = {
+    "name": "a detector by night",
+    "problem": {
+        "id": "urban-camera@1",
+        "params": {"duration_s": 6.0, "odd": {"scenario.time_of_day": "night", "scenario.pedestrians": 0}},
+    },
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 3},
+    "seed": 5,
+}  # fmt: skip
+"""Drives with a detector in the loop, under the condition of the tolerances."""
+
+
+def finished(site: Served, document: dict[str, Any]) -> str:
+    made = submit(site.client, document)
+    eventually(
+        lambda: progress(site.client, made)["status"] == "finished", f"{document['name']} ends", PATIENCE_S
+    )
+    return made
+
+
 @pytest.fixture(scope="module")
 def campaign(site: Served) -> str:
     """A finished search for tolerances."""
-    made = submit(site.client, TOLERANCE)
-    eventually(
-        lambda: progress(site.client, made)["status"] == "finished", "the tolerances are found", PATIENCE_S
-    )
-    return made
+    return finished(site, TOLERANCE)
+
+
+@pytest.fixture(scope="module")
+def camera(site: Served) -> str:
+    """A finished campaign with a detector in the loop."""
+    return finished(site, CAMERA)
 
 
 @pytest.fixture
@@ -114,6 +137,59 @@ def test_tolerances_are_saved_as_csv(page: Page, campaign: str, told: Any) -> No
     assert saved.value.suggested_filename == f"tolerance-{campaign}.csv"
     rows = list(csv.DictReader(io.StringIO(Path(saved.value.path()).read_text())))
     assert [row["sentence"] for row in rows] == [cell["sentence"] for cell in told["cells"]]
+
+
+def check_detector(page: Page, camera: str) -> Locator:
+    """Check the detector of a campaign on the page; return the table of results."""
+    card = card_of(page)
+    card.get_by_text("Does a detector meet it?").click()
+    chosen = card.get_by_label("Detector of the campaign")
+    shown(chosen.locator("option")).to_have_count(
+        2
+    )  # of campaigns without a detector in the loop, none is offered
+    chosen.select_option(camera)
+    results = card.get_by_role("region", name="Results of the detector")
+    shown(results).to_be_visible()
+    return results
+
+
+def test_the_detector_of_another_campaign_is_checked(
+    page: Page, site: Served, campaign: str, camera: str
+) -> None:
+    check = expect(
+        site.client.get(f"{API}/campaigns/{campaign}/tolerance/detector", params={"episodes": camera})
+    )
+    results = check_detector(page, camera)
+    card = card_of(page)
+    shown(card).to_contain_text(check["note"])
+    shown(card).to_contain_text(check["meaning"])
+    shown(card).to_contain_text(check["no_data"])
+    for words in check["next"]:
+        shown(card.get_by_role("list", name="What to record next")).to_contain_text(words)
+    cells = [cell for cell in check["cells"] if cell["share"] is not None]
+    rows = results.locator("tbody tr")
+    shown(rows).to_have_count(len(cells))
+    assert cells
+    for place, cell in enumerate(cells):  # in the order of the answer: what is not met first
+        row = rows.nth(place)
+        shown(row).to_have_attribute("title", cell["sentence"])
+        shown(row).to_contain_text(cell["result"])
+        shown(row.locator("svg.bar")).to_have_count(1)
+        for drive in cell["worst"][:1]:
+            shown(row.get_by_role("link").first).to_have_attribute(
+                "href", f"#/campaigns/{camera}/solutions/{drive}"
+            )
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_check_of_a_detector_is_accessible(page: Page, camera: str, theme: Theme) -> None:
+    page.emulate_media(color_scheme=theme)
+    check_detector(page, camera)
+    assert faults(page, RULES[theme]) == []
+    page.set_viewport_size({"width": PHONE_PX, "height": 844})
+    eventually(  # the charts follow it later
+        lambda: page.evaluate("document.scrollingElement.scrollWidth") <= PHONE_PX, "it fits", PATIENCE_S
+    )
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -36,7 +36,7 @@ export async function show(main, context, { parts, query }) {
     convergence.explain(read.note);
   });
   const found = findings(context, id, problem?.finds ?? []);
-  const tolerance = toleranceCard(context, id);
+  const tolerance = toleranceCard(context, id, problems);
   const pairs = pairsCard(context, id);
   const dependence = dependenceCard(context, id, map.parameters);
   const about = aboutCard(algorithm);

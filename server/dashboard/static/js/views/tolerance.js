@@ -7,11 +7,12 @@ import { loadOnNews } from "../polling.js";
 import { link } from "../router.js";
 import { matrix } from "../parts/elements.js";
 import { said, share } from "./pair/words.js";
+import { detectorCheck } from "./tolerance_detector.js";
 
 const COLOURS = 6;
 
-/** Return the card of a campaign's tolerances; ``news(sequence)`` loads them. */
-export function toleranceCard(context, id) {
+/** Return the card of a campaign's tolerances and a check of detectors against them; ``news(sequence)`` loads them. */
+export function toleranceCard(context, id, problems) {
   const about = h("p.hint");
   const words = h("p", { "aria-live": "polite" });
   const unknown = h("p.hint");
@@ -26,7 +27,8 @@ export function toleranceCard(context, id) {
     h("div.inline", null, h("h2", null, "Tolerances"), h("div.actions.push", null, save("csv", "CSV"), save("json", "JSON"))),
     about, words, unknown, legend, panels,
     h("h3", null, "Requirements"), table, falls,
-    h("h3", null, "Without any error"), baseline);
+    h("h3", null, "Without any error"), baseline,
+    detectorCheck(context, id, problems));
 
   const load = loadOnNews(async () => {
     const read = await context.get(`campaigns/${id}/tolerance`);
