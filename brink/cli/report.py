@@ -7,7 +7,7 @@ import typer
 
 from brink.api.client import Api
 from brink.api.live import Steps
-from brink.cli.options import CampaignId, Database, Server, console, with_api
+from brink.cli.options import CampaignId, Database, Server, check_ids, console, with_api
 from brink.report.campaign import MOST_PAIRS, campaign_report, write_page
 from brink.server.errors import InvalidInput
 
@@ -19,6 +19,15 @@ def report(
         int,
         typer.Option(min=0, max=20, help="Most pairs to show in full, with pictures; others are in a table."),
     ] = MOST_PAIRS,
+    episodes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            callback=check_ids,
+            help="Also check the detector of this campaign, such as one on urban-camera@1, against tolerances.",
+        ),
+    ] = None,
     database: Database = None,
     server: Server = None,
 ) -> None:
@@ -39,7 +48,12 @@ def report(
     async def work(api: Api) -> str:
         with Steps(screen, "reading the campaign") as steps:
             return await campaign_report(
-                api, campaign, most_pairs=pairs, workers=server is not None, show=steps.show
+                api,
+                campaign,
+                most_pairs=pairs,
+                episodes=episodes,
+                workers=server is not None,
+                show=steps.show,
             )
 
     size = write_page(out, with_api(server, database, work))

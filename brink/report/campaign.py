@@ -8,13 +8,11 @@ import asyncio
 from collections import Counter
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
 import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from brink import __version__
 from brink.api.client import Api
@@ -25,6 +23,7 @@ from brink.report.campaign_sections import (
     Table,
     boundary_section,
     combinations_section,
+    detector_section,
     outcomes_section,
     pairs_section,
     tolerance_section,
@@ -48,6 +47,7 @@ from brink.report.campaign_words import (
     uncertainties,
     verdicts,
 )
+from brink.report.text import page_template
 from brink.search.analysis.combinations import MIN_PLACES
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, PairsView
 from brink.server.api.tolerance import Finding, ToleranceView
@@ -66,6 +66,7 @@ async def campaign_report(
     *,
     pictures: Mapping[str, Path] | None = None,
     most_pairs: int = MOST_PAIRS,
+    episodes: str | None = None,
     workers: bool = False,
     show: Show = lambda _what, _done, _total: None,
 ) -> str:
@@ -77,6 +78,7 @@ async def campaign_report(
         pictures: Pictures that were drawn before, by file name, such as ``pair-1.png``; no others are shown then.
             None draws them.
         most_pairs: Most pairs to show in full; the others are in a table.
+        episodes: Id of a campaign with a detector in the loop, to check against tolerances; None for none.
         workers: Whether the coordinator's workers run episodes again for pictures; otherwise this machine does.
         show: Called with what is being done, in words, how much of it is done, and how much there is; 0 if that is
             unknown.
@@ -85,7 +87,7 @@ async def campaign_report(
         CoordinatorError: The campaign does not exist.
         InvalidInput: Its problem or algorithm is not installed here.
     """
-    facts = await fetch_facts(api, campaign, show)
+    facts = await fetch_facts(api, campaign, show, episodes=episodes)
     if pictures is not None:
         return await asyncio.to_thread(compose, facts, pictures, most_pairs=most_pairs)
     with TemporaryDirectory(prefix="brink-report-") as folder:
@@ -108,11 +110,11 @@ def compose(facts: Facts, pictures: Mapping[str, Path], *, most_pairs: int = MOS
     pairs = pairs_section(facts, album, full)
     searched = facts.searched_pairs
     sections = [
-        pairs if searched else None, tolerance_section(facts, album), violations_section(facts, album),
-        combinations_section(facts, album), boundary_section(facts, album), None if searched else pairs,
-        outcomes_section(facts),
+        pairs if searched else None, tolerance_section(facts, album), detector_section(facts, album),
+        violations_section(facts, album), combinations_section(facts, album), boundary_section(facts, album),
+        None if searched else pairs, outcomes_section(facts),
     ]  # fmt: skip
-    return _template().render(
+    return page_template("campaign.html").render(
         title=facts.view.name, subject=subject(facts), standing=standing(facts), version=__version__,
         found=[purpose(facts), *verdicts(facts), *findings(facts)], uncertain=uncertainties(facts),
         requirements=[Term(name, requirement_words(name)) for name in facts.fetched.outcomes.requirements],
@@ -133,15 +135,6 @@ def write_page(file: Path, page: str) -> int:
     finally:
         part.unlink(missing_ok=True)
     return len(data)
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("brink.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
-    )  # fmt: skip
-    return environment.get_template("campaign.html")
 
 
 def _key_figures(facts: Facts) -> list[Term]:

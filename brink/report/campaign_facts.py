@@ -28,7 +28,7 @@ from brink.server.api.schemas import (
     SolutionView,
     Violations,
 )
-from brink.server.api.tolerance import ToleranceView
+from brink.server.api.tolerance import DetectorView, ToleranceView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.problems.base import InProcessProblem, ReportsViolations, ignores_seeds, records_traces
 from brink.server.states import CampaignStatus, JobStatus
@@ -88,6 +88,7 @@ class Facts:
         violations: Types of violations, if its simulator reports their circumstances.
         combinations: Chains of techniques, if it perturbs images.
         tolerance: Tolerances, if it looks for them.
+        detector: Whether the detector of another campaign meets them; None if none was named.
         repeats: Simulations of its solutions with other seeds, in separate campaigns.
         control: A sentence for each comparison with its control.
         rules: The rules of its unsafe region.
@@ -106,6 +107,7 @@ class Facts:
     violations: Violations | None
     combinations: Combinations | None
     tolerance: ToleranceView | None
+    detector: DetectorView | None
     repeats: Sequence[RepeatsView]
     control: Sequence[str]
     rules: Rules | None
@@ -164,16 +166,17 @@ class Facts:
         return isinstance(self.fetched.plan.config, MultiObjectiveConfig | QdConfig)
 
 
-async def fetch_facts(api: Api, campaign: str, show: Show) -> Facts:
+async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | None = None) -> Facts:
     """Fetch everything that the report of a campaign tells.
 
     Args:
         api: Coordinator of the campaign.
         campaign: Id of the campaign, or a unique prefix of it.
         show: Called with what is being done.
+        episodes: Id of a campaign whose detector is checked against its tolerances; None for none.
 
     Raises:
-        CoordinatorError: The campaign does not exist.
+        CoordinatorError: The campaign does not exist, or the detector cannot be checked.
         InvalidInput: Its problem or algorithm is not installed here.
     """
     show("reading the campaign", 0, 0)
@@ -191,17 +194,19 @@ async def fetch_facts(api: Api, campaign: str, show: Show) -> Facts:
     if progress.looks_for_boundary and not progress.looks_for_pairs and len(archive):
         control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
     rules, no_rules = _rules(fetched)
-    violations = combinations = tolerance = None
+    violations = combinations = tolerance = detector = None
     if isinstance(problem, ReportsViolations):
         violations = await api.read(Violations, f"{path}/violations")
     if _has_slots(fetched):
         combinations = await api.read(Combinations, f"{path}/combinations")
     if progress.looks_for_tolerances:
         tolerance = await api.read(ToleranceView, f"{path}/tolerance")
+    if episodes is not None:
+        detector = await api.read(DetectorView, f"{path}/tolerance/detector", {"episodes": episodes})
     first = int(archive.numbers[0]) if len(archive) else None
     return Facts(
         view=view, progress=progress, finding=finding, fetched=fetched, pairs=pairs, boundary=boundary,
-        violations=violations, combinations=combinations, tolerance=tolerance,
+        violations=violations, combinations=combinations, tolerance=tolerance, detector=detector,
         repeats=await api.read(list[RepeatsView], f"{path}/repeats"),
         control=control, rules=rules, no_rules=no_rules,
         jobs=None if isinstance(problem, InProcessProblem) else await _jobs(api, view.id),

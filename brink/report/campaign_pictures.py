@@ -79,6 +79,11 @@ async def draw_pictures(
         pairs = facts.pairs if facts.searched_pairs else None
         files.append(folder / "map.png")
         await asyncio.to_thread(_draw_map, facts, pairs, files[-1])
+    if facts.detector is not None:
+        from brink.plots.detector import figure_detector
+
+        files.append(folder / "detector.png")
+        await asyncio.to_thread(figure_detector(facts.detector).savefig, files[-1])
     if facts.violations is not None:
         show("drawing violations", 0, 0)
         files += await draw_gallery(facts.violations, drawing, TYPES_DRAWN)

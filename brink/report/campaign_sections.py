@@ -13,6 +13,7 @@ from brink.report.campaign_facts import Facts
 from brink.report.campaign_pictures import shown_replays
 from brink.report.campaign_words import boundary_words, count, limiting, noun, others_recorded, share
 from brink.report.combinations import CLAIMS, added_harm_words, claim_words, tally_words, variant_words
+from brink.report.detector import COLUMNS, NUMBERS, evidence, row_of, small_print
 from brink.report.pair_pictures import facts as pair_facts
 from brink.report.pair_pictures import findings as pair_findings
 from brink.report.pair_pictures import share_words
@@ -255,6 +256,29 @@ def tolerance_section(facts: Facts, album: Album) -> Section | None:
         ),
         lists=[(title, sentences) for title, sentences in lists if sentences],
         tables=[_cells_table(view), _baseline_table(view)],
+    )
+
+
+def detector_section(facts: Facts, album: Album) -> Section | None:
+    """Return whether the detector of another campaign meets the requirement; None if none was named."""
+    view = facts.detector
+    if view is None:
+        return None
+    return Section(
+        title=f"Does {view.detector} meet the requirement?",
+        paragraphs=[f"{view.note}.", view.meaning, *small_print(view)],
+        pictures=album(
+            "detector.png", "Shares of drives that errors of this size make violate, against the limit"
+        ),
+        lists=[("What to record next", [f"{words}." for words in view.next])] if view.next else [],
+        tables=[
+            Table(
+                label="Results of the detector",
+                columns=COLUMNS,
+                rows=[row_of(cell) for cell in evidence(view)],
+                right=[COLUMNS.index(name) for name in NUMBERS],
+            )
+        ],
     )
 
 

@@ -3,14 +3,11 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Final
-
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from brink import __version__
 from brink.report.episode_strips import Strip
-from brink.report.text import table_row
+from brink.report.text import page_template, table_row
 from brink.server.api.tolerance import DetectorCell, DetectorView
 from brink.server.campaigns.detector_check import CheckResult
 from brink.server.csv_text import csv_text
@@ -156,15 +153,6 @@ AT_LEAST: Final = (
 )
 
 
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("brink.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
-    )  # fmt: skip
-    return environment.get_template("detector.html")
-
-
 def detector_page(view: DetectorView, about: Sequence[str], strips: Sequence[Strip] = ()) -> str:
     """Return whether a detector meets a requirement as an HTML page without external resources.
 
@@ -173,7 +161,7 @@ def detector_page(view: DetectorView, about: Sequence[str], strips: Sequence[Str
         about: What was read, and what counts in it, in sentences.
         strips: The worst episodes.
     """
-    return _template().render(
+    return page_template("detector.html").render(
         view=view, about=about, strips=strips, version=__version__, tally=tally(view), small_print=small_print(view),
         rows=[(cell, row_of(cell), bar_of(cell)) for cell in evidence(view)], limit=place_of(view.limit),
         headline=f"{view.detector}: does it meet the requirement?",

@@ -1,6 +1,9 @@
-"""Numbers and tables as text, for reports in Markdown and on a terminal."""
+"""Numbers and tables as text, and the templates of pages, for reports."""
 
 from collections.abc import Sequence
+from functools import cache
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from brink.search.analysis.statistics import MeanInterval
 
@@ -22,3 +25,17 @@ def p_text(value: float | None) -> str:
 def table_row(cells: Sequence[str]) -> str:
     """Return a row of a Markdown table."""
     return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
+
+@cache
+def page_template(name: str) -> Template:
+    """Return the template of a page, which escapes everything that it is given.
+
+    Args:
+        name: Its file name.
+    """
+    environment = Environment(
+        loader=PackageLoader("brink.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template(name)
