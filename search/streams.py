@@ -26,6 +26,7 @@ class Stream(IntEnum):
     EDGE = 11
     TOLERANCE = 12
     GUARD = 13
+    ERRORS = 14
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

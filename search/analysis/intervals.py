@@ -17,6 +17,7 @@ import numpy as np
 from brink.search.space import FloatArray, IntArray
 
 CONFIDENCE: Final = 0.95
+LEAST_FREEDOM: Final = 3.0
 
 
 def share_interval(
@@ -47,7 +48,44 @@ def share_interval(
         effective = min(float(trials), share * (1.0 - share) / variance)
     if clusters < influence.size:
         effective *= (z / float(stats.t.ppf(0.5 + 0.5 * confidence, max(clusters - 1, 1)))) ** 2
-    spread = z * z / max(effective, 1e-9)
+    return _wilson(share, effective, z)
+
+
+def replicated_interval(
+    counts: IntArray, of: IntArray, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Return the interval of a share that was simulated with several replicates of an uncertain model.
+
+    More replicates make the share more exact that a fit predicts, but the fit itself no more certain. So the variance
+    between replicates, less what chance within them explains, counts once and is not divided by their number (Rubin
+    1987). It is known from few replicates, so the quantile is that of Student's t with Satterthwaite's degrees of
+    freedom, at least `LEAST_FREEDOM`.
+
+    Args:
+        counts: Simulations counted with each replicate, shape ``(b,)``.
+        of: Simulations with each replicate, of which some are positive, shape ``(b,)``.
+        confidence: Level, in (0, 1).
+    """
+    from scipy import stats  # slow to import
+
+    counts, of = counts[of > 0], of[of > 0]
+    total, replicates = float(of.sum()), of.size
+    share = float(counts.sum()) / total
+    z, by_chance = NormalDist().inv_cdf(0.5 + 0.5 * confidence), share * (1.0 - share)
+    if replicates == 1 or by_chance == 0.0:
+        return _wilson(share, total, z)
+    each = (total - float(of @ of) / total) / (replicates - 1)  # simulations of a replicate
+    spread = float(of @ (counts / of - share) ** 2) / (replicates - 1)  # by_chance if replicates are alike
+    more = (1.0 + 1.0 / replicates) / each
+    variance = by_chance / total + more * max(spread - by_chance, 0.0)
+    freedom = max(variance**2 * (replicates - 1) / max(more * spread, variance) ** 2, LEAST_FREEDOM)
+    t = float(stats.t.ppf(0.5 + 0.5 * confidence, freedom))
+    return _wilson(share, by_chance / variance * (z / t) ** 2, z)
+
+
+def _wilson(share: float, trials: float, z: float) -> tuple[float, float]:
+    """Return Wilson's interval of a share of a number of independent trials, which need not be whole."""
+    spread = z * z / max(trials, 1e-9)
     centre = (share + spread / 2.0) / (1.0 + spread)
     half = np.sqrt(spread * (share * (1.0 - share) + spread / 4.0)) / (1.0 + spread)
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
