@@ -413,6 +413,15 @@ class StudiesErrors(Protocol):
 
 
 @runtime_checkable
+class DrawsReplicates(Protocol):
+    """A problem with an uncertain model, of which each episode draws a replicate."""
+
+    def replicate(self, seed: int) -> int:
+        """Return the number of the replicate that the episode with a seed draws."""
+        ...
+
+
+@runtime_checkable
 class ReportsViolations(Protocol):
     """A simulated problem whose simulator reports the circumstances of violations."""
 

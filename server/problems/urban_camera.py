@@ -34,7 +34,51 @@ class UrbanCameraParams(UrbanParams):
     timeout_s: float = setting(120.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
 
-class UrbanCamera(HasTrueVariant, JudgedByRequirements):
+class UrbanScenarios(HasTrueVariant, JudgedByRequirements):
+    """Urban driving in which a candidate is a scenario, and the obstacle detector is the same in all of them.
+
+    Attributes:
+        simulator: Id of the simulator with the detector.
+    """
+
+    simulator: ClassVar[str]
+    errors_problem: ClassVar[str] = "urban-errors@1"
+    params: UrbanParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+        self.space = SearchSpace((scenario_component(),))
+        self.algorithm_defaults: Mapping[str, Any] = {}
+        self.requirements = params.requirements
+        self.timeout_s = params.timeout_s
+
+    def behaviour(self, seed: int) -> Mapping[str, Json]:
+        """Return the behaviour of the detector in an episode."""
+        raise NotImplementedError
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode of a scenario."""
+        return EpisodeSpec(
+            simulator=self.needs,
+            scenario=scenario_of(self.space.decode(tuple(vectors))["scenario"]),
+            behaviour={"mode": "errors", "errors": []} if self.is_true else self.behaviour(seed),
+            requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
+            seed=seed,
+            duration_s=self.params.duration_s,
+            options={"fidelity": self.params.fidelity},
+        )
+
+    @property
+    def needs(self) -> str:
+        """Id of the simulator."""
+        return WITH_TRUTH if self.is_true else self.simulator
+
+    def words(self, vectors: Vectors) -> str:
+        """Describe a candidate."""
+        return words_of_scenario(scenario_of(self.space.decode(tuple(vectors))["scenario"]))
+
+
+class UrbanCamera(UrbanScenarios):
     """Urban driving with an obstacle detector on rendered camera images."""
 
     id: ClassVar[str] = "urban-camera@1"
@@ -44,45 +88,25 @@ class UrbanCamera(HasTrueVariant, JudgedByRequirements):
         "The detector is the one that the campaign names, on rendered images. On recorded ones it may err otherwise "
         "(see “Set a requirement for a detector” in Brink's documentation)."
     )
-    errors_problem: ClassVar[str] = "urban-errors@1"
+    simulator: ClassVar[str] = SIMULATOR
     extra: ClassVar[str] = "vision"
     modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
+    params: UrbanCameraParams
 
     def __init__(self, params: UrbanCameraParams) -> None:
-        self.params = params
-        self.space = SearchSpace((scenario_component(),))
-        self.algorithm_defaults: Mapping[str, Any] = {}
-        self.requirements = params.requirements
-        self.timeout_s = params.timeout_s
+        super().__init__(params)
         self.measured_detector = params.detector
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in the name or file of the detector."""
         return wrong_detector(self.params.detector)
 
-    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
-        """Return the episode of a scenario."""
+    def behaviour(self, seed: int) -> Mapping[str, Json]:
+        """Return the detector."""
         params = self.params
-        behaviour: dict[str, Json] = {"mode": "errors", "errors": []}
-        if not self.is_true:
-            behaviour = {"mode": "detector", "detector": params.detector, "threshold": params.threshold}
-            if digest := weights_digest(params.detector):
-                behaviour["weights"] = digest
-        return EpisodeSpec(
-            simulator=self.needs,
-            scenario=scenario_of(self.space.decode(tuple(vectors))["scenario"]),
-            behaviour=behaviour,
-            requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
-            seed=seed,
-            duration_s=params.duration_s,
-            options={"fidelity": params.fidelity},
-        )
-
-    @property
-    def needs(self) -> str:
-        """Id of the simulator."""
-        return WITH_TRUTH if self.is_true else SIMULATOR
-
-    def words(self, vectors: Vectors) -> str:
-        """Describe a candidate."""
-        return words_of_scenario(scenario_of(self.space.decode(tuple(vectors))["scenario"]))
+        behaviour: dict[str, Json] = {
+            "mode": "detector", "detector": params.detector, "threshold": params.threshold,
+        }  # fmt: skip
+        if digest := weights_digest(params.detector):
+            behaviour["weights"] = digest
+        return behaviour

@@ -33,7 +33,7 @@ from brink.sim.rendering.street import building_from_fixture, road_surfaces
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome
 from brink.sim.urban.erroneous_detector import Observer
-from brink.sim.urban.error_meter import MEASURES, ErrorMeter, ReportedBox
+from brink.sim.urban.error_meter import MEASURES, ErrorMeter, ReportedBox, measures_to_json
 from brink.sim.urban.simulator import BrinkDrive, UrbanDetector
 from brink.sim.world.ego import EgoMotion
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M
@@ -204,13 +204,7 @@ class _InTheLoop:
 
     def features(self, outcome: Outcome) -> dict[str, Json]:
         """Return the detector's errors."""
-        measures = {} if self._meter is None else self._meter.errors().magnitudes
-        return {
-            MEASURES: {
-                target.value: {kind.value: magnitude for kind, magnitude in errors.items()}
-                for target, errors in measures.items()
-            }
-        }
+        return {MEASURES: {}} if self._meter is None else measures_to_json(self._meter)
 
 
 def _bodies(world: World, first_id: int, time_s: float) -> list[Body]:

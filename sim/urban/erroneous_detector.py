@@ -265,7 +265,7 @@ class _ActiveError:
         if not self._has_happened:
             return False
         if error.type in GHOSTS:
-            self._ghosts = _ghosts(scene, error.target)
+            self._ghosts = ghost_bodies(scene, error.target, GHOST_AHEAD_M)
             return True
         if error.target is Target.LEAD:
             self._only = lead
@@ -325,7 +325,7 @@ class _ActiveError:
             case ErrorType.TOO_SMALL:
                 return lambda box: _scaled(camera, box, 1.0 - error.magnitude)
             case _:
-                return _relabelled
+                return relabelled
 
     def _ghosts_now(self, scene: Scene) -> list[Box]:
         ego = scene.world.ego
@@ -344,7 +344,8 @@ def _unchanged(box: Box) -> Box:
     return box
 
 
-def _relabelled(box: Box) -> Box:
+def relabelled(box: Box) -> Box:
+    """Return a box with the other label."""
     is_person = box.label is ObstacleLabel.PERSON
     return box._replace(label=ObstacleLabel.VEHICLE if is_person else ObstacleLabel.PERSON)
 
@@ -358,7 +359,7 @@ def _at_distance(camera: Camera, box: Box, factor: float) -> Box | None:
         factor: The new distance as a multiple of the one that the bottom edge shows.
     """
     below_px = (box.y_max_px - camera.horizon_px) / factor
-    return _clipped(camera, box._replace(y_max_px=camera.horizon_px + below_px))
+    return clipped(camera, box._replace(y_max_px=camera.horizon_px + below_px))
 
 
 def _moved_aside(camera: Camera, box: Box, right_m: float) -> Box | None:
@@ -366,14 +367,14 @@ def _moved_aside(camera: Camera, box: Box, right_m: float) -> Box | None:
     if depth_m is None:
         return box
     shift_px = right_m * camera.focal_px / depth_m
-    return _clipped(camera, box._replace(x_min_px=box.x_min_px + shift_px, x_max_px=box.x_max_px + shift_px))
+    return clipped(camera, box._replace(x_min_px=box.x_min_px + shift_px, x_max_px=box.x_max_px + shift_px))
 
 
 def _scaled(camera: Camera, box: Box, factor: float) -> Box | None:
     middle_x, middle_y = 0.5 * (box.x_min_px + box.x_max_px), 0.5 * (box.y_min_px + box.y_max_px)
     half_width = 0.5 * factor * (box.x_max_px - box.x_min_px)
     half_height = 0.5 * factor * (box.y_max_px - box.y_min_px)
-    return _clipped(
+    return clipped(
         camera,
         Box(
             label=box.label,
@@ -385,7 +386,7 @@ def _scaled(camera: Camera, box: Box, factor: float) -> Box | None:
     )
 
 
-def _clipped(camera: Camera, box: Box) -> Box | None:
+def clipped(camera: Camera, box: Box) -> Box | None:
     """Return the part of a box inside the image; None if hardly any is."""
     x_min, x_max = max(box.x_min_px, 0.0), min(box.x_max_px, float(camera.width_px))
     y_min, y_max = max(box.y_min_px, 0.0), min(box.y_max_px, float(camera.height_px))
@@ -394,10 +395,10 @@ def _clipped(camera: Camera, box: Box) -> Box | None:
     return Box(label=box.label, x_min_px=x_min, x_max_px=x_max, y_min_px=y_min, y_max_px=y_max)
 
 
-def _ghosts(scene: Scene, target: Target) -> list[Body]:
-    """Return what a ghost pretends to be: bodies that stand ahead of the ego on its route."""
+def ghost_bodies(scene: Scene, target: Target, ahead_m: float) -> list[Body]:
+    """Return what a ghost pretends to be: bodies that stand on the ego's route, that far ahead of its centre."""
     route = scene.world.route
-    at_m = scene.station_m + GHOST_AHEAD_M
+    at_m = scene.station_m + ahead_m
     ghosts = []
     if target is not Target.PEDESTRIAN:
         aside_m = route.lane_width_m if target is Target.ONCOMING else 0.0

@@ -29,6 +29,7 @@ from typing import Final, NamedTuple
 
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.episode import Json
 from brink.sim.urban.behaviour import PERCEPTION_STEP_S
 from brink.sim.urban.detection_errors import RELEVANT_M, ErrorType, Target
 
@@ -373,6 +374,16 @@ class ErrorMeter:
                 is_bound = was_there or first == len(life)
         # Of road users that were reported in the first image of an excerpt, nobody knows how late that was.
         found.note(target, ErrorType.LATE, worst, at_least=is_bound or not tells)
+
+
+def measures_to_json(meter: ErrorMeter) -> dict[str, Json]:
+    """Return a drive's errors as the feature `MEASURES`."""
+    return {
+        MEASURES: {
+            target.value: {kind.value: magnitude for kind, magnitude in errors.items()}
+            for target, errors in meter.errors().magnitudes.items()
+        }
+    }
 
 
 def _is_missed(image: Sequence[Sample]) -> bool:

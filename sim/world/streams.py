@@ -19,6 +19,9 @@ class Stream(IntEnum):
     PEDESTRIAN = 5
     DRIVING_SYSTEM = 6
     RANGE_SENSOR = 7
+    DETECTOR = 8
+    DETECTOR_NOISE = 9
+    DETECTOR_GHOSTS = 10
     LOOKS = 100
     STREET = 101
     STROLLERS = 102

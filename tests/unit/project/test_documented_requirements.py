@@ -18,6 +18,7 @@ PLUGINS = ROOT / "examples" / "plugins"
 CHOOSING = ROOT / "docs" / "how-to" / "choose-what-counts-as-unsafe.md"
 ANY = {
     "urban-injected@1": "requirement", "urban-errors@1": "requirement", "urban-camera@1": "requirement",
+    "urban-fitted@1": "requirement",
     "highway-perception@1": "requirement", "sumo-drivers@1": "requirement", "npc-actions@1": "violation",
     "aeb-crossing@1": "hazard",
 }  # fmt: skip
