@@ -43,6 +43,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "repeats": ("brink.cli.repeats:repeats", "Simulate boundary solutions again with other seeds"),
         "sensitivity": ("brink.cli.sensitivity:sensitivity", "Measure how settings change a boundary"),
         "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),
+        "errors": ("brink.cli.errors:errors", "Drive the errors of a recorded detector"),
         "guard": ("brink.cli.guard:guard", "Turn a campaign into a runtime monitor in the car"),
     },
     "Control": {

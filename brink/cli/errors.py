@@ -1,0 +1,151 @@
+"""`brink errors fit | compare`: from a recording of a detector to drives with its errors."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from brink.api.client import Api
+from brink.api.results import fetch_archive
+from brink.api.terminal import echo
+from brink.cli.options import AsJson, Database, Server, check_ids, console, plain_table, print_json, with_api
+from brink.cli.recording_options import (
+    LEAST_SHARE,
+    MOST_OCCLUSION,
+    THRESHOLD,
+    Calibration,
+    CameraSizes,
+    Classes,
+    Clip,
+    Condition,
+    FramesPerS,
+    GivenRecording,
+    MaxOcclusion,
+    MinVisible,
+    RecordingFormat,
+    Threshold,
+    Truth,
+)
+from brink.recordings.fit_errors import TYPES, fit_errors
+from brink.recordings.measure import observe
+from brink.report.errors import (
+    COLUMNS,
+    Violations,
+    agreement_words,
+    campaign_yaml,
+    error_rows,
+    error_sentences,
+    errors_yaml,
+    violations_of,
+)
+from brink.server.errors import InvalidInput
+
+errors = typer.Typer(
+    name="errors",
+    help="Fit the errors of a recorded detector, and drive them in the simulator.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@errors.command()
+def fit(
+    detections: Annotated[Path, typer.Argument(metavar="RECORDING", help="File or folder with detections.")],
+    truth: Truth = None,
+    form: RecordingFormat = None,
+    camera: CameraSizes = None,
+    calibration: Calibration = None,
+    frames_per_s: FramesPerS = None,
+    classes: Classes = None,
+    condition: Condition = None,
+    clip: Clip = False,
+    threshold: Threshold = THRESHOLD,
+    max_occlusion: MaxOcclusion = MOST_OCCLUSION,
+    min_visible: MinVisible = LEAST_SHARE,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TYPE",
+            show_default=False,
+            help=f"Leave errors of a type out, to see what they contribute: {', '.join(TYPES)}; may be repeated.",
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="File to write, with every number and what it rests on.")] = Path(
+        "errors.yaml"
+    ),
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            show_default=False, help="Campaign file to write (default: campaign.yaml beside --out)."
+        ),
+    ] = None,
+    simulations: Annotated[int, typer.Option(min=1, help="Drives of the campaign.")] = 2000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the campaign.")] = 1,
+) -> None:
+    """Fit the errors of a detector as a random process, and write a campaign that drives them.
+
+    Example: brink errors fit detections.csv --out errors.yaml --campaign fitted.yaml
+
+    Example: brink errors fit results --truth labels --format kitti --without misses
+    """
+    for name in without or ():
+        if name not in TYPES:
+            raise InvalidInput.at("--without", f"expected some of {', '.join(TYPES)}, got {name!r}")
+    given = GivenRecording(
+        detections=detections, truth=truth, format=form, camera=camera, calibration=calibration,
+        frames_per_s=frames_per_s, classes=classes or (), condition=condition, clip=clip, threshold=threshold,
+        most_occlusion=max_occlusion, least_share=min_visible,
+    )  # fmt: skip
+    recording = given.read()
+    observed = observe(recording, threshold=given.threshold, visibility=given.visibility)
+    for line in given.words(recording):
+        echo(line)
+    fitted = fit_errors([drive.meter for drive in observed], recording.name, without=without or ())
+    table = plain_table(*COLUMNS, right=COLUMNS[2:])
+    for row in error_rows(fitted):
+        table.add_row(*row)
+    screen = console()
+    screen.print(table)
+    for line in error_sentences(fitted):
+        screen.print(line, soft_wrap=True)
+    file = campaign or out.with_name("campaign.yaml")
+    out.write_text(errors_yaml(fitted), encoding="utf-8")
+    file.write_text(campaign_yaml(fitted, simulations, seed), encoding="utf-8")
+    echo(out)
+    echo(f"{file} (next: brink run {file})")
+
+
+@errors.command()
+def compare(
+    one: Annotated[str, typer.Argument(metavar="ID", help="Id of a campaign.", callback=check_ids)],
+    other: Annotated[str, typer.Argument(metavar="ID", help="Id of another.", callback=check_ids)],
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare how often drives with fitted errors violate with another campaign, such as one on urban-camera@1.
+
+    Example: brink errors compare 3f2a 91bc
+    """
+
+    async def work(api: Api) -> list[Violations]:
+        return [violations_of(await fetch_archive(api, campaign)) for campaign in (one, other)]
+
+    found = with_api(server, database, work)
+    words = agreement_words(*found)
+    if as_json:
+        print_json({"campaigns": [asdict(each) | {"share": each.share} for each in found], "words": words})
+        return
+    show_violations(found)
+    console().print(words, soft_wrap=True)
+
+
+def show_violations(found: Sequence[Violations]) -> None:
+    """Print how many drives violate, a row for each campaign."""
+    table = plain_table("campaign", "problem", "drives", "violate", "share", right=("drives", "violate"))
+    for each in found:
+        fits = f" (with the spread of {each.replicates} fits)" if each.replicates > 1 else ""
+        table.add_row(each.name, each.problem, f"{each.drives:,}", f"{each.unsafe:,}", f"{each.words}{fits}")
+    console().print(table)
