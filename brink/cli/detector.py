@@ -172,6 +172,13 @@ class RecordingCheck:
 
     async def run(self, api: Api) -> bool:
         """Check, and print, write and draw the result; return whether no cell is *not met*."""
+        shows_many = (
+            self.output.form in (Format.TABLE, Format.CSV, Format.JSON) and self.output.picture is None
+        )
+        if self.thresholds is not None and not shows_many:
+            raise InvalidInput.at(
+                "--thresholds", "expected a table, .csv or .json, and no picture: these show one threshold"
+            )
         recording = await asyncio.to_thread(self.given.read)
         if self.thresholds is not None:
             await self._sweep(api, recording, self.thresholds)
@@ -205,10 +212,6 @@ class RecordingCheck:
 
     async def _sweep(self, api: Api, recording: Recording, thresholds: str) -> None:
         """Compare thresholds."""
-        if self.output.picture is not None or self.output.form not in (Format.TABLE, Format.CSV, Format.JSON):
-            raise InvalidInput.at(
-                "--thresholds", "expected a table, .csv or .json, and no picture: these show one threshold"
-            )
         views = {}
         for threshold in parse_thresholds(thresholds, detection_scores(recording)):
             views[threshold] = await self._judge(api, recording, await self._observe(recording, threshold))

@@ -13,7 +13,7 @@ from brink.server.campaigns.detector_check import CheckResult
 from brink.server.csv_text import csv_text
 from brink.server.problems.changes import as_sentence
 
-TICKS: Final = (0.0, 0.25, 0.5, 1.0)
+TICKS: Final = (0.0, 0.25, 1.0)
 """Shares of drives that a bar's axis names, besides the limit."""
 COLUMNS: Final = (
     "result", "error", "condition", "drives", "median", "95% within", "violate", "interval", "worst drives",

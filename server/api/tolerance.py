@@ -473,7 +473,7 @@ def _next(cells: Sequence[DetectorCell]) -> list[str]:
         words.append(
             f"{as_sentence(', '.join(conditions))}: {max(cell.needed or 0 for cell in without):,} drives or more"
             f"{' each' if len(conditions) > 1 else ''} with {_in_sight(target)}, before "
-            f"{_cells(len(without))} can be met; there are none yet"
+            f"{_cells(len(without))} can be met; none so far tells anything about them"
         )
     open_ended = sum(cell.result is CheckResult.TOO_LITTLE and cell.needed is None for cell in cells)
     if open_ended:
