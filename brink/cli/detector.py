@@ -162,12 +162,14 @@ class RecordingCheck:
         campaign: The campaign with the tolerances.
         given: The recording.
         thresholds: Thresholds to compare, as the user said them; None for that of the recording alone.
+        images: Folder with pictures of the drives, to show the worst episodes on; None for boxes alone.
         output: Where the result goes.
     """
 
     campaign: str
     given: GivenRecording
     thresholds: str | None
+    images: Path | None
     output: Output
 
     async def run(self, api: Api) -> bool:
@@ -189,7 +191,7 @@ class RecordingCheck:
         await _give(
             view, self.output, about,
             lambda: detector_page(
-                view, about, worst_strips(view, observed, recording.camera, self.given.threshold)
+                view, about, worst_strips(view, observed, recording.camera, self.given.threshold, self.images)
             ),
         )  # fmt: skip
         return _is_met(view)

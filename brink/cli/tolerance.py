@@ -131,6 +131,14 @@ def tolerance(
     ] = None,
     max_occlusion: MaxOcclusion = MOST_OCCLUSION,
     min_visible: MinVisible = LEAST_SHARE,
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            show_default=False,
+            help="Pictures of the recording, as FOLDER/DRIVE/*.png or .jpg, to show the worst episodes of a page on.",
+        ),
+    ] = None,
     gate: Annotated[
         bool, typer.Option("--gate", help="Exit with status 1 if a detector does not meet the requirement.")
     ] = False,
@@ -184,7 +192,11 @@ def tolerance(
                 raise InvalidInput.at(name, "expected it without --against")
         _compare(campaign, against, server, database, as_json=as_json)
         return
-    wanted = Output(form=chosen_format(form, out, as_json=as_json, pages=is_check), out=out, picture=picture)
+    form = chosen_format(form, out, as_json=as_json, pages=is_check)
+    _refuse_unused(
+        detections is not None and form is Format.HTML, "--detections and a page", {"--images": images}
+    )
+    wanted = Output(form=form, out=out, picture=picture)
     if detections is not None:
         files = GivenRecording(
             detections=detections,
@@ -200,7 +212,7 @@ def tolerance(
             most_occlusion=max_occlusion,
             least_share=min_visible,
         )
-        check: Check = RecordingCheck(campaign, files, thresholds, wanted)
+        check: Check = RecordingCheck(campaign, files, thresholds, images, wanted)
     elif episodes is not None:
         check = EpisodesCheck(campaign, episodes, wanted)
     else:

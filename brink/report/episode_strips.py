@@ -1,18 +1,24 @@
 """The worst episodes of a recording as strips of frames with boxes, so that a person can check them by eye."""
 
+import base64
+import io
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
+
+from PIL import Image as PillowImage
 
 from brink.recordings.camera import CameraModel
 from brink.recordings.measure import ObservedDrive
-from brink.recordings.recording import Image, Sides
+from brink.recordings.recording import Image, RecordedDrive, RecordingError, Sides
 from brink.server.api.tolerance import DetectorCell, DetectorView
 from brink.server.campaigns.detector_check import CheckResult
 from brink.server.problems.changes import as_sentence
 from brink.sim.urban.detection_errors import ErrorType, Target
 from brink.sim.urban.error_meter import Sample, Span
+from brink.user_file import read_file
 
 MOST_STRIPS: Final = 10
 FRAMES: Final = 8
@@ -20,6 +26,9 @@ AROUND_S: Final = 0.6
 """Time shown before and after an error."""
 _LEAST_SHOWN: Final = 0.2
 """A frame shows at least this share of the image's width."""
+_PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg")
+_MOST_PICTURE_BYTES: Final = 64 * 1024**2
+_PICTURE_WIDTH_PX: Final = 320
 _MARGIN: Final = 1.6
 """How much larger than the road user's boxes a frame is."""
 
@@ -43,11 +52,12 @@ class ShownBox:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One image of an episode: what is said of it, and its boxes."""
+    """One image of an episode: what is said of it, its boxes, and the picture behind them as a data URI, if any."""
 
     time: str
     words: str
     boxes: Sequence[ShownBox]
+    picture: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +80,11 @@ class Strip:
 
 
 def worst_strips(
-    view: DetectorView, observed: Iterable[ObservedDrive], camera: CameraModel | None, threshold: float
+    view: DetectorView,
+    observed: Iterable[ObservedDrive],
+    camera: CameraModel | None,
+    threshold: float,
+    pictures: Path | None = None,
 ) -> list[Strip]:
     """Return the worst episodes: those of each cell in turn, from the one whose errors make most drives violate.
 
@@ -79,10 +93,14 @@ def worst_strips(
         observed: Its drives.
         camera: Camera of drives without one of their own; None for the driving system's.
         threshold: Smallest score of a detection that counts.
+        pictures: Folder with a folder of pictures for each drive, one for each image, in the order of their names.
+
+    Raises:
+        RecordingError: A drive's pictures are missing or cannot be read.
     """
     drives = {one.drive.name: one for one in observed}
     return [
-        _strip(cell, drives[name], span, camera or CameraModel.own(), threshold)
+        _strip(cell, drives[name], span, camera or CameraModel.own(), threshold, pictures)
         for cell, name, span in itertools.islice(_episodes(view, drives), MOST_STRIPS)
     ]
 
@@ -111,7 +129,12 @@ def _span_of(cell: DetectorCell, drive: ObservedDrive | None) -> Span | None:
 
 
 def _strip(
-    cell: DetectorCell, observed: ObservedDrive, span: Span, camera: CameraModel, threshold: float
+    cell: DetectorCell,
+    observed: ObservedDrive,
+    span: Span,
+    camera: CameraModel,
+    threshold: float,
+    pictures: Path | None,
 ) -> Strip:
     camera = observed.drive.camera or camera
     track = None if span.track is None else observed.tracks[span.track]
@@ -129,13 +152,21 @@ def _strip(
         for sample in observed.meter.samples
         if times[0] <= sample.time_s <= times[-1]
     }
+    view_box = _view_box(_subjects(images, track, threshold), camera)
+    frames = [_frame(image, track, samples, threshold) for image in images]
+    if pictures is not None:
+        files = dict(zip(sorted(observed.drive.images), _pictures(pictures, observed.drive), strict=True))
+        frames = [
+            replace(frame, picture=_crop(files[image.time_s], view_box, camera))
+            for frame, image in zip(frames, images, strict=True)
+        ]
     return Strip(
         title=f"Drive {observed.drive.name}: {cell.error.replace('…', f'{span.duration_s:.1f} s')}",
         words=f"{as_sentence(cell.condition)}, from {span.from_s:.1f} to {until_s:.1f} s"
         + ("" if track is None else f", road user {track}"),
-        view_box=_view_box(_subjects(images, track, threshold), camera),
+        view_box=view_box,
         image=(camera.width_px, camera.height_px),
-        frames=[_frame(image, track, samples, threshold) for image in images],
+        frames=frames,
     )
 
 
@@ -184,3 +215,45 @@ def _shown(sides: Sides, kind: str, *, is_subject: bool = False) -> ShownBox:
     return ShownBox(
         sides.x_min, sides.y_min, sides.x_max - sides.x_min, sides.y_max - sides.y_min, kind, is_subject
     )
+
+
+def _pictures(folder: Path, drive: RecordedDrive) -> list[Path]:
+    """Return the picture of each image of a drive, in the order of time.
+
+    Raises:
+        RecordingError: There are not as many pictures as images.
+    """
+    own = folder / drive.name
+    found: list[Path] = []
+    if Path(drive.name).name == drive.name and own.is_dir():
+        found = sorted(path for path in own.iterdir() if path.suffix.lower() in _PICTURE_ENDINGS)
+    if len(found) != len(drive.images):
+        raise RecordingError(
+            f"{own}: expected a picture ({', '.join(_PICTURE_ENDINGS)}) for each of the {len(drive.images):,} images "
+            f"of drive {drive.name}, in the order of their names; found {len(found):,}"
+        )
+    return found
+
+
+def _crop(file: Path, view_box: tuple[float, float, float, float], camera: CameraModel) -> str:
+    """Return a part of a picture as a data URI.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
+    left, top, width, height = view_box
+    out = io.BytesIO()
+    try:
+        with PillowImage.open(io.BytesIO(read_file(file, _MOST_PICTURE_BYTES))) as picture:
+            across, down = picture.width / camera.width_px, picture.height / camera.height_px
+            part = picture.convert("RGB").crop(
+                (
+                    round(left * across), round(top * down), round((left + width) * across),
+                    round((top + height) * down),
+                )
+            )  # fmt: skip
+            part.thumbnail((_PICTURE_WIDTH_PX, _PICTURE_WIDTH_PX))
+            part.save(out, "JPEG", quality=80)
+    except (OSError, ValueError, PillowImage.DecompressionBombError) as error:
+        raise RecordingError(f"{file}: expected a picture: {error}") from error
+    return f"data:image/jpeg;base64,{base64.b64encode(out.getvalue()).decode()}"

@@ -1,5 +1,6 @@
 """`brink tolerance` holds a detector against a search for tolerances: by recordings, and by drives with a camera."""
 
+import base64
 import csv
 import html
 import io
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 from support.api import coordinator
 from support.databases import Databases, module_on_sqlite
 from support.tolerance import body, camera, finished
@@ -216,6 +218,30 @@ def test_the_page_shows_the_worst_episodes_as_strips_of_frames(check: Checked, t
     assert 1 < found.classes.count("reported") < 5 * 8
 
 
+def test_the_worst_episodes_are_shown_on_pictures_of_the_recording(check: Checked, tmp_path: Path) -> None:
+    given = ("--detections", recording(tmp_path, drives=2), "--images", tmp_path, "--format", "html")
+    for drive in ("d0", "d1"):
+        (tmp_path / drive).mkdir()
+        for step in range(81):
+            Image.new("RGB", (80, 60), (step, 0, 0)).save(tmp_path / drive / f"{step:06}.png")
+    found = Page(check(*given).stdout)
+    assert len(found.external) == found.tags.count("image") == 2 * 8
+    assert all(one.startswith("data:image/jpeg;base64,") for one in found.external)
+    reds = []
+    for one in found.external[:8]:
+        with Image.open(io.BytesIO(base64.b64decode(one.partition(",")[2]))) as picture:
+            reds.append(picture.getpixel((2, 2))[0])  # type: ignore[index]
+    assert reds == pytest.approx([24, 32, 39, 46, 54, 61, 69, 76], abs=3)  # the steps of the frames
+    (tmp_path / "d1" / "000080.png").unlink()
+    assert (
+        "d1: expected a picture (.png, .jpg, .jpeg) for each of the 81 images of drive d1"
+        in check.refused(*given)
+    )
+    for step in (24, 80):
+        (tmp_path / "d1" / f"{step:06}.png").write_text("no picture")
+    assert "d1/000024.png: expected a picture: " in check.refused(*given)
+
+
 def test_names_are_text_on_the_page(check: Checked, tmp_path: Path) -> None:
     file = recording(tmp_path)
     hostile = tmp_path / "<img src=x onerror=alert(1)>.csv"
@@ -366,6 +392,7 @@ def test_options_that_cannot_be_meant_are_refused(check: Checked, options: list[
         (["--threshold", "0.3"], "--threshold: expected it with --detections"),
         (["--truth", "labels"], "--truth: expected it with --detections"),
         (["--clip", "--episodes", "9c01"], "--clip: expected it with --detections"),
+        (["--images", "pictures"], "--images: expected it with --detections and a page"),
         (["--gate"], "--gate: expected it with --detections or --episodes"),
         (["--format", "kitti"], "expected the format of a recording with --detections"),
         (["--format", "html"], "html: expected it with --detections or --episodes"),
