@@ -6,7 +6,8 @@ drive does not tell how late the first report was, and one that ends with it not
 
 Numbers that rest on few samples are drawn towards those that rest on more: a bin of distance of all vehicles towards
 all vehicles, as if by `PRIOR` more samples, and the bin of the lead or of other vehicles towards that, likewise.
-Replicates are fits to as many drives drawn with replacement.
+Replicates are fits to the drives with random weights (the Bayesian bootstrap, Rubin 1981). None of these is 0, so that
+no replicate lacks the only drives with pedestrians.
 """
 
 import itertools
@@ -52,7 +53,7 @@ PRIOR: Final = 10.0
 """How many samples it counts for what is known from more than the bin of a group."""
 REPLICATES: Final = 20
 FEWEST_DRIVES: Final = 5
-"""With fewer drives, drawing them with replacement does not show how uncertain a fit is."""
+"""With fewer drives, random weights do not show how uncertain a fit is."""
 TYPES: Final = ("misses", "delays", "places", "labels", "ghosts")
 """Types of errors that can be left out of a fit."""
 
@@ -126,8 +127,8 @@ def fit_errors(
         meters: What was measured in each drive.
         detector: Name of the detector.
         without: Types of errors to leave out, of `TYPES`: those are then as if the detector reported the truth.
-        replicates: Number of fits to drives that are drawn with replacement.
-        seed: Determines which.
+        replicates: Number of fits to the drives with random weights.
+        seed: Determines the weights.
 
     Raises:
         RecordingError: There are too few drives, or nothing is visible in them.
@@ -142,7 +143,7 @@ def fit_errors(
     if not at_risk[:, :, SEEN].any():
         raise RecordingError("expected visible road users in the recording, found none")
     rng = generator(seed, Stream.ERRORS)
-    draws = [rng.integers(len(read), size=len(read)) for _ in range(replicates)]
+    weights = len(read) * rng.dirichlet(np.ones(len(read)), size=replicates)
     hours = sum(one.hours for one in read)
     return FittedErrors(
         detector=detector,
@@ -152,10 +153,7 @@ def fit_errors(
         process=_without(fit.process(np.ones(len(read))), without),
         rests_on=at_risk,
         ghosts=tuple(sum(len(one.ghosts[i]) for one in read) for i in range(len(LABELS))),
-        replicates=tuple(
-            _without(fit.process(np.bincount(drawn, minlength=len(read)).astype(float)), without)
-            for drawn in draws
-        ),
+        replicates=tuple(_without(fit.process(of_drive), without) for of_drive in weights),
     )
 
 
@@ -274,7 +272,7 @@ class _Fit:
         shares = true.copy()
         for label in _BY_LABEL:
             all_events, all_risk = (part[label].sum(axis=(0, 1)) for part in (events, at_risk))
-            share = np.where(all_risk > 0.0, all_events / np.maximum(all_risk, 1.0), true[0, 0])
+            share = np.divide(all_events, all_risk, out=true[0, 0].copy(), where=all_risk > 0.0)
             by_bin = _drawn(events[label].sum(axis=0), at_risk[label].sum(axis=0), share)
             shares[label] = _drawn(events[label], at_risk[label], by_bin)
         changes = slice(FOUND_FIRST, LOST + len(AGES_S) + 1)
@@ -292,7 +290,7 @@ class _Fit:
         for label in _BY_LABEL:
             in_label = np.isin(values.group, label)
             total, count = of(in_label)
-            everywhere = total / max(count, 1.0)
+            everywhere = total / count if count else total
             for row in range(len(EDGES_M)):
                 in_bin = in_label & (values.row == row)
                 by_bin = _drawn(*of(in_bin), everywhere)
@@ -306,9 +304,8 @@ class _Fit:
         for group in range(len(GROUPS)):
             soon, late = (self._correlation(weights, group, column) for column in (0, 1))
             constant = np.zeros(len(ERRORS))
-            for _ in range(
-                _ITERATIONS
-            ):  # late = constant + (1 - constant) * keep ** LATER, and soon likewise
+            # late = constant + (1 - constant) * keep ** LATER, and soon likewise
+            for _ in range(_ITERATIONS):
                 keep = np.clip((soon - constant) / (1.0 - constant), 0.0, _MOST_KEPT)
                 constant = np.clip((late - keep**LATER) / (1.0 - keep**LATER), 0.0, _MOST_KEPT)
             stays = wrong[group] / of[group] if of[group] else 0.0

@@ -29,10 +29,11 @@ HEADER: Final = """\
 #   kept                      correlation of errors from image to image, but for a share of their variance that is
 #                             constant for a road user; probability that a wrong label stays
 # ghosts: those in the ego's lane, begun in an hour, and quantiles of their durations in s.
-# replicates: the same numbers, fitted to drives drawn with replacement. Each simulated drive draws one. Without
+# replicates: the same numbers, fitted to the drives with random weights. Each simulated drive draws one. Without
 # replicates (`replicates: []`), the numbers above are driven; so that is how to drive numbers of your own.
 """
 _BOUNDS: Final = (0.05, 0.95)
+_LONGEST_S: Final = 60.0
 
 
 def errors_yaml(fitted: FittedErrors) -> str:
@@ -88,7 +89,7 @@ def error_rows(fitted: FittedErrors) -> list[tuple[str, ...]]:
 
 
 COLUMNS: Final = (
-    "road user", "distance", "images", "reported", "90% range", "lost a minute", "for", "first report after",
+    "road user", "distance", "images", "reported", "90% range", "lost per min", "for", "first report after",
     "too far (spread)", "to the right",
 )  # fmt: skip
 
@@ -100,7 +101,7 @@ def _spread(quantiles: Any) -> float:
 def _number(value: float, unit: str = "") -> str:
     if math.isnan(value):
         return "–"
-    return "never" if math.isinf(value) else f"{value:.1f}{unit}"
+    return f"{value:.1f}{unit}" if not unit or value <= _LONGEST_S else f"over {_LONGEST_S:g}{unit}"
 
 
 def _distances() -> Iterable[str]:

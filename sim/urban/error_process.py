@@ -178,7 +178,7 @@ class FittedErrors:
         rests_on: Number of samples behind each probability, by group, bin and column of `SHARES`, shape
             ``(3, 6, 10)``; zeros if unknown.
         ghosts: Number of recorded ghosts by label.
-        replicates: Processes that were fitted to drives drawn with replacement, which show how uncertain the fit is.
+        replicates: Processes that were fitted to the drives with random weights, which show how uncertain the fit is.
     """
 
     detector: str

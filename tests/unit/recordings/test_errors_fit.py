@@ -264,6 +264,18 @@ def test_what_the_recording_does_not_have_is_said() -> None:
     ]
 
 
+def test_replicates_never_take_what_is_in_few_drives_for_perfect() -> None:
+    meters = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]
+    for meter in meters[1:]:
+        meter.samples = [sample for sample in meter.samples if sample.label is ObstacleLabel.VEHICLE]
+    found = fit_errors(meters, "mine")
+    for one in found.replicates:
+        assert one.shares[2, bin_of(FAR), SEEN] < 0.9
+        assert np.ptp(one.errors[2, bin_of(FAR), 0]) > 0.3
+    seen = [one.shares[0, bin_of(FAR), SEEN] for one in found.replicates]
+    assert 0.005 < np.std(seen) < 0.1
+
+
 def test_too_little_is_refused() -> None:
     with pytest.raises(RecordingError, match=f"at least {FEWEST_DRIVES} drives.*got 2"):
         fitted(2)
