@@ -41,6 +41,7 @@ class UrbanScenarios(HasTrueVariant, JudgedByRequirements):
         simulator: Id of the simulator with the detector.
     """
 
+    id: ClassVar[str]
     simulator: ClassVar[str]
     errors_problem: ClassVar[str] = "urban-errors@1"
     params: UrbanParams

@@ -171,18 +171,23 @@ class BrinkDriveCamera(BrinkDrive):
 
     def _detector(self, spec: EpisodeSpec) -> UrbanDetector:
         check_detector(spec.behaviour)
-        return _InTheLoop(spec)
+        return InTheLoop(spec)
 
 
-class _InTheLoop:
-    """A detector on rendered images, and how wrong it is."""
+class InTheLoop:
+    """A detector on rendered images, and how wrong it is.
+
+    Attributes:
+        meter: Has the comparison of each image with the truth; None before the start.
+    """
 
     def __init__(self, spec: EpisodeSpec) -> None:
         self.behaviour = DetectorBehaviour(mode=BehaviourMode.ORACLE)
         self._spec = spec
-        self._meter: ErrorMeter | None = None
+        self.meter: ErrorMeter | None = None
 
     def start(self, world: World, camera: Camera) -> Detects:
+        """Return what detects, for a new world."""
         spec = self._spec
         light = Light(
             time_of_day=TimeOfDay(str(spec.scenario["time_of_day"])),
@@ -193,7 +198,7 @@ class _InTheLoop:
             threshold=float(str(spec.behaviour["threshold"])), camera=camera,
         )  # fmt: skip
         observer = Observer(world, camera)
-        meter = self._meter = ErrorMeter(camera)
+        meter = self.meter = ErrorMeter(camera)
 
         def detects(time_s: float) -> tuple[Box, ...]:
             found = eyes.boxes(world.ego, _bodies(world, eyes.first_id, time_s), time_s)
@@ -204,7 +209,7 @@ class _InTheLoop:
 
     def features(self, outcome: Outcome) -> dict[str, Json]:
         """Return the detector's errors."""
-        return {MEASURES: {}} if self._meter is None else measures_to_json(self._meter)
+        return {MEASURES: {}} if self.meter is None else measures_to_json(self.meter)
 
 
 def _bodies(world: World, first_id: int, time_s: float) -> list[Body]:

@@ -5,6 +5,7 @@ Commands import their measurement when they are called: most load a simulator or
 
 import typer
 
+from brink.cli.bench.errors import errors
 from brink.cli.bench.monitors import guard, monitor, monitor_accuracy
 from brink.cli.bench.perception import detector, perturbations, rendering, simood
 from brink.cli.bench.searches import heredity, mumoea, paper, search
@@ -17,7 +18,7 @@ bench = typer.Typer(
 )
 for _command in (
     difficulty, drivers, control, sim,
-    detector, simood, rendering, perturbations,
+    errors, detector, simood, rendering, perturbations,
     search, paper, heredity, mumoea,
     monitor, monitor_accuracy, guard, coverage,
     queue, scale, turns, archive, soak, chaos, stalls, dashboard,
