@@ -184,7 +184,8 @@ class GivenRecording:
         scores = list(detection_scores(recording))
         counted = sum(score >= self.threshold for score in scores)
         lines = [
-            f"Read {len(recording.drives):,} drives, {len(images):,} images, "
+            f"Read {len(recording.drives):,} {'drive' if len(recording.drives) == 1 else 'drives'}, "
+            f"{len(images):,} images, "
             f"{sum(len(image.road_users) for image in images):,} true boxes, {len(scores):,} detections"
             + (
                 f", of which {counted:,} have a score of at least {self.threshold:g}"

@@ -6,8 +6,8 @@ drive does not tell how late the first report was, and one that ends with it not
 
 Numbers that rest on few samples are drawn towards those that rest on more: a bin of distance of all vehicles towards
 all vehicles, as if by `PRIOR` more samples, and the bin of the lead or of other vehicles towards that, likewise.
-Replicates are fits to the drives with random weights (the Bayesian bootstrap, Rubin 1981). None of these is 0, so that
-no replicate lacks the only drives with pedestrians.
+Replicates are fits to the drives with random weights (the Bayesian bootstrap, Rubin 1981). None of these is 0, so
+that no replicate lacks the only drives with pedestrians.
 """
 
 import itertools

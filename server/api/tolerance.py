@@ -397,7 +397,8 @@ def detector_view(
         meaning="Each cell is a type of error that concerns one target, under one condition. Met: with "
         f"{confidence:.0%} confidence, errors of the sizes that this detector has make at most {limit:.0%} of drives "
         f"{_violated(requirements)}. Not met: they make more.",
-        no_data=_no_data(cells), next=_next(cells), conditions=conditions, cells=cells,
+        no_data=_no_data(cells), next=_next(cells, sum(drive.condition is None for drive in drives)),
+        conditions=conditions, cells=cells,
     )  # fmt: skip
 
 
@@ -452,15 +453,21 @@ def _no_data(cells: Sequence[DetectorCell]) -> str:
     return f"Without data: {'; '.join(parts)}." if parts else ""
 
 
-def _next(cells: Sequence[DetectorCell]) -> list[str]:
-    """Return what to record next: where more drives would decide, where there are none yet, and the rest."""
+def _next(cells: Sequence[DetectorCell], without_condition: int) -> list[str]:
+    """Return what to record next: where more drives would decide, where there are none yet, and the rest.
+
+    Args:
+        cells: The cells.
+        without_condition: How many drives have no condition.
+    """
     begun: dict[tuple[str, str], list[int]] = {}
     empty: dict[str, list[DetectorCell]] = {}
+    has_conditions = any(cell.condition != ALL_DRIVES for cell in cells)
     for cell in cells:
         target = next((value for name, value in cell.choices.items() if name.endswith(".target")), "")
         if cell.needed is not None and cell.drives:
             begun.setdefault((cell.condition, target), []).append(cell.needed - cell.drives)
-        elif cell.needed is not None:
+        elif cell.needed is not None and (cell.condition != ALL_DRIVES or not has_conditions):
             empty.setdefault(target, []).append(cell)
     words = [
         f"{as_sentence(condition)}: {'about ' if most > LEAST_DRIVES else ''}{most:,} more drives with "
@@ -468,10 +475,15 @@ def _next(cells: Sequence[DetectorCell]) -> list[str]:
         for (condition, target), more in begun.items()
         if (most := max(more)) > 0
     ]
+    if without_condition and has_conditions:
+        words.append(
+            f"{without_condition:,} {'drive has' if without_condition == 1 else 'drives have'} no condition, and "
+            "count under all drives alone: say what it was like"
+        )
     for target, without in empty.items():
         conditions = list(dict.fromkeys(cell.condition for cell in without))
         words.append(
-            f"{as_sentence(', '.join(conditions))}: {max(cell.needed or 0 for cell in without):,} drives or more"
+            f"{as_sentence('; '.join(conditions))}: {max(cell.needed or 0 for cell in without):,} drives or more"
             f"{' each' if len(conditions) > 1 else ''} with {_in_sight(target)}, before "
             f"{_cells(len(without))} can be met; none so far tells anything about them"
         )

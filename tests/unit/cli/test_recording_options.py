@@ -32,7 +32,7 @@ def test_it_says_what_was_read_dropped_and_counts(tmp_path: Path) -> None:
     given = GivenRecording(detections=file, clip=True, classes=["cyclist=ignore"], least_share=0.4)
     words = " ".join(given.words(given.read()))
     assert (
-        "1 drives, 60 images, 61 true boxes, 60 detections, of which 30 have a score of at least 0.5" in words
+        "1 drive, 60 images, 61 true boxes, 60 detections, of which 30 have a score of at least 0.5" in words
     )
     assert "boxes without width or height: 1" in words
     assert "boxes clipped to the image: 1" in words
