@@ -1,19 +1,20 @@
 """How often a detector is called met that violates too often (`brink.search.curves.DriveShares`)."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Final
 
 import numpy as np
 
 from brink.bench.coverage.study import Claim, Study
 from brink.bench.coverage.tolerance import CONFIDENCE, LIMIT, steps
-from brink.search.curves import LEVELS, Counts, DriveShares, curves_of
+from brink.search.curves import LEVELS, Counts, Curve, DriveShares, curves_of
 from brink.search.space import BoolArray, FloatArray
 
 DRIVES: Final = (5, 10, 20, 50, 100, 200, 500)
 SIMULATED: Final = 300
 """Drives of the campaign that the curve rests on."""
+_CAMPAIGNS_SEED: Final = 1
 
 
 def _rare(curve: FloatArray, share: float) -> FloatArray:
@@ -50,21 +51,27 @@ _MIXTURES: Final[dict[str, Callable[[FloatArray, float], FloatArray]]] = {
 }
 
 
+@cache
+def _campaigns(count: int) -> tuple[FloatArray, list[Curve]]:
+    """Return true curves, shape ``(count, LEVELS + 1)``, and what a campaign of `SIMULATED` drives knows of each.
+
+    All studies share them, because they take most of the time.
+    """
+    rng = np.random.default_rng([_CAMPAIGNS_SEED, count])
+    truth = steps(rng, count)
+    truth *= np.maximum(2.2 * LIMIT / truth[:, -1:], 1.0)
+    counts = rng.multinomial(SIMULATED, np.full(LEVELS, 1.0 / LEVELS), count)
+    simulated = Counts(drives=counts, caused=rng.binomial(counts, truth[:, 1:]))
+    return truth, curves_of(simulated, [None] * count, [False] * count, limit=LIMIT, confidence=CONFIDENCE)
+
+
 def _called_met(
     drives: int, times: float, mixture: str, rng: np.random.Generator, repetitions: int
 ) -> BoolArray:
     """Return in which repetitions a detector is called met whose share of violations is some times the limit."""
-    share = times * LIMIT
-    truth = steps(rng, repetitions)
-    truth *= np.maximum(2.2 * LIMIT / truth[:, -1:], 1.0)
-    counts = rng.multinomial(SIMULATED, np.full(LEVELS, 1.0 / LEVELS), repetitions)
-    simulated = Counts(drives=counts, caused=rng.binomial(counts, truth[:, 1:]))
-    known = curves_of(
-        simulated, [None] * repetitions, [False] * repetitions, limit=LIMIT, confidence=CONFIDENCE
-    )
     met = []
-    for curve, shares in zip(known, truth, strict=True):
-        levels = rng.choice(LEVELS + 1, drives, p=_MIXTURES[mixture](shares, share))
+    for shares, curve in zip(*_campaigns(repetitions), strict=True):
+        levels = rng.choice(LEVELS + 1, drives, p=_MIXTURES[mixture](shares, times * LIMIT))
         interval = DriveShares.of([curve], levels / LEVELS).interval(rng, CONFIDENCE)
         met.append(interval.high <= LIMIT)
     return np.array(met)
