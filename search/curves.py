@@ -29,7 +29,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.space import FloatArray, IntArray
+from brink.search.space import BoolArray, FloatArray, IntArray
 from brink.search.streams import Stream, generator
 from brink.search.tempering import effective_size, posterior_draws, resampled
 
@@ -283,8 +283,8 @@ class DriveShares:
     """The share of drives with a caused violation that the errors of a detector lead to, from some of its drives.
 
     Ends of intervals are those of Gaffke for the mean of a bounded quantity, whatever its distribution: as in a
-    Bayesian bootstrap, with one more drive that is as bad (or as good) as a drive can be. They are those of Clopper
-    and Pearson where each drive either violates or does not, and never meet. What is uncertain of the curve is added.
+    Bayesian bootstrap, with one more drive that surely violates (or surely does not). They are those of Clopper and
+    Pearson where each drive either violates or does not, and never meet. What is uncertain of the curve is added.
 
     Source: Gaffke, Three test statistics for a nonparametric one-sided hypothesis on the mean of a nonnegative
     variable, 2005; Learned-Miller and Thomas, A new confidence interval for the mean of a bounded random variable,
@@ -294,33 +294,37 @@ class DriveShares:
         counts: How many drives have each of some severities, shape ``(n,)``.
         low: Their shares by draw, at the lower end, shape ``(draws, n)``.
         high: The same at the upper end.
-        worst: The largest share that a drive can have by draw, shape ``(draws,)``; the smallest is 0.
     """
 
     counts: IntArray
     low: FloatArray
     high: FloatArray
-    worst: FloatArray
 
     @classmethod
-    def of(cls, curves: Sequence[Curve], severity: FloatArray) -> Self:
+    def of(cls, curves: Sequence[Curve], severity: FloatArray, is_bound: BoolArray | None = None) -> Self:
         """Return the shares of drives.
 
         Args:
             curves: The curve of the error; several if it is not known which applies, so that the interval covers all.
             severity: How gross the error is in each drive, shape ``(n,)``, n >= 1. Between two levels the nearer one
-                counts; what is beyond the scale may be as bad as can be.
+                counts; of what is beyond the scale, nothing is known but that the scale's end is milder.
+            is_bound: Which severities are lower bounds, so that anything grosser on the scale may be true, same
+                shape; none by default.
         """
         beyond = severity > 1.0 + 0.5 / LEVELS
         levels = np.rint(np.clip(severity, 0.0, 1.0) * LEVELS).astype(np.int64)
         levels[beyond] = LEVELS + 1
-        present, counts = np.unique(levels, return_counts=True)
+        bounds = np.zeros(len(levels), bool) if is_bound is None else is_bound
+        (present, bounded), counts = np.unique(np.stack([levels, bounds]), axis=1, return_counts=True)
         draws = np.stack([curve.draws.astype(np.float64) for curve in curves])
         lowest, highest = draws.min(axis=0), draws.max(axis=0)
         within = np.minimum(present, LEVELS)
-        high = np.where(present > LEVELS, 1.0, highest[:, within])
-        worst = np.ones(len(highest)) if beyond.any() else highest.max(axis=1)
-        return cls(counts=counts, low=lowest[:, within], high=high, worst=worst)
+        # The best and the worst from each level on.
+        best = np.minimum.accumulate(lowest[:, ::-1], axis=1)[:, ::-1]
+        worst = np.maximum.accumulate(highest[:, ::-1], axis=1)[:, ::-1]
+        low = np.where(bounded, best[:, within], lowest[:, within])
+        high = np.where(bounded, worst[:, within], highest[:, within])
+        return cls(counts=counts, low=low, high=np.where(present > LEVELS, 1.0, high))
 
     def interval(self, rng: np.random.Generator, confidence: float, drives: int | None = None) -> Interval:
         """Return the share of drives that violate, with an interval.
@@ -339,7 +343,7 @@ class DriveShares:
         tail = 0.5 * (1.0 - confidence)
         known, rest = weights[:, :-1], weights[:, -1]
         lows = (known * self.low).sum(axis=1) / sums
-        highs = ((known * self.high).sum(axis=1) + rest * self.worst) / sums
+        highs = ((known * self.high).sum(axis=1) + rest) / sums
         middles = (known * (0.5 * (self.low + self.high))).sum(axis=1) / known.sum(axis=1)
         return Interval(
             value=float(np.median(middles)),

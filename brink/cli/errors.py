@@ -93,6 +93,9 @@ def fit(
     for name in without or ():
         if name not in TYPES:
             raise InvalidInput.at("--without", f"expected some of {', '.join(TYPES)}, got {name!r}")
+    file = campaign or out.with_name("campaign.yaml")
+    if file == out:
+        raise InvalidInput.at("--out", f"expected another file than that of the campaign, {file}")
     given = GivenRecording(
         detections=detections, truth=truth, format=form, camera=camera, calibration=calibration,
         frames_per_s=frames_per_s, classes=classes or (), condition=condition, clip=clip, threshold=threshold,
@@ -110,7 +113,6 @@ def fit(
     screen.print(table)
     for line in error_sentences(fitted):
         screen.print(line, soft_wrap=True)
-    file = campaign or out.with_name("campaign.yaml")
     out.write_text(errors_yaml(fitted), encoding="utf-8")
     file.write_text(campaign_yaml(fitted, simulations, seed), encoding="utf-8")
     echo(out)

@@ -4,6 +4,7 @@ Boxes are converted to the driving system's image, so that distances mean the sa
 says how far away or how far aside something is, that is used instead of the box.
 """
 
+import bisect
 import itertools
 import math
 import statistics
@@ -26,7 +27,7 @@ from brink.sim.urban.error_meter import (
     TrueBox,
 )
 
-STEPS_S: Final = (0.005, 0.5)
+STEPS_S: Final = (0.005, 0.6)
 """Shortest and longest time between images."""
 VEHICLE_HEIGHTS_M: Final = (1.0, 3.2)
 """Where the median height of vehicles is expected, if camera and boxes fit together."""
@@ -127,15 +128,16 @@ def _observed(
     step_s = _step_s(where, times)
     own = Camera()
     convert = _Converter(model, own)
-    elsewhere = _at_images(where, drive.detections_elsewhere, times, step_s)
+    for time_s, detections in _at_images(where, drive.detections_elsewhere, times, step_s).items():
+        drive.images[time_s].detections.extend(detections)
+    drive.detections_elsewhere.clear()
     meter = ErrorMeter(own, step_s, is_excerpt=True)
     numbers: dict[str, int] = {}
     below = 0
     for time_s in times:
         image = drive.images[time_s]
-        reported = [*image.detections, *elsewhere.get(time_s, ())]
-        detections = [one for one in reported if one.score >= threshold]
-        below += len(reported) - len(detections)
+        detections = [one for one in image.detections if one.score >= threshold]
+        below += len(image.detections) - len(detections)
         truth = _truth(where, image, convert, visibility, numbers)
         meter.see(
             time_s,
@@ -182,7 +184,8 @@ def _at_images(
     """
     found: dict[float, list[Detection]] = {}
     for time_s, boxes in detections.items():
-        nearest_s = min(times, key=lambda one: abs(one - time_s))
+        after = bisect.bisect_left(times, time_s)
+        nearest_s = min(times[max(after - 1, 0) : after + 1], key=lambda one: abs(one - time_s))
         if abs(nearest_s - time_s) > 0.25 * step_s:
             raise RecordingError(
                 f"{where}: detections at {time_s:g} s, but the nearest truth is at {nearest_s:g} s; expected both on "

@@ -23,6 +23,8 @@ MAX_IMAGES: Final = 1_000_000
 """Most images of a recording."""
 MAX_SEQUENCES: Final = 10_000
 """Most files or folders that are looked at in a folder."""
+MAX_TIME_S: Final = 1e11
+"""Largest time, so that seconds and milliseconds since 1970 fit."""
 TIME_DECIMALS: Final = 3
 """Decimal places of times: images within a millisecond are one."""
 
@@ -130,21 +132,36 @@ class RecordedDrive:
         return max(self.images) - min(self.images) if self.images else 0.0
 
     def image(self, time_s: float) -> Image:
-        """Return the image at a time, which is added if there is none."""
-        time_s = round(time_s, TIME_DECIMALS)
+        """Return the image at a time, which is added if there is none.
+
+        Raises:
+            RecordingError: The time is beyond `MAX_TIME_S`.
+        """
+        time_s = self._time(time_s)
         image = self.images.get(time_s)
         if image is None:
             image = self.images[time_s] = Image(time_s=time_s)
         return image
 
     def report(self, time_s: float, detection: Detection) -> None:
-        """Add a detection to the image at its time; without an image, to `detections_elsewhere`."""
-        time_s = round(time_s, TIME_DECIMALS)
+        """Add a detection to the image at its time; without an image, to `detections_elsewhere`.
+
+        Raises:
+            RecordingError: The time is beyond `MAX_TIME_S`.
+        """
+        time_s = self._time(time_s)
         image = self.images.get(time_s)
         if image is None:
             self.detections_elsewhere.setdefault(time_s, []).append(detection)
         else:
             image.detections.append(detection)
+
+    def _time(self, time_s: float) -> float:
+        if not abs(time_s) <= MAX_TIME_S:
+            raise RecordingError(
+                f"drive {self.name}: expected a time within {MAX_TIME_S:g} s of 0, got {time_s:g} s"
+            )
+        return round(time_s, TIME_DECIMALS)
 
     def place_detections(self) -> None:
         """Move detections that were read before the image at their time to that image."""

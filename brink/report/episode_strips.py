@@ -225,7 +225,7 @@ def _pictures(folder: Path, drive: RecordedDrive) -> list[Path]:
     """
     own = folder / drive.name
     found: list[Path] = []
-    if Path(drive.name).name == drive.name and own.is_dir():
+    if Path(drive.name).name == drive.name != ".." and own.is_dir():
         found = sorted(path for path in own.iterdir() if path.suffix.lower() in _PICTURE_ENDINGS)
     if len(found) != len(drive.images):
         raise RecordingError(
@@ -254,6 +254,6 @@ def _crop(file: Path, view_box: tuple[float, float, float, float], camera: Camer
             )  # fmt: skip
             part.thumbnail((_PICTURE_WIDTH_PX, _PICTURE_WIDTH_PX))
             part.save(out, "JPEG", quality=80)
-    except (OSError, ValueError, PillowImage.DecompressionBombError) as error:
+    except (OSError, ValueError, ArithmeticError, PillowImage.DecompressionBombError) as error:
         raise RecordingError(f"{file}: expected a picture: {error}") from error
     return f"data:image/jpeg;base64,{base64.b64encode(out.getvalue()).decode()}"

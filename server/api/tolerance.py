@@ -1,7 +1,9 @@
 """Routes of tolerances: how gross an error may be before too many drives violate a requirement because of it."""
 
 import asyncio
+import itertools
 import math
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
 from typing import Annotated, Any, Final, Literal
@@ -20,7 +22,6 @@ from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modif
 from brink.server.api.schemas import View
 from brink.server.campaigns.detector_check import (
     ALL_DRIVES,
-    LEAST_DRIVES,
     MOST_DRIVES,
     CellCheck,
     CheckResult,
@@ -33,7 +34,13 @@ from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import MeasuresDetector, NamesRequirements, ScalesSeverity, SeverityScale
+from brink.server.problems.base import (
+    MeasuresDetector,
+    NamesRequirements,
+    RatesMeasuredErrors,
+    ScalesSeverity,
+    SeverityScale,
+)
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus
 from brink.sim.urban.detection_errors import Target
@@ -262,6 +269,14 @@ class DetectorBody(BaseModel):
     detector: Annotated[str, Field(max_length=200, description="What to call it.")]
     drives: Annotated[list[DriveBody], Field(min_length=1, max_length=MOST_DRIVES)]
 
+    @field_validator("drives")
+    @classmethod
+    def _distinct(cls, drives: list[DriveBody]) -> list[DriveBody]:
+        name, count = Counter(drive.name for drive in drives).most_common(1)[0]
+        if count > 1:
+            raise ValueError(f"expected each drive once, got {name!r} {count} times")
+        return drives
+
 
 class DetectorCell(View):
     """A detector's errors of one cell."""
@@ -394,12 +409,40 @@ def detector_view(
     return DetectorView(
         campaign=campaign.id, detector=name, limit=limit, confidence=confidence,
         note=_verdict(name, len(drives), [check.result for check in checks]),
-        meaning="Each cell is a type of error that concerns one target, under one condition. Met: with "
-        f"{confidence:.0%} confidence, errors of the sizes that this detector has make at most {limit:.0%} of drives "
-        f"{_violated(requirements)}. Not met: they make more.",
+        meaning="Each cell is a type of error that concerns one target, under one condition. Met: errors of the "
+        f"sizes that this detector has make at most {limit:.0%} of drives {_violated(requirements)}, even at the "
+        f"upper end of an interval of {confidence:.0%}. Not met: they make more, even at its lower end."
+        + _not_judged(plan.problem, [check.choices for check in checks], drives),
         no_data=_no_data(cells), next=_next(cells, sum(drive.condition is None for drive in drives)),
         conditions=conditions, cells=cells,
     )  # fmt: skip
+
+
+def _not_judged(problem: object, cells: Sequence[Mapping[str, str]], drives: Sequence[Drive]) -> str:
+    """Return in a sentence the gross errors of the detector for which the campaign has no cell; empty for none."""
+    names = {name.rpartition(".")[2]: name for name in cells[0]} if cells else {}
+    if not (isinstance(problem, RatesMeasuredErrors) and isinstance(problem, ScalesSeverity)) or set(names) != {
+        "type", "target",
+    }:  # fmt: skip
+        return ""
+    targets = dict.fromkeys(cell[names["target"]] for cell in cells)
+    worst = []
+    for kind, target in itertools.product(_TYPES, targets):
+        choices = {names["type"]: kind, names["target"]: target}
+        rated = [problem.measured_severity(choices, drive.measures, drive.at_least) for drive in drives]
+        severity = max((one.severity for one in rated if one is not None), default=0.0)
+        scale = problem.severity_scale(choices)
+        if choices not in cells and severity >= _GROSS and scale is not None:
+            worst.append((severity, problem.error_words(choices, scale.words(severity))))
+    worst.sort(reverse=True)
+    if not worst:
+        return ""
+    return f" Not judged, for want of a cell: {'; '.join(words for _, words in worst[:_MOST_NOT_JUDGED])}."
+
+
+_GROSS: Final = 0.25
+"""Severity from which an error is worth naming although no cell judges it."""
+_MOST_NOT_JUDGED: Final = 5
 
 
 _SHOWN: Final = (CheckResult.NOT_MET, CheckResult.TOO_LITTLE, CheckResult.MET, CheckResult.NO_DATA)
@@ -441,7 +484,7 @@ def _detector_cell(check: CellCheck, words: "_Words") -> DetectorCell:
 
 
 def _no_data(cells: Sequence[DetectorCell]) -> str:
-    """Return what no drive tells anything about, in one sentence."""
+    """Return what no drive tells anything about, in a sentence for each group of conditions."""
     conditions: dict[str, list[str]] = {}
     for condition in dict.fromkeys(cell.condition for cell in cells):
         here = [cell for cell in cells if cell.condition == condition]
@@ -449,8 +492,8 @@ def _no_data(cells: Sequence[DetectorCell]) -> str:
         if without:
             errors = "everything" if len(without) == len(here) else ", ".join(without)
             conditions.setdefault(errors, []).append(condition)
-    parts = [f"{', '.join(names)}: {errors}" for errors, names in conditions.items()]
-    return f"Without data: {'; '.join(parts)}." if parts else ""
+    parts = [f"{as_sentence('; '.join(names))}: {errors}." for errors, names in conditions.items()]
+    return f"Without data. {' '.join(parts)}" if parts else ""
 
 
 def _next(cells: Sequence[DetectorCell], without_condition: int) -> list[str]:
@@ -470,7 +513,7 @@ def _next(cells: Sequence[DetectorCell], without_condition: int) -> list[str]:
         elif cell.needed is not None and (cell.condition != ALL_DRIVES or not has_conditions):
             empty.setdefault(target, []).append(cell)
     words = [
-        f"{as_sentence(condition)}: {'about ' if most > LEAST_DRIVES else ''}{most:,} more drives with "
+        f"{as_sentence(condition)}: about {most:,} more {'drive' if most == 1 else 'drives'} with "
         f"{_in_sight(target)} would decide {_cells(len(more))} if they are like those so far"
         for (condition, target), more in begun.items()
         if (most := max(more)) > 0

@@ -25,8 +25,6 @@ WORST = 5
 """Most drives listed as the worst of a cell."""
 ALL_DRIVES = "all drives"
 """The condition of drives of which none is known."""
-LEAST_DRIVES = 10
-"""Drives below which a requirement is not called met, however harmless its errors are."""
 
 
 class CheckResult(StrEnum):
@@ -158,15 +156,13 @@ def _checked(
     severity = np.array([one.severity for one, _ in known])
     share, needed, result = None, None, CheckResult.NO_DATA
     if known:
-        shares = DriveShares.of(curves, severity)
+        shares = DriveShares.of(curves, severity, np.array([one.is_bound for one, _ in known]))
         share = shares.interval(rng, confidence)
         result = CheckResult.TOO_LITTLE
-        if share.high <= limit and len(known) >= LEAST_DRIVES:
+        if share.high <= limit:
             result = CheckResult.MET
         elif share.low > limit:
             result = CheckResult.NOT_MET
-        elif share.high <= limit:
-            needed = LEAST_DRIVES
         else:
             needed = shares.needed(rng, confidence, limit, MOST_DRIVES)
     elif problem.measures_errors(choices):

@@ -5,7 +5,8 @@ user's *life* is the time for which it is visible; a detector is judged by the p
 within the distance that matters to the driving system, whether or not it was reported before. For each type of error
 and target, the measure is the worst of the drive:
 
-- `miss`, `wrong_label`: the longest time, in images on end;
+- `miss`, `wrong_label`: the longest time, in images on end; an image lasts until the next one, and what is no target
+  or hidden for up to `PAUSE_S`, or hands over to another target, ends no miss while it is not reported;
 - `late`: the longest visible time before the first detection of a road user that becomes a target, from its first
   sight at any distance, as in `detection_errors`; time out of sight does not count, and one that is never reported is
   late by its whole life;
@@ -22,6 +23,7 @@ Concerning a target that stands for several road users, an error is one of all o
 This module has no heavy imports: recordings are measured in the same way as simulated drives.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -37,6 +39,8 @@ MEASURES: Final = "measured_errors"
 """Name of the feature with the detector's errors: the magnitude of each type, by target."""
 SUSTAINED_S: Final = 4.0
 """Errors of place, size and share are means over the time for which the target is there, if it is this long."""
+PAUSE_S: Final = 1.0
+"""Images that are missing for longer, and longer times in which a target is not there, end what was before."""
 SHORTEST_S: Final = 1.0
 """Targets that are visible for less time are not measured."""
 MATCHES_FROM: Final = 0.3
@@ -47,9 +51,10 @@ INSIDE_FROM: Final = 0.5
 """A detection is inside an ignored region if this share of it is."""
 GHOST_WITHIN_M: Final = 40.0
 HALF_LANE_M: Final = 1.75
-RANGE_FROM_M: Final = 20.0
-"""A drive without a sighting beyond this distance does not tell how far the detector sees."""
+RANGE_FROM_M: Final = 25.0
+"""A drive in which nobody is this far away does not tell how far the detector sees."""
 _BIN_M: Final = 5.0
+_ROUNDING_S: Final = 1e-6
 
 MEASURED: Final = tuple(kind for kind in ErrorType if kind is not ErrorType.GHOST_IN_IMAGE)
 Measures = Mapping[Target, Mapping[ErrorType, float]]
@@ -162,12 +167,30 @@ class DriveErrors:
             self.at_least.setdefault(target, set()).add(kind)
 
 
-_Run = list[list[Sample]]
-"""Consecutive images in which a target was there, each with its road users."""
+class _Look(NamedTuple):
+    """An image of a run.
+
+    Attributes:
+        time_s: Time of the image.
+        lasts_s: Time until the next image; 0 if the target is not there, so that the image does not count.
+        samples: The target's road users; if it is not there, those that were the target just before.
+    """
+
+    time_s: float
+    lasts_s: float
+    samples: Sequence[Sample]
+
+    @property
+    def is_missed(self) -> bool:
+        return not any(sample.is_seen for sample in self.samples)
+
+    @property
+    def is_mislabelled(self) -> bool:
+        return not self.is_missed and all(sample.is_wrong for sample in self.samples if sample.is_seen)
 
 
-_Predicate = Callable[[Sequence[Sample]], bool]
-"""Whether the samples of an image are wrong."""
+_Run = list[_Look]
+"""The images of a time in which a target was there, but for interruptions of at most `PAUSE_S`."""
 
 
 class ErrorMeter:
@@ -276,98 +299,146 @@ class ErrorMeter:
 
     def errors(self) -> DriveErrors:
         """Return how wrong the detector was."""
+        return _Judge(self.samples, self.ghosts, self._step_s, is_excerpt=self._is_excerpt).errors()
+
+
+class _Judge:
+    """Finds the worst errors of a drive whose images were compared."""
+
+    def __init__(
+        self,
+        samples: Sequence[Sample],
+        ghosts: Sequence[tuple[float, frozenset[ObstacleLabel]]],
+        step_s: float,
+        *,
+        is_excerpt: bool,
+    ) -> None:
+        self._samples = samples
+        self._ghosts = ghosts
+        self._step_s = step_s
+        self._is_excerpt = is_excerpt
+        self._pause_s = max(PAUSE_S, 2.5 * step_s)
+        times = [time_s for time_s, _ in ghosts]
+        gaps_s = [later - earlier for earlier, later in itertools.pairwise(times)]
+        breaks = [i for i, gap_s in enumerate(gaps_s) if gap_s > self._pause_s]
+        # Before a longer break, an image lasts as long as usual.
+        self._lasts_s = dict(zip(times, [*gaps_s, step_s], strict=True))
+        self._lasts_s |= {times[i]: step_s for i in breaks}
+        self._begins = {*times[:1], *(times[i + 1] for i in breaks)}
+        self._ends = {*times[-1:], *(times[i] for i in breaks)}
+        self._by_time: dict[float, list[Sample]] = {}
+        for sample in samples:
+            self._by_time.setdefault(sample.time_s, []).append(sample)
+
+    def errors(self) -> DriveErrors:
         found = DriveErrors()
         for target in Target:
             single = target in (Target.LEAD, Target.PEDESTRIAN)
-            members = [sample for sample in self.samples if target in (Target.EVERYBODY, sample.kind)]
-            visible = [sample for sample in members if sample.is_visible]
+            visible = [s for s in self._samples if target in (Target.EVERYBODY, s.kind) and s.is_visible]
             near = [s for s in visible if s.depth_m <= RELEVANT_M and (s.is_target or not single)]
-            runs = self._runs(near, split=single)
-            if sum(map(len, runs)) * self._step_s < SHORTEST_S:
+            runs = self._runs(near)
+            looks = [look for run in runs for look in run]
+            if sum(look.lasts_s for look in looks) < SHORTEST_S - _ROUNDING_S:
                 continue
-            self._note_longest(found, target, ErrorType.MISS, runs, _is_missed)
-            if (
-                sum(any(s.is_seen for s in image) for run in runs for image in run) * self._step_s
-                >= SHORTEST_S
-            ):
-                self._note_longest(found, target, ErrorType.WRONG_LABEL, runs, _is_mislabelled)
-            _note_means(found.magnitudes[target], runs, self._step_s)
+            self._note_longest(found, target, ErrorType.MISS, looks, lambda look: look.is_missed)
+            if sum(look.lasts_s for look in looks if not look.is_missed) >= SHORTEST_S - _ROUNDING_S:
+                self._note_longest(
+                    found, target, ErrorType.WRONG_LABEL, looks, lambda look: look.is_mislabelled
+                )
+            _note_means(found.magnitudes[target], runs)
             self._note_delay(found, target, {sample.track for sample in near})
-            range_m = _range_m(visible)
-            if range_m is not None:
-                found.magnitudes[target][ErrorType.SHORT_RANGE] = range_m
+            _note_range(found, target, visible)
         for label, target in (
             (ObstacleLabel.VEHICLE, Target.LEAD),
             (ObstacleLabel.PERSON, Target.PEDESTRIAN),
         ):
-            span = self._longest((time_s, label in labels, None) for time_s, labels in self.ghosts)
-            found.note(target, ErrorType.GHOST_ON_ROAD, span)
+            flags = (
+                (time_s, self._lasts_s[time_s], label in labels, None) for time_s, labels in self._ghosts
+            )
+            found.note(target, ErrorType.GHOST_ON_ROAD, self._longest(flags)[0])
         return found
 
-    def _runs(self, samples: Sequence[Sample], *, split: bool) -> list[_Run]:
-        """Return runs of consecutive images, each with the samples in it; `split` where the road user changes."""
-        runs: list[_Run] = []
+    def _runs(self, samples: Sequence[Sample]) -> list[_Run]:
+        """Return the times in which there are samples, with the images of short interruptions.
+
+        Who stops being the target for a moment, hides for a moment, or hands over to another does not end a run. In
+        an interruption, those who were the target just before are watched.
+        """
+        here_by_time: dict[float, list[Sample]] = {}
         for sample in samples:
-            last = runs[-1][-1] if runs else None
-            if last is not None and last[0].time_s == sample.time_s and not split:
-                last.append(sample)
+            here_by_time.setdefault(sample.time_s, []).append(sample)
+        runs: list[_Run] = []
+        last_s = -math.inf
+        tracks: set[int] = set()
+        for time_s, lasts_s in self._lasts_s.items():
+            here = here_by_time.get(time_s)
+            is_over = time_s - last_s > self._pause_s + _ROUNDING_S
+            if here is None:
+                if not is_over:
+                    watched = [s for s in self._by_time.get(time_s, ()) if s.track in tracks]
+                    runs[-1].append(_Look(time_s, 0.0, watched))
                 continue
-            follows = (
-                last is not None
-                and sample.time_s - last[0].time_s < 1.5 * self._step_s
-                and (not split or sample.track == last[0].track)
-            )
-            if follows:
-                runs[-1].append([sample])
-            else:
-                runs.append([[sample]])
+            if is_over:
+                runs.append([])
+            runs[-1].append(_Look(time_s, lasts_s, here))
+            last_s, tracks = time_s, {sample.track for sample in here}
         return runs
 
     def _note_longest(
-        self, found: DriveErrors, target: Target, kind: ErrorType, runs: Sequence[_Run], is_wrong: _Predicate
+        self,
+        found: DriveErrors,
+        target: Target,
+        kind: ErrorType,
+        looks: Sequence[_Look],
+        is_wrong: Callable[[_Look], bool],
     ) -> None:
         """Note the longest time for which images on end are wrong."""
-        spans = [
-            self._longest(
-                (image[0].time_s, is_wrong(image), image[0].track if len(image) == 1 else None)
-                for image in run
+        span, until_s = self._longest(
+            (
+                look.time_s,
+                look.lasts_s,
+                is_wrong(look),
+                look.samples[0].track if len(look.samples) == 1 else None,
             )
-            for run in runs
-        ]
-        worst = max(spans, key=lambda span: span.duration_s)
-        until_s = worst.from_s + worst.duration_s - 0.5 * self._step_s
-        is_cut_off = worst.from_s <= self.ghosts[0][0] or until_s >= self.ghosts[-1][0]
-        found.note(target, kind, worst, at_least=self._is_excerpt and is_cut_off and worst.duration_s > 0.0)
+            for look in looks
+            # While the target is not there, only a detection of it tells something.
+            if look.lasts_s > 0.0 or not look.is_missed
+        )
+        is_cut_off = span.duration_s > 0.0 and (span.from_s in self._begins or until_s in self._ends)
+        found.note(target, kind, span, at_least=self._is_excerpt and is_cut_off)
 
-    def _longest(self, flags: Iterable[tuple[float, bool, int | None]]) -> Span:
-        """Return the longest time for which a flag holds in consecutive images.
+    def _longest(self, flags: Iterable[tuple[float, float, bool, int | None]]) -> tuple[Span, float]:
+        """Return the longest time for which a flag holds without a break, and the time of its last image.
 
         Args:
-            flags: Time, flag and track of each image.
+            flags: Time, duration, flag and track of each image.
         """
-        worst, from_s, images = Span(0.0, 0.0), 0.0, 0
-        for time_s, holds, track in flags:
+        worst, until_s = Span(0.0, 0.0), -math.inf
+        from_s = held_s = 0.0
+        before_s = -math.inf
+        for time_s, lasts_s, holds, track in flags:
             if not holds:
-                images = 0
+                held_s = 0.0
                 continue
-            if images == 0:
-                from_s = time_s
-            images += 1
-            if images * self._step_s > worst.duration_s:
-                worst = Span(from_s, images * self._step_s, track)
-        return worst
+            if held_s == 0.0 or time_s - before_s > self._pause_s + _ROUNDING_S:
+                from_s, held_s = time_s, 0.0
+            held_s += lasts_s
+            before_s = time_s
+            if held_s > worst.duration_s:
+                worst, until_s = Span(from_s, held_s, track), time_s
+        return worst, until_s
 
     def _note_delay(self, found: DriveErrors, target: Target, tracks: Iterable[int]) -> None:
         """Note the longest visible time before the first detection, of road users that become a target."""
         worst, is_bound, tells = Span(0.0, 0.0), False, False
         lives: dict[int, list[Sample]] = {track: [] for track in sorted(tracks)}
-        for sample in self.samples:  # whatever it was to the ego before
+        for sample in self._samples:  # whatever it was to the ego before
             if sample.track in lives:
                 lives[sample.track].append(sample)
         for track, life in lives.items():
             first = next((i for i, sample in enumerate(life) if sample.is_seen), len(life))
-            delay_s = self._step_s * sum(sample.is_visible for sample in life[:first])
-            was_there = self._is_excerpt and life[0].time_s <= self.ghosts[0][0]
+            delay_s = sum(self._lasts_s[sample.time_s] for sample in life[:first] if sample.is_visible)
+            was_there = self._is_excerpt and life[0].time_s in self._begins
             tells = tells or delay_s > 0.0 or not was_there
             if delay_s > worst.duration_s:
                 worst = Span(life[0].time_s, delay_s, track)
@@ -386,27 +457,20 @@ def measures_to_json(meter: ErrorMeter) -> dict[str, Json]:
     }
 
 
-def _is_missed(image: Sequence[Sample]) -> bool:
-    return not any(sample.is_seen for sample in image)
-
-
-def _is_mislabelled(image: Sequence[Sample]) -> bool:
-    seen = [sample for sample in image if sample.is_seen]
-    return bool(seen) and all(sample.is_wrong for sample in seen)
-
-
-def _note_means(magnitudes: dict[ErrorType, float], runs: Sequence[_Run], step_s: float) -> None:
+def _note_means(magnitudes: dict[ErrorType, float], runs: Sequence[_Run]) -> None:
     """Note the worst means over the time for which the target is there; none where it never is for long enough."""
 
     def note(kind: ErrorType, value: float) -> None:
         magnitudes[kind] = max(magnitudes.get(kind, 0.0), value)
 
     for run in runs:
-        if len(run) < round(SUSTAINED_S / step_s):
+        there = [look for look in run if look.lasts_s > 0.0]
+        there_s = sum(look.lasts_s for look in there)
+        if there_s < SUSTAINED_S - _ROUNDING_S:
             continue
-        note(ErrorType.FLICKER, sum(map(_is_missed, run)) / len(run))
-        seen = [sample for image in run for sample in image if sample.is_seen]
-        if len(seen) * step_s < SHORTEST_S:
+        note(ErrorType.FLICKER, sum(look.lasts_s for look in there if look.is_missed) / there_s)
+        seen = [sample for look in there for sample in look.samples if sample.is_seen]
+        if sum(look.lasts_s for look in there if not look.is_missed) < SHORTEST_S - _ROUNDING_S:
             continue
         far, right_m, size = (
             sum(values) / len(seen)
@@ -420,24 +484,29 @@ def _note_means(magnitudes: dict[ErrorType, float], runs: Sequence[_Run], step_s
         note(ErrorType.TOO_SMALL, -size)
 
 
-def _range_m(samples: Sequence[Sample]) -> float | None:
-    """Return the distance from which on fewer than half of the sightings are detections; `RELEVANT_M` for none.
+def _note_range(found: DriveErrors, target: Target, samples: Sequence[Sample]) -> None:
+    """Note the distance from which on fewer than half of the sightings are detections.
 
-    Distances count in bins of `_BIN_M`, from the farthest that has a sighting. None if every sighting was near and
-    most of the farthest were detections, so that the range is not known.
+    Distances count in bins of `_BIN_M`, from the farthest that has a sighting. If most sightings there are
+    detections, the range is taken to end where nobody was looked at any more, and is not known at all below
+    `RANGE_FROM_M`. If they are in no bin, the range may be shorter than the nearest sighting says.
     """
     bins: dict[int, list[bool]] = {}
     for sample in samples:
-        if sample.depth_m <= RELEVANT_M:
+        if sample.depth_m < RELEVANT_M:
             bins.setdefault(int(sample.depth_m / _BIN_M), []).append(sample.is_seen)
-    range_m = RELEVANT_M
-    for number in sorted(bins, reverse=True):
-        if 2 * sum(bins[number]) >= len(bins[number]):
-            break
-        range_m = number * _BIN_M
-    if range_m == RELEVANT_M and all(number * _BIN_M < RANGE_FROM_M for number in bins):
-        return None
-    return range_m
+    numbers = sorted(bins, reverse=True)
+    reported = next((number for number in numbers if 2 * sum(bins[number]) >= len(bins[number])), None)
+    if reported is None:
+        range_m = _BIN_M * min(numbers, default=0)
+        found.at_least.setdefault(target, set()).add(ErrorType.SHORT_RANGE)
+    elif reported == numbers[0]:
+        range_m = min(_BIN_M * (reported + 1), RELEVANT_M)
+        if range_m < RANGE_FROM_M:
+            return
+    else:
+        range_m = _BIN_M * numbers[numbers.index(reported) - 1]
+    found.magnitudes[target][ErrorType.SHORT_RANGE] = range_m
 
 
 def _area(box: Box) -> float:

@@ -81,7 +81,7 @@ STUDIES: Final = tuple(
     Study(
         name=f"detector: {drives:>3} drives, {mixture}, {times:g} times the limit, called met",
         claim=Claim.AT_MOST,
-        nominal=1.0 - CONFIDENCE,
+        nominal=0.5 * (1.0 - CONFIDENCE),
         simulate=partial(_called_met, drives, times, mixture),
     )
     for times, mixture, sizes in (

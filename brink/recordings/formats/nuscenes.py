@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from brink.recordings.camera import is_number
 from brink.recordings.files import describe, list_folder, read_json
 from brink.recordings.format import Format, RecordingBuilder
 from brink.recordings.ground import GroundImage, Pose, checked_body, refuse_cameras
@@ -346,12 +347,7 @@ def _text(where: str, row: _Row, name: str) -> str:
 
 
 def _numbers(where: str, values: object, count: int) -> Sequence[float]:
-    if not (
-        isinstance(values, list)
-        and len(values) == count
-        and all(isinstance(one, int | float) and not isinstance(one, bool) for one in values)
-        and all(math.isfinite(one) for one in values)
-    ):
+    if not (isinstance(values, list) and len(values) == count and all(map(is_number, values))):
         raise RecordingError(f"{where}: expected {count} number{'s' * (count > 1)}, got {values!r:.80}")
     return [float(one) for one in values]
 

@@ -94,7 +94,7 @@ def test_every_kind_of_worker_is_reported_even_without_jobs(client: httpx.Client
 
 def test_each_simulator_belongs_to_one_kind_of_worker() -> None:
     kinds = Counter(worker_kind(one) for one in simulator_ids() if not one.startswith(("ball", "faulty")))
-    assert kinds["plain"] == 3
+    assert kinds["plain"] == 4
     assert kinds["vision"] == 4
     assert set(kinds) <= set(WORKER_KINDS)
     assert worker_kind("brink-drive-camera@2") == "vision"

@@ -132,9 +132,9 @@ def test_the_table_says_what_is_met_what_is_not_and_what_to_record(check: Checke
     assert "make at most 5% of drives violate the front gap or collide" in lines[1]
     assert lines[2].split()[:3] == ["result", "error", "condition"]
     assert lines[3].startswith("not met  ")
-    folded = [line for line in lines if "without data: " in line.lower()]
+    folded = [line for line in lines if "without data. " in line.lower()]
     assert len(folded) == 1
-    assert "by day: everything" in folded[0]
+    assert "By day: everything." in folded[0]
     assert any(re.search(r"^- By day.*59 drives or more", line) for line in lines)
     assert "20 drives, 1,620 images, 1,620 true boxes, 820 detections" in done.stderr
     assert "should be reported while it is visible: at least 25% of it in sight" in done.stderr
@@ -148,8 +148,8 @@ def test_each_cell_is_a_sentence(check: Checked, tmp_path: Path) -> None:
         r"of drives with such errors violate the front gap or collide, 5% are allowed\.$",
         lines[0],
     )
-    assert lines[-1].startswith("Without data: by night: not reporting the nearest pedestrian")
-    assert lines[-1].endswith("; by day: everything.")
+    assert lines[-1].startswith("Without data. By night: not reporting the nearest pedestrian")
+    assert lines[-1].endswith(" By day: everything.")
 
 
 def test_lower_bounds_are_marked(check: Checked) -> None:

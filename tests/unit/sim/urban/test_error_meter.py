@@ -1,6 +1,6 @@
 """How wrong a detector was in a drive, from the simulator."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 
@@ -9,7 +9,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeSpec
 from brink.sim.urban.camera import BrinkDriveCamera
 from brink.sim.urban.detection_errors import MAGNITUDES, RELEVANT_M, ErrorType, Target
-from brink.sim.urban.error_meter import MEASURES, RANGE_FROM_M, ErrorMeter, Measures, ReportedBox, TrueBox
+from brink.sim.urban.error_meter import MEASURES, ErrorMeter, Measures, ReportedBox, TrueBox
 
 CAMERA = Camera()
 STEPS = 100
@@ -99,7 +99,7 @@ def test_a_range_is_short_only_if_there_was_something_beyond_it() -> None:
             step / 10, [TrueBox(1, box, Target.LEAD, True)], [ReportedBox(box)] if depth_m <= 25.0 else []
         )
     assert meter.errors().magnitudes[Target.LEAD][ErrorType.SHORT_RANGE] == pytest.approx(25.0, abs=0.5)
-    far = measured(lambda step, box: box, standing(RANGE_FROM_M + 1.0))
+    far = measured(lambda step, box: box, standing(RELEVANT_M - 1.0))
     assert far[Target.LEAD][ErrorType.SHORT_RANGE] == RELEVANT_M
     assert ErrorType.SHORT_RANGE not in measured(lambda step, box: box)[Target.LEAD]
 
@@ -194,6 +194,63 @@ def test_nobody_knows_how_late_what_an_excerpt_begins_with_was_reported() -> Non
             assert (ErrorType.MISS in errors.at_least.get(Target.LEAD, ())) is (is_excerpt and missed > 0)
 
 
+Truth = Callable[[int], list[TrueBox]]
+FAR = standing(20.0)
+
+
+@pytest.mark.parametrize(
+    ("truth", "steps"),
+    [
+        (lambda step: [TrueBox(1, FAR, Target.LEAD, True)], [step for step in range(STEPS) if step % 4 != 2]),
+        (lambda step: [TrueBox(1, FAR, Target.LEAD, True)], [*range(40), *range(40, STEPS, 5)]),
+        (lambda step: [TrueBox(1, FAR, Target.LEAD, True, is_visible=step % 4 > 0)], range(STEPS)),
+        (lambda step: [TrueBox(1, FAR, Target.LEAD, step % 2 == 0)], range(STEPS)),
+        (lambda step: [TrueBox(step % 3, FAR, Target.LEAD, True)], range(STEPS)),
+    ],
+    ids=[
+        "every fourth image is missing",
+        "fewer images later",
+        "hidden now and then",
+        "beside now and then",
+        "two",
+    ],
+)
+def test_interruptions_do_not_cut_a_miss_into_pieces(truth: Truth, steps: Sequence[int]) -> None:
+    meter = ErrorMeter(CAMERA)
+    for step in steps:
+        meter.see(step / 10, truth(step), [ReportedBox(FAR)] if step < 10 else [])
+    errors = meter.errors()
+    # Images in which it is no target, or hidden, do not count.
+    assert errors.magnitudes[Target.LEAD][ErrorType.MISS] >= 4.4
+    assert errors.magnitudes[Target.LEAD][ErrorType.FLICKER] >= 0.85
+
+
+def test_a_detection_in_an_interruption_ends_a_miss_and_a_long_one_does_as_well() -> None:
+    for reported_at, expected_s in ((range(0), 4.2), (range(45, 46), 3.0)):
+        meter = ErrorMeter(CAMERA)
+        for step in range(STEPS):
+            true = TrueBox(1, FAR, Target.LEAD, not 40 <= step < 48 and step < 60)
+            is_seen = step < 10 or step >= 60 or step in reported_at
+            meter.see(step / 10, [true], [ReportedBox(FAR)] if is_seen else [])
+        assert meter.errors().magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(expected_s)
+    meter = ErrorMeter(CAMERA)
+    for step in range(STEPS):
+        if not 40 <= step < 70:  # no images for 3 s
+            meter.see(
+                step / 10, [TrueBox(1, FAR, Target.LEAD, True)], [ReportedBox(FAR)] if step < 10 else []
+            )
+    assert meter.errors().magnitudes[Target.LEAD][ErrorType.MISS] == pytest.approx(3.0)
+
+
+def test_a_range_that_nobody_tested_is_a_bound() -> None:
+    errors = ErrorMeter(CAMERA)
+    for step in range(STEPS):
+        errors.see(step / 10, [TrueBox(1, standing(27.0), Target.LEAD, True)], [])
+    found = errors.errors()
+    assert found.magnitudes[Target.LEAD][ErrorType.SHORT_RANGE] == 25.0
+    assert ErrorType.SHORT_RANGE in found.at_least[Target.LEAD]
+
+
 def test_what_is_reported_where_nothing_was_labelled_is_no_ghost() -> None:
     ghost, far = standing(8.0), standing(40.0)
     for ignored, expected_s in (([], STEPS / 10), ([ghost], 0.0)):
@@ -213,7 +270,8 @@ def test_places_that_are_given_count_instead_of_the_box() -> None:
     found = meter.errors().magnitudes[Target.LEAD]
     assert found[ErrorType.TOO_FAR] == pytest.approx(0.2)
     assert found[ErrorType.LEFT] == pytest.approx(0.5)
-    assert found[ErrorType.SHORT_RANGE] == RELEVANT_M
+    # Nobody was farther away.
+    assert found[ErrorType.SHORT_RANGE] == 35.0
 
 
 def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
