@@ -54,9 +54,14 @@ class Engines:
         return self.writer.dialect.name == "sqlite"
 
     def dispose(self) -> None:
-        """Close all pooled connections."""
-        self.writer.dispose()
-        self.reader.dispose()
+        """Close all pooled connections, and those that are still in use when they are returned."""
+        for engine in (self.writer, self.reader):
+            event.listen(engine.pool, "checkin", _close)
+            engine.dispose()
+
+
+def _close(_: object, entry: ConnectionPoolEntry) -> None:
+    entry.close()
 
 
 def parse_url(database: str) -> URL:

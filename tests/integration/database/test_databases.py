@@ -285,3 +285,17 @@ def test_readers_see_one_snapshot(engines: Engines) -> None:
         assert reading.execute(select(TraceRow.spec_hash)).all() == []
     with engines.reader.connect() as reading:
         assert reading.execute(select(TraceRow.spec_hash)).scalars().all() == ["a"]
+
+
+def test_a_connection_that_is_in_use_while_the_engines_are_disposed_is_closed_in_the_end(
+    database_url: str,
+) -> None:
+    engines = open_engines(database_url)
+    for engine in (engines.writer, engines.reader):
+        with engine.connect() as connection:
+            connection.execute(text("SELECT 1"))
+            driver = connection.connection.dbapi_connection
+            assert driver is not None
+            engines.dispose()
+        with pytest.raises(Exception, match="closed"):
+            driver.cursor().execute("SELECT 1")
