@@ -345,7 +345,8 @@ def test_catalogue_says_which_algorithm_to_begin_with_and_what_a_form_cannot_sub
     assert problems["urban-injected@1"]["first_algorithm"] == "edge@1"
     assert problems["npc-actions@1"]["first_algorithm"] == "mumoea@1"
     assert [name for name, one in problems.items() if one["python_only"]] == ["function@1"]
-    assert [name for name, one in problems.items() if one["measures_detector"]] == ["urban-camera@1", "urban-fitted@1"]
+    measuring = [name for name, one in problems.items() if one["measures_detector"]]
+    assert measuring == ["urban-camera@1", "urban-fitted@1"]
 
 
 def test_catalogue_offers_the_requirements_that_a_problem_takes() -> None:
