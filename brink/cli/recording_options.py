@@ -1,5 +1,6 @@
 """Options that say what a recording of a detector is: its files, camera, classes, and what counts in it."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -158,6 +159,8 @@ class GivenRecording:
             RecordingError: The files cannot be used.
             CameraError: The camera cannot be.
         """
+        if math.isnan(self.threshold):
+            raise InvalidInput.at("--threshold", "expected a number, got nan")
         return read_recording(self.detections, self.truth, format=self.format, options=self._options())
 
     def _options(self) -> ReadOptions:

@@ -61,3 +61,8 @@ def test_two_cameras_are_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(InvalidInput, match="expected it without a camera in"):
         both.read()
+
+
+def test_a_threshold_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="--threshold: expected a number"):
+        GivenRecording(detections=recording(tmp_path), threshold=float("nan")).read()
