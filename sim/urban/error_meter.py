@@ -40,7 +40,7 @@ MEASURES: Final = "measured_errors"
 SUSTAINED_S: Final = 4.0
 """Errors of place, size and share are means over the time for which the target is there, if it is this long."""
 PAUSE_S: Final = 1.0
-"""Images that are missing for longer, and longer times in which a target is not there, end what was before."""
+"""A longer gap between images, or a longer absence of the target, ends a miss."""
 SHORTEST_S: Final = 1.0
 """Targets that are visible for less time are not measured."""
 MATCHES_FROM: Final = 0.3
