@@ -82,9 +82,13 @@ class Forest:
     def to_document(self) -> dict[str, Any]:
         """Return the arrays as a JSON object."""
         return {
-            "right": self.right.tolist(), "feature": self.feature.tolist(), "value": self.value.tolist(),
-            "roots": self.roots.tolist(), "owners": self.owners.tolist(), "offsets": self.offsets.tolist(),
-        }  # fmt: skip
+            "right": self.right.tolist(),
+            "feature": self.feature.tolist(),
+            "value": self.value.tolist(),
+            "roots": self.roots.tolist(),
+            "owners": self.owners.tolist(),
+            "offsets": self.offsets.tolist(),
+        }
 
     def scores(self, features: FeatureArray) -> FloatArray:
         """Return the score of each solution by each model in log odds, shape ``(m, models)``.

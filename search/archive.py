@@ -279,10 +279,15 @@ class Archive:
             near = (block <= self.neighbourhood.radius).astype(np.float32)
             counts[columns] -= (near.T @ weights[rows]).astype(np.int64)
         return Archive.restore(
-            self.metric, self.neighbourhood, numbers=self.numbers[kept], vectors=self.vectors[kept],
-            unsafe=self.unsafe[kept], robustness=self.robustness[kept], neighbours=counts[:, 0],
+            self.metric,
+            self.neighbourhood,
+            numbers=self.numbers[kept],
+            vectors=self.vectors[kept],
+            unsafe=self.unsafe[kept],
+            robustness=self.robustness[kept],
+            neighbours=counts[:, 0],
             unsafe_neighbours=counts[:, 1],
-        )  # fmt: skip
+        )
 
     def with_verdicts(self, unsafe: ArrayLike, robustness: ArrayLike) -> "Archive":
         """Return an archive of the same solutions with other verdicts and robustness, both shape ``(n,)``."""

@@ -288,7 +288,8 @@ class DriveShares:
 
     Source: Gaffke, Three test statistics for a nonparametric one-sided hypothesis on the mean of a nonnegative
     variable, 2005; Learned-Miller and Thomas, A new confidence interval for the mean of a bounded random variable,
-    2020. No case is known in which they cover less often than they should; `brink bench coverage` has figures.
+    2020. No case is known in which they cover less often than they should; `python -m benchmarks coverage` has
+    figures.
 
     Attributes:
         counts: How many drives have each of some severities, shape ``(n,)``.
@@ -562,6 +563,8 @@ def _fall(drawn: FloatArray, median: FloatArray, confidence: float) -> Fall | No
     if float((falls >= LEAST_FALL).mean()) < confidence:
         return None
     return Fall(
-        from_severity=since / LEVELS, to_severity=to / LEVELS,
-        from_share=float(median[since]), to_share=float(median[to]),
-    )  # fmt: skip
+        from_severity=since / LEVELS,
+        to_severity=to / LEVELS,
+        from_share=float(median[since]),
+        to_share=float(median[to]),
+    )

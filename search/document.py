@@ -84,8 +84,15 @@ class Document:
                 arrays={name.removeprefix("array_"): array for name, array in arrays.items()},
             )
         except (
-            ValueError, KeyError, TypeError, OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error,
-        ) as error:  # fmt: skip
+            ValueError,
+            KeyError,
+            TypeError,
+            OSError,
+            EOFError,
+            RuntimeError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
             raise DocumentError(f"corrupt document: {error}") from error
 
     def expect(self, kind: str, version: int) -> Self:

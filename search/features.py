@@ -154,11 +154,13 @@ class Features:
             for code in range(len(parameter.choices))
         ]
         return cls(
-            space=space, ties=tuple(pairs), orders=frozen_array(array, np.int64),
+            space=space,
+            ties=tuple(pairs),
+            orders=frozen_array(array, np.int64),
             _numeric=frozen_array(np.flatnonzero(~space.categorical), np.int64),
             _categories=frozen_array([column for column, _ in choices], np.int64),
             _codes=frozen_array([code for _, code in choices], np.int64),
-        )  # fmt: skip
+        )
 
     @property
     def is_symmetric(self) -> bool:
@@ -193,10 +195,14 @@ class Features:
         low, high = (numbers[:, [tie[side] for tie in self.ties]] for side in (0, 1))
         return np.concatenate(
             [
-                numbers[:, self._numeric], rows[:, self._categories] == self._codes, 0.5 * (low + high), high - low
+                numbers[:, self._numeric],
+                rows[:, self._categories] == self._codes,
+                0.5 * (low + high),
+                high - low,
             ],
-            axis=1, dtype=np.float32,
-        )  # fmt: skip
+            axis=1,
+            dtype=np.float32,
+        )
 
     def in_every_order(self, rows: FloatArray) -> FeatureArray:
         """Return the features in all equivalent orders, shape ``(orders, n, features)``."""

@@ -96,8 +96,12 @@ def example_spaces() -> dict[str, SearchSpace]:
         )
     )
     return {
-        "mixed": mixed, "numeric": numeric, "categorical": categorical, "slots": slots, "traffic": traffic,
-    }  # fmt: skip
+        "mixed": mixed,
+        "numeric": numeric,
+        "categorical": categorical,
+        "slots": slots,
+        "traffic": traffic,
+    }
 
 
 class ContractBroken(SearchError, AssertionError):

@@ -127,8 +127,13 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.campaigns.close)
             reading = (
-                context.drawing, context.fits, context.scores, context.figures, context.pages, context.analyses
-            )  # fmt: skip
+                context.drawing,
+                context.fits,
+                context.scores,
+                context.figures,
+                context.pages,
+                context.analyses,
+            )
             await asyncio.gather(*(loop.run_in_executor(None, one.close) for one in reading))
             await loop.run_in_executor(None, context.decoding.shutdown)
             await loop.run_in_executor(None, context.scheduler.close)
@@ -137,9 +142,15 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             USER_CODE.end(serving)
 
     app = FastAPI(
-        docs_url=None, redoc_url=None, openapi_url=None, title="Brink", description=DESCRIPTION,
-        version=__version__, lifespan=lifespan, redirect_slashes=False,
-    )  # fmt: skip
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=None,
+        title="Brink",
+        description=DESCRIPTION,
+        version=__version__,
+        lifespan=lifespan,
+        redirect_slashes=False,
+    )
     install(app)
     describe(app)
     app.router.routes.extend(_routes())
@@ -171,13 +182,28 @@ def _routes() -> list[BaseRoute]:
     api = APIRouter()
     # Routes are tried in order, so the busiest come first.
     for router in (
-        jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
-        outcomes.router, finding.router, findings.violations_router,
-        campaigns.llm_router, analysis.monitors_router, repeats.router,
-        pairs.router, pair_pictures.router, pair_pictures.compared_router, tolerance.router, experiments.router,
-        experiment_pairs.router, service.router,
-        campaigns.overview_router, analysis.router,
-    ):  # fmt: skip
+        jobs.wire,
+        jobs.router,
+        campaigns.router,
+        findings.combinations_router,
+        solutions.router,
+        episodes.router,
+        outcomes.router,
+        finding.router,
+        findings.violations_router,
+        campaigns.llm_router,
+        analysis.monitors_router,
+        repeats.router,
+        pairs.router,
+        pair_pictures.router,
+        pair_pictures.compared_router,
+        tolerance.router,
+        experiments.router,
+        experiment_pairs.router,
+        service.router,
+        campaigns.overview_router,
+        analysis.router,
+    ):
         api.include_router(router)
     everything = APIRouter(
         responses={
@@ -226,9 +252,13 @@ def _context(
     wakeups = Wakeups()
     scheduler = Scheduler(engines, stepper, wakeups)
     queue = QueueService(
-        settings=settings, writer=writer, on_due=scheduler.advance_soon, metrics=metrics, wakeups=wakeups,
+        settings=settings,
+        writer=writer,
+        on_due=scheduler.advance_soon,
+        metrics=metrics,
+        wakeups=wakeups,
         check=ResultChecks(engines),
-    )  # fmt: skip
+    )
     _watch(metrics, scheduler)
     eraser = Eraser(engines, writer)
     campaigns = CampaignService(
@@ -241,13 +271,19 @@ def _context(
         SLOW_AT_ONCE, "brink-draw", limit_s=DRAWING_LIMIT_S, instead="ask for a still image (png)"
     )
     fits = ReadThreads(
-        SLOW_AT_ONCE, "brink-fits", limit_s=FIT_LIMIT_S,
+        SLOW_AT_ONCE,
+        "brink-fits",
+        limit_s=FIT_LIMIT_S,
         instead="fit the monitor on your machine with `brink monitor fit`, and ask its file",
-    )  # fmt: skip
+    )
     scores = ReadThreads(
-        SLOW_AT_ONCE, "brink-scores", limit_s=SCORES_LIMIT_S, most_pending=MOST_SCORED, patient=True,
+        SLOW_AT_ONCE,
+        "brink-scores",
+        limit_s=SCORES_LIMIT_S,
+        most_pending=MOST_SCORED,
+        patient=True,
         instead="ask about one campaign instead of an experiment, or for pairs with a smaller eps",
-    )  # fmt: skip
+    )
     return Context(
         settings=settings,
         engines=engines,
@@ -284,18 +320,21 @@ def _context(
 def _watch(metrics: Metrics, scheduler: Scheduler) -> None:
     """Add to the metrics what has to be asked for: what is in memory, and what does not move."""
     metrics.watch(
-        "brink_plugin_calls_stalled", "Calls of plug-ins' code that exceeded their time limit and still run",
+        "brink_plugin_calls_stalled",
+        "Calls of plug-ins' code that exceeded their time limit and still run",
         lambda: len(USER_CODE.stalled()),
-    )  # fmt: skip
+    )
     metrics.watch(
-        "brink_step_running_seconds", "Time since the oldest running generation step began; 0 if none runs",
+        "brink_step_running_seconds",
+        "Time since the oldest running generation step began; 0 if none runs",
         lambda: scheduler.oldest_step_s,
-    )  # fmt: skip
+    )
     metrics.watch("brink_live_searches", "Searches in memory", lambda: len(scheduler.stepper.live_campaigns))
     metrics.watch(
-        "brink_live_search_bytes", "Memory of these searches, as estimated",
+        "brink_live_search_bytes",
+        "Memory of these searches, as estimated",
         lambda: scheduler.stepper.live_bytes,
-    )  # fmt: skip
+    )
 
 
 async def _sweep(context: Context, stopping: asyncio.Event) -> None:

@@ -22,21 +22,27 @@ class Metrics:
             registry=self.registry,
         )
         self.results = Counter(
-            "brink_results", "Reported results, by the status returned for them", ["status"],
+            "brink_results",
+            "Reported results, by the status returned for them",
+            ["status"],
             registry=self.registry,
-        )  # fmt: skip
+        )
         self.failures = Counter(
             "brink_failures", "Attempts that failed, by reason", ["reason"], registry=self.registry
         )
         self.expired = Counter("brink_leases_expired", "Expired leases", registry=self.registry)
         self.steps = Histogram(
-            "brink_step_seconds", "Time of a generation step: evaluate, tell, ask, store", buckets=_STEP_S,
+            "brink_step_seconds",
+            "Time of a generation step: evaluate, tell, ask, store",
+            buckets=_STEP_S,
             registry=self.registry,
-        )  # fmt: skip
+        )
         self.commits = Histogram(
-            "brink_commit_seconds", "Duration of a write transaction; all other writes wait", buckets=_STEP_S,
+            "brink_commit_seconds",
+            "Duration of a write transaction; all other writes wait",
+            buckets=_STEP_S,
             registry=self.registry,
-        )  # fmt: skip
+        )
 
     def watch(self, name: str, about: str, value: Callable[[], float]) -> None:
         """Report a value that is asked for whenever the metrics are read."""

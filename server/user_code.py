@@ -259,9 +259,14 @@ class UserCode:
             except TimeoutError:
                 error = CodeStalled(f"{what} of {plugin} did not return within {caller.limit_s:g} s")
                 if self._abandon(call, thread, error, self.limit_s - caller.limit_s):
-                    self._note_stalled(StalledCall(
-                        caller=caller.name, what=f"{what} of {plugin}", since_s=call.began_s, thread=thread,
-                    ))  # fmt: skip
+                    self._note_stalled(
+                        StalledCall(
+                            caller=caller.name,
+                            what=f"{what} of {plugin}",
+                            since_s=call.began_s,
+                            thread=thread,
+                        )
+                    )
                 return cast(T, call.answer.result())  # raises it, or what the code raised at the last moment
             finally:
                 with self._lock:

@@ -26,9 +26,14 @@ from brink.sim.sources import distribution_digest, is_own, module_digest, module
 SIMULATORS = "brink.simulators"
 REQUIREMENTS = "brink.requirements"
 EPISODE_GROUPS: Final = (
-    SIMULATORS, REQUIREMENTS, "brink.detectors", "brink.driving_systems", "brink.fallbacks", "brink.guards",
+    SIMULATORS,
+    REQUIREMENTS,
+    "brink.detectors",
+    "brink.driving_systems",
+    "brink.fallbacks",
+    "brink.guards",
     "brink.perturbations",
-)  # fmt: skip
+)
 """Groups of the plug-ins that workers run, which decide an episode's result."""
 GROUPS: Final = (*EPISODE_GROUPS, "brink.algorithms", "brink.problems")
 FUNCTION_PREFIX = "function-"

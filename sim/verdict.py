@@ -93,9 +93,10 @@ class Impact:
         along_rad = off_rad - math.pi / 2
         part = "side" if abs(along_rad) < _MIDDLE_RAD else "front" if along_rad < 0 else "rear"
         return cls(
-            place=f"{'left' if side > 0 else 'right'} {part}", on_foot=on_foot,
+            place=f"{'left' if side > 0 else 'right'} {part}",
+            on_foot=on_foot,
             by_other=sideways_mps > _MOVES_MPS,
-        )  # fmt: skip
+        )
 
     def words(self, who: str) -> str:
         """Return what happened to the ego, such as ``was driven into by car-2 at its left rear`` or ``hit car-4``.
@@ -139,9 +140,12 @@ def impact_of(violation: Mapping[str, Any]) -> Impact | None:
         return None
     bearing_rad, heading_rad, speed_mps, ego_mps = numbers
     return Impact.of(
-        bearing_rad=bearing_rad, heading_rad=heading_rad, speed_mps=speed_mps, ego_mps=ego_mps,
+        bearing_rad=bearing_rad,
+        heading_rad=heading_rad,
+        speed_mps=speed_mps,
+        ego_mps=ego_mps,
         on_foot=other.get("kind") == "pedestrian",
-    )  # fmt: skip
+    )
 
 
 def _number(value: object) -> float:
@@ -206,12 +210,14 @@ class EpisodeVerdict:
         """
         found = [
             Violated(
-                requirement=name, time_s=verdict.violated_at_s, decides=name in deciding,
+                requirement=name,
+                time_s=verdict.violated_at_s,
+                decides=name in deciding,
                 words=violated_words(name, collision_kind(name, features), impact_in(name, features)),
             )
             for name, verdict in verdicts.items()
             if verdict.robustness < 0
-        ]  # fmt: skip
+        ]
         found.sort(key=lambda one: (not one.decides, one.time_s is None, one.time_s or 0.0))
         return cls(deciding=tuple(deciding), violated=tuple(found))
 

@@ -30,8 +30,11 @@ _NOISY: Final = ("httpx", "alembic")
 """Libraries that log every request or every start at INFO; limited to WARNING."""
 
 _STANDARD: Final = frozenset(vars(logging.makeLogRecord({}))) | {
-    "message", "asctime", "taskName", "color_message",
-}  # fmt: skip
+    "message",
+    "asctime",
+    "taskName",
+    "color_message",
+}
 _RESERVED: Final = ("time", "level", "logger", "message", "stack")
 _NO_FIELDS: Final[Mapping[str, object]] = MappingProxyType({})
 _context: ContextVar[Mapping[str, object]] = ContextVar("log_fields", default=_NO_FIELDS)

@@ -145,9 +145,11 @@ class Worker:
         if hello.lacking:
             extras = sorted(set(hello.lacking.values()))
             log.info(
-                "cannot run %s; to change that: %s", ", ".join(hello.lacking), install_command(*extras),
+                "cannot run %s; to change that: %s",
+                ", ".join(hello.lacking),
+                install_command(*extras),
                 extra={"extras": ",".join(extras)},
-            )  # fmt: skip
+            )
         return self._work(hello.simulators)
 
     def _work(self, capabilities: tuple[str, ...]) -> int:

@@ -209,10 +209,12 @@ async def in_process(settings: "Settings") -> AsyncIterator[Api]:
     async with (
         app.router.lifespan_context(app),
         httpx.AsyncClient(
-            transport=httpx.ASGITransport(app=app), base_url="http://brink", timeout=TIMEOUT,
+            transport=httpx.ASGITransport(app=app),
+            base_url="http://brink",
+            timeout=TIMEOUT,
             headers=_headers(token),
         ) as client,
-    ):  # fmt: skip
+    ):
         yield Api(client, settings.database)
 
 

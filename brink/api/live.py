@@ -54,7 +54,7 @@ class Steps:
         if updates_in_place(console):
             self._live = Live(
                 get_renderable=self._line, console=console, refresh_per_second=4, transient=True
-            )  # fmt: skip
+            )
 
     def __enter__(self) -> Self:
         """Start the display."""

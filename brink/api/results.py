@@ -81,10 +81,16 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     generations = arrays["generations"]
     ends = np.searchsorted(generations, np.unique(generations), side="right")
     return FetchedArchive(
-        id=view.id, body=view.body, plan=plan, archive=archive, active=arrays.get("active"),
-        seeds=arrays.get("seeds"), digests=tuple(arrays["digests"].tolist()) if "digests" in arrays else None,
-        generations=tuple(int(end) for end in ends), outcomes=outcomes,
-    )  # fmt: skip
+        id=view.id,
+        body=view.body,
+        plan=plan,
+        archive=archive,
+        active=arrays.get("active"),
+        seeds=arrays.get("seeds"),
+        digests=tuple(arrays["digests"].tolist()) if "digests" in arrays else None,
+        generations=tuple(int(end) for end in ends),
+        outcomes=outcomes,
+    )
 
 
 async def read_all_pairs(api: Api, campaign: str) -> PairsView | TooManyPairs:

@@ -198,7 +198,7 @@ def status(
     Example: brink status 3f2a
 
     Example: brink status --tag night --search rain
-    """  # fmt: skip
+    """
     if campaign is not None and (tags or search):
         raise InvalidInput.at("--tag" if tags else "--search", "expected it without ID: it lists campaigns")
     asked = {
@@ -233,9 +233,18 @@ async def _show_campaign(api: Api, campaign: str, as_json: bool, place: str) -> 
 
 
 _LISTED = (
-    "id", "name", "status", "simulations", "budget", "unsafe", "failed", "created_at", "repeats_of", "tags",
+    "id",
+    "name",
+    "status",
+    "simulations",
+    "budget",
+    "unsafe",
+    "failed",
+    "created_at",
+    "repeats_of",
+    "tags",
     "follow_ups",
-)  # fmt: skip
+)
 """The columns of the overview that the list of campaigns shows."""
 
 
@@ -252,11 +261,15 @@ async def _list_campaigns(api: Api, asked: dict[str, Any], place: str, *, follow
     for one in campaigns:
         depth[one["id"]] = depth.get(one["repeats_of"], -1) + 1
         table.add_row(
-            one["id"], "  " * depth[one["id"]] + one["name"], one["status"],
-            f"{one['simulations']} of {one['budget']}", str(one["unsafe"]), str(one["failed"]),
+            one["id"],
+            "  " * depth[one["id"]] + one["name"],
+            one["status"],
+            f"{one['simulations']} of {one['budget']}",
+            str(one["unsafe"]),
+            str(one["failed"]),
             f"{datetime.fromisoformat(one['created_at']):%Y-%m-%d %H:%M}",
             *([" ".join(one["tags"])] if tagged else []),
-        )  # fmt: skip
+        )
     if not campaigns:
         none = f"no campaigns yet; start one with: {program()} run FILE"
         console().print(none if len(asked) == 1 else "no such campaign")
@@ -431,14 +444,23 @@ def solution_table(
 ) -> Table:
     """Return a table of the best boundary solutions, and where the rest is."""
     table = plain_table(
-        "number", "outcome", "robustness", "fitness", "unsafe neighbours", "description",
+        "number",
+        "outcome",
+        "robustness",
+        "fitness",
+        "unsafe neighbours",
+        "description",
         right=("number", "robustness", "fitness", "unsafe neighbours"),
-    )  # fmt: skip
+    )
     for solution in boundary.solutions[:shown]:
         table.add_row(
-            str(solution.number), solution.outcome or solution.verdict, f"{solution.robustness:.2f}",
-            f"{solution.fitness:.3f}", f"{solution.unsafe_neighbours} of {solution.neighbours}", solution.words,
-        )  # fmt: skip
+            str(solution.number),
+            solution.outcome or solution.verdict,
+            f"{solution.robustness:.2f}",
+            f"{solution.fitness:.3f}",
+            f"{solution.unsafe_neighbours} of {solution.neighbours}",
+            solution.words,
+        )
     listed = len(boundary.solutions)
     if listed > shown:
         beyond = f", and {boundary.dbs - listed:,} that are not listed" if boundary.dbs > listed else ""

@@ -68,9 +68,8 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "plugins": ("brink.cli.plugins:plugins", "List and check plug-ins"),
         "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
         "llm": ("brink.cli.llm:llm", "Check and preview language models"),
-        "bench": ("brink.cli.bench:bench", "Benchmark this installation"),
     },
-}  # fmt: skip
+}
 """By section and name: the ``module:attribute`` that defines the command, and its line in ``brink --help``."""
 
 

@@ -321,13 +321,16 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
         print_json(
             [
                 {
-                    "id": one.id, "name": one.name, "scope": one.scope, "created_at": one.created_at.isoformat(),
+                    "id": one.id,
+                    "name": one.name,
+                    "scope": one.scope,
+                    "created_at": one.created_at.isoformat(),
                     "expires_at": one.expires_at.isoformat() if one.expires_at else None,
                     "revoked_at": one.revoked_at.isoformat() if one.revoked_at else None,
                 }
                 for one in found
             ]
-        )  # fmt: skip
+        )
         return
     if not found:
         console().print("no tokens yet; create one with: brink token create NAME --scope user")

@@ -189,11 +189,13 @@ class RecordingCheck:
         about = self._say(recording)
         view = await self._judge(api, recording, observed)
         await _give(
-            view, self.output, about,
+            view,
+            self.output,
+            about,
             lambda: detector_page(
                 view, about, worst_strips(view, observed, recording.camera, self.given.threshold, self.images)
             ),
-        )  # fmt: skip
+        )
         return _is_met(view)
 
     async def _observe(self, recording: Recording, threshold: float) -> list[ObservedDrive]:
@@ -302,9 +304,11 @@ def draw_detector(view: DetectorView, path: Path) -> None:
 
 
 _STYLES: Final = {
-    CheckResult.NOT_MET: "red", CheckResult.MET: "green", CheckResult.TOO_LITTLE: "yellow",
+    CheckResult.NOT_MET: "red",
+    CheckResult.MET: "green",
+    CheckResult.TOO_LITTLE: "yellow",
     CheckResult.NO_DATA: "dim",
-}  # fmt: skip
+}
 
 
 def show_detector(screen: Console, view: DetectorView) -> None:
@@ -379,9 +383,11 @@ def show_sweep(screen: Console, views: Mapping[float, DetectorView]) -> None:
 
 
 _SHORT: Final = {
-    CheckResult.NOT_MET: "not met", CheckResult.MET: "met", CheckResult.TOO_LITTLE: "unknown",
+    CheckResult.NOT_MET: "not met",
+    CheckResult.MET: "met",
+    CheckResult.TOO_LITTLE: "unknown",
     CheckResult.NO_DATA: "no data",
-}  # fmt: skip
+}
 
 
 def _by_cell(views: Mapping[float, DetectorView]) -> dict[tuple[str, ...], list[CheckResult]]:

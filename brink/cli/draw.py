@@ -30,13 +30,13 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
+from brink.pictures import render
 from brink.report.figures import draw_figures
 from brink.search.errors import TooManyPairs
 from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.errors import InvalidInput
-from brink.sim.replay import render
 
 
 def plot(
@@ -69,9 +69,15 @@ def plot(
             console(stderr=True).print(f"no pair is marked: {pairs}", soft_wrap=True, style="yellow")
         with Steps(console(stderr=True), "drawing figures") as steps:
             return await asyncio.to_thread(
-                draw_figures, fetched, folder, t_b=t_b, d_th=d_th, pairs=pairs, formats=formats,
+                draw_figures,
+                fetched,
+                folder,
+                t_b=t_b,
+                d_th=d_th,
+                pairs=pairs,
+                formats=formats,
                 on_progress=steps.of("drawing figures"),
-            )  # fmt: skip
+            )
 
     files = with_api(server, database, work)
     if as_json:

@@ -97,10 +97,19 @@ def fit(
     if file == out:
         raise InvalidInput.at("--out", f"expected another file than that of the campaign, {file}")
     given = GivenRecording(
-        detections=detections, truth=truth, format=form, camera=camera, calibration=calibration,
-        frames_per_s=frames_per_s, classes=classes or (), condition=condition, clip=clip, threshold=threshold,
-        most_occlusion=max_occlusion, least_share=min_visible,
-    )  # fmt: skip
+        detections=detections,
+        truth=truth,
+        format=form,
+        camera=camera,
+        calibration=calibration,
+        frames_per_s=frames_per_s,
+        classes=classes or (),
+        condition=condition,
+        clip=clip,
+        threshold=threshold,
+        most_occlusion=max_occlusion,
+        least_share=min_visible,
+    )
     recording = given.read()
     observed = observe(recording, threshold=given.threshold, visibility=given.visibility)
     for line in given.words(recording):

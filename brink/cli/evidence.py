@@ -34,6 +34,7 @@ from brink.cli.options import (
     write_json,
 )
 from brink.extras import install_command
+from brink.pictures import render
 from brink.report.component import DetectionCounts, count_detections, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, TooManyPairs
@@ -51,14 +52,20 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.errors import InvalidInput
 from brink.sim.errors import SimulatorError
-from brink.sim.replay import render
 from brink.sim.trace import Trace
 from brink.worker.errors import WorkerError
 
 TRACE_TIMEOUT_S = 120.0
 UNDRAWABLE = (
-    NoTrace, CoordinatorError, SimulatorError, WorkerError, LookupError, ValueError, TypeError, ArithmeticError,
-)  # fmt: skip
+    NoTrace,
+    CoordinatorError,
+    SimulatorError,
+    WorkerError,
+    LookupError,
+    ValueError,
+    TypeError,
+    ArithmeticError,
+)
 """A simulator may record anything, so a replay that fails is noted and skipped."""
 
 
@@ -104,9 +111,7 @@ def evidence(
     if film not in (None, "gif", "mp4"):
         raise InvalidInput.at("--film", f"expected gif or mp4, got {film!r}")
     screen = console(stderr=as_json)
-    options = _Options(
-        folder=out, t_b=t_b, d_th=d_th, replays=replays, pairs=pairs, film=film, server=server
-    )  # fmt: skip
+    options = _Options(folder=out, t_b=t_b, d_th=d_th, replays=replays, pairs=pairs, film=film, server=server)
     summary = with_api(server, database, lambda api: _write(api, campaign, options, screen))
     if as_json:
         print_json(summary)
@@ -149,9 +154,14 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
     if pairs is not None:
         with Steps(screen, "drawing pairs") as steps:
             pairs = await draw_pair_evidence(
-                api, pairs, options.folder, pictures=options.pairs, film=options.film,
-                workers=options.server is not None, show=steps.show,
-            )  # fmt: skip
+                api,
+                pairs,
+                options.folder,
+                pictures=options.pairs,
+                film=options.film,
+                workers=options.server is not None,
+                show=steps.show,
+            )
         notes += pairs.notes
     drawn, missing = await _replays(api, fetched, rows, boundary, options, screen)
     notes += missing
@@ -159,11 +169,16 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
         _tables(rows, options.folder, columns)
     readme.write_text(_readme(fetched, boundary, options, found, notes, drawn, pairs), encoding="utf-8")
     return {
-        "campaign": fetched.id, "folder": str(options.folder), "solutions": len(rows),
-        "words": boundary.words, "replays": drawn,
+        "campaign": fetched.id,
+        "folder": str(options.folder),
+        "solutions": len(rows),
+        "words": boundary.words,
+        "replays": drawn,
         "pairs": None if pairs is None else len(pairs.view.pairs),
-        "pictures": None if pairs is None else len(pairs.drawn), "rules": document, "notes": notes,
-    }  # fmt: skip
+        "pictures": None if pairs is None else len(pairs.drawn),
+        "rules": document,
+        "notes": notes,
+    }
 
 
 def _tables(rows: Sequence[Row], folder: Path, columns: Mapping[str, type]) -> None:
@@ -262,7 +277,7 @@ def _readme(
         "# Files",
         _files(options.film, drawn, pairs, boundary.words, with_boundary=with_boundary),
         *([] if pairs is None else [pairs.section()]),
-    ]  # fmt: skip
+    ]
     if with_boundary:
         parts.append(
             "# Columns\n\n| column | meaning |\n|---|---|\n"

@@ -17,8 +17,15 @@ from brink.sim.errors import SimulatorError
 from brink.worker.errors import WorkerError
 
 _UNDRAWABLE: Final = (
-    NoTrace, CoordinatorError, SimulatorError, WorkerError, LookupError, ValueError, TypeError, ArithmeticError,
-)  # fmt: skip
+    NoTrace,
+    CoordinatorError,
+    SimulatorError,
+    WorkerError,
+    LookupError,
+    ValueError,
+    TypeError,
+    ArithmeticError,
+)
 _FOLDER: Final = "pairs"
 
 

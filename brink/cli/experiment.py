@@ -78,8 +78,15 @@ def run(
     from brink.cli.local import RunOptions
 
     options = RunOptions(
-        file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
-    )  # fmt: skip
+        file=file,
+        workers=workers,
+        out=out,
+        resume=resume,
+        new=new,
+        json=as_json,
+        database=database,
+        port=port,
+    )
     with about_file(file):
         found = run_experiment(read_experiment_file(file), options, alpha=alpha)
     raise typer.Exit(int(found is None))
@@ -131,9 +138,15 @@ def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
     table = plain_table("campaign", "method", "problem", "seed", "status", *numbers, right=("seed", *numbers))
     for one in found.members:
         table.add_row(
-            one.campaign, one.method, one.problem, str(one.seed), f"{one.status} {one.status_reason}".strip(),
-            f"{one.simulations:,}", f"{one.unsafe:,}", f"{one.failed:,}",
-        )  # fmt: skip
+            one.campaign,
+            one.method,
+            one.problem,
+            str(one.seed),
+            f"{one.status} {one.status_reason}".strip(),
+            f"{one.simulations:,}",
+            f"{one.unsafe:,}",
+            f"{one.failed:,}",
+        )
     console().print(table)
     if progress.deleted:
         console().print(f"{progress.deleted} of its campaigns have been deleted")
@@ -219,9 +232,15 @@ def pairs(
     screen, complete = console(stderr=as_json), True
     if confirm or component:
         complete = follow_up_here(
-            name, settings, screen, confirm=confirm or 0, component=component, workers=workers,
-            server=server, database=database,
-        )  # fmt: skip
+            name,
+            settings,
+            screen,
+            confirm=confirm or 0,
+            component=component,
+            workers=workers,
+            server=server,
+            database=database,
+        )
     found = with_api(
         server, database, lambda api: fetch_experiment_pairs(api, name, screen, alpha=alpha, **settings)
     )
@@ -294,7 +313,11 @@ def list_(database: Database = None, server: Server = None, as_json: AsJson = Fa
     table = plain_table("id", "name", "status", *numbers, "submitted", right=numbers)
     for one in found:
         table.add_row(
-            one.id, one.name, one.status, f"{one.finished} of {one.campaigns}",
-            f"{one.simulations:,} of {one.budget:,}", f"{one.created_at:%Y-%m-%d %H:%M}",
-        )  # fmt: skip
+            one.id,
+            one.name,
+            one.status,
+            f"{one.finished} of {one.campaigns}",
+            f"{one.simulations:,} of {one.budget:,}",
+            f"{one.created_at:%Y-%m-%d %H:%M}",
+        )
     console().print(table if found else "no experiments yet")

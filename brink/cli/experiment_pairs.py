@@ -65,11 +65,15 @@ def pair_repeats_of(pairs: ExperimentPairs) -> list[PairRepeat]:
     """Return the pairs of the finished campaigns."""
     return [
         PairRepeat(
-            problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign, computed=one.computed,
+            problem=one.problem,
+            method=one.method,
+            seed=one.seed,
+            campaign=one.campaign,
+            computed=one.computed,
             counts=PairCounts(**{name: getattr(one, name) or 0 for name in PairCounts.__slots__}),
         )
         for one in pairs.repeats
-    ]  # fmt: skip
+    ]
 
 
 async def ask_follow_ups(

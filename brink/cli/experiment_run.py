@@ -97,7 +97,7 @@ def run_experiment(
             wanted = body.pairs
             complete = await run_follow_ups(
                 session, pairs, confirm=wanted.confirm, component=wanted.component
-            )  # fmt: skip
+            )
             if session.stop.is_set():
                 screen.print("stopped; nothing is lost")
                 session.hint("continue with", f"experiment run {quote(str(options.file))} --resume")
@@ -212,12 +212,18 @@ def repeats_of(results: Results) -> list[Repeat]:
 
 def _scores(one: RepeatView) -> Scores:
     return Scores(
-        evaluated=one.evaluated, unsafe=one.unsafe, figures=_figures(one),
-        control=None if one.control is None else Control(
-            figures=_figures(one.control), unsafe_share=one.control.unsafe_share,
-            spread=np.array(one.control.spread), repeats=one.control.behaviours_a_scenario,
+        evaluated=one.evaluated,
+        unsafe=one.unsafe,
+        figures=_figures(one),
+        control=None
+        if one.control is None
+        else Control(
+            figures=_figures(one.control),
+            unsafe_share=one.control.unsafe_share,
+            spread=np.array(one.control.spread),
+            repeats=one.control.behaviours_a_scenario,
         ),
-    )  # fmt: skip
+    )
 
 
 def _figures(view: RepeatView | ControlView) -> Figures:
@@ -286,9 +292,15 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
                 pictures[problem, measure, kind] = name
     pairs = None if results.pairs is None else _write_pairs(results.pairs, folder)
     text = markdown_report(
-        body, repeats, pictures, experiment=results.id, created_at=results.created_at, elapsed_s=elapsed_s,
-        pairs=pairs, level=results.alpha,
-    )  # fmt: skip
+        body,
+        repeats,
+        pictures,
+        experiment=results.id,
+        created_at=results.created_at,
+        elapsed_s=elapsed_s,
+        pairs=pairs,
+        level=results.alpha,
+    )
     files = [folder / "report.html", folder / "report.md", folder / "results.json"]
     files[0].write_text(html_report(text, results.name, folder), encoding="utf-8")
     files[1].write_text(text, encoding="utf-8")
@@ -310,4 +322,4 @@ def _write_pairs(pairs: ExperimentPairs, folder: Path) -> ReportedPairs:
         pictures[problem] = name
     return ReportedPairs(
         repeats=repeats, eps=pairs.eps, d_th=pairs.d_th, pictures=pictures, left_out=pairs.left_out
-    )  # fmt: skip
+    )

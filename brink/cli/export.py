@@ -15,8 +15,8 @@ from brink.api.results import TRACE_TIMEOUT_S, fetch_requirements, fetch_trace, 
 from brink.api.terminal import echo
 from brink.cli.database import export as export_campaign
 from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, with_api
-from brink.exchange.exportable import EXPORTED, MODULES, EgoControl, check_exportable
 from brink.extras import install_command
+from brink.scenarios.exportable import EXPORTED, MODULES, EgoControl, check_exportable
 from brink.search.errors import MissingExtra
 from brink.server.api.schemas import CampaignView, SolutionView
 from brink.server.errors import InvalidInput
@@ -92,15 +92,19 @@ async def _export_scenario(
     api: Api, campaign: str, number: int, out: Path, ego: EgoControl, server: str | None
 ) -> list[Path]:
     # Imported here: they need the extra.
-    from brink.exchange.folder import Origin, write_openscenario
+    from brink.scenarios.folder import Origin, write_openscenario
 
     view = await api.read(CampaignView, f"/campaigns/{campaign}")
     solution = await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")
     check_exportable(None if solution.spec is None else str(solution.spec.get("simulator")))
     origin = Origin(
-        campaign=view.id, name=view.body.name, number=number, words=solution.words,
-        deciding=await fetch_requirements(api, campaign) or (), odd=view.body.problem.params.get("odd", {}),
-    )  # fmt: skip
+        campaign=view.id,
+        name=view.body.name,
+        number=number,
+        words=solution.words,
+        deciding=await fetch_requirements(api, campaign) or (),
+        odd=view.body.problem.params.get("odd", {}),
+    )
     trace: Trace = (
         await run_episode(api, campaign, number)
         if server is None

@@ -155,9 +155,13 @@ class CombinationFindings:
         table = plain_table("chain", "unsafe", "its parts", "other order", "added harm", "")
         for one in chains[:shown]:
             table.add_row(
-                one.words, tally_words(one), "\n".join(variant_words(one.parts)) or "not simulated",
-                "\n".join(map(tally_words, one.orders)), added_harm_words(one), claim_words(one),
-            )  # fmt: skip
+                one.words,
+                tally_words(one),
+                "\n".join(variant_words(one.parts)) or "not simulated",
+                "\n".join(map(tally_words, one.orders)),
+                added_harm_words(one),
+                claim_words(one),
+            )
         if chains:
             screen.print(table)
             if len(chains) > shown:
@@ -170,9 +174,10 @@ class CombinationFindings:
             table = plain_table("technique at a level", "alone", "with others")
             for step in sorted(steps, key=_unsafe_shares, reverse=True)[:shown]:
                 table.add_row(
-                    step.words, _ratio(step.alone_unsafe, step.alone_trials),
+                    step.words,
+                    _ratio(step.alone_unsafe, step.alone_trials),
                     _ratio(step.joined_unsafe, step.joined_trials),
-                )  # fmt: skip
+                )
             screen.print(table)
         if self._found.explanation:
             screen.print(self._found.explanation, style="dim")
@@ -414,12 +419,17 @@ def write_violations(found: Violations, folder: Path) -> list[Path]:
     signature = list(found.violations[0].signature) if found.violations else []
     rows = [
         [
-            one.number, round(one.time_s, 3), one.type, one.name or "", one.avoidable or "",
-            one.avoided_by or "", one.at_fault,
+            one.number,
+            round(one.time_s, 3),
+            one.type,
+            one.name or "",
+            one.avoidable or "",
+            one.avoided_by or "",
+            one.at_fault,
             *(one.signature[name] for name in signature),
         ]
         for one in found.violations
-    ]  # fmt: skip
+    ]
     header = ["number", "time_s", "type", "name", "avoidable", "avoided_by", "at_fault", *signature]
     _write_csv(table, [header, *rows])
     return [document, table]
@@ -457,10 +467,15 @@ def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path)
 
     problem = fetched.plan.problem
     figure = figure_fronts(
-        fetched.body.name, problem.space, fetched.archive.vectors, fetched.generations,
-        criticality, fetched.plan.config, by_gap=not isinstance(problem, NpcActions) or problem.by_gap,
+        fetched.body.name,
+        problem.space,
+        fetched.archive.vectors,
+        fetched.generations,
+        criticality,
+        fetched.plan.config,
+        by_gap=not isinstance(problem, NpcActions) or problem.by_gap,
         unavoidable=UNAVOIDABLE_M,
-    )  # fmt: skip
+    )
     path = folder / "fronts.png"
     figure.savefig(path)
     return path

@@ -120,17 +120,28 @@ def fit(
     with Steps(console(stderr=True), "re-running drives") as steps:
         drives = source.recorded(processes, steps)
         model = fit_guard(
-            drives, source.requirements, sensor=sensor, false_alarms=false_alarms, seed=seed, about=source.about,
+            drives,
+            source.requirements,
+            sensor=sensor,
+            false_alarms=false_alarms,
+            seed=seed,
+            about=source.about,
             on_progress=steps.of("fitting trees"),
-        )  # fmt: skip
+        )
     model.save(out)
     violations = model.about["violations"]
     if as_json:
-        print_json({
-            "file": str(out), "drives": len(drives), "violations": violations, "sensor": str(sensor),
-            "requirements": list(source.requirements), "horizons_s": list(model.horizons_s),
-            "threshold": model.alarm.threshold,
-        })  # fmt: skip
+        print_json(
+            {
+                "file": str(out),
+                "drives": len(drives),
+                "violations": violations,
+                "sensor": str(sensor),
+                "requirements": list(source.requirements),
+                "horizons_s": list(model.horizons_s),
+                "threshold": model.alarm.threshold,
+            }
+        )
         return
     console().print(
         f"{out}: fitted to {len(drives):,} drives, {violations:,} of which violate "
@@ -166,9 +177,14 @@ def judge(
     if not campaigns and not drives:
         raise InvalidInput.at("", "expected ids of campaigns, or a number of fresh drives with --drives")
     source = _source(
-        campaigns, drives, seed, database, server, requirement=list(model.requirements),
+        campaigns,
+        drives,
+        seed,
+        database,
+        server,
+        requirement=list(model.requirements),
         default=problem_of(model.about),
-    )  # fmt: skip
+    )
     _check_fresh(file, model, source)
     with Steps(console(stderr=True), "re-running drives") as steps:
         recorded = source.recorded(processes, steps)
@@ -384,9 +400,11 @@ def _print(evaluation: GuardEvaluation) -> None:
     )
     for horizon in evaluation.horizons:
         table.add_row(
-            f"{horizon.horizon_s:g} s", f"{horizon.auroc:.3f}", f"{horizon.brier:.4f}",
+            f"{horizon.horizon_s:g} s",
+            f"{horizon.auroc:.3f}",
+            f"{horizon.brier:.4f}",
             f"{horizon.calibration_error:.4f}",
-        )  # fmt: skip
+        )
     screen.print("", table)
 
 

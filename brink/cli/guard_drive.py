@@ -129,7 +129,7 @@ def drive(
     as unit: Wilson's for shares of drives, gamma intervals for other figures.
 
     Example: brink guard drive guard.json --drives 200 --seeds 10 --out guard-drives
-    """  # fmt: skip
+    """
     option = _option(guard, fallback, setting or [])
     model = _model(option)
     chosen = sorted(set(threshold)) if threshold else thresholds_around(option.own_threshold)
@@ -347,10 +347,18 @@ def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray
         f"{count:,} drives of {len(set(loop.seed))} seeds, {violating:,} of which ({violating / count:.0%}) violate "
         f"{' or '.join(loop.requirements)} without a guard; with it, an alarm triggers {option.fallback}",
         soft_wrap=True,
-    )  # fmt: skip
+    )
     names = (
-        "fall by", "prevented", "entirely", "caused", "others", "distance lost", "when safe", "an hour", "drives",
-    )  # fmt: skip
+        "fall by",
+        "prevented",
+        "entirely",
+        "caused",
+        "others",
+        "distance lost",
+        "when safe",
+        "an hour",
+        "drives",
+    )
     table = plain_table("threshold", *names, right=("threshold", *names))
     screen.print(
         "violations prevented, those of them without a violation of any other requirement, violations caused, and "
@@ -388,11 +396,16 @@ def _print_recommendation(loop: GuardedLoop, best: Condition | None) -> None:
 
 def _row(worth: GuardWorth) -> list[str]:
     return [
-        _percent(worth.reduction), f"{worth.prevented:,}", f"{worth.prevented_entirely:,}", f"{worth.caused:,}",
+        _percent(worth.reduction),
+        f"{worth.prevented:,}",
+        f"{worth.prevented_entirely:,}",
+        f"{worth.caused:,}",
         _percent(worth.other_share, 1),
-        _percent(worth.distance_lost, 1), _percent(worth.distance_lost_when_safe, 1),
-        _number(worth.false_alarms_per_h), _percent(worth.alarmed_when_safe),
-    ]  # fmt: skip
+        _percent(worth.distance_lost, 1),
+        _percent(worth.distance_lost_when_safe, 1),
+        _number(worth.false_alarms_per_h),
+        _percent(worth.alarmed_when_safe),
+    ]
 
 
 def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArray]) -> None:
@@ -405,9 +418,13 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
             continue
         worth = loop.worth(best, mask)
         table.add_row(
-            name, f"{worth.drives:,}", f"{worth.violations_without:,}", _percent(worth.reduction),
-            _percent(worth.distance_lost, 1), _number(worth.false_alarms_per_h),
-        )  # fmt: skip
+            name,
+            f"{worth.drives:,}",
+            f"{worth.violations_without:,}",
+            _percent(worth.reduction),
+            _percent(worth.distance_lost, 1),
+            _number(worth.false_alarms_per_h),
+        )
     console().print("", table)
 
 
@@ -465,8 +482,8 @@ def _draw(loop: GuardedLoop, out: Path) -> None:
 
 
 def _draw_prevented(loop: GuardedLoop, out: Path, count: int, steps: Steps) -> None:
-    from brink.sim.replay.guard import prevented_pair
-    from brink.sim.replay.render import render_pair
+    from brink.pictures.guard import prevented_pair
+    from brink.pictures.render import render_pair
 
     best, _ = loop.shown()
     chosen = loop.prevented(best)[:count]

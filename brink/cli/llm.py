@@ -56,7 +56,7 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
                 **fields(report, "works", "mode", "reachable", "models", "model_listed", "trouble"),
                 "modes": [fields(one) for one in report.modes],
             }
-        )  # fmt: skip
+        )
     else:
         _print_report(settings, report)
     if not report.works:
@@ -78,9 +78,14 @@ def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
     )
     for one in report.modes:
         table.add_row(
-            one.mode, _yes(one.accepted), _yes(one.usable), _yes(one.usage_stated), one.finish_reason or "–",
-            "–" if one.latency_s is None else f"{one.latency_s:.1f}", one.trouble or "",
-        )  # fmt: skip
+            one.mode,
+            _yes(one.accepted),
+            _yes(one.usable),
+            _yes(one.usage_stated),
+            one.finish_reason or "–",
+            "–" if one.latency_s is None else f"{one.latency_s:.1f}",
+            one.trouble or "",
+        )
     screen.print(table)
     works = f"works; reply format: {report.mode}" if report.works else "gives no usable reply"
     screen.print(f"{settings.model} at {settings.endpoint} {works}")
@@ -122,18 +127,27 @@ def dry_run(
     )
     requests = requests if asks_later else 0
     found = estimate(
-        settings, road=problem.road, max_participants=problem.max_participants, system=problem.system,
-        initial=initial, differential=config.seeds, differential_calls=requests,
-    )  # fmt: skip
+        settings,
+        road=problem.road,
+        max_participants=problem.max_participants,
+        system=problem.system,
+        initial=initial,
+        differential=config.seeds,
+        differential_calls=requests,
+    )
     if as_json:
         print_json(
             {
                 "messages": [fields(one, "role", "content") for one in messages],
                 "differential": [fields(one, "role", "content") for one in differential],
-                "calls": found.calls, "most_calls": found.most_calls, "tokens": found.usage.total,
-                "most_tokens": found.most_usage.total, "cost": found.cost, "most_cost": found.most_cost,
+                "calls": found.calls,
+                "most_calls": found.most_calls,
+                "tokens": found.usage.total,
+                "most_tokens": found.most_usage.total,
+                "cost": found.cost,
+                "most_cost": found.most_cost,
             }
-        )  # fmt: skip
+        )
         return
     screen = console()
     for title, prompt in (("first", messages), ("differential", differential)):
@@ -195,9 +209,14 @@ def _print_calls(found: LlmCalls) -> None:
             estimate = " (estimate)" if call.estimated else ""
             tokens = f"{call.prompt_tokens + call.completion_tokens}{estimate}"
         table.add_row(
-            str(call.request), str(call.turn), call.outcome, str(call.calls), tokens, _money(call.cost),
+            str(call.request),
+            str(call.turn),
+            call.outcome,
+            str(call.calls),
+            tokens,
+            _money(call.cost),
             f"{call.latency_s:.1f}",
-        )  # fmt: skip
+        )
     screen = console()
     screen.print(table)
     for call in found.calls:

@@ -191,10 +191,16 @@ def run_locally(
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers) as client:
             session = Session(
-                api=Api(client, url), url=url, needs_token=token is not None,
-                database=database_option(settings), processes=processes, stop=asyncio.Event(), screen=screen,
-                place=database_place(settings), serve=_serve_later(settings),
-            )  # fmt: skip
+                api=Api(client, url),
+                url=url,
+                needs_token=token is not None,
+                database=database_option(settings),
+                processes=processes,
+                stop=asyncio.Event(),
+                screen=screen,
+                place=database_place(settings),
+                serve=_serve_later(settings),
+            )
             return await naming_ids(session.api, session.place, session.database, lambda: work(session))
 
     coordinator = local_coordinator(settings, worker_log, any_port=any_port)

@@ -1,25 +1,33 @@
 """The command `brink`. Exit codes: 0 success, 1 failure, 2 wrong usage, 130 after Ctrl-C."""
 
 import sys
+from importlib import import_module
 
 INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line; print expected errors as one line each, without a traceback."""
+    """Run the command line."""
+    run("brink.cli.commands", "app")
+
+
+def run(module: str, name: str) -> None:
+    """Run a command line; print expected errors as one line each, without a traceback.
+
+    Args:
+        module: Module of the Typer app. It is imported here, so that Ctrl-C is handled while it loads.
+        name: Its name in the module.
+    """
     try:
-        sys.exit(_run())
+        sys.exit(_run(module, name))
     except KeyboardInterrupt:
         print("brink: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
 
 
-def _run() -> int:
-    # Imported here, so that Ctrl-C is handled while the command loads.
-    from brink.cli.commands import app
-
+def _run(module: str, name: str) -> int:
     try:
-        app()
+        getattr(import_module(module), name)()
     except Exception as error:
         from brink.worker.printable import printable
 

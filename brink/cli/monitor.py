@@ -117,17 +117,20 @@ def fit(
     if as_json:
         print_json(
             {
-                "file": str(out), "solutions": len(fitted), "threshold": level, "model": str(fitted.model),
+                "file": str(out),
+                "solutions": len(fitted),
+                "threshold": level,
+                "model": str(fitted.model),
                 "weights": weights,
             }
-        )  # fmt: skip
+        )
         return
     screen = console()
     screen.print(
         f"{out}: {fitted.model}, fitted to {len(fitted):,} solutions, {fitted.unsafe_share:.0%} unsafe; "
         f"unsafe above {level:g}",
         soft_wrap=True,
-    )  # fmt: skip
+    )
     if fitted.model is Model.NEIGHBOURS:
         parameters = ", ".join(f"{name} {weight:g}" for name, weight in weights.items()) or "none"
         screen.print(f"parameters by weight: {parameters}", soft_wrap=True)
@@ -168,16 +171,20 @@ def score(
     table = plain_table(*columns, "answer", right=columns)
     for place, risk in enumerate(risks):
         table.add_row(
-            str(place), f"{risk.probability:.2f}", f"{risk.low:.2f} to {risk.high:.2f}",
-            "" if risk.neighbours is None else f"{risk.neighbours:.1f}", f"{risk.nearest:.3f}", str(risk.answer),
-        )  # fmt: skip
+            str(place),
+            f"{risk.probability:.2f}",
+            f"{risk.low:.2f} to {risk.high:.2f}",
+            "" if risk.neighbours is None else f"{risk.neighbours:.1f}",
+            f"{risk.nearest:.3f}",
+            str(risk.answer),
+        )
     screen = console()
     screen.print(table)
     for place, risk in enumerate(risks):
         if risk.unlike:
             screen.print(
                 f"{place} is unlike anything simulated: {risk.unlike}", soft_wrap=True, style="yellow"
-            )  # fmt: skip
+            )
 
 
 @monitor.command()
@@ -323,9 +330,12 @@ def _print(evaluation: MonitorEvaluation) -> None:
     table = plain_table(*columns, right=columns, title="calibration of the monitor")
     for bin_ in bins:
         table.add_row(
-            f"{bin_.solutions:,}", f"{bin_.predicted:.2f}", f"{bin_.low:.2f} to {bin_.high:.2f}",
-            f"{bin_.observed:.2f}", "yes" if bin_.within else "no",
-        )  # fmt: skip
+            f"{bin_.solutions:,}",
+            f"{bin_.predicted:.2f}",
+            f"{bin_.low:.2f} to {bin_.high:.2f}",
+            f"{bin_.observed:.2f}",
+            "yes" if bin_.within else "no",
+        )
     screen.print(table, "")
     for verdicts in evaluation.answers:
         share = f", {verdicts.unsafe / verdicts.solutions:.0%} of them unsafe" if verdicts.solutions else ""
@@ -343,6 +353,6 @@ def _print(evaluation: MonitorEvaluation) -> None:
             f"({pairs.both_right / pairs.pairs:.0%}), unsafe side given the higher probability {pairs.ranked:,} "
             f"({pairs.ranked / pairs.pairs:.0%}), mean difference {pairs.difference:+.3f}",
             soft_wrap=True,
-        )  # fmt: skip
+        )
     for name, reason in evaluation.left_out.items():
         screen.print(f"left out: {name}, {reason}", soft_wrap=True, style="yellow")

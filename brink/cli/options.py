@@ -88,25 +88,31 @@ CampaignFile = Annotated[
 LogFormatOption = Annotated[
     LogFormat | None,
     typer.Option(
-        "--log-format", case_sensitive=False, help="Log format (default: BRINK_LOG_FORMAT, else text).",
+        "--log-format",
+        case_sensitive=False,
+        help="Log format (default: BRINK_LOG_FORMAT, else text).",
         show_default=False,
     ),
-]  # fmt: skip
+]
 LogLevelOption = Annotated[
     LogLevel | None,
     typer.Option(
-        "--log-level", case_sensitive=False, show_default=False,
+        "--log-level",
+        case_sensitive=False,
+        show_default=False,
         help="Lowest level to log (default: BRINK_LOG_LEVEL, else info).",
     ),
-]  # fmt: skip
+]
 Odd = Annotated[
     list[str] | None,
     typer.Option(
-        "--odd", metavar="NAME=LIMIT", show_default=False,
+        "--odd",
+        metavar="NAME=LIMIT",
+        show_default=False,
         help="Limit a parameter, as problem.params.odd does: 'scenario.weather=[clear, rain]', "
         "'scenario.speed={min: 5, max: 12}', 'behaviour.x=3'. May be given several times.",
     ),
-]  # fmt: skip
+]
 Confirmed = Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")]
 Alpha = Annotated[
     float,
@@ -125,18 +131,24 @@ New = Annotated[bool, typer.Option("--new", help="Start a new run even if an ear
 Port = Annotated[
     int | None,
     typer.Option(
-        min=0, max=65535, show_default=False,
+        min=0,
+        max=65535,
+        show_default=False,
         help="Port of the coordinator; 0 picks a free one (default: 8700, or a free one if that is in use).",
     ),
-]  # fmt: skip
+]
 ConfirmPairs = Annotated[
     int | None,
     typer.Option(
-        "--confirm", metavar="R", min=2, max=10_000, show_default=False,
+        "--confirm",
+        metavar="R",
+        min=2,
+        max=10_000,
+        show_default=False,
         help="Simulate both sides of every pair up to R times with other seeds first, such as 30, until it is "
         f"confirmed or refuted. Fewer than {FIRST} can refute pairs, but confirm none.",
     ),
-]  # fmt: skip
+]
 WithGroundTruth = Annotated[
     bool,
     typer.Option(

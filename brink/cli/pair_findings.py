@@ -28,8 +28,14 @@ from brink.sim.errors import SimulatorError
 _PAIRS_SHOWN: Final = 5
 _FORMATS: Final = ("jsonl", "csv")
 _UNDRAWABLE: Final = (
-    NoTrace, CoordinatorError, SimulatorError, LookupError, ValueError, TypeError, ArithmeticError,
-)  # fmt: skip
+    NoTrace,
+    CoordinatorError,
+    SimulatorError,
+    LookupError,
+    ValueError,
+    TypeError,
+    ArithmeticError,
+)
 """A simulator may record anything, so a picture that fails is noted and left out."""
 
 

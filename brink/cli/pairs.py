@@ -142,7 +142,7 @@ def pairs(
     Example: brink pairs 3f2a --out pairs.jsonl
 
     Example: brink pairs 3f2a --picture 1 pair.png --film 1 pair.mp4
-    """  # fmt: skip
+    """
     wanted = _format(form, out, as_json=as_json)
     settings = {"eps": eps, "d_th": d_th}
     drawn = [
@@ -159,11 +159,13 @@ def pairs(
         ignored = [
             name
             for name, chosen in (
-                ("--out", out is not None), ("--format", form is not None), ("--json", as_json),
+                ("--out", out is not None),
+                ("--format", form is not None),
+                ("--json", as_json),
                 ("--limit", limit is not None and not asked),
             )
             if chosen
-        ]  # fmt: skip
+        ]
         if ignored:
             raise InvalidInput.at(
                 drawn[0][0], f"expected it without {' and '.join(ignored)}: draw the pair alone"
@@ -224,9 +226,11 @@ def _follow_up(
     """Ask for follow-ups and, without a server, run them to their end; return whether nothing was stopped."""
     if server is None:
         return run_locally(
-            settings_with(database=database, port=0), RESULTS / "worker.log", screen,
+            settings_with(database=database, port=0),
+            RESULTS / "worker.log",
+            screen,
             lambda session: _run(session, campaign, requests, workers),
-        )  # fmt: skip
+        )
 
     async def ask(api: Api) -> None:
         for request in requests:

@@ -135,6 +135,8 @@ def _check_algorithm(group: str, name: str) -> str:
 
 
 _CHECKS: Final[Mapping[str, Callable[[str, str], str]]] = {
-    REQUIREMENTS: _check_requirement, PROBLEMS: _check_problem, ALGORITHMS: _check_algorithm,
+    REQUIREMENTS: _check_requirement,
+    PROBLEMS: _check_problem,
+    ALGORITHMS: _check_algorithm,
     SIMULATORS: _check_simulator,
-}  # fmt: skip
+}

@@ -79,9 +79,11 @@ def repeats(
             )
     else:
         view = run_locally(
-            settings_with(database=database, port=0), RESULTS / "worker.log", screen,
+            settings_with(database=database, port=0),
+            RESULTS / "worker.log",
+            screen,
             lambda session: _run(session, campaign, request, workers),
-        )  # fmt: skip
+        )
     if as_json:
         print_json(view.model_dump(mode="json"))
     else:
@@ -180,9 +182,14 @@ def _print_repeats(screen: Console, view: RepeatsView) -> None:
     for one in sorted(evaluated, key=_probability, reverse=True)[:SOLUTIONS_SHOWN]:
         around = "–" if one.around is None else f"{one.around_low:.2f} to {one.around_high:.2f}"
         table.add_row(
-            str(one.number), str(one.evaluated), str(one.unsafe), f"{one.probability:.2f}",
-            f"{one.low:.2f} to {one.high:.2f}", around, one.conclusion,
-        )  # fmt: skip
+            str(one.number),
+            str(one.evaluated),
+            str(one.unsafe),
+            f"{one.probability:.2f}",
+            f"{one.low:.2f} to {one.high:.2f}",
+            around,
+            one.conclusion,
+        )
     screen.print(table)
     if len(evaluated) > SOLUTIONS_SHOWN:
         screen.print(f"and {len(evaluated) - SOLUTIONS_SHOWN} less likely ones: --json prints them all")
@@ -214,12 +221,16 @@ def _draw_repeats(view: RepeatsView, file: Path) -> None:
 
     points = [
         RepeatedPoint(
-            number=one.number, probability=_probability(one), low=one.low, high=one.high,
-            around=_around(one), conclusion=one.conclusion,
+            number=one.number,
+            probability=_probability(one),
+            low=one.low,
+            high=one.high,
+            around=_around(one),
+            conclusion=one.conclusion,
         )
         for one in view.solutions
         if one.conclusion is not None
-    ]  # fmt: skip
+    ]
     title = f"Does the boundary hold up? {view.name}"
     save_picture(figure_repeats(points, p_th=view.p_th, times=_times(view), title=title), file)
 

@@ -88,9 +88,14 @@ async def update_pairs(api: Api, campaign: str, out: Path, screen: Console) -> N
         there = {path.name for path in folder.iterdir()}
         written = pairs.write(folder)
         drawing = Drawing(
-            api=api, campaign=fetched.id, folder=folder, stop=asyncio.Event(), timeout_s=TRACE_TIMEOUT_S,
-            workers=False, show=steps.show,
-        )  # fmt: skip
+            api=api,
+            campaign=fetched.id,
+            folder=folder,
+            stop=asyncio.Event(),
+            timeout_s=TRACE_TIMEOUT_S,
+            workers=False,
+            show=steps.show,
+        )
         if any(name.startswith("pair-") for name in there):
             written += await pairs.draw(drawing)
         if _REPORT in there:

@@ -85,17 +85,28 @@ def run(
     """
     body = read_campaign_file(file).within_odd(read_odd(odd))
     options = RunOptions(
-        file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
-    )  # fmt: skip
+        file=file,
+        workers=workers,
+        out=out,
+        resume=resume,
+        new=new,
+        json=as_json,
+        database=database,
+        port=port,
+    )
     with about_file(file):
         checked, _ = check_submission(body)
         check_extra(checked.plan.problem)
     screen = console(stderr=as_json)
     workload = CampaignRun(body, pictures=pictures)
     complete = run_to_end(
-        workload, options, screen,
-        lambda session, progress: _finish(session, progress, body, options, pictures=pictures, replays=replays),
-    )  # fmt: skip
+        workload,
+        options,
+        screen,
+        lambda session, progress: _finish(
+            session, progress, body, options, pictures=pictures, replays=replays
+        ),
+    )
     raise typer.Exit(int(not complete))
 
 
@@ -206,9 +217,13 @@ async def _write_all(
     """Write results, comparison and figures of a campaign; Ctrl-C skips the figures that are not drawn yet."""
     api, campaign = session.api, progress.id
     boundary, results = await write_results(
-        api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+        api,
+        campaign,
+        folder,
+        t_b=DEFAULT_T_B,
+        d_th=DEFAULT_D_TH,
         even_empty=progress.looks_for_boundary and not progress.looks_for_pairs,
-    )  # fmt: skip
+    )
     files: list[Path] = []
     with Steps(session.screen, "looking for pairs") as steps:
         fetched = await fetch_archive(api, campaign)
@@ -224,24 +239,37 @@ async def _write_all(
         if progress.looks_for_boundary:
             control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
         report = Report(
-            boundary=boundary, files=files, control=control, pairs=pairs, findings=found,
+            boundary=boundary,
+            files=files,
+            control=control,
+            pairs=pairs,
+            findings=found,
             outcomes=fetched.outcomes,
-        )  # fmt: skip
+        )
         if not pictures or session.stop.is_set():
             return report
         began = time.monotonic()
         drawing = Drawing(
-            api=api, campaign=campaign, folder=folder, stop=session.stop, timeout_s=TRACE_TIMEOUT_S,
+            api=api,
+            campaign=campaign,
+            folder=folder,
+            stop=session.stop,
+            timeout_s=TRACE_TIMEOUT_S,
             show=steps.show,
-        )  # fmt: skip
+        )
         steps.show("drawing a pair")
         files += await pairs.draw(drawing)
         if not progress.looks_for_tolerances:
             files += await asyncio.to_thread(
-                draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
-                pairs=pairs.view if pairs.searched else None, only=("map",) if pairs.searched else None,
+                draw_figures,
+                fetched,
+                folder,
+                t_b=DEFAULT_T_B,
+                d_th=DEFAULT_D_TH,
+                pairs=pairs.view if pairs.searched else None,
+                only=("map",) if pairs.searched else None,
                 on_progress=steps.of("drawing figures"),
-            )  # fmt: skip
+            )
         for findings in found:
             steps.show(f"drawing {findings.name}")
             files += await findings.draw(drawing)

@@ -87,18 +87,26 @@ def rescore(
         from brink.plots.evidence import figure_rescored
 
         drawn = figure_rescored(
-            found_radii, found_p_ths, own=(near.radius, near.p_th), t_b=t_b, d_th=d_th,
+            found_radii,
+            found_p_ths,
+            own=(near.radius, near.p_th),
+            t_b=t_b,
+            d_th=d_th,
             title=f"How much the boundary depends on its settings: {fetched.body.name}",
-        )  # fmt: skip
+        )
         save_picture(drawn, picture)
     if as_json:
         print_json(
             {
-                "campaign": fetched.id, "t_b": t_b, "d_th": d_th, "radius": near.radius, "p_th": near.p_th,
+                "campaign": fetched.id,
+                "t_b": t_b,
+                "d_th": d_th,
+                "radius": near.radius,
+                "p_th": near.p_th,
                 "by_radius": [asdict(one) for one in found_radii],
                 "by_p_th": [asdict(one) for one in found_p_ths],
             }
-        )  # fmt: skip
+        )
         return
     console().print(_table("radius", found_radii, near.radius), "")
     console().print(_table("p_th", found_p_ths, near.p_th))
@@ -185,7 +193,8 @@ def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) ->
         "algorithms": [
             {
                 "name": f"{value:g}" if isinstance(value, float) else str(value),
-                "id": body.algorithm.id, "params": {**body.algorithm.params, parameter: value},
+                "id": body.algorithm.id,
+                "params": {**body.algorithm.params, parameter: value},
                 "llm": None if body.llm is None else body.llm.model_dump(mode="json"),
             }
             for value in values
@@ -194,7 +203,7 @@ def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) ->
         "budget": body.budget.model_dump(mode="json"),
         "priority": body.priority,
         "execution": body.execution.model_dump(mode="json"),
-    }  # fmt: skip
+    }
     return parse_experiment(document)
 
 
@@ -226,7 +235,11 @@ def _table(name: str, found: list[Rescored], own: float) -> Table:
     for one in found:
         value = one.radius if name == "radius" else one.p_th
         table.add_row(
-            f"{value:g}", f"{one.neighbours:g}", f"{one.near:,}", f"{one.dbs:,}", f"{one.strict_dbs:,}",
+            f"{value:g}",
+            f"{one.neighbours:g}",
+            f"{one.near:,}",
+            f"{one.dbs:,}",
+            f"{one.strict_dbs:,}",
             "this campaign" if value == own else "",
-        )  # fmt: skip
+        )
     return table

@@ -173,14 +173,22 @@ def tolerance(
         raise InvalidInput.at(given[1], f"expected it without {given[0]}")
     form, recording_format = _formats(forms or (), detections)
     _refuse_unused(
-        detections is not None, "--detections",
+        detections is not None,
+        "--detections",
         {
-            "--truth": truth, "--camera": camera, "--calibration": calibration, "--frames-per-s": frames_per_s,
-            "--classes": classes, "--condition": condition, "--clip": clip, "--thresholds": thresholds,
-            "--threshold": threshold != THRESHOLD, "--max-occlusion": max_occlusion != MOST_OCCLUSION,
+            "--truth": truth,
+            "--camera": camera,
+            "--calibration": calibration,
+            "--frames-per-s": frames_per_s,
+            "--classes": classes,
+            "--condition": condition,
+            "--clip": clip,
+            "--thresholds": thresholds,
+            "--threshold": threshold != THRESHOLD,
+            "--max-occlusion": max_occlusion != MOST_OCCLUSION,
             "--min-visible": min_visible != LEAST_SHARE,
         },
-    )  # fmt: skip
+    )
     is_check = detections is not None or episodes is not None
     _refuse_unused(is_check, "--detections or --episodes", {"--gate": gate})
     if gate and thresholds is not None:
@@ -304,9 +312,13 @@ def _compare(campaign: str, fresh: str, server: str | None, database: str | None
     )
     for cell in view.cells:
         table.add_row(
-            cell.error, cell.condition, str(cell.drives), str(cell.caused),
-            f"{cell.low} to {cell.high}", "" if cell.agrees else Text("not as predicted", "yellow"),
-        )  # fmt: skip
+            cell.error,
+            cell.condition,
+            str(cell.drives),
+            str(cell.caused),
+            f"{cell.low} to {cell.high}",
+            "" if cell.agrees else Text("not as predicted", "yellow"),
+        )
     screen = console()
     screen.print(table)
     screen.print(view.note, soft_wrap=True)
@@ -362,9 +374,12 @@ def show_tolerance(screen: Console, view: ToleranceView, *, briefly: bool = Fals
         only = " or ".join(" ".join(choices.values()) for choices in one.choices if choices)
         share = one.share
         table.add_row(
-            f"{one.condition}{f' ({only})' if only else ''}", str(share.evaluated),
-            f"{share.unsafe / share.evaluated:.0%} [{share.low:.0%}, {share.high:.0%}]" if share.evaluated else "–",
-        )  # fmt: skip
+            f"{one.condition}{f' ({only})' if only else ''}",
+            str(share.evaluated),
+            f"{share.unsafe / share.evaluated:.0%} [{share.low:.0%}, {share.high:.0%}]"
+            if share.evaluated
+            else "–",
+        )
     screen.print(table)
     if view.audited:
         screen.print(
@@ -404,14 +419,26 @@ def _show_rest(screen: Console, rows: int) -> None:
 def tolerance_table(cells: Sequence[CellView]) -> Table:
     """Return a table of cells."""
     table = plain_table(
-        "error", "condition", "tolerated", "", "screened", "vulnerable", "drives", "caused",
+        "error",
+        "condition",
+        "tolerated",
+        "",
+        "screened",
+        "vulnerable",
+        "drives",
+        "caused",
         right=("tolerated", "screened", "vulnerable", "drives", "caused"),
-    )  # fmt: skip
+    )
     for cell in cells:
         table.add_row(
-            cell.error, cell.condition, *tolerated_words(cell), str(cell.screened or ""),
-            str(cell.vulnerable if cell.screened else ""), str(cell.drives), str(cell.caused),
-        )  # fmt: skip
+            cell.error,
+            cell.condition,
+            *tolerated_words(cell),
+            str(cell.screened or ""),
+            str(cell.vulnerable if cell.screened else ""),
+            str(cell.drives),
+            str(cell.caused),
+        )
     return table
 
 

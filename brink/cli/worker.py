@@ -98,7 +98,10 @@ def _run_on_ray(address: str, settings: WorkerSettings, workers: int | None, com
     configure_logging(common.log_level, common.log_format)
     return run_pool(
         PoolSettings(
-            address=address, worker=settings, workers=workers, level=common.log_level,
+            address=address,
+            worker=settings,
+            workers=workers,
+            level=common.log_level,
             log_format=common.log_format,
         )
-    )  # fmt: skip
+    )

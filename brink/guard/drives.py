@@ -390,12 +390,17 @@ def load_drives(file: Path) -> list[Drive] | None:
                 ended_at_s=float(ended),
             )
             for digest, scenario, behaviour, seed, first, end, times, robustness, ended in zip(
-                header["digests"], header["scenarios"], header["behaviours"], header["seeds"], [0, *ends[:-1]], ends,
+                header["digests"],
+                header["scenarios"],
+                header["behaviours"],
+                header["seeds"],
+                [0, *ends[:-1]],
+                ends,
                 arrays["violated_at_s"],
-                arrays["robustness"], arrays["ended_at_s"], strict=True,
+                arrays["robustness"],
+                arrays["ended_at_s"],
+                strict=True,
             )
-        ]  # fmt: skip
-    except (
-        OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error,
-    ):  # fmt: skip
+        ]
+    except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error):
         return None

@@ -306,9 +306,10 @@ class JudgedDrives:
             threshold = threshold_at(strengths[part.fitted & ~self.violated, 0], false_alarms)
             raised[part.scored] = strengths[part.scored] >= threshold
         point = WarningPoint(
-            threshold=threshold_at(harmless, false_alarms), false_alarms=float(raised[~self.violated, 0].mean()),
+            threshold=threshold_at(harmless, false_alarms),
+            false_alarms=float(raised[~self.violated, 0].mean()),
             warned=tuple(raised[self.violated].mean(axis=0).tolist()),
-        )  # fmt: skip
+        )
         hazards, safe = int(self.violated.sum()), harmless.size
         steepness = _steepness(strengths[self.violated, lead], harmless, false_alarms)
         influence = np.where(
@@ -394,9 +395,12 @@ def _warnings(
     points = [_point(threshold, harmless, hazards) for threshold in _thresholds(harmless, hazards)]
     compared, interval = judged.warnings(strengths, FALSE_ALARMS)
     return PredictorResult(
-        name=name, points=tuple(points), compared=compared, interval=interval,
+        name=name,
+        points=tuple(points),
+        compared=compared,
+        interval=interval,
         more=tuple(judged.warnings(strengths, share)[0] for share in MORE_FALSE_ALARMS),
-    )  # fmt: skip
+    )
 
 
 def _thresholds(harmless: FloatArray, hazards: FloatArray) -> list[float]:
@@ -449,7 +453,8 @@ def _own_alarms(
     false_alarms, false_interval = judged.share(raised[:, 0], ~violated)
     return OwnAlarms(
         point=WarningPoint(
-            threshold=model.alarm.threshold, false_alarms=false_alarms,
+            threshold=model.alarm.threshold,
+            false_alarms=false_alarms,
             warned=tuple(raised[violated].mean(axis=0).tolist()),
         ),
         interval=judged.share(raised[:, LEADS_S.index(LEAD_S)], violated)[1],
@@ -458,7 +463,7 @@ def _own_alarms(
         median_lead_s=float(np.median(leads)) if leads else None,
         false_per_hour=alarms / (steps * STEP_S / 3600.0),
         on_share=on / steps,
-    )  # fmt: skip
+    )
 
 
 def _is_recent(violated_at_s: float, starts_s: NDArray[np.floating[Any]], states: BoolArray) -> bool:
@@ -473,10 +478,13 @@ def _is_recent(violated_at_s: float, starts_s: NDArray[np.floating[Any]], states
 def _accuracies(
     model: GuardModel, watched: Sequence[_Watched], probabilities: Sequence[FloatArray]
 ) -> Iterator[HorizonAccuracy]:
-    until_s = np.concatenate([
-        (np.inf if one.violated_at_s is None else one.violated_at_s) - STEP_S * np.arange(len(one.features))
-        for one in watched
-    ])[::STEPS_APART]  # fmt: skip
+    until_s = np.concatenate(
+        [
+            (np.inf if one.violated_at_s is None else one.violated_at_s)
+            - STEP_S * np.arange(len(one.features))
+            for one in watched
+        ]
+    )[::STEPS_APART]
     predicted = np.concatenate(probabilities)[::STEPS_APART]
     for place, horizon_s in enumerate(model.horizons_s):
         labels = until_s <= horizon_s
@@ -484,6 +492,9 @@ def _accuracies(
             continue
         metrics = classification_metrics(predicted[:, place], labels)
         yield HorizonAccuracy(
-            horizon_s=horizon_s, positive=float(labels.mean()), auroc=metrics.auroc, brier=metrics.brier,
+            horizon_s=horizon_s,
+            positive=float(labels.mean()),
+            auroc=metrics.auroc,
+            brier=metrics.brier,
             calibration_error=metrics.calibration_error,
-        )  # fmt: skip
+        )

@@ -69,8 +69,11 @@ def fit(
         forest=fitted.forest,
         calibration=fitted.calibration,
         alarm=AlarmRule(
-            horizon_s=horizons_s[-1], threshold=threshold, release=RELEASE_SHARE * threshold,
-            confirm_steps=CONFIRM_STEPS, hold_s=HOLD_S,
+            horizon_s=horizons_s[-1],
+            threshold=threshold,
+            release=RELEASE_SHARE * threshold,
+            confirm_steps=CONFIRM_STEPS,
+            hold_s=HOLD_S,
         ),
         about={
             "brink": __version__,
@@ -80,4 +83,4 @@ def fit(
             ABOUT: SeenDrives.of(drives).to_json(),
             **(about or {}),
         },
-    )  # fmt: skip
+    )

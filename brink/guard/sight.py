@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.replay.pair import counterpart_of
-from brink.sim.replay.scene import EpisodeScene, obstacles_on
-from brink.sim.replay.story import Judged, story_of
+from brink.pictures.pair import counterpart_of
+from brink.pictures.scene import EpisodeScene, obstacles_on
+from brink.pictures.story import Judged, story_of
 from brink.sim.trace import Trace
 from brink.sim.urban.range_sensor import in_view
 

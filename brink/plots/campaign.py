@@ -74,9 +74,15 @@ def figure_dbs(inputs: CampaignFigures) -> Figure:
         Line2D([], [], color=T_B_COLOURS[3], linewidth=1.5, linestyle=(0, (4, 2)), label="strict DBS"),
     ]
     figure.legend(
-        handles=keys, loc="upper right", bbox_to_anchor=(1 - 64 / WIDTH_PX, 1 - 16 / DBS_HEIGHT_PX), ncols=2,
-        frameon=False, fontsize=LABEL_PT, labelcolor=INK, handlelength=2.6,
-    )  # fmt: skip
+        handles=keys,
+        loc="upper right",
+        bbox_to_anchor=(1 - 64 / WIDTH_PX, 1 - 16 / DBS_HEIGHT_PX),
+        ncols=2,
+        frameon=False,
+        fontsize=LABEL_PT,
+        labelcolor=INK,
+        handlelength=2.6,
+    )
     return figure
 
 
@@ -109,9 +115,15 @@ def _plot_dbs(axes: Axes, points: list[BudgetPoint], column: int) -> None:
         ],
     )
     axes.annotate(
-        "t_b: DBS", (1, 1), xycoords="axes fraction", xytext=(8, 9), textcoords="offset points", va="bottom",
-        fontsize=SMALL_PT, color=MUTED,
-    )  # fmt: skip
+        "t_b: DBS",
+        (1, 1),
+        xycoords="axes fraction",
+        xytext=(8, 9),
+        textcoords="offset points",
+        va="bottom",
+        fontsize=SMALL_PT,
+        color=MUTED,
+    )
     if highest == 0:
         show_message(axes, "none: no neighbourhood is near\nthe boundary at any t_b up to 0.2")
 
@@ -129,8 +141,15 @@ def figure_fitness(inputs: CampaignFigures) -> Figure:
         "All solutions are scored again after each generation, with the results known at that time.",
     )
     grid = figure.add_gridspec(
-        2, 1, height_ratios=(3, 2), left=84 / WIDTH_PX, right=1 - 170 / WIDTH_PX, top=0.825, bottom=0.09, hspace=0.14
-    )  # fmt: skip
+        2,
+        1,
+        height_ratios=(3, 2),
+        left=84 / WIDTH_PX,
+        right=1 - 170 / WIDTH_PX,
+        top=0.825,
+        bottom=0.09,
+        hspace=0.14,
+    )
     upper = figure.add_subplot(grid[0])
     lower = figure.add_subplot(grid[1], sharex=upper)
     ends = np.array([end for end in inputs.generation_ends if end > 0], dtype=np.int64)
@@ -196,9 +215,15 @@ def _plot_unsafe(axes: Axes, inputs: CampaignFigures, ends: IntArray) -> None:
         apart=0.1,
     )
     axes.annotate(
-        "dots: the new solutions of each generation", (0.995, 0.97), xycoords="axes fraction", ha="right", va="top",
-        fontsize=SMALL_PT, color=UNSAFE, alpha=0.9,
-    )  # fmt: skip
+        "dots: the new solutions of each generation",
+        (0.995, 0.97),
+        xycoords="axes fraction",
+        ha="right",
+        va="top",
+        fontsize=SMALL_PT,
+        color=UNSAFE,
+        alpha=0.9,
+    )
 
 
 def _archives_by_generation(inputs: CampaignFigures) -> Iterator[Archive]:
@@ -208,9 +233,12 @@ def _archives_by_generation(inputs: CampaignFigures) -> Iterator[Archive]:
     for end in inputs.generation_ends:
         part = slice(len(known), end)
         known = known.grown(
-            archive.numbers[part], archive.vectors[part], archive.unsafe[part], archive.robustness[part],
+            archive.numbers[part],
+            archive.vectors[part],
+            archive.unsafe[part],
+            archive.robustness[part],
             keep_rows=False,
-        )  # fmt: skip
+        )
         yield known
 
 
@@ -273,9 +301,14 @@ def _plot_parameter(axes: Axes, dependence: Dependence, overall: float, ceiling:
         places, counts = dependence.places[filled], dependence.counts[filled]
         shares = dependence.unsafe[filled] / counts
         axes.plot(
-            places, shares, color=UNSAFE, marker="o", markersize=5.5, linewidth=0 if dependence.labels else 1.2,
+            places,
+            shares,
+            color=UNSAFE,
+            marker="o",
+            markersize=5.5,
+            linewidth=0 if dependence.labels else 1.2,
             gid="share",
-        )  # fmt: skip
+        )
         few = counts < FEWEST_IN_BIN
         axes.plot(
             places[few],
@@ -308,9 +341,14 @@ def _name_parameter(axes: Axes, column: ParameterColumn, dependence: Dependence)
         0, 1.25, name, transform=axes.transAxes, fontsize=TICK_PT, fontweight="bold", color=INK, va="bottom"
     )
     axes.text(
-        0, 1.07, "   ".join(filter(None, facts)), transform=axes.transAxes, fontsize=SMALL_PT - 0.5, color=MUTED,
+        0,
+        1.07,
+        "   ".join(filter(None, facts)),
+        transform=axes.transAxes,
+        fontsize=SMALL_PT - 0.5,
+        color=MUTED,
         va="bottom",
-    )  # fmt: skip
+    )
 
 
 def _set_ticks(axes: Axes, column: ParameterColumn, dependence: Dependence) -> None:
@@ -321,8 +359,10 @@ def _set_ticks(axes: Axes, column: ParameterColumn, dependence: Dependence) -> N
         axes.xaxis.set_major_locator(FixedLocator(dependence.places.tolist()))
         axes.set_xticklabels(
             [label if len(label) <= 14 else label[:13] + "…" for label in dependence.labels],
-            rotation=28 if long else 0, ha="right" if long else "center", rotation_mode="anchor",
-        )  # fmt: skip
+            rotation=28 if long else 0,
+            ha="right" if long else "center",
+            rotation_mode="anchor",
+        )
         axes.tick_params(axis="x", labelsize=SMALL_PT - 0.5, length=3)
     elif not isinstance(column.parameter, Categorical):
         low, high = column.parameter.low, column.parameter.high
@@ -394,9 +434,14 @@ def figure_fronts(
         rows = np.flatnonzero(shown[:end])
         front = rows[first_front(criticality[rows], -diversity[rows])]
         axes.plot(
-            criticality[front], diversity[front], "o-", color=shade, markersize=4, linewidth=1.6,
+            criticality[front],
+            diversity[front],
+            "o-",
+            color=shade,
+            markersize=4,
+            linewidth=1.6,
             label=f"{end} solutions",
-        )  # fmt: skip
+        )
     axes.legend(frameon=False, title="known")
     return figure
 
@@ -424,9 +469,13 @@ def recorded_diversities(
         if numbers:
             none = np.zeros(end)
             book = History(
-                rows=vectors[:end], criticality=none, gaps=np.zeros((end, genome.max_participants)), unsafe=none,
-                generations=generations[:end], origins=none,
-            )  # fmt: skip
+                rows=vectors[:end],
+                criticality=none,
+                gaps=np.zeros((end, genome.max_participants)),
+                unsafe=none,
+                generations=generations[:end],
+                origins=none,
+            )
             found[numbers] = diversities(genome, book, numbers, config)
         start = end
     return found

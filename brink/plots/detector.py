@@ -48,10 +48,12 @@ def figure_detector(view: DetectorView) -> Figure:
     )
     axes = figure.add_axes(
         (
-            _LEFT_PX / WIDTH_PX, _BOTTOM_PX / height_px, 1 - (_LEFT_PX + _RIGHT_PX) / WIDTH_PX,
+            _LEFT_PX / WIDTH_PX,
+            _BOTTOM_PX / height_px,
+            1 - (_LEFT_PX + _RIGHT_PX) / WIDTH_PX,
             1 - (_TOP_PX + _BOTTOM_PX) / height_px,
         )
-    )  # fmt: skip
+    )
     style_axes(axes, grid="x")
     for row, cell in enumerate(cells):
         colour = _COLOURS[cell.result]

@@ -166,14 +166,24 @@ def _draw_background(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
     """Colour the background by the unsafe share of nearby neighbourhoods; hatched where too little is known."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     ground = ground_of(
-        inputs.archive, np.arange(len(inputs.archive)), drawn.points,
-        low=np.array([left, bottom]), high=np.array([right, top]), cells=GRID_CELLS, width=SMOOTHING * (right - left),
-    )  # fmt: skip
+        inputs.archive,
+        np.arange(len(inputs.archive)),
+        drawn.points,
+        low=np.array([left, bottom]),
+        high=np.array([right, top]),
+        cells=GRID_CELLS,
+        width=SMOOTHING * (right - left),
+    )
     colours = _BACKGROUND(ground.tint)
     colours[..., 3] = ground.clarity
     image = axes.imshow(
-        colours, extent=(left, right, bottom, top), origin="lower", aspect="auto", interpolation="bilinear", zorder=0
-    )  # fmt: skip
+        colours,
+        extent=(left, right, bottom, top),
+        origin="lower",
+        aspect="auto",
+        interpolation="bilinear",
+        zorder=0,
+    )
     if drawn.plane is None:
         _hatch(axes, left, bottom, right - left, top - bottom)
         return
@@ -187,8 +197,15 @@ def _draw_background(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
 def _hatch(axes: Axes, left: float, bottom: float, width: float, height: float) -> None:
     """Hatch an area in which nothing is known."""
     area = Rectangle(
-        (left, bottom), width, height, facecolor=UNKNOWN, edgecolor=UNKNOWN_LINES, hatch="//", linewidth=0, zorder=-1,
-    )  # fmt: skip
+        (left, bottom),
+        width,
+        height,
+        facecolor=UNKNOWN,
+        edgecolor=UNKNOWN_LINES,
+        hatch="//",
+        linewidth=0,
+        zorder=-1,
+    )
     axes.add_patch(area)
 
 
@@ -197,15 +214,28 @@ def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
     size = float(np.clip(26_000 / len(archive), 14, 60))
     # In the order of evaluation, so that neither colour always covers the other.
     axes.scatter(
-        drawn.points[:, 0], drawn.points[:, 1], s=size, c=_colours(inputs), alpha=0.72,
-        linewidths=0.4, edgecolors=PAPER, zorder=2, gid="solutions",
-    )  # fmt: skip
+        drawn.points[:, 0],
+        drawn.points[:, 1],
+        s=size,
+        c=_colours(inputs),
+        alpha=0.72,
+        linewidths=0.4,
+        edgecolors=PAPER,
+        zorder=2,
+        gid="solutions",
+    )
     if drawn.near.size:
         near = drawn.points[drawn.near]
         axes.scatter(
-            near[:, 0], near[:, 1], s=size * 1.25, facecolors="none", edgecolors=INK, linewidths=0.8, zorder=3,
+            near[:, 0],
+            near[:, 1],
+            s=size * 1.25,
+            facecolors="none",
+            edgecolors=INK,
+            linewidths=0.8,
+            zorder=3,
             gid="near-boundary",
-        )  # fmt: skip
+        )
 
 
 def _colours(inputs: CampaignFigures) -> NDArray[np.str_]:
@@ -221,21 +251,38 @@ def _draw_rings(axes: Axes, drawn: _Map) -> None:
         return
     numbered = len(rings) <= MAX_NUMBERED
     axes.scatter(
-        rings[:, 0], rings[:, 1], s=330 if numbered else 110, facecolors=PAPER if numbered else "none",
-        edgecolors=PAPER, linewidths=4.5, zorder=4,
-    )  # fmt: skip
+        rings[:, 0],
+        rings[:, 1],
+        s=330 if numbered else 110,
+        facecolors=PAPER if numbered else "none",
+        edgecolors=PAPER,
+        linewidths=4.5,
+        zorder=4,
+    )
     # Worst first: where rings overlap, the better one is on top.
     for rank in range(len(rings), 0, -1):
         x, y = rings[rank - 1].tolist()
         axes.scatter(
-            x, y, s=330 if numbered else 110, facecolors=PAPER if numbered else "none", edgecolors=INK,
-            linewidths=1.9, zorder=5 + 1 / rank, gid=f"ring-{rank}",
-        )  # fmt: skip
+            x,
+            y,
+            s=330 if numbered else 110,
+            facecolors=PAPER if numbered else "none",
+            edgecolors=INK,
+            linewidths=1.9,
+            zorder=5 + 1 / rank,
+            gid=f"ring-{rank}",
+        )
         if numbered:
             axes.annotate(
-                str(rank), (x, y), ha="center", va="center_baseline", fontsize=SMALL_PT + 0.5, fontweight="bold",
-                color=INK, zorder=5 + 1 / rank,
-            )  # fmt: skip
+                str(rank),
+                (x, y),
+                ha="center",
+                va="center_baseline",
+                fontsize=SMALL_PT + 0.5,
+                fontweight="bold",
+                color=INK,
+                zorder=5 + 1 / rank,
+            )
 
 
 def _name_axes(axes: Axes, drawn: _Map) -> None:
@@ -277,20 +324,31 @@ def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
     extra_px = 30 * (len(handles) - 4) + 18 * sum("\n" in text for _, text in _verdict_keys(inputs))
     top = 1 - MAP_TOP_PX / HEIGHT_PX
     figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(TEXT_LEFT_PX / WIDTH_PX - 0.008, top + 0.008),
-        frameon=False, fontsize=LABEL_PT, labelcolor=INK, labelspacing=0.9, handletextpad=0.7, borderaxespad=0,
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(TEXT_LEFT_PX / WIDTH_PX - 0.008, top + 0.008),
+        frameon=False,
+        fontsize=LABEL_PT,
+        labelcolor=INK,
+        labelspacing=0.9,
+        handletextpad=0.7,
+        borderaxespad=0,
         borderpad=0.3,
-    )  # fmt: skip
+    )
     _draw_tint_key(figure, inputs, 1 - (MAP_TOP_PX + 218 + extra_px) / HEIGHT_PX)
     _list_rings(figure, inputs, drawn, 1 - (MAP_TOP_PX + 330 + extra_px) / HEIGHT_PX)
     figure.text(
         TEXT_LEFT_PX / WIDTH_PX,
         MAP_BOTTOM_PX / HEIGHT_PX,
-        "The map shows the problem's own coordinates." if drawn.plane is not None
+        "The map shows the problem's own coordinates."
+        if drawn.plane is not None
         else "Distances on the map follow those between solutions.\n"
         f"Its two dimensions explain {drawn.explained:.0%} of the variance.",
-        fontsize=SMALL_PT, color=MUTED, va="bottom", linespacing=1.5,
-    )  # fmt: skip
+        fontsize=SMALL_PT,
+        color=MUTED,
+        va="bottom",
+        linespacing=1.5,
+    )
 
 
 def _verdict_keys(inputs: CampaignFigures) -> list[tuple[str, str]]:
@@ -344,9 +402,13 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
         spine.set_color(HAIRLINE)
     _hatch(unknown, 0, 0, 1, 1)
     figure.text(
-        left + 38 / WIDTH_PX, top - 59 / HEIGHT_PX, "too few simulations nearby to tell", fontsize=SMALL_PT,
-        color=MUTED, va="center",
-    )  # fmt: skip
+        left + 38 / WIDTH_PX,
+        top - 59 / HEIGHT_PX,
+        "too few simulations nearby to tell",
+        fontsize=SMALL_PT,
+        color=MUTED,
+        va="center",
+    )
 
 
 def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float) -> None:
@@ -369,15 +431,24 @@ def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float
             zip(columns, [(f"{row}", INK), *cells], strict=True)
         ):
             figure.text(
-                (TEXT_LEFT_PX + x) / WIDTH_PX, top - row * line - 4 / HEIGHT_PX, cell, fontsize=TICK_PT, va="top",
-                color=colour, fontweight="bold" if index == 0 else "normal",
-            )  # fmt: skip
+                (TEXT_LEFT_PX + x) / WIDTH_PX,
+                top - row * line - 4 / HEIGHT_PX,
+                cell,
+                fontsize=TICK_PT,
+                va="top",
+                color=colour,
+                fontweight="bold" if index == 0 else "normal",
+            )
     more = len(rows) - listed
     if more:
         figure.text(
-            TEXT_LEFT_PX / WIDTH_PX, top - (MAX_LISTED + 1) * line - 6 / HEIGHT_PX, f"and {more:,} more",
-            fontsize=SMALL_PT, color=MUTED, va="top",
-        )  # fmt: skip
+            TEXT_LEFT_PX / WIDTH_PX,
+            top - (MAX_LISTED + 1) * line - 6 / HEIGHT_PX,
+            f"and {more:,} more",
+            fontsize=SMALL_PT,
+            color=MUTED,
+            va="top",
+        )
 
 
 def _pair_rows(inputs: CampaignFigures) -> list[list[tuple[str, str]]]:
@@ -392,9 +463,11 @@ def _boundary_rows(inputs: CampaignFigures, drawn: _Map) -> list[list[tuple[str,
     rows = []
     for position in drawn.distinct.tolist():
         unsafe, all_of_them = int(archive.unsafe_neighbours[position]), int(archive.neighbours[position])
-        rows.append([
-            (f"{archive.numbers[position]}", str(hues[position])),
-            (f"{unsafe} of {all_of_them} ({share_text(unsafe / all_of_them)})", INK),
-            (f"{archive.fitness[position]:.3f}", INK),
-        ])  # fmt: skip
+        rows.append(
+            [
+                (f"{archive.numbers[position]}", str(hues[position])),
+                (f"{unsafe} of {all_of_them} ({share_text(unsafe / all_of_them)})", INK),
+                (f"{archive.fitness[position]:.3f}", INK),
+            ]
+        )
     return rows

@@ -102,9 +102,14 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
         hue, _ = _CONCLUSIONS[point.conclusion]
         axes.plot([point.low, point.high], [row, row], color=hue, linewidth=1.8, zorder=3)
         axes.plot(
-            [point.probability], [row], marker="o", markersize=5, color=hue, markerfacecolor=_face(point.conclusion),
+            [point.probability],
+            [row],
+            marker="o",
+            markersize=5,
+            color=hue,
+            markerfacecolor=_face(point.conclusion),
             zorder=4,
-        )  # fmt: skip
+        )
     axes.axvline(p_th, color=MUTED, linewidth=1.2, linestyle="--", zorder=0)
     axes.set_xlim(-0.01, 1.01)
     axes.set_ylim(-0.8, max(len(ordered), 12) - 0.2)
@@ -115,10 +120,18 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
     style_axes(axes, grid="x")
     axes.tick_params(axis="y", labelsize=SMALL_PT)
     keys = [
-        Line2D([], [], color=hue, linewidth=1.8, marker="o", markersize=5, markerfacecolor=_face(conclusion),
-               label=f"{found.count(conclusion)} {words.format(p_th=p_th)}")
+        Line2D(
+            [],
+            [],
+            color=hue,
+            linewidth=1.8,
+            marker="o",
+            markersize=5,
+            markerfacecolor=_face(conclusion),
+            label=f"{found.count(conclusion)} {words.format(p_th=p_th)}",
+        )
         for conclusion, (hue, words) in _CONCLUSIONS.items()
-    ]  # fmt: skip
+    ]
     neighbourhood = Line2D([], [], color=HAIRLINE, linewidth=7, label="its neighbourhood in the archive")
     add_legend(figure, [*keys, neighbourhood], 122, handlelength=2.2)
     return figure
@@ -153,10 +166,11 @@ def figure_rescored(
         title: Title of the figure.
     """
     figure = new_figure(
-        SENSITIVITY_HEIGHT_PX, title,
+        SENSITIVITY_HEIGHT_PX,
+        title,
         f"The same evaluated solutions, scored with other settings (t_b {t_b:g}, d_th {d_th:g}). Dashed: the "
         "campaign's own,\nwhich guided the search: its archive is densest near the boundary that they define.",
-    )  # fmt: skip
+    )
     left, right = _two_panels(figure)
     _plot_counts(left, [one.radius for one in radii], [(one.dbs, one.strict_dbs) for one in radii])
     _plot_counts(right, [one.p_th for one in p_ths], [(one.dbs, one.strict_dbs) for one in p_ths])
@@ -188,10 +202,11 @@ def figure_rerun(
     """
     seeds = max((len(one["dbs"]) for one in found.values()), default=0)
     figure = new_figure(
-        SENSITIVITY_HEIGHT_PX, title,
+        SENSITIVITY_HEIGHT_PX,
+        title,
         f"Separate searches with {seeds} seeds for each value (t_b {t_b:g}, d_th {d_th:g}). Small: single "
         "searches; large: means with 95% intervals.",
-    )  # fmt: skip
+    )
     for axes, measure, (name, hue, marker) in zip(
         _two_panels(figure), ("dbs", "strict"), _MEASURES, strict=True
     ):
@@ -202,9 +217,15 @@ def figure_rerun(
             axes.plot([place] * len(values), values, "o", markersize=4, color=hue, alpha=0.35, linestyle="")
             low, high = interval_limits(span)
             axes.errorbar(
-                [place], [span.mean], yerr=[[max(0.0, span.mean - low)], [max(0.0, high - span.mean)]], color=hue,
-                marker=marker, markersize=8, capsize=4, elinewidth=1.6,
-            )  # fmt: skip
+                [place],
+                [span.mean],
+                yerr=[[max(0.0, span.mean - low)], [max(0.0, high - span.mean)]],
+                color=hue,
+                marker=marker,
+                markersize=8,
+                capsize=4,
+                elinewidth=1.6,
+            )
         axes.set_xticks(places, list(found))
         axes.set_xlim(-0.6, len(found) - 0.4)
         set_panel_title(axes, name)
@@ -272,14 +293,25 @@ def _plot_calibration(axes: Axes, evaluation: MonitorEvaluation) -> None:
         y = np.array([one.observed for one in bins])
         if predictor.name == MONITOR:
             axes.fill_between(
-                x, [one.low for one in bins], [one.high for one in bins], color=_colour(predictor), alpha=0.12,
+                x,
+                [one.low for one in bins],
+                [one.high for one in bins],
+                color=_colour(predictor),
+                alpha=0.12,
                 linewidth=0,
-            )  # fmt: skip
+            )
         errors = np.array([[o.observed - o.observed_low, o.observed_high - o.observed] for o in bins]).T
         axes.errorbar(
-            x, y, yerr=np.maximum(errors, 0.0), color=_colour(predictor), marker="o", markersize=5, linewidth=1.8,
-            elinewidth=1.1, capsize=3,
-        )  # fmt: skip
+            x,
+            y,
+            yerr=np.maximum(errors, 0.0),
+            color=_colour(predictor),
+            marker="o",
+            markersize=5,
+            linewidth=1.8,
+            elinewidth=1.1,
+            capsize=3,
+        )
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
     set_panel_title(axes, "Calibration")
@@ -293,8 +325,10 @@ def _plot_alarms(axes: Axes, evaluation: MonitorEvaluation) -> None:
         axes.plot(
             [alarm.missed for alarm in predictor.operating_points],
             [alarm.false for alarm in predictor.operating_points],
-            color=_colour(predictor), linewidth=2.2, linestyle="--" if predictor.name == MAJORITY else "-",
-        )  # fmt: skip
+            color=_colour(predictor),
+            linewidth=2.2,
+            linestyle="--" if predictor.name == MAJORITY else "-",
+        )
     style_shares(
         axes, "Missed hazards and false alarms", x="missed hazards", y="false alarms among safe solutions"
     )

@@ -58,11 +58,12 @@ def figure_by_distance(repeats: Sequence[Repeat], problem: str, measure: Measure
         measure: DBS or strict DBS.
     """
     figure, panels = _panels(
-        repeats, problem,
+        repeats,
+        problem,
         f"{problem}: {NAMES[measure]} by the minimum distance between them",
         "Means over the seeds for the whole budget, with 95% intervals. Dashed: controls, whose verdicts ignore the "
         "component's behaviour.",
-    )  # fmt: skip
+    )
     lines = _lines(repeats, problem)
     for i, axes in enumerate(panels):
         axes.xaxis.set_major_locator(FixedLocator(list(D_THS)))
@@ -75,9 +76,13 @@ def figure_by_distance(repeats: Sequence[Repeat], problem: str, measure: Measure
             means = np.array([span.mean for span in spans])
             low, high = np.abs(np.array([interval_limits(span) for span in spans]).T - means)
             axes.errorbar(
-                np.array(D_THS) + shift, means, yerr=np.stack([low, high]),
-                capsize=3, elinewidth=1.1, **_style_of(line, repeats),
-            )  # fmt: skip
+                np.array(D_THS) + shift,
+                means,
+                yerr=np.stack([low, high]),
+                capsize=3,
+                elinewidth=1.1,
+                **_style_of(line, repeats),
+            )
         axes.set_xlim(min(D_THS) - 0.04, max(D_THS) + 0.04)
         _finish(axes, i, "d_th")
     return figure
@@ -93,11 +98,12 @@ def figure_by_budget(repeats: Sequence[Repeat], problem: str, measure: Measure, 
         d_th: Minimum distance; one of `D_THS`.
     """
     figure, panels = _panels(
-        repeats, problem,
+        repeats,
+        problem,
         f"{problem}: {NAMES[measure]} by share of the budget, at least {d_th:g} apart",
         "Means over the seeds with 95% intervals, scored with the results known at that time. Dashed: "
         "controls, whose verdicts ignore the component's behaviour.",
-    )  # fmt: skip
+    )
     j = D_THS.index(d_th)
     for i, axes in enumerate(panels):
         show_percent(axes.xaxis)
@@ -136,9 +142,7 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
         "Each dot is a campaign; bars are means over the seeds with 95% intervals. "
         + ("Rings: all distinct pairs, confirmed or not." if confirmed else measure_words(repeats, problem)),
     )
-    axes = figure.add_axes((
-        220 / WIDTH_PX, 62 / height, 1 - 480 / WIDTH_PX, 1 - (62 + 108) / height,
-    ))  # fmt: skip
+    axes = figure.add_axes((220 / WIDTH_PX, 62 / height, 1 - 480 / WIDTH_PX, 1 - (62 + 108) / height))
     highest = 0.0
     for place, ours in enumerate(methods.values()):
         colour = METHOD_COLOURS[place % len(METHOD_COLOURS)]
@@ -146,9 +150,14 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
         found = [one.counts.distinct for one in ours]
         if confirmed:
             axes.plot(
-                found, place + 0.3 + 0.5 * _stacked(found), "o", markersize=6, markerfacecolor="none",
-                markeredgecolor=MUTED, markeredgewidth=1.1,
-            )  # fmt: skip
+                found,
+                place + 0.3 + 0.5 * _stacked(found),
+                "o",
+                markersize=6,
+                markerfacecolor="none",
+                markeredgecolor=MUTED,
+                markeredgewidth=1.1,
+            )
         axes.plot(
             values, place + _stacked(values), "o", markersize=7.5, color=colour, alpha=0.6, markeredgewidth=0
         )
@@ -159,10 +168,18 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
         axes.plot([span.mean], [place - 0.33], "|", color=colour, markersize=13, markeredgewidth=2.6)
         limits = "" if span.low is None else f"  [{low:.1f}, {high:.1f}]"
         axes.annotate(
-            f"{span.mean:.1f}{limits}", (1, place), xycoords=("axes fraction", "data"), xytext=(10, 0),
-            textcoords="offset points", va="center", ha="left", fontsize=LABEL_PT, color=colour,
-            fontweight="bold", annotation_clip=False,
-        )  # fmt: skip
+            f"{span.mean:.1f}{limits}",
+            (1, place),
+            xycoords=("axes fraction", "data"),
+            xytext=(10, 0),
+            textcoords="offset points",
+            va="center",
+            ha="left",
+            fontsize=LABEL_PT,
+            color=colour,
+            fontweight="bold",
+            annotation_clip=False,
+        )
     axes.set_yticks(range(len(methods)), list(methods))
     axes.set_ylim(len(methods) - 0.45, -0.6)
     most = max(1.0, highest, *(one.counts.distinct for ours in methods.values() for one in ours))
@@ -203,9 +220,15 @@ def _panels(repeats: Sequence[Repeat], problem: str, title: str, subtitle: str) 
     height = 150 + rows * PANEL_PX
     figure = new_figure(height, title, subtitle)
     grid = figure.add_gridspec(
-        rows, COLUMNS, left=84 / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - 160 / height, bottom=60 / height,
-        wspace=0.2, hspace=0.38,
-    )  # fmt: skip
+        rows,
+        COLUMNS,
+        left=84 / WIDTH_PX,
+        right=1 - 40 / WIDTH_PX,
+        top=1 - 160 / height,
+        bottom=60 / height,
+        wspace=0.2,
+        hspace=0.38,
+    )
     add_legend(figure, _keys(repeats, problem), 88)
     return figure, [figure.add_subplot(grid[divmod(i, COLUMNS)]) for i in range(len(PAPER_T_BS))]
 

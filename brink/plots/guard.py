@@ -74,9 +74,12 @@ def _plot_alarms(axes: Axes, evaluation: GuardEvaluation, drawn: list[PredictorR
                 continue
             place = LEADS_S.index(lead_s)
             axes.plot(
-                [point.false_alarms for point in one.points], [point.warned[place] for point in one.points],
-                color=_colour(one), linewidth=2.2 if lead_s == LEAD_S else 1.4, linestyle=style,
-            )  # fmt: skip
+                [point.false_alarms for point in one.points],
+                [point.warned[place] for point in one.points],
+                color=_colour(one),
+                linewidth=2.2 if lead_s == LEAD_S else 1.4,
+                linestyle=style,
+            )
     own = evaluation.own.point
     axes.plot([own.false_alarms], [own.recall], marker="o", markersize=9, color=INK, linestyle="")
     axes.annotate(

@@ -64,10 +64,15 @@ def figure_guard_tradeoff(
     axes.set_ylim(min(low, 0.0), max(high, AIM[1] + 0.1))
     axes.add_patch(
         Rectangle(
-            (axes.get_xlim()[0], AIM[1]), AIM[0] - axes.get_xlim()[0], axes.get_ylim()[1] - AIM[1], color="#009e73",
-            alpha=0.1, linewidth=0, zorder=0,
+            (axes.get_xlim()[0], AIM[1]),
+            AIM[0] - axes.get_xlim()[0],
+            axes.get_ylim()[1] - AIM[1],
+            color="#009e73",
+            alpha=0.1,
+            linewidth=0,
+            zorder=0,
         )
-    )  # fmt: skip
+    )
     axes.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))  # no ticks at 2.5%, which would be rounded
     show_percent(axes.xaxis, axes.yaxis)
     axes.set_xlabel("mean distance lost")

@@ -111,9 +111,14 @@ def _plane(inputs: CampaignFigures, pair: PairFigure, rows: tuple[FloatArray, ..
         set_panel_title(axes, title)
         if place == 0:
             box = Rectangle(
-                (float(middle[0] - spread), float(middle[1] - spread)), float(2 * spread), float(2 * spread),
-                fill=False, edgecolor=INK, linewidth=1.2, zorder=5,
-            )  # fmt: skip
+                (float(middle[0] - spread), float(middle[1] - spread)),
+                float(2 * spread),
+                float(2 * spread),
+                fill=False,
+                edgecolor=INK,
+                linewidth=1.2,
+                zorder=5,
+            )
             axes.add_patch(box)
     add_legend(figure, _keys(pair), top_px - 66, handlelength=1.0)
     return figure
@@ -217,9 +222,15 @@ def _active(inputs: CampaignFigures, pair: PairFigure) -> BoolArray:
 def _plot_row(axes: Axes, place: int, title: str, parameter: Parameter, values: list[float]) -> None:
     """Plot both values of a parameter on its range."""
     axes.annotate(
-        title, (0, place), xytext=(-16, 0), textcoords="offset points", ha="right", va="center",
-        fontsize=LABEL_PT, color=INK,
-    )  # fmt: skip
+        title,
+        (0, place),
+        xytext=(-16, 0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        fontsize=LABEL_PT,
+        color=INK,
+    )
     axes.plot([0, 1], [place, place], color=HAIRLINE, linewidth=5, solid_capstyle="round", zorder=1)
     if isinstance(parameter, Categorical):
         spots = [value / max(1, len(parameter.choices) - 1) for value in values]
@@ -232,13 +243,26 @@ def _plot_row(axes: Axes, place: int, title: str, parameter: Parameter, values: 
     for (colour, spot, word), up in zip(zip((SAFE, UNSAFE), spots, words, strict=True), (1, -1), strict=True):
         axes.plot([spot], [place], marker="o", markersize=10, color=colour, zorder=3, clip_on=False)
         axes.annotate(
-            word, (spot, place), xytext=(0, 11 * up), textcoords="offset points", ha="center",
-            va="bottom" if up > 0 else "top", fontsize=TICK_PT, color=colour, fontweight="bold",
-        )  # fmt: skip
+            word,
+            (spot, place),
+            xytext=(0, 11 * up),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if up > 0 else "top",
+            fontsize=TICK_PT,
+            color=colour,
+            fontweight="bold",
+        )
     axes.annotate(
-        ends, (1, place), xytext=(12, 0), textcoords="offset points", ha="left", va="center", fontsize=SMALL_PT,
+        ends,
+        (1, place),
+        xytext=(12, 0),
+        textcoords="offset points",
+        ha="left",
+        va="center",
+        fontsize=SMALL_PT,
         color=MUTED,
-    )  # fmt: skip
+    )
 
 
 def _number(value: object) -> str:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
-from brink.sim.replay.figure import LiteralFigure
+from brink.pictures.figure import LiteralFigure
 
 SAFE: Final = "#0072b2"
 UNSAFE: Final = "#d55e00"
@@ -49,12 +49,18 @@ def new_figure(height_px: int, title: str, subtitle: str) -> Figure:
     FigureCanvasAgg(figure)
     left = MARGIN_PX / WIDTH_PX
     figure.text(
-        left, 1 - 26 / height_px, title, fontsize=TITLE_PT, fontweight="bold", color=INK, va="top", ha="left",
-    )  # fmt: skip
+        left, 1 - 26 / height_px, title, fontsize=TITLE_PT, fontweight="bold", color=INK, va="top", ha="left"
+    )
     figure.text(
-        left, 1 - 62 / height_px, subtitle, fontsize=SUBTITLE_PT, color=MUTED, va="top", ha="left",
+        left,
+        1 - 62 / height_px,
+        subtitle,
+        fontsize=SUBTITLE_PT,
+        color=MUTED,
+        va="top",
+        ha="left",
         linespacing=1.45,
-    )  # fmt: skip
+    )
     return figure
 
 
@@ -73,9 +79,14 @@ def add_panels(
     """
     height_px = figure.get_figheight() * DPI
     grid = figure.add_gridspec(
-        1, columns, left=left_px / WIDTH_PX, right=1 - 40 / WIDTH_PX, top=1 - top_px / height_px,
-        bottom=bottom_px / height_px, wspace=wspace,
-    )  # fmt: skip
+        1,
+        columns,
+        left=left_px / WIDTH_PX,
+        right=1 - 40 / WIDTH_PX,
+        top=1 - top_px / height_px,
+        bottom=bottom_px / height_px,
+        wspace=wspace,
+    )
     return [figure.add_subplot(grid[column]) for column in range(columns)]
 
 
@@ -115,9 +126,17 @@ def label_ends(axes: Axes, labels: Sequence[EndLabel], *, apart: float = 0.062) 
     heights = [(label.value - low) / max(high - low, 1e-12) for label in wanted]
     for place, label in zip(_spread(heights, apart), wanted, strict=True):
         axes.annotate(
-            label.text, (1, place), xycoords="axes fraction", xytext=(8, 0), textcoords="offset points",
-            va="center", ha="left", fontsize=TICK_PT, color=label.colour, annotation_clip=False,
-        )  # fmt: skip
+            label.text,
+            (1, place),
+            xycoords="axes fraction",
+            xytext=(8, 0),
+            textcoords="offset points",
+            va="center",
+            ha="left",
+            fontsize=TICK_PT,
+            color=label.colour,
+            annotation_clip=False,
+        )
 
 
 def _spread(heights: Sequence[float], apart: float) -> list[float]:
@@ -135,9 +154,16 @@ def _spread(heights: Sequence[float], apart: float) -> list[float]:
 def show_message(axes: Axes, text: str) -> None:
     """Write a message in the middle of empty axes."""
     axes.text(
-        0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=LABEL_PT, color=MUTED,
+        0.5,
+        0.5,
+        text,
+        transform=axes.transAxes,
+        ha="center",
+        va="center",
+        fontsize=LABEL_PT,
+        color=MUTED,
         linespacing=1.5,
-    )  # fmt: skip
+    )
 
 
 def set_panel_title(axes: Axes, title: str) -> None:
@@ -180,9 +206,16 @@ def add_legend(figure: Figure, lines: Sequence[Line2D], top_px: float, handlelen
     """
     top = 1 - top_px / (figure.get_figheight() * DPI)
     figure.legend(
-        handles=lines, loc="upper left", bbox_to_anchor=(MARGIN_PX / WIDTH_PX, top), ncols=len(lines) or 1,
-        frameon=False, fontsize=LABEL_PT, labelcolor=INK, handlelength=handlelength, borderaxespad=0,
-    )  # fmt: skip
+        handles=lines,
+        loc="upper left",
+        bbox_to_anchor=(MARGIN_PX / WIDTH_PX, top),
+        ncols=len(lines) or 1,
+        frameon=False,
+        fontsize=LABEL_PT,
+        labelcolor=INK,
+        handlelength=handlelength,
+        borderaxespad=0,
+    )
 
 
 def share_text(value: float) -> str:

@@ -50,16 +50,23 @@ def figure_tolerance(view: ToleranceView) -> Figure:
     rows = math.ceil(len(shown) / columns)
     height_px = _TOP_PX + rows * _ROW_PX + _BOTTOM_PX
     figure = new_figure(
-        height_px, f"How gross an error may be: {view.name}",
+        height_px,
+        f"How gross an error may be: {view.name}",
         f"Share of drives that violate because of the error, with intervals of {view.confidence:.0%}. "
         f"Dots: where the limit of {view.limit:.0%} is reached.",
-    )  # fmt: skip
+    )
     colours = dict(zip(conditions, COLOURS, strict=False))
     left, right = (MARGIN_PX + 30) / WIDTH_PX, 1 - 30 / WIDTH_PX
     grid = figure.add_gridspec(
-        max(rows, 1), columns, left=left, right=right, top=1 - (_TOP_PX + 20) / height_px,
-        bottom=_BOTTOM_PX / height_px, hspace=0.75, wspace=0.18,
-    )  # fmt: skip
+        max(rows, 1),
+        columns,
+        left=left,
+        right=right,
+        top=1 - (_TOP_PX + 20) / height_px,
+        bottom=_BOTTOM_PX / height_px,
+        hspace=0.75,
+        wspace=0.18,
+    )
     highest = max((max(cell.curve.high) for cells in shown for cell in cells), default=1.0)
     for place, cells in enumerate(shown):
         axes = figure.add_subplot(grid[place // columns, place % columns])

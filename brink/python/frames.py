@@ -16,8 +16,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _DTYPES: Final[Mapping[type | UnionType, str]] = {
-    int: "int64", float: "float64", bool: "bool", str: "str", int | None: "Int64", bool | None: "boolean",
-}  # fmt: skip
+    int: "int64",
+    float: "float64",
+    bool: "bool",
+    str: "str",
+    int | None: "Int64",
+    bool | None: "boolean",
+}
 _MAY_BE_MISSING: Final = (float, int | None, bool | None)
 """Types of columns that may be None in some rows or all, so that pandas cannot tell them from the values."""
 

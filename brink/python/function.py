@@ -80,12 +80,22 @@ def search(
     return Result(
         wait_for(
             lambda: search_async(
-                function, space, algorithm=algorithm, simulations=simulations, params=params, seed=seed, name=name,
-                workers=workers, timeout_s=timeout_s, start_from=start_from, database=database, resume=resume,
+                function,
+                space,
+                algorithm=algorithm,
+                simulations=simulations,
+                params=params,
+                seed=seed,
+                name=name,
+                workers=workers,
+                timeout_s=timeout_s,
+                start_from=start_from,
+                database=database,
+                resume=resume,
                 progress=progress,
             )
         )
-    )  # fmt: skip
+    )
 
 
 async def search_async(
@@ -115,7 +125,10 @@ async def search_async(
             "problem": {
                 "id": Function.id,
                 "params": {
-                    "function": title, "digest": digest, "space": declared.describe(), "timeout_s": timeout_s,
+                    "function": title,
+                    "digest": digest,
+                    "space": declared.describe(),
+                    "timeout_s": timeout_s,
                     "takes_seed": simulator.takes_seed(function),
                 },
             },
@@ -124,7 +137,7 @@ async def search_async(
             "seed": seed,
             # What the function calls elsewhere may have changed since an earlier search.
             "execution": {"cache": False, "keep_traces": 0},
-        }  # fmt: skip
+        }
         body = started(parse_body(document), start_from)
         check_submission(body)
         result = await run_body(

@@ -28,6 +28,7 @@ from brink.api.results import (
     read_all_pairs,
     run_episode,
 )
+from brink.pictures import render
 from brink.python.connection import Connection, environment_with, wait_for, with_workers
 from brink.python.frames import archive_frame, data_frame, typed_frame, types_of
 from brink.python.picture import Picture
@@ -46,7 +47,6 @@ from brink.server.api.schemas import Boundary, CampaignView, Combinations, Progr
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.errors import InvalidInput, ServerError
 from brink.server.states import CampaignStatus
-from brink.sim.replay import render
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,9 +54,17 @@ if TYPE_CHECKING:
 
 FOLLOW_UP_POLL_S: Final = 0.5
 _VIOLATION: Final[Mapping[str, type]] = {
-    "number": int, "requirement": str, "time_s": float, "type": str, "name": str, "avoidable": str,
-    "avoided_by": str, "at_fault": bool, "signature": dict, "circumstances": dict,
-}  # fmt: skip
+    "number": int,
+    "requirement": str,
+    "time_s": float,
+    "type": str,
+    "name": str,
+    "avoidable": str,
+    "avoided_by": str,
+    "at_fault": bool,
+    "signature": dict,
+    "circumstances": dict,
+}
 
 
 class CampaignUnfinished(ServerError):

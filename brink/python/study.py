@@ -251,14 +251,18 @@ class Study:
         target = Path(path)
         partial = target.with_name(f"{target.name}.partial")
         document = {
-            "version": _VERSION, "space": self._space.describe(), "algorithm": self._id,
-            "simulations": self._simulations, "seed": self._seed, "params": self._params,
+            "version": _VERSION,
+            "space": self._space.describe(),
+            "algorithm": self._id,
+            "simulations": self._simulations,
+            "seed": self._seed,
+            "params": self._params,
             "start_from": None if self._start is None else self._start.model_dump(mode="json"),
             "results": [
                 [number, *([None] if isinstance(one, Failed) else [one.robustness, dict(one.objectives)])]
                 for number, one in sorted(self._results.items())
             ],
-        }  # fmt: skip
+        }
         partial.write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
         return partial.replace(target)
 
@@ -274,9 +278,13 @@ class Study:
             if document["version"] != _VERSION:
                 raise DocumentError(f"{path}: expected version {_VERSION}, got {document['version']!r}")
             study = cls(
-                space_from(document["space"]), document["algorithm"], simulations=document["simulations"],
-                seed=document["seed"], params=document["params"], start_from=document["start_from"],
-            )  # fmt: skip
+                space_from(document["space"]),
+                document["algorithm"],
+                simulations=document["simulations"],
+                seed=document["seed"],
+                params=document["params"],
+                start_from=document["start_from"],
+            )
             study._repeat({number: rest for number, *rest in document["results"]})
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OrderError) as error:
             if isinstance(error, DocumentError):

@@ -170,9 +170,12 @@ def _read(meter: ErrorMeter) -> _Drive:
             lives.setdefault(sample.track, []).append((numbers[sample.time_s], sample))
     step_s = every * own_step_s
     drive = _Drive(
-        hours=len(times) * step_s / 3600.0, step_s=step_s, counts=_Counts.none(), values=[],
+        hours=len(times) * step_s / 3600.0,
+        step_s=step_s,
+        counts=_Counts.none(),
+        values=[],
         ghosts=[_durations(meter, times, label, step_s) for label in LABELS],
-    )  # fmt: skip
+    )
     for life in lives.values():
         for sighting in _sightings(life):
             _count(sighting, drive)
@@ -240,9 +243,12 @@ class _Fit:
         table = np.array(rows, np.float64).reshape(-1, 8)
         whole = table[:, :3].astype(np.int64)
         self._values = _Values(
-            drive=whole[:, 0], group=whole[:, 1], row=whole[:, 2], errors=table[:, 3:6].round(_DECIMALS),
+            drive=whole[:, 0],
+            group=whole[:, 1],
+            row=whole[:, 2],
+            errors=table[:, 3:6].round(_DECIMALS),
             back=table[:, 6:].astype(np.int64),
-        )  # fmt: skip
+        )
         self._scores = self._normal_scores()
 
     def _normal_scores(self) -> FloatArray:

@@ -110,19 +110,36 @@ def compose(facts: Facts, pictures: Mapping[str, Path], *, most_pairs: int = MOS
     pairs = pairs_section(facts, album, full)
     searched = facts.searched_pairs
     sections = [
-        pairs if searched else None, tolerance_section(facts, album), detector_section(facts, album),
-        violations_section(facts, album), combinations_section(facts, album), boundary_section(facts, album),
-        None if searched else pairs, outcomes_section(facts),
-    ]  # fmt: skip
+        pairs if searched else None,
+        tolerance_section(facts, album),
+        detector_section(facts, album),
+        violations_section(facts, album),
+        combinations_section(facts, album),
+        boundary_section(facts, album),
+        None if searched else pairs,
+        outcomes_section(facts),
+    ]
     return page_template("campaign.html").render(
-        title=facts.view.name, subject=subject(facts), standing=standing(facts), version=__version__,
-        found=[purpose(facts), *verdicts(facts), *findings(facts)], uncertain=uncertainties(facts),
+        title=facts.view.name,
+        subject=subject(facts),
+        standing=standing(facts),
+        version=__version__,
+        found=[purpose(facts), *verdicts(facts), *findings(facts)],
+        uncertain=uncertainties(facts),
         requirements=[Term(name, requirement_words(name)) for name in facts.fetched.outcomes.requirements],
-        others_recorded=others_recorded(facts), figures=_key_figures(facts), noun=noun(facts),
-        sections=[section for section in sections if section is not None], trust=trust(facts),
-        space=_space(facts), fixed=_fixed(facts), computed=_computed(facts), file=_campaign_file(facts),
-        commands=_commands(facts), tags=facts.view.tags, notes=facts.view.notes,
-    )  # fmt: skip
+        others_recorded=others_recorded(facts),
+        figures=_key_figures(facts),
+        noun=noun(facts),
+        sections=[section for section in sections if section is not None],
+        trust=trust(facts),
+        space=_space(facts),
+        fixed=_fixed(facts),
+        computed=_computed(facts),
+        file=_campaign_file(facts),
+        commands=_commands(facts),
+        tags=facts.view.tags,
+        notes=facts.view.notes,
+    )
 
 
 def write_page(file: Path, page: str) -> int:
@@ -205,9 +222,11 @@ def _space(facts: Facts) -> Table | None:
     ]
     more = len(found) - len(rows)
     return Table(
-        label="What was varied", columns=("component", "parameter", "range"), rows=rows,
+        label="What was varied",
+        columns=("component", "parameter", "range"),
+        rows=rows,
         more=f"{more} more" if more else "",
-    )  # fmt: skip
+    )
 
 
 def _fixed(facts: Facts) -> Table | None:

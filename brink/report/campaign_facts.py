@@ -205,14 +205,24 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
         detector = await api.read(DetectorView, f"{path}/tolerance/detector", {"episodes": episodes})
     first = int(archive.numbers[0]) if len(archive) else None
     return Facts(
-        view=view, progress=progress, finding=finding, fetched=fetched, pairs=pairs, boundary=boundary,
-        violations=violations, combinations=combinations, tolerance=tolerance, detector=detector,
+        view=view,
+        progress=progress,
+        finding=finding,
+        fetched=fetched,
+        pairs=pairs,
+        boundary=boundary,
+        violations=violations,
+        combinations=combinations,
+        tolerance=tolerance,
+        detector=detector,
         repeats=await api.read(list[RepeatsView], f"{path}/repeats"),
-        control=control, rules=rules, no_rules=no_rules,
+        control=control,
+        rules=rules,
+        no_rules=no_rules,
         jobs=None if isinstance(problem, InProcessProblem) else await _jobs(api, view.id),
         random=await _random_search(api, view, pairs),
         sample=None if first is None else await api.read(SolutionView, f"{path}/solutions/{first}"),
-    )  # fmt: skip
+    )
 
 
 def _has_slots(fetched: FetchedArchive) -> bool:
@@ -230,9 +240,13 @@ def _rules(fetched: FetchedArchive) -> tuple[Rules | None, str]:
         return None, ""
     try:
         rules = region_rules(
-            fetched.archive, fetched.plan.problem.space, unsafe, "the unsafe solutions", seed=fetched.body.seed,
+            fetched.archive,
+            fetched.plan.problem.space,
+            unsafe,
+            "the unsafe solutions",
+            seed=fetched.body.seed,
             recorded=fetched.active,
-        )  # fmt: skip
+        )
     except MissingExtra as error:
         return None, str(error)
     return rules, ""
@@ -271,11 +285,12 @@ async def _random_search(
     found.sort(key=lambda one: -one.simulations)
     return [
         RandomSearch(
-            campaign=one, evaluated=one.simulations - one.failed - one.measured,
+            campaign=one,
+            evaluated=one.simulations - one.failed - one.measured,
             found=await _found_pairs(api, one.id, pairs),
         )
         for one in found[:1]
-    ]  # fmt: skip
+    ]
 
 
 async def _found_pairs(api: Api, campaign: str, pairs: PairsView | TooManyPairs) -> str:

@@ -26,8 +26,15 @@ CHAINS_DRAWN: Final = 1
 REPLAYS_DRAWN: Final = 2
 _AT_ONCE: Final = 2
 _UNDRAWABLE: Final = (
-    NoTrace, CoordinatorError, SimulatorError, WorkerError, LookupError, ValueError, TypeError, ArithmeticError,
-)  # fmt: skip
+    NoTrace,
+    CoordinatorError,
+    SimulatorError,
+    WorkerError,
+    LookupError,
+    ValueError,
+    TypeError,
+    ArithmeticError,
+)
 """A simulator may record anything, so a picture that fails is left out."""
 
 
@@ -61,9 +68,14 @@ async def draw_pictures(
         show: Called with what is being drawn.
     """
     drawing = Drawing(
-        api=api, campaign=facts.view.id, folder=folder, stop=asyncio.Event(), timeout_s=TRACE_TIMEOUT_S,
-        workers=workers, show=show,
-    )  # fmt: skip
+        api=api,
+        campaign=facts.view.id,
+        folder=folder,
+        stop=asyncio.Event(),
+        timeout_s=TRACE_TIMEOUT_S,
+        workers=workers,
+        show=show,
+    )
     files: list[Path] = []
     if not isinstance(facts.pairs, TooManyPairs):
         files += await _draw_pairs(drawing, facts.pairs, shown_pairs(facts, most_pairs))

@@ -35,9 +35,10 @@ LARGE_BYTES: Final = 1_000_000
 JPEG_QUALITY: Final = 88
 
 _KINDS: Final = {
-    OutcomeKind.HELD: "safe", OutcomeKind.OTHER: "safe, another requirement violated",
+    OutcomeKind.HELD: "safe",
+    OutcomeKind.OTHER: "safe, another requirement violated",
     OutcomeKind.VIOLATED: "unsafe",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +159,10 @@ def pairs_section(facts: Facts, album: Album, full: Sequence[PairView]) -> Secti
     ]
     return Section(
         title=_pairs_title(facts, pairs),
-        pairs=[_shown_pair(facts, pairs, pair, album) for pair in full], lists=[("How to read pairs", told)],
+        pairs=[_shown_pair(facts, pairs, pair, album) for pair in full],
+        lists=[("How to read pairs", told)],
         tables=[] if rest is None else [rest],
-    )  # fmt: skip
+    )
 
 
 def _pairs_title(facts: Facts, pairs: PairsView) -> str:
@@ -181,13 +183,15 @@ def _shown_pair(facts: Facts, pairs: PairsView, pair: PairView, album: Album) ->
         f"pair-{pair.place}.png", f"Pair {pair.place}: both {noun(facts)}s side by side. {pair.words}"
     )
     return ShownPair(
-        place=pair.place, change=as_sentence(pair.change), common=as_sentence(common[0]) if common else "",
+        place=pair.place,
+        change=as_sentence(pair.change),
+        common=as_sentence(common[0]) if common else "",
         safe=_side_words(facts, pair.safe, pair.confirmation.safe),
         unsafe=_side_words(facts, pair.unsafe, pair.confirmation.unsafe),
         evidence=[*evidence_words(pairs, pair).split(", "), *filter(None, (extent_words(pair), pair.moved))],
         sentences=[*pair_findings(pair), *smaller, *pair_facts(pairs, pair)[1:]],
         picture=picture[0] if picture else None,
-    )  # fmt: skip
+    )
 
 
 def _side_words(facts: Facts, side: SideView, again: ShareView) -> str:
@@ -217,9 +221,12 @@ def _rest(facts: Facts, pairs: PairsView, full: Sequence[PairView]) -> Table | N
     ]
     more = pairs.distinct - len(shown) - len(rows)
     return Table(
-        label="Other pairs", columns=("", "change", "unsafe side", "safe side", "evidence"), rows=rows, right=(0,),
+        label="Other pairs",
+        columns=("", "change", "unsafe side", "safe side", "evidence"),
+        rows=rows,
+        right=(0,),
         more=f"{more:,} more: brink pairs {facts.view.id} --limit {pairs.distinct}" if more > 0 else "",
-    )  # fmt: skip
+    )
 
 
 def tolerance_section(facts: Facts, album: Album) -> Section | None:
@@ -288,18 +295,32 @@ def _cells_table(view: ToleranceView) -> Table:
         value, interval = tolerated_words(cell)
         rows.append(
             (
-                as_sentence(cell.error), cell.condition, value, interval, f"{cell.screened:,}",
-                f"{cell.vulnerable:,}", f"{cell.drives:,}", f"{cell.caused:,}",
+                as_sentence(cell.error),
+                cell.condition,
+                value,
+                interval,
+                f"{cell.screened:,}",
+                f"{cell.vulnerable:,}",
+                f"{cell.drives:,}",
+                f"{cell.caused:,}",
             )
-        )  # fmt: skip
+        )
     return Table(
         label="Tolerated magnitude of each error",
         columns=(
-            "error", "condition", "tolerated", f"{view.confidence:.0%} interval", "screened", "vulnerable", "drives",
+            "error",
+            "condition",
+            "tolerated",
+            f"{view.confidence:.0%} interval",
+            "screened",
+            "vulnerable",
+            "drives",
             "caused",
         ),
-        rows=rows, right=tuple(range(2, 8)), more=f"{as_sentence(KEY)}.",
-    )  # fmt: skip
+        rows=rows,
+        right=tuple(range(2, 8)),
+        more=f"{as_sentence(KEY)}.",
+    )
 
 
 def _baseline_table(view: ToleranceView) -> Table:
@@ -309,14 +330,19 @@ def _baseline_table(view: ToleranceView) -> Table:
         part = one.share
         rows.append(
             (
-                one.condition, only.replace("_", " "), f"{part.evaluated:,}", share(part.unsafe, part.evaluated),
+                one.condition,
+                only.replace("_", " "),
+                f"{part.evaluated:,}",
+                share(part.unsafe, part.evaluated),
                 f"{part.low:.0%} to {part.high:.0%}",
             )
-        )  # fmt: skip
+        )
     return Table(
-        label="Drives without any error", columns=("without any error", "cells", "drives", "violate", "95% interval"),
-        rows=rows, right=(2, 3, 4),
-    )  # fmt: skip
+        label="Drives without any error",
+        columns=("without any error", "cells", "drives", "violate", "95% interval"),
+        rows=rows,
+        right=(2, 3, 4),
+    )
 
 
 def violations_section(facts: Facts, album: Album) -> Section | None:
@@ -330,11 +356,16 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
     fault = {True: "ego", False: "others", None: "differs"}
     rows = [
         (
-            kind.avoider, kind.avoided_by or "", kind.avoided, f"{kind.instances:,}", fault[kind.at_fault],
-            str(kind.example), kind.type,
+            kind.avoider,
+            kind.avoided_by or "",
+            kind.avoided,
+            f"{kind.instances:,}",
+            fault[kind.at_fault],
+            str(kind.example),
+            kind.type,
         )
         for kind in types[:MOST_ROWS]
-    ]  # fmt: skip
+    ]
     pictures = [
         picture
         for place, kind in enumerate(types, start=1)
@@ -359,15 +390,22 @@ def violations_section(facts: Facts, album: Album) -> Section | None:
         gallery=pictures[:MOST_GALLERY],
         tables=[
             Table(
-                label="Types of violations, avoidable ones first, then by frequency", rows=rows, right=(2, 3, 5),
+                label="Types of violations, avoidable ones first, then by frequency",
+                rows=rows,
+                right=(2, 3, 5),
                 columns=(
-                    "avoidable by", "how", "drives", "distinct", "at fault by the rule", "example",
+                    "avoidable by",
+                    "how",
+                    "drives",
+                    "distinct",
+                    "at fault by the rule",
+                    "example",
                     "type of violation",
                 ),
                 more=f"{more:,} more: brink violations {facts.view.id}" if more else "",
             )
         ],
-    )  # fmt: skip
+    )
 
 
 def _avoidable_type(kind: TypeView) -> str:
@@ -383,12 +421,16 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
     chains = found.combinations
     rows = [
         (
-            one.words, tally_words(one), "; ".join(variant_words(one.parts)) or "not simulated",
-            ", ".join(map(tally_words, one.orders)), "yes" if one.hazardous else "no", added_harm_words(one),
+            one.words,
+            tally_words(one),
+            "; ".join(variant_words(one.parts)) or "not simulated",
+            ", ".join(map(tally_words, one.orders)),
+            "yes" if one.hazardous else "no",
+            added_harm_words(one),
             claim_words(one),
         )
         for one in chains[:MOST_ROWS]
-    ]  # fmt: skip
+    ]
     more = len(chains) - len(rows)
     return Section(
         title="Changes to the camera image",
@@ -406,12 +448,15 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
         ],
         tables=[
             Table(
-                label="Chains of changes", rows=rows,
+                label="Chains of changes",
+                rows=rows,
                 columns=("chain", "unsafe", "its parts", "other order", "hazardous", "added harm", "how"),
-                more=f"{more:,} more: brink combinations {facts.view.id} --shown {len(chains)}" if more else "",
+                more=f"{more:,} more: brink combinations {facts.view.id} --shown {len(chains)}"
+                if more
+                else "",
             )
         ],
-    )  # fmt: skip
+    )
 
 
 def boundary_section(facts: Facts, album: Album) -> Section | None:
@@ -431,20 +476,25 @@ def boundary_section(facts: Facts, album: Album) -> Section | None:
         ]
         rows = [
             (
-                str(one.number), one.outcome or str(one.verdict), f"{one.fitness:.3f}",
-                f"{one.unsafe_neighbours} of {one.neighbours}", one.words,
+                str(one.number),
+                one.outcome or str(one.verdict),
+                f"{one.fitness:.3f}",
+                f"{one.unsafe_neighbours} of {one.neighbours}",
+                one.words,
             )
             for one in found.solutions[:MOST_ROWS]
-        ]  # fmt: skip
+        ]
         more = found.dbs - len(rows)
         if rows:
             tables = [
                 Table(
-                    label="Distinct boundary solutions, best first", rows=rows, right=(0, 2, 3),
+                    label="Distinct boundary solutions, best first",
+                    rows=rows,
+                    right=(0, 2, 3),
                     columns=("number", "outcome", "fitness", "unsafe neighbours", "description"),
                     more=f"{more:,} more: brink results {facts.view.id}{_listed(found)}" if more else "",
                 )
-            ]  # fmt: skip
+            ]
     pictures = album("map.png", map_words)
     replayed = shown_replays(facts)
     gallery = [
@@ -521,13 +571,17 @@ def outcomes_section(facts: Facts) -> Section | None:
     if missing and view.recorded:
         words.append(f"For {count(missing, noun(facts))}, other requirements were not recorded.")
     return Section(
-        title="Requirements held and violated", paragraphs=words,
+        title="Requirements held and violated",
+        paragraphs=words,
         tables=[
             Table(
-                label="What the simulations showed", columns=("outcome", "verdict", f"{noun(facts)}s", "share"),
-                rows=rows, right=(2, 3),
+                label="What the simulations showed",
+                columns=("outcome", "verdict", f"{noun(facts)}s", "share"),
+                rows=rows,
+                right=(2, 3),
                 more=f"{len(rest)} rarer outcomes of {sum(one.solutions for one in rest):,} {noun(facts)}s"
-                if rest else "",
+                if rest
+                else "",
             )
         ],
-    )  # fmt: skip
+    )

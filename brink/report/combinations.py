@@ -10,7 +10,7 @@ from brink.report.figures import Drawing
 from brink.server.api.schemas import ChainTally, Combinations, CombinationView, Variant
 
 if TYPE_CHECKING:
-    from brink.sim.replay.sheets import Row
+    from brink.pictures.sheets import Row
 
 
 def claim_words(one: CombinationView) -> str:
@@ -33,9 +33,18 @@ def added_harm_words(one: CombinationView) -> str:
 
 
 COLUMNS: Final[Mapping[str, type | UnionType]] = {
-    "chain": str, "unsafe": int, "trials": int, "alpha": float, "added_harm": float, "interacts": bool | None,
-    "hazardous": bool, "only_together": bool, "order_matters": bool, "minimal": bool, "example": int | None,
-}  # fmt: skip
+    "chain": str,
+    "unsafe": int,
+    "trials": int,
+    "alpha": float,
+    "added_harm": float,
+    "interacts": bool | None,
+    "hazardous": bool,
+    "only_together": bool,
+    "order_matters": bool,
+    "minimal": bool,
+    "example": int | None,
+}
 """Columns of a table of chains; `example` is an unsafe solution whose parts or other order are safe."""
 
 
@@ -78,7 +87,7 @@ async def draw_chains(found: Combinations, drawing: Drawing, most: int) -> list[
         drawing: The campaign and the folder.
         most: Number of combinations to draw.
     """
-    from brink.sim.replay.sheets import side_by_side  # slow to import
+    from brink.pictures.sheets import side_by_side  # slow to import
 
     files: list[Path] = []
     for one in found.combinations:
@@ -99,7 +108,7 @@ async def draw_chains(found: Combinations, drawing: Drawing, most: int) -> list[
 
 async def _variants(drawing: Drawing, number: int) -> "list[Row]":
     """Return the traces of a solution and its variants; empty if one of them is not available."""
-    from brink.sim.replay.sheets import Row
+    from brink.pictures.sheets import Row
 
     path = f"/campaigns/{drawing.campaign}/solutions/{number}/variants"
     rows = []

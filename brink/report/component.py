@@ -39,9 +39,12 @@ class DetectionCounts:
     def to_columns(self) -> dict[str, int]:
         """Return the counts, including missed objects and false positives, by column name."""
         return {
-            "seen": self.truth, "said": self.detected, "matched": self.matched,
-            "missed": self.truth - self.matched, "invented": self.detected - self.matched,
-        }  # fmt: skip
+            "seen": self.truth,
+            "said": self.detected,
+            "matched": self.matched,
+            "missed": self.truth - self.matched,
+            "invented": self.detected - self.matched,
+        }
 
 
 def count_detections(trace: Trace) -> DetectionCounts:
@@ -76,9 +79,11 @@ def box_rows(trace: Trace) -> Iterator[tuple[float | str, ...]]:
         for which, boxes in (("seen", trace.seen_boxes), ("said", trace.given_boxes)):
             for label, *corners in boxes.at(sample).tolist():
                 yield (
-                    round(time_s, 3), which, LABELS.get(int(label), str(int(label))),
+                    round(time_s, 3),
+                    which,
+                    LABELS.get(int(label), str(int(label))),
                     *(round(corner, 2) for corner in corners),
-                )  # fmt: skip
+                )
 
 
 def write_boxes(trace: Trace, file: Path) -> None:

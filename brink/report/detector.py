@@ -16,8 +16,16 @@ from brink.server.problems.changes import as_sentence
 TICKS: Final = (0.0, 0.25, 1.0)
 """Shares of drives that a bar's axis names, besides the limit."""
 COLUMNS: Final = (
-    "result", "error", "condition", "drives", "median", "95% within", "violate", "interval", "worst drives",
-)  # fmt: skip
+    "result",
+    "error",
+    "condition",
+    "drives",
+    "median",
+    "95% within",
+    "violate",
+    "interval",
+    "worst drives",
+)
 NUMBERS: Final = ("drives", "median", "95% within", "violate")
 """Columns aligned to the right."""
 
@@ -67,9 +75,16 @@ def row_of(cell: DetectorCell) -> tuple[str, ...]:
     if cell.share is not None and cell.low is not None and cell.high is not None:
         share, interval = f"{cell.share:.1%}", f"[{cell.low:.1%}, {cell.high:.1%}]"
     return (
-        cell.result.value, cell.error, cell.condition, f"{cell.drives:,}", _magnitude(cell, cell.typical),
-        _magnitude(cell, cell.grossest), share, interval, ", ".join(cell.worst[:3]),
-    )  # fmt: skip
+        cell.result.value,
+        cell.error,
+        cell.condition,
+        f"{cell.drives:,}",
+        _magnitude(cell, cell.typical),
+        _magnitude(cell, cell.grossest),
+        share,
+        interval,
+        ", ".join(cell.worst[:3]),
+    )
 
 
 def _magnitude(cell: DetectorCell, magnitude: float | None) -> str:
@@ -91,20 +106,46 @@ def detector_csv(view: DetectorView) -> str:
     names = list(view.cells[0].choices) if view.cells else []
     rows: list[Sequence[object]] = [
         (
-            *(name.rpartition(".")[2] for name in names), "error", "condition", "result", "drives", "at_least",
-            "unit", "median", "within_95", "beyond", "share", "low", "high", "limit", "confidence", "needed", "worst",
+            *(name.rpartition(".")[2] for name in names),
+            "error",
+            "condition",
+            "result",
+            "drives",
+            "at_least",
+            "unit",
+            "median",
+            "within_95",
+            "beyond",
+            "share",
+            "low",
+            "high",
+            "limit",
+            "confidence",
+            "needed",
+            "worst",
             "sentence",
         )
-    ]  # fmt: skip
+    ]
     rows += [
         (
-            *(cell.choices[name] for name in names), cell.error, cell.condition, cell.result.value, cell.drives,
-            cell.at_least, cell.unit, *map(_digits, (cell.typical, cell.grossest)), cell.beyond,
-            *map(_digits, (cell.share, cell.low, cell.high)), view.limit, view.confidence, cell.needed,
-            " ".join(cell.worst), cell.sentence,
+            *(cell.choices[name] for name in names),
+            cell.error,
+            cell.condition,
+            cell.result.value,
+            cell.drives,
+            cell.at_least,
+            cell.unit,
+            *map(_digits, (cell.typical, cell.grossest)),
+            cell.beyond,
+            *map(_digits, (cell.share, cell.low, cell.high)),
+            view.limit,
+            view.confidence,
+            cell.needed,
+            " ".join(cell.worst),
+            cell.sentence,
         )
         for cell in view.cells
-    ]  # fmt: skip
+    ]
     return csv_text(rows)
 
 
@@ -162,8 +203,14 @@ def detector_page(view: DetectorView, about: Sequence[str], strips: Sequence[Str
         strips: The worst episodes.
     """
     return page_template("detector.html").render(
-        view=view, about=about, strips=strips, version=__version__, tally=tally(view), small_print=small_print(view),
-        rows=[(cell, row_of(cell), bar_of(cell)) for cell in evidence(view)], limit=place_of(view.limit),
+        view=view,
+        about=about,
+        strips=strips,
+        version=__version__,
+        tally=tally(view),
+        small_print=small_print(view),
+        rows=[(cell, row_of(cell), bar_of(cell)) for cell in evidence(view)],
+        limit=place_of(view.limit),
         headline=f"{view.detector}: does it meet the requirement?",
         ticks=[(place_of(share), f"{share:.0%}") for share in TICKS],
-    )  # fmt: skip
+    )

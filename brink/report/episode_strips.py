@@ -248,10 +248,12 @@ def _crop(file: Path, view_box: tuple[float, float, float, float], camera: Camer
             across, down = picture.width / camera.width_px, picture.height / camera.height_px
             part = picture.convert("RGB").crop(
                 (
-                    round(left * across), round(top * down), round((left + width) * across),
+                    round(left * across),
+                    round(top * down),
+                    round((left + width) * across),
                     round((top + height) * down),
                 )
-            )  # fmt: skip
+            )
             part.thumbnail((_PICTURE_WIDTH_PX, _PICTURE_WIDTH_PX))
             part.save(out, "JPEG", quality=80)
     except (OSError, ValueError, ArithmeticError, PillowImage.DecompressionBombError) as error:

@@ -78,20 +78,33 @@ def error_rows(fitted: FittedErrors) -> list[tuple[str, ...]]:
             delay_s = 0.1 * (1.0 - shares[1]) / shares[FOUND_FIRST] if shares[FOUND_FIRST] else math.inf
             rows.append(
                 (
-                    group, distance, f"{images:,}", f"{shares[SEEN]:.1%}", f"{low[g, i]:.0%} to {high[g, i]:.0%}",
-                    _number(per_minute), _number(lasts_s[g, i] if per_minute > 0.0 else math.nan, " s"),
+                    group,
+                    distance,
+                    f"{images:,}",
+                    f"{shares[SEEN]:.1%}",
+                    f"{low[g, i]:.0%} to {high[g, i]:.0%}",
+                    _number(per_minute),
+                    _number(lasts_s[g, i] if per_minute > 0.0 else math.nan, " s"),
                     _number(delay_s if at_risk[1] else math.nan, " s"),
                     f"{process.errors[g, i, 0, 2]:+.0%} ({_spread(process.errors[g, i, 0]):.0%})",
                     f"{process.errors[g, i, 1, 2]:+.2f} ({_spread(process.errors[g, i, 1]):.2f}) m",
                 )
-            )  # fmt: skip
+            )
     return rows
 
 
 COLUMNS: Final = (
-    "road user", "distance", "images", "reported", "90% range", "lost per min", "for", "first report after",
-    "too far (spread)", "to the right",
-)  # fmt: skip
+    "road user",
+    "distance",
+    "images",
+    "reported",
+    "90% range",
+    "lost per min",
+    "for",
+    "first report after",
+    "too far (spread)",
+    "to the right",
+)
 
 
 def _spread(quantiles: Any) -> float:
@@ -190,9 +203,15 @@ def violations_of(fetched: FetchedArchive) -> Violations:
     counts = np.bincount(numbers, archive.unsafe).round().astype(np.int64)
     low, high = replicated_interval(counts, of, CONFIDENCE)
     return Violations(
-        campaign=fetched.id, name=body.name, problem=body.problem.id, unsafe=int(archive.unsafe.sum()),
-        drives=len(archive), replicates=int((of > 0).sum()), low=low, high=high,
-    )  # fmt: skip
+        campaign=fetched.id,
+        name=body.name,
+        problem=body.problem.id,
+        unsafe=int(archive.unsafe.sum()),
+        drives=len(archive),
+        replicates=int((of > 0).sum()),
+        low=low,
+        high=high,
+    )
 
 
 def agreement_words(one: Violations, other: Violations) -> str:

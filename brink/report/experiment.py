@@ -112,9 +112,15 @@ def markdown_report(
         heading = f": {problem}" if len(body.problems) > 1 else ""
         if pairs is not None:
             parts += pair_section(
-                pairs.repeats, problem, eps=pairs.eps, d_th=pairs.d_th, heading=heading,
-                picture=pairs.pictures.get(problem), left_out=pairs.left_out, level=level,
-            )  # fmt: skip
+                pairs.repeats,
+                problem,
+                eps=pairs.eps,
+                d_th=pairs.d_th,
+                heading=heading,
+                picture=pairs.pictures.get(problem),
+                left_out=pairs.left_out,
+                level=level,
+            )
         parts += [
             f"## {'Conclusions' if pairs is None else 'Boundary solutions, as the paper counts them'}{heading}",
             "\n".join(sentences(repeats, found_standings, found_duels, problem)),
@@ -331,11 +337,18 @@ def _campaigns(repeats: Sequence[Repeat]) -> str:
         behaviours = "–" if control is None else f"{control.repeats:.1f}"
         share = one.scores.unsafe / one.scores.evaluated if one.scores.evaluated else 0.0
         rows.append(
-            table_row([
-                f"`{one.campaign}`", one.method, one.problem, str(one.seed), f"{one.scores.evaluated:,}",
-                f"{share:.0%}", behaviours,
-            ])
-        )  # fmt: skip
+            table_row(
+                [
+                    f"`{one.campaign}`",
+                    one.method,
+                    one.problem,
+                    str(one.seed),
+                    f"{one.scores.evaluated:,}",
+                    f"{share:.0%}",
+                    behaviours,
+                ]
+            )
+        )
     return "\n".join(rows)
 
 

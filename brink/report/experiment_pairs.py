@@ -22,9 +22,12 @@ from brink.search.sequential import ERROR, FIRST, FURTHER, LIMIT
 from brink.server.api.experiment_pairs import LeftOutView
 
 COLUMNS: Final = (
-    "distinct pairs", "confirmed distinct pairs", "checked pairs confirmed", "all pairs confirmed",
+    "distinct pairs",
+    "confirmed distinct pairs",
+    "checked pairs confirmed",
+    "all pairs confirmed",
     "unsafe sides that are the component's",
-)  # fmt: skip
+)
 """Columns of the table of methods."""
 _MEASURED: Final = {PairMeasure.CONFIRMED: "confirmed distinct pairs", PairMeasure.DISTINCT: "distinct pairs"}
 DASH: Final = "–"
@@ -162,13 +165,18 @@ def _duels_table(duels: Sequence[PairDuel]) -> str:
     for one in duels:
         adjusted = p_text(one.adjusted)
         rows.append(
-            table_row([
-                f"{one.first} : {one.second}", f"{one.first_mean:.1f} : {one.second_mean:.1f}",
-                f"{one.result.u:g}", p_text(one.result.p_value),
-                f"**{adjusted}**" if one.differs else adjusted,
-                f"{one.result.a12:.2f} {one.size}", one.says,
-            ])
-        )  # fmt: skip
+            table_row(
+                [
+                    f"{one.first} : {one.second}",
+                    f"{one.first_mean:.1f} : {one.second_mean:.1f}",
+                    f"{one.result.u:g}",
+                    p_text(one.result.p_value),
+                    f"**{adjusted}**" if one.differs else adjusted,
+                    f"{one.result.a12:.2f} {one.size}",
+                    one.says,
+                ]
+            )
+        )
     legend = (
         "*A12: probability that the first exceeds the second. Corrected: Holm's correction over the comparisons of "
         f"this table whose values differ. Bold: p at most {duels[0].level:g}.*"
@@ -178,9 +186,19 @@ def _duels_table(duels: Sequence[PairDuel]) -> str:
 
 def _campaigns(repeats: Sequence[PairRepeat]) -> str:
     names = [
-        "campaign", "method", "seed", "distinct", "checked", "tried", "confirmed", "refuted", "checked and tried",
-        "checked and confirmed", "component's", "scenario's",
-    ]  # fmt: skip
+        "campaign",
+        "method",
+        "seed",
+        "distinct",
+        "checked",
+        "tried",
+        "confirmed",
+        "refuted",
+        "checked and tried",
+        "checked and confirmed",
+        "component's",
+        "scenario's",
+    ]
     rows = [table_row(names), table_row(["---"] * len(names))]
     for one in repeats:
         counts = one.counts
@@ -196,11 +214,17 @@ def _campaigns(repeats: Sequence[PairRepeat]) -> str:
             counts.scenario if blamed else none,
         ]
         rows.append(
-            table_row([
-                f"`{one.campaign}`", one.method, str(one.seed), str(counts.distinct),
-                DASH if one.computed else str(counts.checked), *map(str, figures),
-            ])
-        )  # fmt: skip
+            table_row(
+                [
+                    f"`{one.campaign}`",
+                    one.method,
+                    str(one.seed),
+                    str(counts.distinct),
+                    DASH if one.computed else str(counts.checked),
+                    *map(str, figures),
+                ]
+            )
+        )
     return "\n".join(rows)
 
 

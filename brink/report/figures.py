@@ -10,13 +10,13 @@ import numpy as np
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace, run_episode
+from brink.pictures import render
 from brink.search.errors import TooManyPairs
 from brink.server.api.pair_views import PairsView
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.errors import InvalidInput
 from brink.server.states import OutcomeKind
 from brink.sim.errors import SimulatorError
-from brink.sim.replay import render
 from brink.sim.trace import Trace
 from brink.worker.errors import WorkerError
 
@@ -57,9 +57,12 @@ def draw_figures(
     from brink.plots import FIGURES, write_campaign_figures
 
     return write_campaign_figures(
-        _inputs(fetched, t_b, d_th, pairs), folder, formats=formats, only=FIGURES if only is None else only,
+        _inputs(fetched, t_b, d_th, pairs),
+        folder,
+        formats=formats,
+        only=FIGURES if only is None else only,
         on_progress=on_progress,
-    )  # fmt: skip
+    )
 
 
 VIOLATION_TYPES: Final = "violation-types"
@@ -132,10 +135,11 @@ def _verdict_words(fetched: FetchedArchive) -> "VerdictWords":
     }
     numbers = fetched.archive.numbers.tolist()
     return VerdictWords(
-        held=view.kinds[OutcomeKind.HELD], other=view.kinds[OutcomeKind.OTHER],
+        held=view.kinds[OutcomeKind.HELD],
+        other=view.kinds[OutcomeKind.OTHER],
         violated=view.kinds[OutcomeKind.VIOLATED],
         others=np.array([kinds.get(number) is OutcomeKind.OTHER for number in numbers], np.bool_),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,7 @@ from brink.api.results import (
     fetch_trace,
     run_episode,
 )
+from brink.pictures import DrivePair, Side, render_pair
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.sequential import INTERVAL, Verdict, verdict_of
 from brink.server.api.pair_views import (
@@ -26,7 +27,6 @@ from brink.server.api.pair_views import (
     ShareView,
 )
 from brink.server.problems.changes import as_sentence
-from brink.sim.replay import DrivePair, Side, render_pair
 from brink.sim.verdict import held_words
 
 FILMS: Final = (".mp4", ".gif")
@@ -99,9 +99,13 @@ async def _drives(
         )
         sides.append(Side(number=side.number, trace=trace, outcome=side.outcome, again=share_words(share)))
     return DrivePair(
-        safe=sides[0], unsafe=sides[1], change=headline(pair), findings=tuple(findings(pair)),
-        facts=tuple(facts(view, pair)), requirement=await fetch_requirements(api, view.campaign),
-    )  # fmt: skip
+        safe=sides[0],
+        unsafe=sides[1],
+        change=headline(pair),
+        findings=tuple(findings(pair)),
+        facts=tuple(facts(view, pair)),
+        requirement=await fetch_requirements(api, view.campaign),
+    )
 
 
 def headline(pair: PairView) -> str:
@@ -198,9 +202,14 @@ def _draw_figure(fetched: FetchedArchive, view: PairsView, pair: PairView, path:
     from brink.plots import CampaignFigures, PairFigure, figure_pair
 
     inputs = CampaignFigures(
-        archive=fetched.archive, active=fetched.active, space=fetched.plan.problem.space, title=fetched.body.name,
-        generation_ends=fetched.generations, t_b=0.0, d_th=view.d_th,
-    )  # fmt: skip
+        archive=fetched.archive,
+        active=fetched.active,
+        space=fetched.plan.problem.space,
+        title=fetched.body.name,
+        generation_ends=fetched.generations,
+        t_b=0.0,
+        d_th=view.d_th,
+    )
     told = " ".join([*findings(pair), *facts(view, pair)])
     figure = figure_pair(
         inputs,

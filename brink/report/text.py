@@ -35,7 +35,10 @@ def page_template(name: str) -> Template:
         name: Its file name.
     """
     environment = Environment(
-        loader=PackageLoader("brink.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        loader=PackageLoader("brink.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
         lstrip_blocks=True,
-    )  # fmt: skip
+    )
     return environment.get_template(name)

@@ -4,10 +4,10 @@ import asyncio
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from brink.pictures import render
 from brink.report.figures import Drawing
 from brink.search.analysis.avoidable import Avoidable
 from brink.server.api.schemas import Violations
-from brink.sim.replay import render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +40,7 @@ async def draw_gallery(found: Violations, drawing: Drawing, most: int) -> list[P
 def figure_types(found: Violations) -> "Figure":
     """Plot how the numbers of known types and of avoidable ones grow with the solutions."""
     # matplotlib takes half a second to load: only commands that draw wait for it.
-    from brink.sim.replay.figure import LiteralFigure
+    from brink.pictures.figure import LiteralFigure
 
     firsts = sorted(kind.first for kind in found.types)
     curves = [(firsts, "#0072b2", "all types")]
@@ -51,9 +51,12 @@ def figure_types(found: Violations) -> "Figure":
     axes = figure.subplots()
     for numbers, colour, label in curves:
         axes.step(
-            [0, *numbers, last], [0, *range(1, len(numbers) + 1), len(numbers)], where="post", color=colour,
+            [0, *numbers, last],
+            [0, *range(1, len(numbers) + 1), len(numbers)],
+            where="post",
+            color=colour,
             label=label,
-        )  # fmt: skip
+        )
     axes.set(xlabel="solutions proposed", ylabel="types of violations known", xlim=(0, None), ylim=(0, None))
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False)

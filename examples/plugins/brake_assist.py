@@ -48,9 +48,13 @@ class BrakeAssist:
     def episode(self, vectors, seed):
         decoded = SPACE.decode(vectors)
         return EpisodeSpec(
-            simulator=self.needs, scenario=decoded["scenario"], behaviour=decoded["behaviour"],
-            requirements=("margin",), seed=seed, duration_s=10.0,
-        )  # fmt: skip
+            simulator=self.needs,
+            scenario=decoded["scenario"],
+            behaviour=decoded["behaviour"],
+            requirements=("margin",),
+            seed=seed,
+            duration_s=10.0,
+        )
 
     def evaluation(self, outcome):
         gap = outcome.verdicts["margin"].robustness

@@ -53,12 +53,17 @@ class EdgeWalk(LedgerAlgorithm[EdgeWalkConfig, EdgeWalkState]):
         rng, space = generator(ledger.seed, Stream.START, ledger.generation), ledger.space
         closest = np.argsort(np.abs(ledger.archive.robustness), kind="stable")[: config.step // 2]
         rows = [
-            space.join(space.repair(tuple(
-                mutated(part, vector, config.rate, rng)
-                for part, vector in zip(space.components, space.split(row), strict=True)
-            ), rng))
+            space.join(
+                space.repair(
+                    tuple(
+                        mutated(part, vector, config.rate, rng)
+                        for part, vector in zip(space.components, space.split(row), strict=True)
+                    ),
+                    rng,
+                )
+            )
             for row in ledger.archive.vectors[closest]
-        ]  # fmt: skip
+        ]
         rows += [space.join(space.sample(rng)) for _ in range(config.step - len(rows))]
         wanted = int(max(0, min(config.step, ledger.left)))
         return EdgeWalkState(config=config, ledger=ledger.plan(ledger.unseen(rows)[:wanted]))

@@ -111,9 +111,13 @@ class EdgeConfig(BoundaryConfig):
         le=1,
     )
     d_th: float = setting(
-        0.2, label="Distance between pairs", main=True, help="Smallest distance between two distinct pairs.",
-        ge=0, le=1,
-    )  # fmt: skip
+        0.2,
+        label="Distance between pairs",
+        main=True,
+        help="Smallest distance between two distinct pairs.",
+        ge=0,
+        le=1,
+    )
     explore: float = setting(0.4, help="Share of the budget for random draws at the start.", ge=0.01, le=1)
     margin: float = setting(
         0.2,
@@ -289,9 +293,16 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
                 _check_references("jobs", {of}, set(range(len(brackets))))
                 _check_references("jobs", {side}, {0, 1})
         return EdgeState(
-            config=config, ledger=ledger, brackets=brackets, jobs=jobs, seeds=seeds, tries=tries,
-            partnered=partnered, resolved=resolved, prior=_Prior.of(ledger.known, Steps(ledger.space), config.eps),
-        )  # fmt: skip
+            config=config,
+            ledger=ledger,
+            brackets=brackets,
+            jobs=jobs,
+            seeds=seeds,
+            tries=tries,
+            partnered=partnered,
+            resolved=resolved,
+            prior=_Prior.of(ledger.known, Steps(ledger.space), config.eps),
+        )
 
 
 def _check_references(name: str, named: Set[int], known: Set[int]) -> None:
@@ -366,9 +377,12 @@ class _Prior:
         agree = np.sort(first[(unsafe == 0) | (unsafe == times)])
         sides = _tight_sides(known, steps, eps)
         return cls(
-            rows=known.rows[agree], unsafe=known.unsafe[agree], robustness=known.robustness[agree],
-            ends=np.concatenate(sides), middles=midpoints(*sides, steps.space),
-        )  # fmt: skip
+            rows=known.rows[agree],
+            unsafe=known.unsafe[agree],
+            robustness=known.robustness[agree],
+            ends=np.concatenate(sides),
+            middles=midpoints(*sides, steps.space),
+        )
 
 
 def _tight_sides(known: Known, steps: Steps, eps: float) -> tuple[FloatArray, FloatArray]:
@@ -854,10 +868,12 @@ def _best_partners(surrogate: Surrogate, unsafe: BoolArray, draws: Sequence[_Dra
         best = int(np.lexsort((one.lengths, -np.minimum(chances, _LIKELY)))[0])
         partners.append(
             _Partner(
-                row=one.rows[best], attempt=one.attempt, flips=float(chances[best]),
+                row=one.rows[best],
+                attempt=one.attempt,
+                flips=float(chances[best]),
                 length=float(one.lengths[best]),
             )
-        )  # fmt: skip
+        )
     return partners
 
 

@@ -49,13 +49,20 @@ class BoundaryConfig:
         0.3, label="Neighbourhood radius", help="Maximum distance of a neighbour (delta).", gt=0, le=1
     )
     p_th: float = setting(
-        0.1, label="Threshold probability", main=True, help="Unsafe probability that defines the boundary.",
-        gt=0, lt=1,
-    )  # fmt: skip
+        0.1,
+        label="Threshold probability",
+        main=True,
+        help="Unsafe probability that defines the boundary.",
+        gt=0,
+        lt=1,
+    )
     z: float = setting(
-        1.96, label="Confidence quantile", help="Quantile of the standard normal for the Wilson interval.",
-        gt=0, le=10,
-    )  # fmt: skip
+        1.96,
+        label="Confidence quantile",
+        help="Quantile of the standard normal for the Wilson interval.",
+        gt=0,
+        le=10,
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)

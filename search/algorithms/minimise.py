@@ -142,9 +142,11 @@ class Reductions:
             else:
                 needed[trial.pair, trial.unit] = True
         return replace(
-            self, unsafe=frozen_array(rows), needed=frozen_array(needed, np.bool_),
+            self,
+            unsafe=frozen_array(rows),
+            needed=frozen_array(needed, np.bool_),
             failed=frozen_array(failed, np.bool_),
-        )  # fmt: skip
+        )
 
     def _without(self, pair: int, unit: Unit) -> FloatArray | None:
         """Return the unsafe side without a difference; None if no valid solution lies there, or only the safe side.

@@ -7,7 +7,7 @@ With the default mutation probability of 1 per gene, and categories that are red
 child is an independent random draw. A scenario of categories alone, as in the case study, inherits nothing: selection
 and crossover have no effect on scenarios, nor on the labels in behaviours, only on numbers. Smaller rates, for all
 genes or by kind of gene, give a search that inherits; ``selection: none`` is the control that shows what selection
-contributes (`brink bench heredity`).
+contributes (`python -m benchmarks heredity`).
 
 Source: Sharifi et al. 2023, Algorithms 1 (co-evolution), 2 (collaboration), 3 (population archive). Where the
 authors' code departs from the paper, this follows the paper; tournaments of three and the radius are in their code
@@ -64,8 +64,9 @@ class MlcsheConfig(BoundaryConfig):
     mutation_probability: float = setting(
         1.0,
         help="Probability that a gene mutates, multiplied by the factors of its kind and of its population.",
-        gt=0, le=1,
-    )  # fmt: skip
+        gt=0,
+        le=1,
+    )
     real_mutation_factor: float = setting(1.0, help="Factor for the mutation of real numbers.", ge=0, le=1)
     integer_mutation_factor: float = setting(1.0, help="Factor for the mutation of integers.", ge=0, le=1)
     categorical_mutation_factor: float = setting(

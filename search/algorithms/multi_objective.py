@@ -49,14 +49,16 @@ class MultiObjectiveConfig(BoundaryConfig):
         50, help="Solutions in the population, and children per generation.", ge=4, le=1_000
     )
     diversity: str = setting(
-        "mean", help="Whether diversity is the mean or the smallest distance to recent solutions.",
+        "mean",
+        help="Whether diversity is the mean or the smallest distance to recent solutions.",
         choices=("mean", "min"),
-    )  # fmt: skip
+    )
     lately: int = setting(5, help="Number of generations that count as recent.", ge=1, le=100)
     distance: str = setting(
-        "time", choices=tuple(str(measure) for measure in Distance),
+        "time",
+        choices=tuple(str(measure) for measure in Distance),
         help="Distance of two trajectories: mean over positions at equal times, or the paper's sum over actions.",
-    )  # fmt: skip
+    )
 
     @property
     def measure(self) -> Distance:
@@ -89,9 +91,13 @@ class History:
         """Return an empty history."""
         none = frozen_array(np.empty(0))
         return cls(
-            rows=frozen_array(np.empty((0, genome.space.dimension))), criticality=none,
-            gaps=frozen_array(np.empty((0, genome.max_participants))), unsafe=none, generations=none, origins=none,
-        )  # fmt: skip
+            rows=frozen_array(np.empty((0, genome.space.dimension))),
+            criticality=none,
+            gaps=frozen_array(np.empty((0, genome.max_participants))),
+            unsafe=none,
+            generations=none,
+            origins=none,
+        )
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -86,17 +86,19 @@ class MumoeaConfig(MultiObjectiveConfig):
     """Settings of muMOEA; `initial: random` and `differential: never` give the paper's ablations."""
 
     seeder: str = setting(
-        "heuristic", help="Source of seeds: hand-written patterns, or a language model.",
+        "heuristic",
+        help="Source of seeds: hand-written patterns, or a language model.",
         choices=("heuristic", "llm"),
-    )  # fmt: skip
+    )
     initial: str = setting("seeds", help="Source of the first population.", choices=("seeds", "random"))
     differential: str = setting(
         "stuck", help="When to request differential seeds.", choices=("stuck", "never", "always")
     )
     stuck_by: str = setting(
-        "kinds", choices=("kinds", "front"),
+        "kinds",
+        choices=("kinds", "front"),
         help="What counts as progress: a new kind of violation, or a change of the first front.",
-    )  # fmt: skip
+    )
     stuck_after: int = setting(
         3, help="Consecutive generations without progress that count as stuck (t).", ge=1, le=1_000
     )
@@ -105,9 +107,11 @@ class MumoeaConfig(MultiObjectiveConfig):
         3, help="How many times seeds that do not differ enough are sent back.", ge=0, le=10
     )
     least_share: float = setting(
-        0.5, ge=0, le=1,
+        0.5,
+        ge=0,
+        le=1,
         help="Minimum distance of a seed to violating solutions, relative to the median among known solutions.",
-    )  # fmt: skip
+    )
     weight: float = setting(0.5, help="Weight of criticality in the scalar fitness (w).", ge=0, le=1)
     crossover: str = setting(
         "mirror", help="Form of the adaptive crossover rate.", choices=tuple(str(form) for form in Crossover)
@@ -273,8 +277,14 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         base = empty_state(ledger, config)
         state = MumoeaState(
             **{name: getattr(base, name) for name in _BASE_FIELDS},
-            want=Want.NOTHING, requests=0, round=0, taken=(), rejected=(), kinds=frozenset(), stuck=0,
-        )  # fmt: skip
+            want=Want.NOTHING,
+            requests=0,
+            round=0,
+            taken=(),
+            rejected=(),
+            kinds=frozenset(),
+            stuck=0,
+        )
         rng = generator(ledger.seed, Stream.START)
         if config.initial == "random":
             return plan_generation(state, random_children(genome, config.population_size, rng), genome, rng)
@@ -413,11 +423,14 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
             raise DocumentError(f"kinds: expected a list of strings, got {kinds!r}")
         return MumoeaState(
             **{name: getattr(base, name) for name in _BASE_FIELDS},
-            want=Want(str(want)), requests=int(str(counts[0])), round=int(str(counts[1])),
+            want=Want(str(want)),
+            requests=int(str(counts[0])),
+            round=int(str(counts[1])),
             taken=tuple(zip(taken, (Origin(origin) for origin in origins), strict=True)),
             rejected=tuple(stored_rows(document, "rejected", ledger.space.dimension)),
-            kinds=frozenset(kinds), stuck=int(str(counts[2])),
-        )  # fmt: skip
+            kinds=frozenset(kinds),
+            stuck=int(str(counts[2])),
+        )
 
 
 def _with_progress(

@@ -180,10 +180,15 @@ class Breeding:
         parents = [self._parent(rng) for _ in range(count)]
         return [
             child_of(
-                self._state, self._genome, self._mutated(self._solution(parent), rng), parent, Origin.MUTATION, rng
+                self._state,
+                self._genome,
+                self._mutated(self._solution(parent), rng),
+                parent,
+                Origin.MUTATION,
+                rng,
             )
             for parent in parents
-        ]  # fmt: skip
+        ]
 
     def _parent(self, rng: np.random.Generator) -> int:
         return self._state.population[_tournament(self._ranked, rng)]

@@ -109,9 +109,11 @@ class QdConfig(BoundaryConfig):
     )
     share_crossover: float = setting(0.2, help="Share of crossings of two elites.", ge=0, le=1)
     near: float = setting(
-        0.1, ge=0, le=1,
+        0.1,
+        ge=0,
+        le=1,
         help="Share of parents of the second-best rank, such as near misses, once there is a better one.",
-    )  # fmt: skip
+    )
 
     @property
     def shares(self) -> tuple[float, ...]:
@@ -453,5 +455,5 @@ def _stored_elites(ledger: Ledger, document: Document) -> tuple[Elite, ...]:
             Elite(
                 niche=niche, number=int(number), hits=int(hits), evaluations=int(evaluations), seen=int(seen)
             )
-        )  # fmt: skip
+        )
     return tuple(elites)

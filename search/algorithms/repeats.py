@@ -253,13 +253,17 @@ class Tallies:
         mixed = (self.unsafe > 0) & (self.unsafe < self.evaluated)
         near = inside & mixed & (fitness_of_interval(self.low, self.high, p_th) <= t_b)
         return [
-            None if not self.evaluated[place]
-            else Conclusion.NEAR if near[place]
-            else Conclusion.INCONCLUSIVE if inside[place]
-            else Conclusion.BELOW if self.high[place] < p_th
+            None
+            if not self.evaluated[place]
+            else Conclusion.NEAR
+            if near[place]
+            else Conclusion.INCONCLUSIVE
+            if inside[place]
+            else Conclusion.BELOW
+            if self.high[place] < p_th
             else Conclusion.ABOVE
             for place in range(len(self.evaluated))
-        ]  # fmt: skip
+        ]
 
 
 def tallied(which: Sequence[int], unsafe: Sequence[bool], solutions: int, z: float = Z_95) -> Tallies:

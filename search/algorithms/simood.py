@@ -181,9 +181,17 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
             frozen_array(np.empty(0)),
         )
         state = SimoodState(
-            config=config, ledger=ledger, individuals=no_rows, alphas=no_values, added_harms=no_values, parts=no_rows,
-            part_alphas=no_values, population=(), children=no_rows, bred=0,
-        )  # fmt: skip
+            config=config,
+            ledger=ledger,
+            individuals=no_rows,
+            alphas=no_values,
+            added_harms=no_values,
+            parts=no_rows,
+            part_alphas=no_values,
+            population=(),
+            children=no_rows,
+            bred=0,
+        )
         rng = generator(ledger.seed, Stream.START)
         drawn = [genome.draw(rng) for _ in range(config.population_size)]
         state = _with_new_children(state, genome, drawn, rng)
@@ -211,14 +219,19 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
 
     def _content(self, state: SimoodState) -> tuple[dict[str, Any], dict[str, Any]]:
         header = {
-            "population": list(state.population), "bred": state.bred, "given_up": state.given_up,
+            "population": list(state.population),
+            "bred": state.bred,
+            "given_up": state.given_up,
             "stage": state.stage.value,
-        }  # fmt: skip
+        }
         arrays = {
-            "individuals": state.individuals, "alphas": state.alphas[:, None],
-            "added_harms": state.added_harms[:, None], "parts": state.parts,
-            "part_alphas": state.part_alphas[:, None], "children": state.children,
-        }  # fmt: skip
+            "individuals": state.individuals,
+            "alphas": state.alphas[:, None],
+            "added_harms": state.added_harms[:, None],
+            "parts": state.parts,
+            "part_alphas": state.part_alphas[:, None],
+            "children": state.children,
+        }
         return header, arrays
 
     def _restored(self, ledger: Ledger, config: SimoodConfig, document: Document) -> SimoodState:
@@ -399,9 +412,11 @@ def _with_alphas(
         (part_alphas if is_part else alphas).append(np.array([alpha]))
     told = replace(
         state,
-        individuals=frozen_array(np.concatenate(rows)), alphas=frozen_array(np.concatenate(alphas)),
-        parts=frozen_array(np.concatenate(part_rows)), part_alphas=frozen_array(np.concatenate(part_alphas)),
-    )  # fmt: skip
+        individuals=frozen_array(np.concatenate(rows)),
+        alphas=frozen_array(np.concatenate(alphas)),
+        parts=frozen_array(np.concatenate(part_rows)),
+        part_alphas=frozen_array(np.concatenate(part_alphas)),
+    )
     # Pairs of steps are measured only after the search, so older values stay valid until then.
     first = len(state.individuals) if state.stage is Stage.SEARCH else 0
     added_harms = _added_harms(told, genome, range(first, len(told.individuals)))

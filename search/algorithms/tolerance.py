@@ -840,9 +840,12 @@ class _Results:
         archive = state.ledger.archive
         drives = state.drives
         self._tally = tally(
-            layout, archive.vectors, archive.numbers.tolist(), archive.unsafe,
+            layout,
+            archive.vectors,
+            archive.numbers.tolist(),
+            archive.unsafe,
             [drives[number] for number in archive.numbers.tolist()],
-        )  # fmt: skip
+        )
 
     def plan_truth(self, plan: _Plan) -> None:
         """Plan the drives without an error that tell whether it caused a violation."""
@@ -885,9 +888,10 @@ class _Results:
         for group, is_grossest in sorted(kinds, key=str):
             curves = scaled(library(_CURVES)) if is_grossest else library(_CURVES)
             places = [
-                place for place, cell in enumerate(layout.cells)
+                place
+                for place, cell in enumerate(layout.cells)
                 if (cell.group, layout.is_grossest(cell)) == (group, is_grossest)
-            ]  # fmt: skip
+            ]
             counts = self._tally.counts
             likely = weights(Counts(drives=counts.drives[places], caused=counts.caused[places]), curves)
             severity, middle = self._severities(group, curves)

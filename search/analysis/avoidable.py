@@ -75,8 +75,11 @@ def avoidable_first(avoidable: Avoidable | None) -> int:
 
 
 _PLACES: Final[Mapping[Avoidable | None, int]] = {
-    Avoidable.CAREFUL: 0, Avoidable.IDEAL: 1, Avoidable.NO: 2, None: 2,
-}  # fmt: skip
+    Avoidable.CAREFUL: 0,
+    Avoidable.IDEAL: 1,
+    Avoidable.NO: 2,
+    None: 2,
+}
 
 
 def avoidable_of(violation: Mapping[str, Any]) -> Avoidable | None:

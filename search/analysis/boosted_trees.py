@@ -110,9 +110,12 @@ class BoostedTrees:
         calibration = calibrated(unseen, unsafe)
         left_out = 1.0 - float(np.mean([one.fitted.mean() for one in parts]))
         return cls(
-            features=features, forest=forest, calibration=calibration,
-            covariance=_covariance(calibration, unseen, unsafe, kinds), inflation=(1.0 - left_out) / left_out,
-        )  # fmt: skip
+            features=features,
+            forest=forest,
+            calibration=calibration,
+            covariance=_covariance(calibration, unseen, unsafe, kinds),
+            inflation=(1.0 - left_out) / left_out,
+        )
 
     @classmethod
     def of(cls, features: Features, document: Mapping[str, Any]) -> Self:
@@ -156,9 +159,10 @@ class BoostedTrees:
     def to_document(self) -> dict[str, Any]:
         """Return the model as a JSON object."""
         found = {
-            "calibration": self.calibration.tolist(), "covariance": self.covariance.tolist(),
+            "calibration": self.calibration.tolist(),
+            "covariance": self.covariance.tolist(),
             "forest": self.forest.to_document(),
-        }  # fmt: skip
+        }
         return found if self.inflation is None else found | {"inflation": self.inflation}
 
     def estimate(self, rows: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -247,10 +251,13 @@ def forest_of(models: Sequence[Any], features: int) -> Forest:
             owners.append(owner)
             total += len(nodes)
     document = {
-        "right": np.concatenate(right), "feature": np.concatenate(feature), "value": np.concatenate(value),
-        "roots": roots, "owners": owners,
+        "right": np.concatenate(right),
+        "feature": np.concatenate(feature),
+        "value": np.concatenate(value),
+        "roots": roots,
+        "owners": owners,
         "offsets": [float(model._baseline_prediction.ravel()[0]) for model in models],
-    }  # fmt: skip
+    }
     return Forest.of(document, features)
 
 

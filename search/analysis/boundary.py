@@ -333,8 +333,10 @@ def by_p_th(archive: Archive, p_ths: Sequence[float], *, t_b: float, d_th: float
 
 def _summary(archive: Archive, t_b: float, d_th: float) -> Rescored:
     return Rescored(
-        radius=archive.neighbourhood.radius, p_th=archive.neighbourhood.p_th,
+        radius=archive.neighbourhood.radius,
+        p_th=archive.neighbourhood.p_th,
         neighbours=float(np.median(archive.neighbours)) if len(archive) else 0.0,
-        near=int((archive.fitness <= t_b).sum()), dbs=dbs(archive, t_b, d_th),
+        near=int((archive.fitness <= t_b).sum()),
+        dbs=dbs(archive, t_b, d_th),
         strict_dbs=strict_dbs(archive, t_b, d_th),
-    )  # fmt: skip
+    )

@@ -100,9 +100,13 @@ def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> l
     rows = []
     for campaign in campaigns:
         scores = scored(
-            campaign.archive, campaign.space, simulations=campaign.simulations, seed=campaign.seed,
-            fractions=(1.0,), control=control,
-        )  # fmt: skip
+            campaign.archive,
+            campaign.space,
+            simulations=campaign.simulations,
+            seed=campaign.seed,
+            fractions=(1.0,),
+            control=control,
+        )
         rows += rows_of(scores, campaign=campaign.id, label=campaign.label)
     return rows
 
@@ -117,17 +121,27 @@ def rows_of(scores: Scores, *, campaign: str, label: str) -> list[Row]:
     """
     figures = scores.figures
     own = Row(
-        label=label, campaign=campaign, unsafe_share=scores.unsafe / scores.evaluated if scores.evaluated else 0.0,
-        dbs=figures.dbs[-1], strict=figures.strict[-1], strict_spread=np.zeros_like(figures.strict[-1]),
-        repeats=None, beyond=scores.beyond,
-    )  # fmt: skip
+        label=label,
+        campaign=campaign,
+        unsafe_share=scores.unsafe / scores.evaluated if scores.evaluated else 0.0,
+        dbs=figures.dbs[-1],
+        strict=figures.strict[-1],
+        strict_spread=np.zeros_like(figures.strict[-1]),
+        repeats=None,
+        beyond=scores.beyond,
+    )
     if (blind := scores.control) is None:
         return [own]
     control = Row(
-        label=f"{label}, control", campaign=campaign, unsafe_share=blind.unsafe_share,
-        dbs=blind.figures.dbs[-1], strict=blind.figures.strict[-1], strict_spread=blind.spread,
-        repeats=blind.repeats, beyond=scores.beyond,
-    )  # fmt: skip
+        label=f"{label}, control",
+        campaign=campaign,
+        unsafe_share=blind.unsafe_share,
+        dbs=blind.figures.dbs[-1],
+        strict=blind.figures.strict[-1],
+        strict_spread=blind.spread,
+        repeats=blind.repeats,
+        beyond=scores.beyond,
+    )
     return [own, control]
 
 
@@ -266,14 +280,17 @@ def standings(repeats: Sequence[Repeat]) -> list[Standing]:
     """Return Table 1: means and 95% confidence intervals for every `Line`, measure, t_b and `D_THS`."""
     return [
         Standing(
-            line=line, measure=measure, t_b=t_b, d_th=d_th,
+            line=line,
+            measure=measure,
+            t_b=t_b,
+            d_th=d_th,
             value=mean_interval(values_of(campaigns, measure, t_b, d_th)),
         )
         for line, campaigns in lines_of(repeats).items()
         for measure in Measure
         for t_b in PAPER_T_BS
         for d_th in D_THS
-    ]  # fmt: skip
+    ]
 
 
 def is_significant(p_value: float | None, level: float) -> bool:
@@ -331,13 +348,20 @@ def compared_lines(
     adjusted = holm([result.p_value for result in results])
     return [
         Duel(
-            first=first, second=second, measure=measure, t_b=t_b, d_th=d_th, result=result, adjusted=p_value,
-            found_nothing=not all(map(any, found)), level=level,
+            first=first,
+            second=second,
+            measure=measure,
+            t_b=t_b,
+            d_th=d_th,
+            result=result,
+            adjusted=p_value,
+            found_nothing=not all(map(any, found)),
+            level=level,
         )
         for ((first, second), t_b, d_th), found, result, p_value in zip(
             places, values, results, adjusted, strict=True
         )
-    ]  # fmt: skip
+    ]
 
 
 def values_of(
@@ -400,13 +424,21 @@ def leads(repeats: Sequence[Repeat], problem: str, measure: Measure, d_th: float
         if line.problem == problem and not line.control
     }
     return [
-        _lead((first, second), measure, (t_b, d_th), [
-            (values_of(lines[first], measure, t_b, d_th, k), values_of(lines[second], measure, t_b, d_th, k))
-            for k in range(len(PAPER_FRACTIONS))
-        ])
+        _lead(
+            (first, second),
+            measure,
+            (t_b, d_th),
+            [
+                (
+                    values_of(lines[first], measure, t_b, d_th, k),
+                    values_of(lines[second], measure, t_b, d_th, k),
+                )
+                for k in range(len(PAPER_FRACTIONS))
+            ],
+        )
         for first, second in itertools.combinations(lines, 2)
         for t_b in PAPER_T_BS
-    ]  # fmt: skip
+    ]
 
 
 def _lead(
@@ -417,11 +449,15 @@ def _lead(
 ) -> Lead:
     """Return a lead, given the values of the campaigns of both methods at each share of the budget."""
     return Lead(
-        first=pair[0].method, second=pair[1].method, measure=measure, t_b=thresholds[0], d_th=thresholds[1],
+        first=pair[0].method,
+        second=pair[1].method,
+        measure=measure,
+        t_b=thresholds[0],
+        d_th=thresholds[1],
         differences=tuple(float(np.mean(first) - np.mean(second)) for first, second in values),
         p_values=tuple(compared(first, second).p_value for first, second in values),
         found_nothing=not any(any(one) for both in values for one in both),
-    )  # fmt: skip
+    )
 
 
 def lead_words(lead: Lead, level: float = PAPER_LEVEL) -> str:

@@ -3,7 +3,7 @@
 A search does not sample evenly: the unsafe share by parameter value shows where unsafe solutions were found, not how
 likely they are. The shares have no intervals and no test of significance, which would need independent solutions: a
 search breeds its solutions from each other, and relatives share both values and verdicts. What a test would call
-significant where no parameter has an effect: `brink bench coverage --only dependence` (ADR 66).
+significant where no parameter has an effect: `python -m benchmarks coverage --only dependence` (ADR 66).
 """
 
 from dataclasses import dataclass

@@ -85,6 +85,8 @@ def ground_of(
         for values in (share, is_telling(archive)[rows].astype(np.float64))
     )
     return Ground(
-        low=low, high=high, tint=tint_of(smooth, archive.neighbourhood.p_th),
+        low=low,
+        high=high,
+        tint=tint_of(smooth, archive.neighbourhood.p_th),
         clarity=np.clip(weight / CLEAR, 0, 1) * (FAINT + (1 - FAINT) * told),
-    )  # fmt: skip
+    )

@@ -158,9 +158,9 @@ def _estimate(name: str, above: FloatArray, below: FloatArray, step: float, conf
 
 _FALLS: Final = frozenset({"reduction", "distance_lost", "distance_lost_when_safe"})
 """Figures that are one minus their ratio: by how much something falls."""
-_SHARES: Final = frozenset({
-    "share_without", "share_with", "prevented_share", "caused_share", "other_share", "alarmed_when_safe",
-})  # fmt: skip
+_SHARES: Final = frozenset(
+    {"share_without", "share_with", "prevented_share", "caused_share", "other_share", "alarmed_when_safe"}
+)
 """Figures that are plain shares of drives."""
 
 

@@ -132,12 +132,14 @@ def fit_horizons(
     _check_forest(forest, models, steps)
     return FittedHorizons(
         forest=forest,
-        calibration=np.array([
-            calibrated(np.concatenate([one[:, place] for one in unseen]), _labels(drives, horizon_s))
-            for place, horizon_s in enumerate(horizons_s)
-        ]),
+        calibration=np.array(
+            [
+                calibrated(np.concatenate([one[:, place] for one in unseen]), _labels(drives, horizon_s))
+                for place, horizon_s in enumerate(horizons_s)
+            ]
+        ),
         unseen=tuple(unseen),
-    )  # fmt: skip
+    )
 
 
 def _score(
@@ -240,18 +242,28 @@ class _Steps:
         rows, weights = np.concatenate(features), np.concatenate(weight)
         bins = _Bins.of(rows, weights)
         return cls(
-            bins=bins, binned=bins.indices(rows), features=rows, until_s=np.concatenate(until_s), weight=weights,
+            bins=bins,
+            binned=bins.indices(rows),
+            features=rows,
+            until_s=np.concatenate(until_s),
+            weight=weights,
             drive=np.concatenate(places),
-        )  # fmt: skip
+        )
 
     def fitted(self, kept: BoolArray, horizon_s: float) -> Any:
         """Return scikit-learn's model of one horizon, fitted to some of the steps."""
         from sklearn.ensemble import HistGradientBoostingClassifier  # optional, and slow to import
 
         model = HistGradientBoostingClassifier(
-            max_iter=TREES, max_leaf_nodes=LEAVES, learning_rate=LEARNING_RATE, l2_regularization=SHRINKAGE,
-            min_samples_leaf=LEAST_STEPS_OF_A_LEAF, max_bins=BINS, early_stopping=False, random_state=0,
-        )  # fmt: skip
+            max_iter=TREES,
+            max_leaf_nodes=LEAVES,
+            learning_rate=LEARNING_RATE,
+            l2_regularization=SHRINKAGE,
+            min_samples_leaf=LEAST_STEPS_OF_A_LEAF,
+            max_bins=BINS,
+            early_stopping=False,
+            random_state=0,
+        )
         model.fit(self.binned[kept], self.until_s[kept] <= horizon_s, sample_weight=self.weight[kept])
         return model
 

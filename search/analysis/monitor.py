@@ -105,23 +105,34 @@ class Risks:
     def answers(self, threshold: float) -> list[Answer]:
         """Return the answers for a threshold probability, each decided by the interval."""
         return [
-            Answer.UNKNOWN if unlike else
-            Answer.UNSAFE if low > threshold else
-            Answer.SAFE if high <= threshold else Answer.UNKNOWN
+            Answer.UNKNOWN
+            if unlike
+            else Answer.UNSAFE
+            if low > threshold
+            else Answer.SAFE
+            if high <= threshold
+            else Answer.UNKNOWN
             for low, high, unlike in zip(self.low.tolist(), self.high.tolist(), self.unlike, strict=True)
-        ]  # fmt: skip
+        ]
 
     def each(self, threshold: float) -> "list[Risk]":
         """Return the estimate for each solution, with the answer for a threshold probability."""
         count = len(self.probability)
         return [
-            Risk(probability=p, low=low, high=high, neighbours=n, nearest=nearest, unlike=unlike, answer=answer)
-            for p, low, high, n, nearest, unlike, answer in zip(
-                self.probability.tolist(), self.low.tolist(), self.high.tolist(),
-                [None] * count if self.neighbours is None else self.neighbours.tolist(),
-                self.nearest.tolist(), self.unlike, self.answers(threshold), strict=True,
+            Risk(
+                probability=p, low=low, high=high, neighbours=n, nearest=nearest, unlike=unlike, answer=answer
             )
-        ]  # fmt: skip
+            for p, low, high, n, nearest, unlike, answer in zip(
+                self.probability.tolist(),
+                self.low.tolist(),
+                self.high.tolist(),
+                [None] * count if self.neighbours is None else self.neighbours.tolist(),
+                self.nearest.tolist(),
+                self.unlike,
+                self.answers(threshold),
+                strict=True,
+            )
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,10 +209,15 @@ class Monitor:
         rows, verdicts = _checked(space, vectors, unsafe, threshold, z)
         features = Features.of_space(space)
         return cls(
-            space=space, vectors=rows, unsafe=verdicts, threshold=threshold, z=z, features=features,
+            space=space,
+            vectors=rows,
+            unsafe=verdicts,
+            threshold=threshold,
+            z=z,
+            features=features,
             estimator=Neighbours.of(space, weights, rows, verdicts),
             coverage=Coverage.of(space, rows, features.orders),
-        )  # fmt: skip
+        )
 
     @classmethod
     def fitted(
@@ -233,10 +249,15 @@ class Monitor:
         rows, verdicts = _checked(space, vectors, unsafe, threshold, z)
         features = Features.of_space(space)
         return cls(
-            space=space, vectors=rows, unsafe=verdicts, threshold=threshold, z=z, features=features,
+            space=space,
+            vectors=rows,
+            unsafe=verdicts,
+            threshold=threshold,
+            z=z,
+            features=features,
             estimator=_fitted(features, rows, verdicts, model, seed),
             coverage=Coverage.of(space, rows, features.orders),
-        )  # fmt: skip
+        )
 
     def refitted(self, model: Model, *, seed: int = 1) -> Self:
         """Return a monitor with another model fitted to the same simulated solutions.
@@ -288,9 +309,13 @@ class Monitor:
             probability, low, high = self.estimator.estimate(rows, self.z)
         nearest = self.coverage.nearest(rows)
         return Risks(
-            probability=probability, low=low, high=high, neighbours=neighbours, nearest=nearest,
+            probability=probability,
+            low=low,
+            high=high,
+            neighbours=neighbours,
+            nearest=nearest,
             unlike=self.coverage.reasons(rows, nearest),
-        )  # fmt: skip
+        )
 
     def encoded(self, values: Mapping[str, Mapping[str, object]]) -> FloatArray:
         """Return the row of a complete solution, shape ``(d,)``; it may be outside the ODD, which its risk says.
@@ -392,9 +417,15 @@ class Monitor:
         else:
             estimator = Neighbours.of(space, stored["weights"], rows, verdicts)
         return cls(
-            space=space, vectors=rows, unsafe=verdicts, threshold=threshold, z=z, features=features,
-            estimator=estimator, coverage=Coverage.of(space, rows, features.orders),
-        )  # fmt: skip
+            space=space,
+            vectors=rows,
+            unsafe=verdicts,
+            threshold=threshold,
+            z=z,
+            features=features,
+            estimator=estimator,
+            coverage=Coverage.of(space, rows, features.orders),
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

@@ -135,10 +135,14 @@ def classification_metrics(
 def _bin(probability: FloatArray, unsafe: BoolArray, low: FloatArray, high: FloatArray) -> CalibrationBin:
     observed_low, observed_high = wilson_interval(int(unsafe.sum()), int(unsafe.size))
     return CalibrationBin(
-        solutions=int(unsafe.size), predicted=float(probability.mean()), low=float(low.mean()),
-        high=float(high.mean()), observed=float(unsafe.mean()), observed_low=float(observed_low),
+        solutions=int(unsafe.size),
+        predicted=float(probability.mean()),
+        low=float(low.mean()),
+        high=float(high.mean()),
+        observed=float(unsafe.mean()),
+        observed_low=float(observed_low),
         observed_high=float(observed_high),
-    )  # fmt: skip
+    )
 
 
 def operating_points(
@@ -241,9 +245,11 @@ def evaluate_pairs(monitor: Monitor, safe: FloatArray, unsafe: FloatArray) -> Pa
     of_safe, of_unsafe = monitor.score(safe).probability, monitor.score(unsafe).probability
     right = (of_safe <= MORE_LIKELY_THAN_NOT) & (of_unsafe > MORE_LIKELY_THAN_NOT)
     return PairAccuracy(
-        pairs=len(safe), both_right=int(right.sum()), ranked=int((of_unsafe > of_safe).sum()),
+        pairs=len(safe),
+        both_right=int(right.sum()),
+        ranked=int((of_unsafe > of_safe).sum()),
         difference=float(np.mean(of_unsafe - of_safe)),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -343,14 +349,15 @@ def evaluate_monitor(
         predictors=tuple(predictors),
         answers=tuple(
             AnswerCount(
-                answer=answer, solutions=int((answers == answer).sum()),
+                answer=answer,
+                solutions=int((answers == answer).sum()),
                 unsafe=int((truth & (answers == answer)).sum()),
             )
             for answer in Answer
         ),
         unlike=sum(map(bool, risks.unlike)),
         left_out=left_out,
-    )  # fmt: skip
+    )
 
 
 def _predictor(

@@ -68,9 +68,13 @@ class Neighbours:
             raise ValueError(f"expected {space.dimension} weights >= 0, got {given.tolist()}")
         scales = np.where(space.categorical, 0.0, given / space.ranges)
         return cls(
-            space=space, weights=given, vectors=vectors, unsafe=unsafe, _scales=frozen_array(scales),
+            space=space,
+            weights=given,
+            vectors=vectors,
+            unsafe=unsafe,
+            _scales=frozen_array(scales),
             _numbers=frozen_array(_scaled(vectors, scales)),
-        )  # fmt: skip
+        )
 
     @classmethod
     def fitted(

@@ -278,14 +278,18 @@ def pair_standings(repeats: Sequence[PairRepeat]) -> list[PairStanding]:
 def _standing(problem: str, method: str, counts: Sequence[PairCounts], *, computed: bool) -> PairStanding:
     known = 0 if computed else sum(one.is_tried for one in counts)
     return PairStanding(
-        problem=problem, method=method, known=known,
-        pairs=sum(one.distinct for one in counts), checked=sum(one.checked for one in counts),
-        tried=sum(one.tried for one in counts), distinct=mean_interval([one.distinct for one in counts]),
+        problem=problem,
+        method=method,
+        known=known,
+        pairs=sum(one.distinct for one in counts),
+        checked=sum(one.checked for one in counts),
+        tried=sum(one.tried for one in counts),
+        distinct=mean_interval([one.distinct for one in counts]),
         confirmed=mean_interval([one.confirmed for one in counts]) if known == len(counts) else None,
         precision=Proportion.pooled((one.checked_confirmed, one.checked_judged) for one in counts),
         overall=Proportion.pooled((one.confirmed, one.judged) for one in counts),
         component=Proportion.pooled((one.component, one.component + one.scenario) for one in counts),
-    )  # fmt: skip
+    )
 
 
 def measure_of(repeats: Sequence[PairRepeat], problem: str) -> PairMeasure:
@@ -341,9 +345,15 @@ def _duels(repeats: Sequence[PairRepeat], problem: str, level: float) -> list[Pa
     adjusted = holm([result.p_value for result in results])
     return [
         PairDuel(
-            problem=problem, first=first, second=second, measure=measure,
-            first_mean=mean_interval(values[first]).mean, second_mean=mean_interval(values[second]).mean,
-            result=result, adjusted=p_value, level=level,
+            problem=problem,
+            first=first,
+            second=second,
+            measure=measure,
+            first_mean=mean_interval(values[first]).mean,
+            second_mean=mean_interval(values[second]).mean,
+            result=result,
+            adjusted=p_value,
+            level=level,
         )
         for (first, second), result, p_value in zip(pairs, results, adjusted, strict=True)
-    ]  # fmt: skip
+    ]

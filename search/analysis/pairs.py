@@ -176,24 +176,31 @@ def find_pairs(
     def side(place: int) -> Side:
         first = int(solutions.first[place])
         return Side(
-            number=int(archive.numbers[first]), evaluated=int(solutions.evaluated[place]),
-            seeds=int(solutions.seeds[place]), seed=None if seeds is None else int(seeds[first]),
+            number=int(archive.numbers[first]),
+            evaluated=int(solutions.evaluated[place]),
+            seeds=int(solutions.seeds[place]),
+            seed=None if seeds is None else int(seeds[first]),
             robustness=float(archive.robustness[first]),
-        )  # fmt: skip
+        )
 
     return FoundPairs(
         pairs=tuple(
             Pair(
-                safe=side(safe), unsafe=side(unsafe), distance=distance,
+                safe=side(safe),
+                unsafe=side(unsafe),
+                distance=distance,
                 units=tuple(steps.differing(rows[safe], rows[unsafe])),
             )
             for safe, unsafe, distance in zip(
                 taken.safe.tolist(), taken.unsafe.tolist(), taken.distance.tolist(), strict=True
             )
         ),
-        tight=len(found), without_part=without_part, chancy=int((~is_safe & ~is_unsafe).sum()),
-        safe=int(is_safe.sum()), unsafe=int(is_unsafe.sum()),
-    )  # fmt: skip
+        tight=len(found),
+        without_part=without_part,
+        chancy=int((~is_safe & ~is_unsafe).sum()),
+        safe=int(is_safe.sum()),
+        unsafe=int(is_unsafe.sum()),
+    )
 
 
 def _differ_in_a_part(
@@ -247,9 +254,7 @@ def nearest_opposites(archive: Archive, space: SearchSpace) -> Opposites | None:
         row, column = np.unravel_index(int(distances.argmin()), distances.shape)
         found.append((float(distances[row, column]), int(part[row]), int(unsafe[column])))
     distance, one, other = min(found)
-    return Opposites(
-        safe=int(archive.numbers[one]), unsafe=int(archive.numbers[other]), distance=distance
-    )  # fmt: skip
+    return Opposites(safe=int(archive.numbers[one]), unsafe=int(archive.numbers[other]), distance=distance)
 
 
 def _without_duplicates(archive: Archive, seeds: IntArray | None) -> _Solutions:
@@ -287,9 +292,10 @@ def _tight(rows: FloatArray, steps: Steps, safe: IntArray, unsafe: IntArray, eps
         total += len(some)
         _check_few(total, eps)
     return _Candidates(
-        safe=np.concatenate([one.safe for one in found]), unsafe=np.concatenate([one.unsafe for one in found]),
+        safe=np.concatenate([one.safe for one in found]),
+        unsafe=np.concatenate([one.unsafe for one in found]),
         distance=np.concatenate([one.distance for one in found]),
-    )  # fmt: skip
+    )
 
 
 def _check_few(tight: int, eps: float) -> None:

@@ -151,9 +151,15 @@ def region_rules(
     held_out = _half(inside, groups, state)
     if held_out is None:
         return Rules(
-            region=region, solutions=len(inside), inside=int(inside.sum()), held_out=0, held_out_inside=0, rules=(),
-            accuracy=None, balanced=None,
-        )  # fmt: skip
+            region=region,
+            solutions=len(inside),
+            inside=int(inside.sum()),
+            held_out=0,
+            held_out_inside=0,
+            rules=(),
+            accuracy=None,
+            balanced=None,
+        )
     leaf = min(LEAST_LEAF, max(1, len(table) // 10))
     tree = DecisionTreeClassifier(max_depth=DEPTH, min_samples_leaf=leaf, random_state=state)
     tree.fit(table[~held_out], inside[~held_out])

@@ -11,7 +11,7 @@ and twice the GA's.
 Limits: equal figures do not prove that the behaviour has no effect, because DBS counts neighbourhoods and can miss a
 real dependence, and a difference says nothing about the effect on any single solution. Scenarios must have been
 evaluated several times. The estimate for a scenario evaluated once comes mostly from similar ones, which flattens the
-landscape, so that the control reads far too low; see `Control.reads_low` and `brink bench control`.
+landscape, so that the control reads far too low; see `Control.reads_low` and `python -m benchmarks control`.
 """
 
 from collections.abc import Sequence
@@ -240,10 +240,12 @@ def scored(
             repeats=risk.repeats,
         )
     return Scores(
-        evaluated=len(within), unsafe=int(np.count_nonzero(within.unsafe)),
+        evaluated=len(within),
+        unsafe=int(np.count_nonzero(within.unsafe)),
         beyond=len(archive) - len(within),
-        figures=_figures(within, simulations, fractions), control=blind,
-    )  # fmt: skip
+        figures=_figures(within, simulations, fractions),
+        control=blind,
+    )
 
 
 def _figures(archive: Archive, simulations: int, fractions: Sequence[float]) -> Figures:

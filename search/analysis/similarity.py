@@ -62,9 +62,12 @@ class Projection:
         count = len(vectors)
         if count < 2:
             return cls(
-                metric=metric, landmarks=np.empty((0, metric.dimension)),
-                centre=np.empty(0), scale=np.empty((0, 2)), explained=1.0,
-            )  # fmt: skip
+                metric=metric,
+                landmarks=np.empty((0, metric.dimension)),
+                centre=np.empty(0),
+                scale=np.empty((0, 2)),
+                explained=1.0,
+            )
         chosen = (
             np.arange(count)
             if count <= exact_points

@@ -218,9 +218,16 @@ class _Mover:
         self, index: int, lasts_s: float, speed_mps: float, accel_mps2: float, aside_m: float
     ) -> None:
         stretch = Stretch(
-            gene=index, from_s=self._time_s, lasts_s=lasts_s, s_m=self._s_m, d_m=self._d_m,
-            heading_rad=self._heading_rad, speed_mps=speed_mps, accel_mps2=accel_mps2, aside_m=aside_m,
-        )  # fmt: skip
+            gene=index,
+            from_s=self._time_s,
+            lasts_s=lasts_s,
+            s_m=self._s_m,
+            d_m=self._d_m,
+            heading_rad=self._heading_rad,
+            speed_mps=speed_mps,
+            accel_mps2=accel_mps2,
+            aside_m=aside_m,
+        )
         self.stretches.append(stretch)
         self._time_s = stretch.from_s + stretch.lasts_s
         self._s_m, self._d_m, self._speed = stretch.end

@@ -298,42 +298,58 @@ def brake_ahead(road: RoadLimits, rng: np.random.Generator) -> Solution:
     """Draw a vehicle ahead of the ego that brakes hard without a reason."""
     return (
         _vehicle(
-            rng, float(rng.uniform(14.0, 32.0)), 0.0, float(rng.uniform(7.0, 11.0)),
-            _gene(Action.KEEP, 0.5, 4.0, rng), _gene(Action.BRAKE, 1.5, 4.0, rng, 0.5),
+            rng,
+            float(rng.uniform(14.0, 32.0)),
+            0.0,
+            float(rng.uniform(7.0, 11.0)),
+            _gene(Action.KEEP, 0.5, 4.0, rng),
+            _gene(Action.BRAKE, 1.5, 4.0, rng, 0.5),
         ),
-    )  # fmt: skip
+    )
 
 
 def cut_in(road: RoadLimits, rng: np.random.Generator) -> Solution:
     """Draw a vehicle beside or ahead of the ego that moves into its lane and slows down."""
     return (
         _vehicle(
-            rng, float(rng.uniform(4.0, 22.0)), road.lane_width_m, float(rng.uniform(7.0, 11.0)),
-            _gene(Action.KEEP, 0.5, 3.0, rng), _gene(Action.CUT_IN, 1.0, 2.5, rng, 0.3),
+            rng,
+            float(rng.uniform(4.0, 22.0)),
+            road.lane_width_m,
+            float(rng.uniform(7.0, 11.0)),
+            _gene(Action.KEEP, 0.5, 3.0, rng),
+            _gene(Action.CUT_IN, 1.0, 2.5, rng, 0.3),
             _gene(Action.BRAKE, 1.0, 3.0, rng),
         ),
-    )  # fmt: skip
+    )
 
 
 def overtaken(road: RoadLimits, rng: np.random.Generator) -> Solution:
     """Draw a vehicle that approaches from behind, overtakes and cuts in."""
     return (
         _vehicle(
-            rng, float(rng.uniform(-30.0, -10.0)), road.lane_width_m, float(rng.uniform(9.0, 13.0)),
-            _gene(Action.ACCELERATE, 1.0, 3.0, rng), _gene(Action.CUT_IN, 1.0, 2.5, rng, 0.3),
+            rng,
+            float(rng.uniform(-30.0, -10.0)),
+            road.lane_width_m,
+            float(rng.uniform(9.0, 13.0)),
+            _gene(Action.ACCELERATE, 1.0, 3.0, rng),
+            _gene(Action.CUT_IN, 1.0, 2.5, rng, 0.3),
             _gene(Action.BRAKE, 1.0, 3.0, rng),
         ),
-    )  # fmt: skip
+    )
 
 
 def from_behind(road: RoadLimits, rng: np.random.Generator) -> Solution:
     """Draw a vehicle behind the ego that accelerates towards it."""
     return (
         _vehicle(
-            rng, float(rng.uniform(-35.0, -12.0)), 0.0, float(rng.uniform(8.0, 12.0)),
-            _gene(Action.ACCELERATE, 1.0, 4.0, rng, 0.3), _gene(Action.KEEP, 1.0, 4.0, rng),
+            rng,
+            float(rng.uniform(-35.0, -12.0)),
+            0.0,
+            float(rng.uniform(8.0, 12.0)),
+            _gene(Action.ACCELERATE, 1.0, 4.0, rng, 0.3),
+            _gene(Action.KEEP, 1.0, 4.0, rng),
         ),
-    )  # fmt: skip
+    )
 
 
 def oncoming_overtake(road: RoadLimits, rng: np.random.Generator) -> Solution:
@@ -360,19 +376,27 @@ def person_crosses(road: RoadLimits, rng: np.random.Generator) -> Solution:
     genes = (_gene(Action.KEEP, 0.5, 3.0, rng), first, second)
     return (
         Participant(
-            kind=Kind.PEDESTRIAN, ds_m=float(rng.uniform(8.0, 40.0)),
-            dd_m=road.right_kerb_m - 0.5 if right else road.left_kerb_m + 0.5, dyaw_rad=0.0,
-            speed_mps=float(rng.uniform(0.0, 1.5)), genes=genes,
+            kind=Kind.PEDESTRIAN,
+            ds_m=float(rng.uniform(8.0, 40.0)),
+            dd_m=road.right_kerb_m - 0.5 if right else road.left_kerb_m + 0.5,
+            dyaw_rad=0.0,
+            speed_mps=float(rng.uniform(0.0, 1.5)),
+            genes=genes,
         ),
-    )  # fmt: skip
+    )
 
 
 def squeeze(road: RoadLimits, rng: np.random.Generator) -> Solution:
     """Draw an oncoming vehicle that drifts into the ego's lane while a pedestrian steps onto the road."""
     drifts = _vehicle(
-        rng, float(rng.uniform(30.0, 48.0)), road.lane_width_m, float(rng.uniform(6.0, 10.0)),
-        _gene(Action.CHANGE_LEFT, 1.0, 3.0, rng), _gene(Action.KEEP, 1.0, 4.0, rng), oncoming=True,
-    )  # fmt: skip
+        rng,
+        float(rng.uniform(30.0, 48.0)),
+        road.lane_width_m,
+        float(rng.uniform(6.0, 10.0)),
+        _gene(Action.CHANGE_LEFT, 1.0, 3.0, rng),
+        _gene(Action.KEEP, 1.0, 4.0, rng),
+        oncoming=True,
+    )
     return drifts, *person_crosses(road, rng)
 
 
@@ -385,17 +409,26 @@ def from_street(road: RoadLimits, rng: np.random.Generator) -> Solution:
     (vehicle,) = brake_ahead(road, rng)
     return (
         Participant(
-            kind=vehicle.kind, ds_m=street_m,
-            dd_m=float(rng.uniform(8.0, 35.0)) * (-1.0 if right else 1.0), dyaw_rad=0.5 * math.pi,
+            kind=vehicle.kind,
+            ds_m=street_m,
+            dd_m=float(rng.uniform(8.0, 35.0)) * (-1.0 if right else 1.0),
+            dyaw_rad=0.5 * math.pi,
             speed_mps=float(rng.uniform(4.0, 11.0)),
             genes=(_gene(Action.KEEP, 1.0, 4.0, rng), _gene(Action.ACCELERATE, 1.0, 4.0, rng)),
         ),
-    )  # fmt: skip
+    )
 
 
 PATTERNS: Final[tuple[Pattern, ...]] = (
-    brake_ahead, cut_in, overtaken, from_behind, oncoming_overtake, person_crosses, squeeze, from_street,
-)  # fmt: skip
+    brake_ahead,
+    cut_in,
+    overtaken,
+    from_behind,
+    oncoming_overtake,
+    person_crosses,
+    squeeze,
+    from_street,
+)
 MOTIFS: Final[tuple[Pattern, ...]] = (brake_ahead, cut_in, from_behind, overtaken)
 """MOSAT's motifs: brake ahead; cut in from the side; accelerate behind; overtake and cut in."""
 

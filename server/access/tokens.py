@@ -103,10 +103,15 @@ def create_token(connection: Connection, scope: Scope, name: str, expires_in: ti
     now = database_now(connection)
     connection.execute(
         insert(TokenRow).values(
-            id=token_id, name=name, scope=scope, digest=token_digest(token), created_at=now,
-            expires_at=None if expires_in is None else now + expires_in, revoked_at=None,
+            id=token_id,
+            name=name,
+            scope=scope,
+            digest=token_digest(token),
+            created_at=now,
+            expires_at=None if expires_in is None else now + expires_in,
+            revoked_at=None,
         )
-    )  # fmt: skip
+    )
     return token
 
 

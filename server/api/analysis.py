@@ -216,27 +216,47 @@ def _map_view(
     new, points = rows[first:], drawn.points[first:]
     groups = list(dict.fromkeys([*outcomes.groups, *(one.outcome for one in reported.results)]))
     return MapView.model_construct(
-        version=drawn.version, generation=found.generation, evaluated=len(archive), drawn=len(rows),
-        explained=drawn.explained, own_axes=drawn.own_axes, across=drawn.axes[0], up=drawn.axes[1], first=first,
-        number=archive.numbers[new].tolist(), told_in=np.searchsorted(ends, new, side="right").tolist(),
-        unsafe=archive.unsafe[new].astype(np.int64).tolist(), outcome=outcomes.which[new].tolist(),
-        outcomes=[group.words for group in groups], outcome_kinds=[group.kind for group in groups],
-        kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind}, outcomes_in_words=outcomes.sentence(),
+        version=drawn.version,
+        generation=found.generation,
+        evaluated=len(archive),
+        drawn=len(rows),
+        explained=drawn.explained,
+        own_axes=drawn.own_axes,
+        across=drawn.axes[0],
+        up=drawn.axes[1],
+        first=first,
+        number=archive.numbers[new].tolist(),
+        told_in=np.searchsorted(ends, new, side="right").tolist(),
+        unsafe=archive.unsafe[new].astype(np.int64).tolist(),
+        outcome=outcomes.which[new].tolist(),
+        outcomes=[group.words for group in groups],
+        outcome_kinds=[group.kind for group in groups],
+        kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind},
+        outcomes_in_words=outcomes.sentence(),
         robustness=_rounded(archive.robustness[new]),
-        x=_rounded(points[:, 0]), y=_rounded(points[:, 1]), fitness=_rounded(archive.fitness[rows]),
+        x=_rounded(points[:, 0]),
+        y=_rounded(points[:, 1]),
+        fitness=_rounded(archive.fitness[rows]),
         ground=None if drawn.ground is None else _ground(drawn.ground, found.plan.neighbourhood.p_th),
         reported=_reported(reported, drawn, groups),
         by=_colour_by(column, rows) if column is not None else None,
-    )  # fmt: skip
+    )
 
 
 def _ground(ground: Ground, p_th: float) -> GroundView:
     (left, bottom), (right, top) = ground.low.tolist(), ground.high.tolist()
     rows, columns = ground.tint.shape
     return GroundView.model_construct(
-        left=left, bottom=bottom, right=right, top=top, rows=rows, columns=columns, p_th=p_th,
-        tint=_bytes(ground.tint), clarity=_bytes(ground.clarity),
-    )  # fmt: skip
+        left=left,
+        bottom=bottom,
+        right=right,
+        top=top,
+        rows=rows,
+        columns=columns,
+        p_th=p_th,
+        tint=_bytes(ground.tint),
+        clarity=_bytes(ground.clarity),
+    )
 
 
 def _bytes(shares: NDArray[np.float64]) -> str:
@@ -247,11 +267,13 @@ def _reported(reported: Reported, drawn: SolutionMap, groups: Sequence[OutcomeGr
     results, which = reported.results, {group: place for place, group in enumerate(groups)}
     points = drawn.projection.placed(reported.vectors) if results else np.empty((0, 2))
     return ReportedView.model_construct(
-        number=[one.number for one in results], unsafe=[int(one.unsafe) for one in results],
+        number=[one.number for one in results],
+        unsafe=[int(one.unsafe) for one in results],
         outcome=[which[one.outcome] for one in results],
         robustness=_rounded(np.array([one.robustness for one in results], np.float64)),
-        x=_rounded(points[:, 0]), y=_rounded(points[:, 1]),
-    )  # fmt: skip
+        x=_rounded(points[:, 0]),
+        y=_rounded(points[:, 1]),
+    )
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float]:
@@ -263,14 +285,16 @@ def _colour_by(column: ParameterColumn, rows: NDArray[np.intp]) -> ColourBy:
     parameter, awake = column.parameter, column.active[rows].tolist()
     scale = None if isinstance(parameter, Categorical) else parameter
     return ColourBy.model_construct(
-        parameter=column.name, unit=scale.unit if scale else "",
+        parameter=column.name,
+        unit=scale.unit if scale else "",
         choices=list(parameter.choices) if isinstance(parameter, Categorical) else None,
-        low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
+        low=float(scale.low) if scale else None,
+        high=float(scale.high) if scale else None,
         values=[
             value if there else None
             for value, there in zip(_rounded(column.values[rows]), awake, strict=True)
         ],
-    )  # fmt: skip
+    )
 
 
 class CourseView(View):
@@ -303,13 +327,14 @@ async def get_course(
     points = await services.figures.convergence.get(campaign.id, found, t_b, d_th)
     response.headers["ETag"] = etag
     return CourseView(
-        t_b=t_b, d_th=d_th,
+        t_b=t_b,
+        d_th=d_th,
         simulations=[point.simulations for point in points],
         evaluated=[point.evaluated for point in points],
         dbs=[int(point.grid.dbs[0, 0]) for point in points],
         strict_dbs=[int(point.grid.strict[0, 0]) for point in points],
         note=_no_curve(len(found.archive)),
-    )  # fmt: skip
+    )
 
 
 def _no_curve(evaluated: int) -> str | None:
@@ -372,21 +397,29 @@ async def get_dependence(
 
 def _dependences(found: ReadArchive, known: Sequence[Dependence]) -> Dependences:
     return Dependences(
-        generation=found.generation, evaluated=len(found.archive), unsafe=int(np.count_nonzero(found.archive.unsafe)),
+        generation=found.generation,
+        evaluated=len(found.archive),
+        unsafe=int(np.count_nonzero(found.archive.unsafe)),
         parameters=[_dependence(one) for one in known],
-    )  # fmt: skip
+    )
 
 
 def _dependence(one: Dependence) -> DependenceView:
     parameter = one.column.parameter
     scale = None if isinstance(parameter, Categorical) else parameter
     return DependenceView(
-        component=one.column.component, parameter=parameter.name, title=parameter.title,
-        unit=scale.unit if scale else "", places=one.places.tolist(), labels=list(one.labels),
-        low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
-        counts=one.counts.tolist(), unsafe=one.unsafe.tolist(),
+        component=one.column.component,
+        parameter=parameter.name,
+        title=parameter.title,
+        unit=scale.unit if scale else "",
+        places=one.places.tolist(),
+        labels=list(one.labels),
+        low=float(scale.low) if scale else None,
+        high=float(scale.high) if scale else None,
+        counts=one.counts.tolist(),
+        unsafe=one.unsafe.tolist(),
         strength=one.strength,
-    )  # fmt: skip
+    )
 
 
 class ScoresView(View):
@@ -437,16 +470,25 @@ async def get_scores(
 def _scores_view(campaign: Campaign, scores: Scores) -> ScoresView:
     own, *control = rows_of(scores, campaign=campaign.id, label=campaign.body.name)
     return ScoresView(
-        id=campaign.id, name=campaign.body.name, status=campaign.status, evaluated=scores.evaluated,
-        unsafe=scores.unsafe, unsafe_share=own.unsafe_share, fractions=list(PAPER_FRACTIONS),
-        t_bs=list(PAPER_T_BS), d_ths=list(D_THS), dbs=scores.figures.dbs.tolist(),
-        strict=scores.figures.strict.tolist(), control=control_view(scores.control), draws=DRAWS,
+        id=campaign.id,
+        name=campaign.body.name,
+        status=campaign.status,
+        evaluated=scores.evaluated,
+        unsafe=scores.unsafe,
+        unsafe_share=own.unsafe_share,
+        fractions=list(PAPER_FRACTIONS),
+        t_bs=list(PAPER_T_BS),
+        d_ths=list(D_THS),
+        dbs=scores.figures.dbs.tolist(),
+        strict=scores.figures.strict.tolist(),
+        control=control_view(scores.control),
+        draws=DRAWS,
         says=[
             [control_summary(own, blind, (i, j)) for j in range(len(D_THS))]
             for blind in control
             for i in range(len(PAPER_T_BS))
         ],
-    )  # fmt: skip
+    )
 
 
 monitors_router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["monitors"])
@@ -460,10 +502,11 @@ class Questions(Body):
     solutions: Annotated[
         list[dict[str, dict[str, Any]]],
         Field(
-            min_length=1, max_length=MAX_SOLUTIONS,
+            min_length=1,
+            max_length=MAX_SOLUTIONS,
             description="Parameters of each solution by component and name, as in the response for a solution.",
         ),
-    ]  # fmt: skip
+    ]
     threshold: Annotated[
         float | None,
         Field(

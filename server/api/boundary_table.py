@@ -49,13 +49,27 @@ _TIMINGS: Final = ("cpu_s", "simulated_s")
 
 
 _SOLUTION: Final[Mapping[str, type]] = {
-    "number": int, "verdict": str, "outcome": str, "robustness": float, "fitness": float, "neighbours": int,
-    "unsafe_neighbours": int, "interval_low": float, "interval_high": float, "strict": bool, "seed": int,
-    "words": str, "idle": str,
-}  # fmt: skip
+    "number": int,
+    "verdict": str,
+    "outcome": str,
+    "robustness": float,
+    "fitness": float,
+    "neighbours": int,
+    "unsafe_neighbours": int,
+    "interval_low": float,
+    "interval_high": float,
+    "strict": bool,
+    "seed": int,
+    "words": str,
+    "idle": str,
+}
 _CAMPAIGN: Final[Mapping[str, type]] = {
-    "campaign": str, "problem": str, "algorithm": str, "campaign_seed": int, "generation": int,
-}  # fmt: skip
+    "campaign": str,
+    "problem": str,
+    "algorithm": str,
+    "campaign_seed": int,
+    "generation": int,
+}
 
 
 def boundary_columns(space: SearchSpace) -> dict[str, type]:
@@ -89,17 +103,29 @@ def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list
     for solution in boundary.solutions:
         low, high = solution.interval or (None, None)
         row: Row = {
-            "number": solution.number, "verdict": str(solution.verdict), "outcome": solution.outcome,
+            "number": solution.number,
+            "verdict": str(solution.verdict),
+            "outcome": solution.outcome,
             "robustness": solution.robustness,
-            "fitness": solution.fitness, "neighbours": solution.neighbours,
-            "unsafe_neighbours": solution.unsafe_neighbours, "interval_low": low, "interval_high": high,
-            "strict": solution.number in strict, "seed": solution.seed, "words": solution.words,
-        }  # fmt: skip
+            "fitness": solution.fitness,
+            "neighbours": solution.neighbours,
+            "unsafe_neighbours": solution.unsafe_neighbours,
+            "interval_low": low,
+            "interval_high": high,
+            "strict": solution.number in strict,
+            "seed": solution.seed,
+            "words": solution.words,
+        }
         row.update(_parameters(solution))
-        row.update({
-            "campaign": campaign, "problem": body.problem.id, "algorithm": body.algorithm.id,
-            "campaign_seed": body.seed, "generation": solution.generation,
-        })  # fmt: skip
+        row.update(
+            {
+                "campaign": campaign,
+                "problem": body.problem.id,
+                "algorithm": body.algorithm.id,
+                "campaign_seed": body.seed,
+                "generation": solution.generation,
+            }
+        )
         for name, verdict in (solution.verdicts or {}).items():
             row[f"robustness.{name}"] = verdict["robustness"]
             row[f"violated_at_s.{name}"] = verdict.get("violated_at_s")

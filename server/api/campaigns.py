@@ -157,9 +157,12 @@ async def list_campaigns(
 ) -> CampaignList:
     """List campaigns, newest first."""
     campaigns = await services.campaigns.list(
-        limit=limit, before=read_cursor(cursor), statuses=tuple(status or ()), document_hash=document_hash,
+        limit=limit,
+        before=read_cursor(cursor),
+        statuses=tuple(status or ()),
+        document_hash=document_hash,
         conditions=labelled(tag or (), search),
-    )  # fmt: skip
+    )
     return CampaignList(
         campaigns=[campaign_view(campaign) for campaign in campaigns], next=next_cursor(campaigns, limit)
     )
@@ -289,14 +292,25 @@ def deletion_view(doomed: Sequence[TreeMember]) -> Deletion:
 def campaign_view(campaign: Campaign) -> CampaignView:
     """Return the response schema of a campaign."""
     return CampaignView(
-        id=campaign.id, name=campaign.body.name, status=campaign.status,
-        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.completed,
-        budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
-        measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
-        finished_at=campaign.finished_at, tags=campaign.body.tags, notes=campaign.body.notes,
-        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id), body=campaign.body,
+        id=campaign.id,
+        name=campaign.body.name,
+        status=campaign.status,
+        status_reason=campaign.status_reason,
+        sequence=campaign.sequence,
+        simulations=campaign.completed,
+        budget=campaign.budget,
+        unsafe=campaign.unsafe,
+        failed=campaign.failed,
+        measured=campaign.measured,
+        generation=campaign.generation,
+        created_at=campaign.created_at,
+        finished_at=campaign.finished_at,
+        tags=campaign.body.tags,
+        notes=campaign.body.notes,
+        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
+        body=campaign.body,
         thresholds=THRESHOLDS,
-    )  # fmt: skip
+    )
 
 
 def read_progress(
@@ -339,30 +353,51 @@ def read_progress(
         else (0, "")
     )
     return Progress(
-        id=campaign.id, name=campaign.body.name, status=campaign.status,
-        status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,
-        simulations=standing.done, evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
-        measured=campaign.measured, reported=len(reported.results), reported_unsafe=reported.unsafe,
-        reported_failed=failed, failure=failure, quarantined=standing.quarantined, queued=standing.queued,
-        leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
-        cached=standing.cached, remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
-        unrunnable=unrunnable, waits_for={needs: worker_for(needs) for needs in unrunnable},
-        digest=archive.digest if archive is not None else None, finished_at=campaign.finished_at,
+        id=campaign.id,
+        name=campaign.body.name,
+        status=campaign.status,
+        status_reason=campaign.status_reason,
+        sequence=campaign.sequence,
+        budget=campaign.budget,
+        simulations=standing.done,
+        evaluated=campaign.evaluated,
+        unsafe=campaign.unsafe,
+        failed=campaign.failed,
+        measured=campaign.measured,
+        reported=len(reported.results),
+        reported_unsafe=reported.unsafe,
+        reported_failed=failed,
+        failure=failure,
+        quarantined=standing.quarantined,
+        queued=standing.queued,
+        leased=standing.leased,
+        generation=campaign.generation,
+        rate_per_s=standing.rate_per_s,
+        cached=standing.cached,
+        remaining_s=standing.remaining_s,
+        elapsed_s=standing.elapsed_s,
+        workers=len(live),
+        unrunnable=unrunnable,
+        waits_for={needs: worker_for(needs) for needs in unrunnable},
+        digest=archive.digest if archive is not None else None,
+        finished_at=campaign.finished_at,
         looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
         looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),
         looks_for_tolerances=searches_for_tolerances(campaign.body.algorithm.id),
         origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
         known=_known_view(connection, campaign),
         asking=asking,
-        tags=campaign.body.tags, notes=campaign.body.notes,
+        tags=campaign.body.tags,
+        notes=campaign.body.notes,
         trouble=trouble.reason if trouble else None,
         trouble_s=trouble.span_s if trouble else 0.0,
-        t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+        t_b=DEFAULT_T_B,
+        d_th=DEFAULT_D_TH,
         generations=[
             GenerationView.model_validate(item, from_attributes=True)
             for item in view_store.list_generations(connection, campaign.id, since)
         ],
-    )  # fmt: skip
+    )
 
 
 def _known_view(connection: Connection, campaign: Campaign) -> KnownView | None:
@@ -371,9 +406,12 @@ def _known_view(connection: Connection, campaign: Campaign) -> KnownView | None:
         return None
     counts = count_known(connection, campaign.id)
     return KnownView(
-        campaign=start.campaign, results=counts.results, unsafe=counts.unsafe, points=counts.points,
+        campaign=start.campaign,
+        results=counts.results,
+        unsafe=counts.unsafe,
+        points=counts.points,
         outside_odd=start.outside_odd or 0,
-    )  # fmt: skip
+    )
 
 
 overview_router = APIRouter(tags=["campaigns"])
@@ -457,9 +495,13 @@ async def get_overview(
     before = read_cursor(cursor)
     trouble = services.queue.writer.trouble
     chosen = Chosen(
-        statuses=tuple(status or ()), named=name, experiment=experiment, tags=tag or (), search=search,
+        statuses=tuple(status or ()),
+        named=name,
+        experiment=experiment,
+        tags=tag or (),
+        search=search,
         follow_ups=follow_ups is FollowUpListing.LISTED,
-    )  # fmt: skip
+    )
 
     def look(connection: Connection) -> tuple[str, Overview | None]:
         outlines = list_outlines(connection, limit=limit, before=before, chosen=chosen)
@@ -512,11 +554,26 @@ def _overview(
     columns = {
         name: [getattr(one, name) for one in outlines]
         for name in (
-            "id", "name", "problem", "algorithm", "seed", "status", "status_reason", "sequence", "budget",
-            "evaluated", "unsafe", "failed", "generation", "created_at", "finished_at", "experiment", "repeats_of",
+            "id",
+            "name",
+            "problem",
+            "algorithm",
+            "seed",
+            "status",
+            "status_reason",
+            "sequence",
+            "budget",
+            "evaluated",
+            "unsafe",
+            "failed",
+            "generation",
+            "created_at",
+            "finished_at",
+            "experiment",
+            "repeats_of",
             "tags",
         )
-    }  # fmt: skip
+    }
     return Overview(
         **columns,
         simulations=[standing.done if standing else one.completed for one, standing in both],
@@ -560,10 +617,17 @@ async def get_llm_calls(
 def _llm_call(call: StoredCall, *, replies: bool) -> LlmCall:
     usage = call.usage
     return LlmCall(
-        request=call.key.request, turn=call.key.turn, outcome=call.outcome,
-        mode=call.mode, prompt_hash=call.prompt_hash, calls=call.requests,
+        request=call.key.request,
+        turn=call.key.turn,
+        outcome=call.outcome,
+        mode=call.mode,
+        prompt_hash=call.prompt_hash,
+        calls=call.requests,
         prompt_tokens=None if usage is None else usage.prompt_tokens,
         completion_tokens=None if usage is None else usage.completion_tokens,
-        estimated=usage is not None and usage.estimated, cost=call.cost, latency_s=call.latency_s,
-        error=call.error, reply=call.raw if replies else None,
-    )  # fmt: skip
+        estimated=usage is not None and usage.estimated,
+        cost=call.cost,
+        latency_s=call.latency_s,
+        error=call.error,
+        reply=call.raw if replies else None,
+    )

@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from brink.server.api.schemas import View
-from brink.sim.driving.camera import Camera
-from brink.sim.errors import InvalidEpisode
-from brink.sim.replay.guard import guard_words
-from brink.sim.replay.motion import plan_words
-from brink.sim.replay.pair import ended_words
-from brink.sim.replay.reference import comparison_of
-from brink.sim.replay.scene import (
+from brink.pictures.guard import guard_words
+from brink.pictures.motion import plan_words
+from brink.pictures.pair import ended_words
+from brink.pictures.reference import comparison_of
+from brink.pictures.scene import (
     LABELS,
     PERSON_REGION,
     PICTURE_COLOURS,
@@ -36,7 +33,7 @@ from brink.sim.replay.scene import (
     score_threshold,
     surface_style,
 )
-from brink.sim.replay.story import (
+from brink.pictures.story import (
     event_caption,
     perturbation_words,
     report_word,
@@ -44,6 +41,9 @@ from brink.sim.replay.story import (
     story_of,
     unit_of,
 )
+from brink.server.api.schemas import View
+from brink.sim.driving.camera import Camera
+from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import (
     ACTION,
     BOX_COLUMNS,
@@ -69,15 +69,24 @@ LOOK_AHEAD_M: Final = 12.0
 """Distance from the ego to the centre of the dashboard's map, which lies ahead of it."""
 
 _COLUMNS: Final = {
-    "seen_boxes": BOX_COLUMNS, "given_boxes": BOX_COLUMNS, "perceived": PERCEIVED_COLUMNS,
-    "judged": JUDGED_COLUMNS, "found": FOUND_COLUMNS,
-}  # fmt: skip
+    "seen_boxes": BOX_COLUMNS,
+    "given_boxes": BOX_COLUMNS,
+    "perceived": PERCEIVED_COLUMNS,
+    "judged": JUDGED_COLUMNS,
+    "found": FOUND_COLUMNS,
+}
 _PLACE: Final = 3
 _ANGLE: Final = 4
 _BOX: Final = 1
 _DECIMALS: Final = {
-    "score": 3, "x_m": _PLACE, "y_m": _PLACE, "vx_mps": 2, "vy_mps": 2, "length_m": 2, "width_m": 2,
-}  # fmt: skip
+    "score": 3,
+    "x_m": _PLACE,
+    "y_m": _PLACE,
+    "vx_mps": 2,
+    "vy_mps": 2,
+    "length_m": 2,
+    "width_m": 2,
+}
 """Decimal places by column; columns not listed are rounded like box coordinates."""
 
 Column: TypeAlias = list[float | None]
@@ -568,14 +577,17 @@ def _story(trace: Trace, judged: Sequence[str]) -> StoryView | None:
         # The trace does not record the requirements that the campaign judges.
         return _story(trace, ()) if judged else None
     return StoryView.model_construct(
-        requirement=story.requirement, violated=story.violated, decisive=story.decisive, words=story.words,
+        requirement=story.requirement,
+        violated=story.violated,
+        decisive=story.decisive,
+        words=story.words,
         violations=[
             ViolatedHereView.model_construct(
                 requirement=one.requirement, sample=one.sample, time_s=_length(one.time_s), words=one.words
             )
             for one in story.violations
         ],
-    )  # fmt: skip
+    )
 
 
 def _or_empty(describe: Callable[[Trace], str], trace: Trace) -> str:

@@ -14,6 +14,7 @@ from fastapi import Path as PathParameter
 from fastapi.responses import JSONResponse
 from sqlalchemy import Connection
 
+from brink.pictures import render_bytes
 from brink.search.deadline import check_time
 from brink.server.api.context import Context, Services, client_gone
 from brink.server.api.episode_views import EpisodeView, episode_view
@@ -28,7 +29,6 @@ from brink.server.queue.workers import can_run
 from brink.server.states import JobStatus
 from brink.sim.catalogue import worker_for
 from brink.sim.errors import SimulatorError
-from brink.sim.replay import render_bytes
 from brink.sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/solutions/{number}", tags=["solutions"])
@@ -57,8 +57,14 @@ NOT_YET: dict[int | str, dict[str, Any]] = {
 """Responses of a route that needs a trace while there is none."""
 
 UNREADABLE = (
-    SimulatorError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError,
-)  # fmt: skip
+    SimulatorError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    MemoryError,
+)
 """Errors that drawing a malformed trace may raise, since workers may send anything."""
 
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]

@@ -232,8 +232,13 @@ def _view(
 ) -> ExperimentPairs:
     repeats = searched.repeats
     return ExperimentPairs(
-        id=experiment.id, name=experiment.body.name, eps=settings.eps, d_th=settings.d_th, alpha=alpha,
-        campaigns=experiment.body.campaigns, counted=len(repeats),
+        id=experiment.id,
+        name=experiment.body.name,
+        eps=settings.eps,
+        d_th=settings.d_th,
+        alpha=alpha,
+        campaigns=experiment.body.campaigns,
+        counted=len(repeats),
         problems=[
             ProblemPairs(
                 problem=problem, measure=measure_of(repeats, problem), says=measure_words(repeats, problem)
@@ -242,38 +247,60 @@ def _view(
         ],
         standings=[
             PairStandingView(
-                problem=one.problem, method=one.method, distinct=_mean(one.distinct),
-                confirmed=None if one.confirmed is None else _mean(one.confirmed), known=one.known,
-                pairs=one.pairs, checked=one.checked, tried=one.tried,
-                precision=_proportion(one.precision), overall=_proportion(one.overall),
+                problem=one.problem,
+                method=one.method,
+                distinct=_mean(one.distinct),
+                confirmed=None if one.confirmed is None else _mean(one.confirmed),
+                known=one.known,
+                pairs=one.pairs,
+                checked=one.checked,
+                tried=one.tried,
+                precision=_proportion(one.precision),
+                overall=_proportion(one.overall),
                 component=_proportion(one.component),
             )
             for one in pair_standings(repeats)
         ],
         duels=[
             PairDuelView(
-                problem=one.problem, first=one.first, second=one.second, measure=one.measure,
-                first_mean=one.first_mean, second_mean=one.second_mean, u=one.result.u, p=one.result.p_value,
-                p_holm=one.adjusted, a12=one.result.a12, effect=one.size, differs=one.differs,
+                problem=one.problem,
+                first=one.first,
+                second=one.second,
+                measure=one.measure,
+                first_mean=one.first_mean,
+                second_mean=one.second_mean,
+                u=one.result.u,
+                p=one.result.p_value,
+                p_holm=one.adjusted,
+                a12=one.result.a12,
+                effect=one.size,
+                differs=one.differs,
                 says=one.says,
             )
             for one in pair_duels(repeats, level=alpha)
         ],
         repeats=[
             PairRepeatView(
-                problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign,
-                computed=one.computed, **_counts(one.counts),
+                problem=one.problem,
+                method=one.method,
+                seed=one.seed,
+                campaign=one.campaign,
+                computed=one.computed,
+                **_counts(one.counts),
             )
             for one in repeats
         ],
         left_out=tuple(
             LeftOutView(
-                problem=one.member.problem, method=one.member.method, seed=one.member.campaign.body.seed,
-                campaign=one.member.campaign.id, reason=one.reason,
+                problem=one.member.problem,
+                method=one.member.method,
+                seed=one.member.campaign.body.seed,
+                campaign=one.member.campaign.id,
+                reason=one.reason,
             )
             for one in searched.left_out
         ),
-    )  # fmt: skip
+    )
 
 
 def _counts(counts: PairCounts) -> dict[str, Any]:
@@ -288,6 +315,4 @@ def _mean(value: MeanInterval) -> MeanView:
 def _proportion(value: Proportion | None) -> ProportionView | None:
     if value is None:
         return None
-    return ProportionView(
-        count=value.count, of=value.of, share=value.share, low=value.low, high=value.high
-    )  # fmt: skip
+    return ProportionView(count=value.count, of=value.of, share=value.share, low=value.low, high=value.high)

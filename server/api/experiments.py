@@ -316,14 +316,19 @@ def experiment_view(experiment: Experiment) -> ExperimentView:
         thresholds=THRESHOLDS,
         members=[
             MemberView(
-                campaign=member.campaign.id, method=member.method, problem=member.problem,
-                seed=member.campaign.body.seed, status=member.campaign.status,
-                status_reason=member.campaign.status_reason, simulations=member.campaign.completed,
-                unsafe=member.campaign.unsafe, failed=member.campaign.failed,
+                campaign=member.campaign.id,
+                method=member.method,
+                problem=member.problem,
+                seed=member.campaign.body.seed,
+                status=member.campaign.status,
+                status_reason=member.campaign.status_reason,
+                simulations=member.campaign.completed,
+                unsafe=member.campaign.unsafe,
+                failed=member.campaign.failed,
             )
             for member in experiment.members
         ],
-    )  # fmt: skip
+    )
 
 
 def read_progress(
@@ -415,37 +420,67 @@ def results_view(
         return conclusion(one, first, second, low[one.first.problem])
 
     return Results(
-        id=experiment.id, name=experiment.body.name, status=experiment.status,
-        created_at=experiment.created_at, campaigns=experiment.body.campaigns, scored=len(repeats),
-        fractions=list(PAPER_FRACTIONS), t_bs=list(PAPER_T_BS), d_ths=list(D_THS),
-        alpha=alpha, pairs=pairs,
+        id=experiment.id,
+        name=experiment.body.name,
+        status=experiment.status,
+        created_at=experiment.created_at,
+        campaigns=experiment.body.campaigns,
+        scored=len(repeats),
+        fractions=list(PAPER_FRACTIONS),
+        t_bs=list(PAPER_T_BS),
+        d_ths=list(D_THS),
+        alpha=alpha,
+        pairs=pairs,
         standings=[
             StandingView(
-                problem=one.line.problem, method=one.line.method, control=one.line.control,
-                measure=one.measure, t_b=one.t_b, d_th=one.d_th, mean=one.value.mean, low=one.value.low,
-                high=one.value.high, repeats=one.value.repeats,
+                problem=one.line.problem,
+                method=one.line.method,
+                control=one.line.control,
+                measure=one.measure,
+                t_b=one.t_b,
+                d_th=one.d_th,
+                mean=one.value.mean,
+                low=one.value.low,
+                high=one.value.high,
+                repeats=one.value.repeats,
             )
             for one in stand
         ],
         duels=[
             DuelView(
-                problem=one.first.problem, first=one.first.method, second=one.second.method,
-                control=one.second.control, measure=one.measure, t_b=one.t_b, d_th=one.d_th,
-                u=one.result.u, p=one.result.p_value, p_holm=one.adjusted, a12=one.result.a12,
-                effect=one.size, found_nothing=one.found_nothing, differs=one.differs, says=says(one),
+                problem=one.first.problem,
+                first=one.first.method,
+                second=one.second.method,
+                control=one.second.control,
+                measure=one.measure,
+                t_b=one.t_b,
+                d_th=one.d_th,
+                u=one.result.u,
+                p=one.result.p_value,
+                p_holm=one.adjusted,
+                a12=one.result.a12,
+                effect=one.size,
+                found_nothing=one.found_nothing,
+                differs=one.differs,
+                says=says(one),
             )
             for one in duels(repeats, level=alpha)
         ],
         repeats=[
             RepeatView(
-                problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign,
-                evaluated=one.scores.evaluated, unsafe=one.scores.unsafe,
-                dbs=one.scores.figures.dbs.tolist(), strict=one.scores.figures.strict.tolist(),
+                problem=one.problem,
+                method=one.method,
+                seed=one.seed,
+                campaign=one.campaign,
+                evaluated=one.scores.evaluated,
+                unsafe=one.scores.unsafe,
+                dbs=one.scores.figures.dbs.tolist(),
+                strict=one.scores.figures.strict.tolist(),
                 control=control_view(one.scores.control),
             )
             for one in repeats
         ],
-    )  # fmt: skip
+    )
 
 
 def control_view(control: Control | None) -> ControlView | None:
@@ -453,7 +488,10 @@ def control_view(control: Control | None) -> ControlView | None:
     if control is None:
         return None
     return ControlView(
-        unsafe_share=control.unsafe_share, behaviours_a_scenario=control.repeats, reads_low=control.reads_low,
-        dbs=control.figures.dbs.tolist(), strict=control.figures.strict.tolist(),
+        unsafe_share=control.unsafe_share,
+        behaviours_a_scenario=control.repeats,
+        reads_low=control.reads_low,
+        dbs=control.figures.dbs.tolist(),
+        strict=control.figures.strict.tolist(),
         spread=control.spread.tolist(),
-    )  # fmt: skip
+    )

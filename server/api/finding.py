@@ -203,15 +203,20 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
     if view is not None and view.searched and view.distinct:
         more = [*more, view.caveat.removesuffix(odd).rstrip()]  # the outcomes say it already
     return FindingView(
-        campaign=campaign.id, complete=campaign.status in ENDED,
-        words=_sentence(words), more=[_sentence(one) for one in more if one],
-        of=of, pairs=None if view is None else view.distinct, rings=known.rings[:MOST_RINGS],
+        campaign=campaign.id,
+        complete=campaign.status in ENDED,
+        words=_sentence(words),
+        more=[_sentence(one) for one in more if one],
+        of=of,
+        pairs=None if view is None else view.distinct,
+        rings=known.rings[:MOST_RINGS],
         replayable=records_traces(found.plan.problem),
         best=[] if view is None else [_best_pair(view, pair) for pair in view.pairs],
         rule="" if view is None else _rule_words(view),
-        avoidable=avoidable, explanation=EXPLANATION if avoidable else "",
+        avoidable=avoidable,
+        explanation=EXPLANATION if avoidable else "",
         steps=[] if of is not None else _steps(known),
-    )  # fmt: skip
+    )
 
 
 def _avoidable_examples(found: Sequence[FoundViolation]) -> list[AvoidableExample]:
@@ -241,14 +246,23 @@ def _best_pair(view: PairsView, pair: PairView) -> BestPair:
         Confirmation.PENDING: "being simulated again",
         Confirmation.NOT_TRIED: "not simulated again yet",
     }[state]
-    shares = "" if not drives else (
-        f"With other seeds, the safe drive was unsafe in {safe.unsafe:,} of {safe.evaluated:,} simulations, and the "
-        f"unsafe drive in {unsafe.unsafe:,} of {unsafe.evaluated:,}."
-    )  # fmt: skip
+    shares = (
+        ""
+        if not drives
+        else (
+            f"With other seeds, the safe drive was unsafe in {safe.unsafe:,} of {safe.evaluated:,} simulations, and "
+            f"the unsafe drive in {unsafe.unsafe:,} of {unsafe.evaluated:,}."
+        )
+    )
     return BestPair(
-        place=pair.place, safe=pair.safe.number, unsafe=pair.unsafe.number, words=pair.words, state=state,
-        evidence="computed" if view.computed else evidence, shares=shares,
-    )  # fmt: skip
+        place=pair.place,
+        safe=pair.safe.number,
+        unsafe=pair.unsafe.number,
+        words=pair.words,
+        state=state,
+        evidence="computed" if view.computed else evidence,
+        shares=shares,
+    )
 
 
 def _rule_words(view: PairsView) -> str:
@@ -334,11 +348,18 @@ async def _known(services: Context, campaign: Campaign, found: ReadArchive) -> _
     if not searches_for_pairs(campaign.body.algorithm.id):
         chains = await services.analyses.run(lambda: _chains(found))
     return _Known(
-        campaign=campaign, found=found, outcomes=await services.outcomes.get(campaign.id, found),
-        reported=(len(reported.results), reported.unsafe), stored=stored, violations=violations,
-        chains=chains, pairs=view, too_many=too_many, rings=rings,
+        campaign=campaign,
+        found=found,
+        outcomes=await services.outcomes.get(campaign.id, found),
+        reported=(len(reported.results), reported.unsafe),
+        stored=stored,
+        violations=violations,
+        chains=chains,
+        pairs=view,
+        too_many=too_many,
+        rings=rings,
         boundary=(boundary.counts.dbs, boundary.counts.strict),
-    )  # fmt: skip
+    )
 
 
 def _chains(found: ReadArchive) -> Combinations | None:
@@ -454,11 +475,14 @@ def _steps(known: _Known) -> list[StepView]:
     if campaign.status is CampaignStatus.PAUSED:
         return [
             StepView(
-                kind=StepKind.RESUME, question="Go on?", label="Resume",
+                kind=StepKind.RESUME,
+                question="Go on?",
+                label="Resume",
                 words="The campaign is paused: workers get none of its jobs.",
-                command=f"brink resume {campaign.id}", request=StepRequest(path=f"{name}/resume", body={}),
+                command=f"brink resume {campaign.id}",
+                request=StepRequest(path=f"{name}/resume", body={}),
             )
-        ]  # fmt: skip
+        ]
     if campaign.status not in ENDED or not len(known.found.archive):
         return []
     steps = _pair_steps(known) if known.searched_for_pairs else []
@@ -468,34 +492,43 @@ def _steps(known: _Known) -> list[StepView]:
     if reports_violations:
         steps.append(
             StepView(
-                kind=StepKind.LOOK, question="Which violations are there?", label="",
-                words="Lists all types of violations, and names them.", command=f"brink violations {campaign.id}",
+                kind=StepKind.LOOK,
+                question="Which violations are there?",
+                label="",
+                words="Lists all types of violations, and names them.",
+                command=f"brink violations {campaign.id}",
             )
-        )  # fmt: skip
+        )
     if (number := example_of(known.chains)) is not None:
         steps.append(
             StepView(
-                kind=StepKind.LOOK, question="What do the perturbations do?", label=f"Open solution {number}",
+                kind=StepKind.LOOK,
+                question="What do the perturbations do?",
+                label=f"Open solution {number}",
                 words="Shows an unsafe drive that is safe with each part of its chain alone, or in another order.",
                 place=f"campaigns/{campaign.id}/solutions/{number}",
                 command=f"brink replay {campaign.id} {number} --out hazard.mp4",
             )
-        )  # fmt: skip
+        )
     if searches_for_tolerances(campaign.body.algorithm.id):
         steps.append(
             StepView(
-                kind=StepKind.EXPORT, question="What may the detector get wrong?", label="",
+                kind=StepKind.EXPORT,
+                question="What may the detector get wrong?",
+                label="",
                 words="Writes the tolerances as sentences: a requirement for the detector.",
                 command=f"brink tolerance {campaign.id} --format sentences",
             )
-        )  # fmt: skip
+        )
         steps.append(
             StepView(
-                kind=StepKind.TOLERANCE, question="Does your detector meet it?", label="",
+                kind=StepKind.TOLERANCE,
+                question="Does your detector meet it?",
+                label="",
                 words="Compares the errors of a detector, from the drives of another campaign, with the tolerances.",
                 command=f"brink tolerance {campaign.id} --episodes OTHER",
             )
-        )  # fmt: skip
+        )
     elif not known.searched_for_pairs and known.pairs is not None and known.pairs.distinct:
         steps.append(_look_at_pairs(known, "Which small change decides?"))
     if not any(step.kind in _QUESTIONS_LEFT for step in steps):
@@ -517,19 +550,23 @@ def _leading_on(known: _Known) -> list[StepView]:
     about_tolerances = searches_for_tolerances(campaign.body.algorithm.id)
     steps = [
         StepView(
-            kind=StepKind.REPORT, question="Who should know?", label="",
+            kind=StepKind.REPORT,
+            question="Who should know?",
+            label="",
             words="Writes a report for people who have never seen Brink: one HTML file, with pictures and evidence.",
             command=f"brink report {campaign.id} --out report.html",
         )
-    ]  # fmt: skip
+    ]
     if isinstance(plan.algorithm, WarmStarts):
         steps.append(
             StepView(
-                kind=StepKind.GO_ON, question="Is there more to find?", label="Go on from these results",
+                kind=StepKind.GO_ON,
+                question="Is there more to find?",
+                label="Go on from these results",
                 words="Searches with another seed, from these results: they guide the search, and cost nothing.",
                 place=f"new?start_from={campaign.id}",
             )
-        )  # fmt: skip
+        )
     if not about_tolerances:
         steps += _other_requirement(known)
     if isinstance(plan.problem, HasDetector) and not about_tolerances:
@@ -537,11 +574,13 @@ def _leading_on(known: _Known) -> list[StepView]:
     if 0 < campaign.unsafe < campaign.evaluated and not about_tolerances:
         steps.append(
             StepView(
-                kind=StepKind.MONITOR, question="How likely is a new drive to be unsafe?", label="",
+                kind=StepKind.MONITOR,
+                question="How likely is a new drive to be unsafe?",
+                label="",
                 words="Fits a safety monitor to these simulations; it rates drives that were not simulated.",
                 command=f"brink monitor fit {campaign.id} --out monitor.json",
             )
-        )  # fmt: skip
+        )
     return steps
 
 
@@ -554,13 +593,14 @@ def _other_requirement(known: _Known) -> list[StepView]:
         return []
     return [
         StepView(
-            kind=StepKind.ANY_REQUIREMENT, question="Does it violate anything else?",
+            kind=StepKind.ANY_REQUIREMENT,
+            question="Does it violate anything else?",
             label="Search for any violation",
             words="Searches again with requirement: any. That changes what counts as a violation: not only drives "
             f"that {_violated(known)}.",
             place=f"new?from={known.campaign.id}&requirement={ANY}",
         )
-    ]  # fmt: skip
+    ]
 
 
 def _tolerance_step(campaign: Campaign, errors_problem: str) -> StepView:
@@ -577,11 +617,13 @@ def _tolerance_step(campaign: Campaign, errors_problem: str) -> StepView:
         "budget": {"simulations": _TOLERANCE_SIMULATIONS},
     }
     return StepView(
-        kind=StepKind.TOLERANCE, question="How wrong may the detector be?", label="Search for tolerances",
+        kind=StepKind.TOLERANCE,
+        question="How wrong may the detector be?",
+        label="Search for tolerances",
         words="Searches for a requirement for the detector: how gross each type of its errors may be before drives "
         "violate. What counts as a violation stays the same.",
         place=f"new?{urlencode({'body': json.dumps(body)})}",
-    )  # fmt: skip
+    )
 
 
 def _pair_steps(known: _Known) -> list[StepView]:
@@ -606,7 +648,9 @@ def _pair_steps(known: _Known) -> list[StepView]:
         most = "" if offer.kind is FollowUpKind.COMPONENT else "at most "
         steps.append(
             StepView(
-                kind=StepKind(offer.kind.value), question=question, label=label,
+                kind=StepKind(offer.kind.value),
+                question=question,
+                label=label,
                 words=what if open_one else f"{what} It takes {most}{simulations:,} simulations.",
                 command=f"brink pairs {campaign.id} {option}",
                 request=StepRequest(
@@ -616,25 +660,31 @@ def _pair_steps(known: _Known) -> list[StepView]:
                 ),
                 follow_up=None if open_one is None else follow_up_view(open_one),
             )
-        )  # fmt: skip
+        )
     steps.append(_look_at_pairs(known, "What happens in them?"))
     return steps
 
 
 _QUESTIONS: Final = {
     FollowUpKind.CONFIRM: (
-        "Do the pairs hold?", "Confirm the pairs", f"--confirm {DEFAULT_CONFIRMATIONS}",
+        "Do the pairs hold?",
+        "Confirm the pairs",
+        f"--confirm {DEFAULT_CONFIRMATIONS}",
         f"Simulates both sides of each pair with up to {DEFAULT_CONFIRMATIONS} other seeds.",
     ),
     FollowUpKind.COMPONENT: (
-        "Is the component to blame?", "Blame the component", "--component",
+        "Is the component to blame?",
+        "Blame the component",
+        "--component",
         "Simulates each unsafe side once more, with ground truth in place of the component.",
     ),
     FollowUpKind.MINIMISE: (
-        "Which differences matter?", "Minimise the changes", "--minimise",
+        "Which differences matter?",
+        "Minimise the changes",
+        "--minimise",
         "Reverts the differences of each pair one by one, as long as its unsafe side stays unsafe.",
     ),
-}  # fmt: skip
+}
 
 
 def _look_at_pairs(known: _Known, question: str) -> StepView:
@@ -664,23 +714,27 @@ def _boundary_steps(known: _Known) -> list[StepView]:
         what = listed_words(repeated, distinct).removeprefix("the ") if distinct > 1 else "boundary solution"
         steps.append(
             StepView(
-                kind=StepKind.REPEAT, question="Does the boundary hold?", label="Repeat the boundary",
+                kind=StepKind.REPEAT,
+                question="Does the boundary hold?",
+                label="Repeat the boundary",
                 words=f"Simulates the {what} with {DEFAULT_REPEATS} other seeds. It takes "
                 f"{DEFAULT_REPEATS * repeated:,} simulations.",
                 command=f"brink repeats {campaign.id}",
                 request=StepRequest(path=f"campaigns/{campaign.id}/repeats", body={}),
                 follow_up=None if open_one is None else follow_up_view(open_one),
             )
-        )  # fmt: skip
+        )
     if len(known.found.plan.problem.space.components) > 1:
         steps.append(
             StepView(
-                kind=StepKind.CONTROL, question="How much of it is the component's?",
+                kind=StepKind.CONTROL,
+                question="How much of it is the component's?",
                 label="Compare with the control",
                 words="Compares it with its control, whose verdicts do not depend on the component.",
-                place=f"compare?ids={campaign.id}", command=f"brink compare {campaign.id}",
+                place=f"compare?ids={campaign.id}",
+                command=f"brink compare {campaign.id}",
             )
-        )  # fmt: skip
+        )
     steps.append(
         StepView(
             kind=StepKind.EXPORT,
@@ -705,6 +759,9 @@ def _cannot_repeat(found: ReadArchive) -> bool:
 
 def _longer(known: _Known, words: str) -> StepView:
     return StepView(
-        kind=StepKind.LONGER, question="Search longer?", words=words, label="Clone it with a larger budget",
+        kind=StepKind.LONGER,
+        question="Search longer?",
+        words=words,
+        label="Clone it with a larger budget",
         place=f"new?from={known.campaign.id}&simulations={4 * known.campaign.budget}",
-    )  # fmt: skip
+    )

@@ -88,10 +88,12 @@ async def get_violations(
     def respond() -> Response:
         chosen = found if avoidable is None else [one for one in found if one.avoidable is avoidable]
         view = Violations(
-            rules_version=RULES_VERSION, words=violations_words(found), explanation=EXPLANATION,
+            rules_version=RULES_VERSION,
+            words=violations_words(found),
+            explanation=EXPLANATION,
             types=_seen_again(violation_types(chosen, found), archive),
             violations=[] if types_only else [_violation_view(one) for one in chosen],
-        )  # fmt: skip
+        )
         return json_response(view)
 
     return await services.pages.run(respond)
@@ -229,12 +231,20 @@ def _type_view(kind: ViolationType, solutions: int) -> TypeView:
     faults = {is_at_fault(violation.circumstances) for violation in violations}
     counts = Counter(violation.avoidable for violation in violations)
     return TypeView(
-        type=kind.words, solutions=len(numbers), avoided=_avoided_words(kind, solutions),
-        instances=kind.instances, first=numbers[0], example=numbers[0], numbers=numbers,
+        type=kind.words,
+        solutions=len(numbers),
+        avoided=_avoided_words(kind, solutions),
+        instances=kind.instances,
+        first=numbers[0],
+        example=numbers[0],
+        numbers=numbers,
         named=sum(violation.name is not None for violation in violations),
-        avoidable=kind.avoidable, avoider=by_words(kind.avoidable), avoided_by=kind.avoided_by,
-        avoidable_by={one: counts[one] for one in Avoidable}, at_fault=faults.pop() if len(faults) == 1 else None,
-    )  # fmt: skip
+        avoidable=kind.avoidable,
+        avoider=by_words(kind.avoidable),
+        avoided_by=kind.avoided_by,
+        avoidable_by={one: counts[one] for one in Avoidable},
+        at_fault=faults.pop() if len(faults) == 1 else None,
+    )
 
 
 def _avoided_words(kind: ViolationType, solutions: int) -> str:
@@ -246,11 +256,17 @@ def _avoided_words(kind: ViolationType, solutions: int) -> str:
 
 def _violation_view(one: FoundViolation) -> ViolationView:
     return ViolationView(
-        number=one.number, requirement=str(one.circumstances["requirement"]),
-        time_s=float(one.circumstances["time_s"]), type=one.type, name=one.name,
-        avoidable=one.avoidable, avoided_by=one.avoided_by, at_fault=is_at_fault(one.circumstances),
-        signature=one.signature.to_json(), circumstances=dict(one.circumstances),
-    )  # fmt: skip
+        number=one.number,
+        requirement=str(one.circumstances["requirement"]),
+        time_s=float(one.circumstances["time_s"]),
+        type=one.type,
+        name=one.name,
+        avoidable=one.avoidable,
+        avoided_by=one.avoided_by,
+        at_fault=is_at_fault(one.circumstances),
+        signature=one.signature.to_json(),
+        circumstances=dict(one.circumstances),
+    )
 
 
 combinations_router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
@@ -362,12 +378,15 @@ def combinations_view(
     verdicts = verdicts_by_chain(space, archive)
     steps = [
         StepTally(
-            step=names.step(step), words=names.words((step,)),
-            alone_unsafe=alone.unsafe, alone_trials=alone.trials,
-            joined_unsafe=joined.unsafe, joined_trials=joined.trials,
+            step=names.step(step),
+            words=names.words((step,)),
+            alone_unsafe=alone.unsafe,
+            alone_trials=alone.trials,
+            joined_unsafe=joined.unsafe,
+            joined_trials=joined.trials,
         )
         for step, (alone, joined) in tally_by_step(verdicts).items()
-    ]  # fmt: skip
+    ]
     known, settings = alphas or {}, config or SimoodConfig()
     qualities = {chain: settings.quality(alpha) for chain, alpha in known.items()}
     margin = None if config is None else config.margin
@@ -376,9 +395,12 @@ def combinations_view(
         for one in combinations(verdicts)
     ]
     return Combinations(
-        words=_combinations_words(chains), margin=margin, explanation=_explanation_words(chains, settings, margin),
-        steps=steps, combinations=chains,
-    )  # fmt: skip
+        words=_combinations_words(chains),
+        margin=margin,
+        explanation=_explanation_words(chains, settings, margin),
+        steps=steps,
+        combinations=chains,
+    )
 
 
 def _explanation_words(chains: Sequence[CombinationView], config: SimoodConfig, margin: float | None) -> str:
@@ -436,25 +458,35 @@ def variants_view(space: SearchSpace, archive: Archive, number: int) -> list[Var
     order = sorted(found, key=lambda one: (one == chain, len(one)))
     return [
         Variant(
-            number=found[one].number, unsafe=found[one].unsafe,
-            chain=[names.step(step) for step in one], words=names.words(one),
+            number=found[one].number,
+            unsafe=found[one].unsafe,
+            chain=[names.step(step) for step in one],
+            words=names.words(one),
         )
         for one in order
-    ]  # fmt: skip
+    ]
 
 
 def _combination_view(
     names: TechniqueNames, one: Combination, alpha: float | None, harm: float | None, margin: float | None
 ) -> CombinationView:
     return CombinationView(
-        chain=[names.step(step) for step in one.chain], words=names.words(one.chain),
-        unsafe=one.tally.unsafe, trials=one.tally.trials,
-        parts=_tallies(names, one.parts), orders=_tallies(names, one.orders),
-        hazardous=one.hazardous, minimal=one.minimal, only_together=one.only_together,
-        order_matters=one.order_matters, alpha=alpha, added_harm=harm,
+        chain=[names.step(step) for step in one.chain],
+        words=names.words(one.chain),
+        unsafe=one.tally.unsafe,
+        trials=one.tally.trials,
+        parts=_tallies(names, one.parts),
+        orders=_tallies(names, one.orders),
+        hazardous=one.hazardous,
+        minimal=one.minimal,
+        only_together=one.only_together,
+        order_matters=one.order_matters,
+        alpha=alpha,
+        added_harm=harm,
         interacts=None if harm is None or margin is None else interacts(harm, margin),
-        together=list(one.joint_hazards), turned=list(one.order_hazards),
-    )  # fmt: skip
+        together=list(one.joint_hazards),
+        turned=list(one.order_hazards),
+    )
 
 
 def _tallies(names: TechniqueNames, tallies: Mapping[Chain, Tally]) -> list[ChainTally]:

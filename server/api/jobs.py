@@ -124,10 +124,14 @@ def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
         elif one.status is JobStatus.QUEUED and one.needs not in able:
             unrunnable[one.needs] += one.jobs
     return JobCounts(
-        status=[one.status for one in counts], campaign=[one.campaign for one in counts],
-        kind=[one.kind for one in counts], needs=[one.needs for one in counts],
+        status=[one.status for one in counts],
+        campaign=[one.campaign for one in counts],
+        kind=[one.kind for one in counts],
+        needs=[one.needs for one in counts],
         jobs=[one.jobs for one in counts],
         campaigns={one.campaign: one.name for one in counts},
-        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.campaign_status in ENDED}),
-        unrunnable=dict(unrunnable), waits_for={needs: worker_for(needs) for needs in unrunnable},
-    )  # fmt: skip
+        paused=sorted(paused),
+        ended=sorted({one.campaign for one in counts if one.campaign_status in ENDED}),
+        unrunnable=dict(unrunnable),
+        waits_for={needs: worker_for(needs) for needs in unrunnable},
+    )

@@ -115,9 +115,10 @@ class AccessMiddleware:
         scope[CALLER] = caller
         if not allows(caller.scope, scope["method"], scope["path"]):
             return problem(
-                403, "Forbidden",
+                403,
+                "Forbidden",
                 f"this token's scope is {caller.scope}, which does not allow {scope['method']} {scope['path']}",
-            )  # fmt: skip
+            )
         return None
 
     async def _serve_limited(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -161,9 +162,11 @@ def _too_large(limit: BodyLimit) -> Response:
 
 def _rate_limited(wait_s: float) -> Response:
     return problem(
-        429, "Too many requests", "rate limit exceeded; see the header Retry-After",
+        429,
+        "Too many requests",
+        "rate limit exceeded; see the header Retry-After",
         headers={"Retry-After": str(max(1, math.ceil(wait_s)))},
-    )  # fmt: skip
+    )
 
 
 def _is_open(path: str) -> bool:
@@ -180,10 +183,11 @@ def cross_site_refusal(scope: Scope) -> Response | None:
     host = headers.get("host", "").lower()
     if _host_name(host) not in LOOPBACK:
         return problem(
-            421, "Misdirected request",
+            421,
+            "Misdirected request",
             "expected a loopback host name such as 127.0.0.1 or localhost; a coordinator without tokens accepts no "
             "other",
-        )  # fmt: skip
+        )
     origin = headers.get("origin")
     foreign = origin is not None and origin.partition("://")[2].lower() != host
     fetched = headers.get("sec-fetch-site", "none") not in _OWN_SITE

@@ -71,8 +71,11 @@ async def get_outcomes(
 
 def _view(outcomes: CampaignOutcomes, *, solutions: bool) -> OutcomesView:
     return OutcomesView(
-        requirements=list(outcomes.requirements), evaluated=len(outcomes.numbers), recorded=outcomes.recorded,
-        words=outcomes.sentence(), odd=outcomes.odd,
+        requirements=list(outcomes.requirements),
+        evaluated=len(outcomes.numbers),
+        recorded=outcomes.recorded,
+        words=outcomes.sentence(),
+        odd=outcomes.odd,
         kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind},
         counts={kind: outcomes.count(kind) for kind in OutcomeKind},
         groups=[
@@ -81,4 +84,4 @@ def _view(outcomes: CampaignOutcomes, *, solutions: bool) -> OutcomesView:
         ],
         number=outcomes.numbers.tolist() if solutions else None,
         group=outcomes.which.tolist() if solutions else None,
-    )  # fmt: skip
+    )

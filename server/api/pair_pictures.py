@@ -8,13 +8,13 @@ from typing import Any, Final, Literal
 
 from fastapi import APIRouter, Request, Response
 
+from brink.pictures import DrivePair, ReplayError, Side, render_pair_maps
+from brink.pictures.reference import comparison_of
 from brink.server.api.context import Context, Services
 from brink.server.api.episodes import NOT_YET, UNREADABLE, Number, Wait, being_made, record_missing, trace_of
 from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.store import Campaign
 from brink.server.errors import Conflict, NotFound
-from brink.sim.replay import DrivePair, ReplayError, Side, render_pair_maps
-from brink.sim.replay.reference import comparison_of
 from brink.sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/pairs", tags=["pairs"])

@@ -24,9 +24,17 @@ _PAIR: Final[Mapping[str, type]] = {
     "differing": str,
 }
 _SIDE: Final[Mapping[str, type]] = {
-    "number": int, "robustness": float, "evaluated": int, "seed": int, "outcome": str, "words": str,
-    "again_evaluated": int, "again_unsafe": int, "again_low": float, "again_high": float,
-}  # fmt: skip
+    "number": int,
+    "robustness": float,
+    "evaluated": int,
+    "seed": int,
+    "outcome": str,
+    "words": str,
+    "again_evaluated": int,
+    "again_unsafe": int,
+    "again_low": float,
+    "again_high": float,
+}
 
 
 def pair_columns(space: SearchSpace) -> dict[str, type]:
@@ -77,15 +85,23 @@ def _flat(view: PairsView, pair: PairView) -> dict[str, Cell]:
         "differing": "; ".join(change.words for change in pair.changes),
     }
     for name, side, share in (
-        ("safe", pair.safe, pair.confirmation.safe), ("unsafe", pair.unsafe, pair.confirmation.unsafe),
-    ):  # fmt: skip
-        row.update({
-            f"{name}.number": side.number, f"{name}.robustness": side.robustness,
-            f"{name}.evaluated": side.evaluated, f"{name}.seed": side.seed, f"{name}.outcome": side.outcome,
-            f"{name}.words": side.words, f"{name}.again_evaluated": share.evaluated,
-            f"{name}.again_unsafe": share.unsafe, f"{name}.again_low": share.low,
-            f"{name}.again_high": share.high,
-        })  # fmt: skip
+        ("safe", pair.safe, pair.confirmation.safe),
+        ("unsafe", pair.unsafe, pair.confirmation.unsafe),
+    ):
+        row.update(
+            {
+                f"{name}.number": side.number,
+                f"{name}.robustness": side.robustness,
+                f"{name}.evaluated": side.evaluated,
+                f"{name}.seed": side.seed,
+                f"{name}.outcome": side.outcome,
+                f"{name}.words": side.words,
+                f"{name}.again_evaluated": share.evaluated,
+                f"{name}.again_unsafe": share.unsafe,
+                f"{name}.again_low": share.low,
+                f"{name}.again_high": share.high,
+            }
+        )
         for component, values in side.parameters.items():
             row.update({f"{name}.{component}.{parameter}": value for parameter, value in values.items()})
     return row

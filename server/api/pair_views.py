@@ -276,11 +276,12 @@ class FollowUpBody(Body):
     repeats: Annotated[
         int,
         Field(
-            ge=2, le=10_000,
+            ge=2,
+            le=10_000,
             description="Most simulations of each side, to confirm pairs. It takes fewer once a side is confirmed or "
             f"refuted; fewer than {FIRST} confirm none.",
         ),
-    ] = DEFAULT_CONFIRMATIONS  # fmt: skip
+    ] = DEFAULT_CONFIRMATIONS
     eps: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
     d_th: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
     limit: Annotated[

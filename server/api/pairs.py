@@ -94,17 +94,19 @@ router = APIRouter(prefix="/campaigns/{campaign_id}/pairs", tags=["pairs"])
 Eps = Annotated[
     float | None,
     Query(
-        ge=0, le=1,
+        ge=0,
+        le=1,
         description="Largest distance between the sides of a pair; by default that of the search for pairs, or 0.02.",
     ),
-]  # fmt: skip
+]
 PairDistance = Annotated[
     float | None,
     Query(
-        ge=0, le=1,
+        ge=0,
+        le=1,
         description="Smallest distance between two distinct pairs; by default that of the search for pairs, or 0.2.",
     ),
-]  # fmt: skip
+]
 Limit = Annotated[int, Query(ge=1, le=MOST_PAIRS, description="Maximum number of pairs to return.")]
 
 
@@ -173,9 +175,15 @@ async def follow_up_pairs(
     kind = FollowUpKind(body.kind)
     if kind is FollowUpKind.CONFIRM:
         again, new = await services.campaigns.repeat(
-            campaign, found.plan, found.archive, repeats=body.repeats, t_b=EVERY_T_B, d_th=EVERY_D_TH,
-            numbers=sides_of(chosen), until_decided=True,
-        )  # fmt: skip
+            campaign,
+            found.plan,
+            found.archive,
+            repeats=body.repeats,
+            t_b=EVERY_T_B,
+            d_th=EVERY_D_TH,
+            numbers=sides_of(chosen),
+            until_decided=True,
+        )
     else:
         numbers = [pair.unsafe.number for pair in chosen]
         seeds = await read(services.engines, lambda c: read_seeds(c, campaign.id, numbers))
@@ -185,9 +193,13 @@ async def follow_up_pairs(
         )
     set_created(response, f"campaigns/{again.id}", new=new)
     return FollowUpView(
-        kind=kind, campaign=again.id, status=again.status, status_reason=again.status_reason,
-        simulations=again.completed, budget=again.budget,
-    )  # fmt: skip
+        kind=kind,
+        campaign=again.id,
+        status=again.status,
+        status_reason=again.status_reason,
+        simulations=again.completed,
+        budget=again.budget,
+    )
 
 
 def pairs_view(
@@ -235,19 +247,34 @@ def pairs_view(
         "scenario_confirmed": blamed.count(ComponentPart.SCENARIO),
     }
     return PairsView(
-        campaign=campaign.id, name=campaign.body.name, status=campaign.status,
-        complete=campaign.status in ENDED, generation=found.generation, evaluated=len(found.archive),
-        eps=pairs.settings.eps, d_th=pairs.settings.d_th,
-        searched=searches_for_pairs(campaign.body.algorithm.id), computed=ignores_seeds(problem),
+        campaign=campaign.id,
+        name=campaign.body.name,
+        status=campaign.status,
+        complete=campaign.status in ENDED,
+        generation=found.generation,
+        evaluated=len(found.archive),
+        eps=pairs.settings.eps,
+        d_th=pairs.settings.d_th,
+        searched=searches_for_pairs(campaign.body.algorithm.id),
+        computed=ignores_seeds(problem),
         replayable=records_traces(problem),
         note=_note(campaign, found, pairs, deciding, counts),
         terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
         caveat=with_odd(_caveat(campaign, problem), problem.space),
-        safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
-        without_part=pairs.found.without_part, repeated=sides[0], changed=sides[1],
+        safe=pairs.found.safe,
+        unsafe=pairs.found.unsafe,
+        chancy=pairs.found.chancy,
+        without_part=pairs.found.without_part,
+        repeated=sides[0],
+        changed=sides[1],
         chance=_chance(pairs, *sides, refuted=counts["refuted"]),
-        tight=pairs.found.tight, distinct=len(pairs.found.pairs), checked=pairs.found.checked, **counts,
-        nearest=None if pairs.nearest is None else NearestView(
+        tight=pairs.found.tight,
+        distinct=len(pairs.found.pairs),
+        checked=pairs.found.checked,
+        **counts,
+        nearest=None
+        if pairs.nearest is None
+        else NearestView(
             safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
         ),
         follow_ups=[follow_up_view(one) for one in stored],
@@ -256,7 +283,7 @@ def pairs_view(
             for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
         ],
         pairs=[_pair(place, pair, problem, rows, evidence) for place, pair in placed],
-    )  # fmt: skip
+    )
 
 
 def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:
@@ -312,9 +339,13 @@ def follow_up_view(stored: StoredRepeats) -> FollowUpView:
     """Return the response schema of a follow-up."""
     campaign = stored.campaign
     return FollowUpView(
-        kind=stored.kind, campaign=campaign.id, status=campaign.status,
-        status_reason=campaign.status_reason, simulations=campaign.completed, budget=campaign.budget,
-    )  # fmt: skip
+        kind=stored.kind,
+        campaign=campaign.id,
+        status=campaign.status,
+        status_reason=campaign.status_reason,
+        simulations=campaign.completed,
+        budget=campaign.budget,
+    )
 
 
 def _offers(
@@ -380,12 +411,21 @@ def _pair(
         for side, solution in ((pair.safe, safe), (pair.unsafe, unsafe))
     ]
     return PairView(
-        place=place, words=f"{as_sentence(change)}: {sides[1].outcome}", change=change, moved=moved,
-        common=common_words(sides[0].words, sides[1].words), distance=pair.distance,
-        checked=pair.checked, same_seed=pair.same_seed,
-        confirmation=evidence.confirmation(pair), component=evidence.component(pair),
-        minimality=evidence.minimality(pair, safe), changes=changes, safe=sides[0], unsafe=sides[1],
-    )  # fmt: skip
+        place=place,
+        words=f"{as_sentence(change)}: {sides[1].outcome}",
+        change=change,
+        moved=moved,
+        common=common_words(sides[0].words, sides[1].words),
+        distance=pair.distance,
+        checked=pair.checked,
+        same_seed=pair.same_seed,
+        confirmation=evidence.confirmation(pair),
+        component=evidence.component(pair),
+        minimality=evidence.minimality(pair, safe),
+        changes=changes,
+        safe=sides[0],
+        unsafe=sides[1],
+    )
 
 
 def _changes(
@@ -477,8 +517,10 @@ class _Evidence:
             reducible=find_reducible(found.plan, found.archive, shown)
             if pairs.reducible is None
             else pairs.reducible,
-            repeated=repeated, truths=truths, reductions=reductions,
-        )  # fmt: skip
+            repeated=repeated,
+            truths=truths,
+            reductions=reductions,
+        )
 
     def confirmation(self, pair: Pair) -> ConfirmationView:
         """Return whether both sides of a pair keep their verdicts with other seeds."""
@@ -511,9 +553,11 @@ class _Evidence:
         else:
             state = Minimality.NOT_TRIED if ended else Minimality.PENDING
         return MinimalityView(
-            state=state, campaign=reduction.stored.campaign.id, tried=reduced.tried[place],
+            state=state,
+            campaign=reduction.stored.campaign.id,
+            tried=reduced.tried[place],
             unsafe=None if latest is None else self._minimised(reduction.rows[latest], pairs, place, safe),
-        )  # fmt: skip
+        )
 
     def _minimised(
         self, row: Row[Any], pairs: Reductions, place: int, safe: SimulatedSolution
@@ -523,10 +567,15 @@ class _Evidence:
         sides = pairs.safe[place], pairs.unsafe[place]
         changes, change, _ = _changes(problem, safe, unsafe, steps.differing(*sides))
         return MinimisedView(
-            number=row.number, robustness=row.robustness, outcome=_outcome(problem, row).words(),
-            parameters=problem.space.decode(tuple(unsafe.vectors)), distance=steps.distance(*sides),
-            minimal=True if pairs.is_minimal(place) else None, changes=changes, change=change,
-        )  # fmt: skip
+            number=row.number,
+            robustness=row.robustness,
+            outcome=_outcome(problem, row).words(),
+            parameters=problem.space.decode(tuple(unsafe.vectors)),
+            distance=steps.distance(*sides),
+            minimal=True if pairs.is_minimal(place) else None,
+            changes=changes,
+            change=change,
+        )
 
 
 _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
@@ -550,31 +599,43 @@ def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, Componen
             unsafe = verdict == SolutionVerdict.UNSAFE
             found[number] = ComponentView(
                 state=ComponentPart.SCENARIO if unsafe else ComponentPart.COMPONENT,
-                campaign=stored.campaign.id, number=place, robustness=row.robustness,
+                campaign=stored.campaign.id,
+                number=place,
+                robustness=row.robustness,
                 outcome=_outcome(problem, row).words(),
-            )  # fmt: skip
+            )
         elif verdict == SolutionVerdict.FAILED or stored.campaign.status not in ENDED:
             failed = verdict == SolutionVerdict.FAILED
             found[number] = ComponentView(
                 state=ComponentPart.FAILED if failed else ComponentPart.PENDING,
-                campaign=stored.campaign.id, number=place,
-            )  # fmt: skip
+                campaign=stored.campaign.id,
+                number=place,
+            )
     return found
 
 
 def _change(change: Change, titles: Mapping[str, str]) -> ChangeView:
     return ChangeView(
-        names=list(change.names), titles=[titles[name] for name in change.names], units=list(change.units),
-        safe=list(change.safe), unsafe=list(change.unsafe), active=change.active, moved=change.moved,
+        names=list(change.names),
+        titles=[titles[name] for name in change.names],
+        units=list(change.units),
+        safe=list(change.safe),
+        unsafe=list(change.unsafe),
+        active=change.active,
+        moved=change.moved,
         words=change.words,
-    )  # fmt: skip
+    )
 
 
 def _share(share: Share) -> ShareView:
     return ShareView(
-        evaluated=share.evaluated, unsafe=share.unsafe, probability=share.probability, low=share.low,
-        high=share.high, failed=share.failed,
-    )  # fmt: skip
+        evaluated=share.evaluated,
+        unsafe=share.unsafe,
+        probability=share.probability,
+        low=share.low,
+        high=share.high,
+        failed=share.failed,
+    )
 
 
 def _result(row: Row[Any] | None) -> dict[str, Any] | None:
@@ -584,11 +645,16 @@ def _result(row: Row[Any] | None) -> dict[str, Any] | None:
 def _side(side: Side, problem: Problem, solution: SimulatedSolution, row: Row[Any]) -> SideView:
     activity, outcome = solution.activity, _outcome(problem, row)
     return SideView(
-        number=side.number, evaluated=side.evaluated, robustness=side.robustness, seed=row.seed,
-        outcome=outcome.words(), kind=outcome.kind, words=describe_candidate(problem, solution.vectors, activity),
+        number=side.number,
+        evaluated=side.evaluated,
+        robustness=side.robustness,
+        seed=row.seed,
+        outcome=outcome.words(),
+        kind=outcome.kind,
+        words=describe_candidate(problem, solution.vectors, activity),
         parameters=problem.space.decode(tuple(solution.vectors)),
         activity=None if activity is None else activity_view(problem.space, activity),
-    )  # fmt: skip
+    )
 
 
 def _outcome(problem: Problem, row: Row[Any]) -> SolutionOutcome:

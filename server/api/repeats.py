@@ -152,9 +152,14 @@ async def repeat_boundary(
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     repeats, new = await services.campaigns.repeat(
-        campaign, found.plan, found.archive,
-        repeats=body.repeats, t_b=body.t_b, d_th=body.d_th, numbers=body.numbers,
-    )  # fmt: skip
+        campaign,
+        found.plan,
+        found.archive,
+        repeats=body.repeats,
+        t_b=body.t_b,
+        d_th=body.d_th,
+        numbers=body.numbers,
+    )
     set_created(response, f"campaigns/{repeats.id}", new=new)
     views = await _views(services, campaign_id)
     return next(view for view in views if view.campaign == repeats.id)
@@ -226,14 +231,30 @@ def repeats_view(
     evaluated, unsafe = int(tallies.evaluated.sum()), int(tallies.unsafe.sum())
     counts = Counter(conclusions)
     view = RepeatsView(
-        campaign=stored.campaign.id, of=campaign.id, name=campaign.body.name, status=stored.campaign.status,
-        status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
-        t_b=stored.t_b, d_th=stored.d_th, distinct=distinct,
-        p_th=near.p_th, simulations=stored.campaign.completed, budget=stored.campaign.body.budget.simulations,
-        holding=int((holds & known).sum()), below=counts[Conclusion.BELOW], above=counts[Conclusion.ABOVE],
-        near=counts[Conclusion.NEAR], inconclusive=counts[Conclusion.INCONCLUSIVE],
-        evaluated=evaluated, unsafe=unsafe, pooled=_pooled(unsafe, evaluated, near.z), words="", solutions=solutions,
-    )  # fmt: skip
+        campaign=stored.campaign.id,
+        of=campaign.id,
+        name=campaign.body.name,
+        status=stored.campaign.status,
+        status_reason=stored.campaign.status_reason,
+        repeats=stored.repeats,
+        boundary=stored.boundary,
+        t_b=stored.t_b,
+        d_th=stored.d_th,
+        distinct=distinct,
+        p_th=near.p_th,
+        simulations=stored.campaign.completed,
+        budget=stored.campaign.body.budget.simulations,
+        holding=int((holds & known).sum()),
+        below=counts[Conclusion.BELOW],
+        above=counts[Conclusion.ABOVE],
+        near=counts[Conclusion.NEAR],
+        inconclusive=counts[Conclusion.INCONCLUSIVE],
+        evaluated=evaluated,
+        unsafe=unsafe,
+        pooled=_pooled(unsafe, evaluated, near.z),
+        words="",
+        solutions=solutions,
+    )
     searched = campaign.body.algorithm.id
     rated = stored.boundary or (looks_for_boundary(searched) and not searches_for_pairs(searched))
     to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
@@ -275,9 +296,11 @@ def _in_words(view: RepeatsView, to_clear: int | None) -> str:
     if to_clear is None:
         return f"{again} {_by_verdict(view)}"
     known = [
-        (view.near, "near p_th"), (view.below, "below it"), (view.above, "above it"),
+        (view.near, "near p_th"),
+        (view.below, "below it"),
+        (view.above, "above it"),
         (view.inconclusive, f"inconclusive with {drives} simulations each"),
-    ]  # fmt: skip
+    ]
     told = ", ".join(f"{number} {words}" for number, words in known)
     rest = f" By solution, p_th = {view.p_th:g}: {told}."
     if each[0] < to_clear and view.inconclusive:

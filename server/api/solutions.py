@@ -256,20 +256,32 @@ def _solution(
     vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
     activity = activity_of(problem, vectors, result)
     return SolutionView(
-        number=row.number, generation=row.generation, verdict=row.verdict, robustness=row.robustness,
-        objectives=row.objectives, failure=row.failure, origin=row.origin, **_outcome(row, problem, result),
+        number=row.number,
+        generation=row.generation,
+        verdict=row.verdict,
+        robustness=row.robustness,
+        objectives=row.objectives,
+        failure=row.failure,
+        origin=row.origin,
+        **_outcome(row, problem, result),
         fitness=None if index is None else float(archive.fitness[index]),
         neighbours=None if index is None else int(archive.neighbours[index]),
         unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
-        interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
-        seed=row.seed, attempts=row.attempt, losses=row.losses,
-        words=describe_candidate(problem, vectors, activity), parameters=problem.space.decode(vectors),
+        interval=None
+        if index is None
+        else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
+        seed=row.seed,
+        attempts=row.attempt,
+        losses=row.losses,
+        words=describe_candidate(problem, vectors, activity),
+        parameters=problem.space.decode(vectors),
         titles=_titles(problem.space) if full else {},
         activity=None if activity is None else activity_view(problem.space, activity),
-        verdicts=result.get("verdicts") if full else None, features=result.get("features") if full else None,
+        verdicts=result.get("verdicts") if full else None,
+        features=result.get("features") if full else None,
         provenance=result.get("provenance") if full else None,
         spec=json.loads(row.spec) if full and row.spec else None,
-    )  # fmt: skip
+    )
 
 
 def _titles(space: SearchSpace) -> dict[str, str]:
@@ -302,9 +314,14 @@ def _violated_view(one: Violated, stored: Mapping[str, Any]) -> ViolatedView:
     circumstances = next((each for each in found if each.get("requirement") == one.requirement), {})
     avoidable = avoidable_of(circumstances)
     return ViolatedView(
-        requirement=one.requirement, time_s=one.time_s, words=one.words, decides=one.decides, avoidable=avoidable,
-        avoided_by=avoided_by_of(circumstances), avoidable_words="" if avoidable is None else avoidable.words,
-    )  # fmt: skip
+        requirement=one.requirement,
+        time_s=one.time_s,
+        words=one.words,
+        decides=one.decides,
+        avoidable=avoidable,
+        avoided_by=avoided_by_of(circumstances),
+        avoidable_words="" if avoidable is None else avoidable.words,
+    )
 
 
 def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
@@ -469,9 +486,14 @@ def _known_view(problem: Problem, place: int, record: KnownRecord) -> KnownSolut
     if record.unsafe is not None:
         verdict = SolutionVerdict.UNSAFE if record.unsafe else SolutionVerdict.SAFE
     return KnownSolutionView(
-        place=place, verdict=verdict, robustness=record.robustness, words=describe_candidate(problem, vectors),
-        parameters=problem.space.decode(vectors), campaign=record.source, number=record.number,
-    )  # fmt: skip
+        place=place,
+        verdict=verdict,
+        robustness=record.robustness,
+        words=describe_candidate(problem, vectors),
+        parameters=problem.space.decode(vectors),
+        campaign=record.source,
+        number=record.number,
+    )
 
 
 NeighbourLimit = Annotated[int, Query(ge=0, le=1000, description="Maximum number of neighbours to return.")]
@@ -575,15 +597,21 @@ def _opposite(connection: Connection, campaign_id: str, found: ReadArchive, plac
     changes = changes_between(problem, *sides, units)
     shown = rows[int(archive.numbers[other])]
     outcome = outcome_of(
-        problem, json.loads(shown.result) if shown.result else None,
-        safe=shown.verdict == SolutionVerdict.SAFE, robustness=shown.robustness,
-    )  # fmt: skip
+        problem,
+        json.loads(shown.result) if shown.result else None,
+        safe=shown.verdict == SolutionVerdict.SAFE,
+        robustness=shown.robustness,
+    )
     return Opposite(
-        number=shown.number, distance=distance, unsafe=bool(archive.unsafe[other]), outcome=outcome.words(),
-        kind=outcome.kind, change=change_words(problem, *sides, changes),
+        number=shown.number,
+        distance=distance,
+        unsafe=bool(archive.unsafe[other]),
+        outcome=outcome.words(),
+        kind=outcome.kind,
+        change=change_words(problem, *sides, changes),
         differences=sum(len(change.names) for change in changes),
         same_seed=safe.seed == unsafe.seed,
-    )  # fmt: skip
+    )
 
 
 def simulated(problem: Problem, row: Row[*tuple[Any, ...]]) -> SimulatedSolution:
@@ -599,17 +627,27 @@ def _neighbours_view(
     archive, settings = found.archive, found.plan.neighbourhood
     low, high = archive.interval[place].tolist()
     return Neighbours(
-        number=number, radius=settings.radius, p_th=settings.p_th,
-        confidence=math.erf(settings.z / math.sqrt(2)), looks_for_boundary=boundary,
-        neighbours=int(archive.neighbours[place]), unsafe_neighbours=int(archive.unsafe_neighbours[place]),
-        interval=(low, high), fitness=float(archive.fitness[place]), evaluated=len(archive),
+        number=number,
+        radius=settings.radius,
+        p_th=settings.p_th,
+        confidence=math.erf(settings.z / math.sqrt(2)),
+        looks_for_boundary=boundary,
+        neighbours=int(archive.neighbours[place]),
+        unsafe_neighbours=int(archive.unsafe_neighbours[place]),
+        interval=(low, high),
+        fitness=float(archive.fitness[place]),
+        evaluated=len(archive),
         nearest=[
             Neighbour(
-                number=int(archive.numbers[other]), distance=distance, within=distance <= settings.radius,
-                unsafe=bool(archive.unsafe[other]), outcome=outcomes.groups[outcomes.which[other]].words,
-                kind=outcomes.groups[outcomes.which[other]].kind, robustness=float(archive.robustness[other]),
+                number=int(archive.numbers[other]),
+                distance=distance,
+                within=distance <= settings.radius,
+                unsafe=bool(archive.unsafe[other]),
+                outcome=outcomes.groups[outcomes.which[other]].words,
+                kind=outcomes.groups[outcomes.which[other]].kind,
+                robustness=float(archive.robustness[other]),
                 fitness=float(archive.fitness[other]),
             )
             for other, distance in zip(near.positions.tolist(), near.distances.tolist(), strict=True)
         ],
-    )  # fmt: skip
+    )

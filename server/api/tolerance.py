@@ -407,23 +407,28 @@ def detector_view(
             )
         )
     return DetectorView(
-        campaign=campaign.id, detector=name, limit=limit, confidence=confidence,
+        campaign=campaign.id,
+        detector=name,
+        limit=limit,
+        confidence=confidence,
         note=_verdict(name, len(drives), [check.result for check in checks]),
         meaning="Each cell is a type of error that concerns one target, under one condition. Met: errors of the "
         f"sizes that this detector has make at most {limit:.0%} of drives {_violated(requirements)}, even at the "
         f"upper end of an interval of {confidence:.0%}. Not met: they make more, even at its lower end."
         + _not_judged(plan.problem, [check.choices for check in checks], drives),
-        no_data=_no_data(cells), next=_next(cells, sum(drive.condition is None for drive in drives)),
-        conditions=conditions, cells=cells,
-    )  # fmt: skip
+        no_data=_no_data(cells),
+        next=_next(cells, sum(drive.condition is None for drive in drives)),
+        conditions=conditions,
+        cells=cells,
+    )
 
 
 def _not_judged(problem: object, cells: Sequence[Mapping[str, str]], drives: Sequence[Drive]) -> str:
     """Return in a sentence the gross errors of the detector for which the campaign has no cell; empty for none."""
     names = {name.rpartition(".")[2]: name for name in cells[0]} if cells else {}
-    if not (isinstance(problem, RatesMeasuredErrors) and isinstance(problem, ScalesSeverity)) or set(names) != {
-        "type", "target",
-    }:  # fmt: skip
+    if not (isinstance(problem, RatesMeasuredErrors) and isinstance(problem, ScalesSeverity)) or set(
+        names
+    ) != {"type", "target"}:
         return ""
     targets = dict.fromkeys(cell[names["target"]] for cell in cells)
     worst = []
@@ -475,12 +480,23 @@ def _detector_cell(check: CellCheck, words: "_Words") -> DetectorCell:
     )
     scale = words.scale
     return DetectorCell(
-        choices=dict(check.choices), error=words.error, condition=check.condition, result=check.result, drives=drives,
-        needed=check.needed, at_least=check.bounds, typical=_in_unit(scale, middle), grossest=_in_unit(scale, most),
-        unit=scale.unit if scale else "", beyond=check.beyond, share=share.value if share else None,
-        low=share.low if share else None, high=share.high if share else None, worst=list(check.worst),
+        choices=dict(check.choices),
+        error=words.error,
+        condition=check.condition,
+        result=check.result,
+        drives=drives,
+        needed=check.needed,
+        at_least=check.bounds,
+        typical=_in_unit(scale, middle),
+        grossest=_in_unit(scale, most),
+        unit=scale.unit if scale else "",
+        beyond=check.beyond,
+        share=share.value if share else None,
+        low=share.low if share else None,
+        high=share.high if share else None,
+        worst=list(check.worst),
         sentence=words.checked(check, middle),
-    )  # fmt: skip
+    )
 
 
 def _no_data(cells: Sequence[DetectorCell]) -> str:
@@ -548,9 +564,12 @@ def _in_sight(target: str) -> str:
 
 
 _IN_SIGHT: Final[Mapping[str, str]] = {
-    Target.LEAD: "a vehicle ahead", Target.ONCOMING: "an oncoming vehicle", Target.CROSSING: "a crossing vehicle",
-    Target.PEDESTRIAN: "a pedestrian near the lane", Target.EVERYBODY: "somebody",
-}  # fmt: skip
+    Target.LEAD: "a vehicle ahead",
+    Target.ONCOMING: "an oncoming vehicle",
+    Target.CROSSING: "a crossing vehicle",
+    Target.PEDESTRIAN: "a pedestrian near the lane",
+    Target.EVERYBODY: "somebody",
+}
 
 
 def _in_unit(scale: SeverityScale | None, severity: float | None) -> float | None:
@@ -617,7 +636,7 @@ async def get_agreement(
             "/query/fresh",
             "expected a campaign that does not screen its drives, such as one with design: random, and with the same "
             "fixed parameters",
-        )  # fmt: skip
+        )
     plan = (await services.archives.get(campaign)).plan
     return await asyncio.to_thread(agreement_view, campaign, plan, other, known, found, confidence)
 
@@ -658,20 +677,30 @@ def agreement_view(
         choices = dict(zip(known.layout.names, cell.choices, strict=True))
         cells.append(
             AgreementCell(
-                place=place + 1, choices=choices, error=error_words(plan.problem, choices), condition=cell.condition,
-                drives=len(levels), caused=caused, low=low, high=high,
+                place=place + 1,
+                choices=choices,
+                error=error_words(plan.problem, choices),
+                condition=cell.condition,
+                drives=len(levels),
+                caused=caused,
+                low=low,
+                high=high,
                 agrees=low <= caused <= high,
             )
-        )  # fmt: skip
+        )
     if not cells:
         raise InvalidInput.at("/query/fresh", f"campaign {other.id} has no cell in common with {campaign.id}")
     agreeing, drives = sum(cell.agrees for cell in cells), sum(cell.drives for cell in cells)
     return AgreementView(
-        campaign=campaign.id, fresh=other.id, confidence=confidence, drives=drives, agreeing=agreeing,
+        campaign=campaign.id,
+        fresh=other.id,
+        confidence=confidence,
+        drives=drives,
+        agreeing=agreeing,
         note=f"{drives} fresh drives: in {agreeing} of {len(cells)} cells, as many violate because of the error as "
         f"predicted, within intervals of {confidence:.0%}",
         cells=cells,
-    )  # fmt: skip
+    )
 
 
 def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> ToleranceView:
@@ -696,35 +725,53 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         basis = _basis(curve, screening)
         cells.append(
             CellView(
-                place=place + 1, choices=choices, condition=cell.condition, error=error_words(problem, choices),
-                words=words.activity(curve), sentence=words.sentence(cell.condition, curve, basis), basis=basis,
+                place=place + 1,
+                choices=choices,
+                condition=cell.condition,
+                error=error_words(problem, choices),
+                words=words.activity(curve),
+                sentence=words.sentence(cell.condition, curve, basis),
+                basis=basis,
                 unit=words.scale.unit if words.scale else "",
                 decimals=words.scale.decimals if words.scale else 2,
                 meaning=words.scale.meaning if words.scale else "severity of the error",
                 drives=int(curve.drives.sum()),
                 caused=int(curve.caused.sum()),
                 screened=0 if screening is None else screening.screened,
-                vulnerable=0 if screening is None else screening.vulnerable, tolerated=words.tolerated(curve, basis),
-                curve=words.curve(curve), fall=words.fall(curve),
+                vulnerable=0 if screening is None else screening.vulnerable,
+                tolerated=words.tolerated(curve, basis),
+                curve=words.curve(curve),
+                fall=words.fall(curve),
                 examples=[
-                    ExampleView(number=number, severity=level / len(curve.drives),
-                                magnitude=words.magnitude(level / len(curve.drives)))
+                    ExampleView(
+                        number=number,
+                        severity=level / len(curve.drives),
+                        magnitude=words.magnitude(level / len(curve.drives)),
+                    )
                     for level, number in examples.get(place, ())[:EXAMPLES]
                 ],
             )
-        )  # fmt: skip
+        )
     drives = sum(cell.drives for cell in cells)
     return ToleranceView(
-        campaign=campaign.id, name=campaign.body.name, status=campaign.status,
-        complete=campaign.status in ENDED, requirements=requirements, limit=config.limit,
-        confidence=config.confidence, simulations=campaign.evaluated, open=len(found.tally.open_numbers),
+        campaign=campaign.id,
+        name=campaign.body.name,
+        status=campaign.status,
+        complete=campaign.status in ENDED,
+        requirements=requirements,
+        limit=config.limit,
+        confidence=config.confidence,
+        simulations=campaign.evaluated,
+        open=len(found.tally.open_numbers),
         note=_note(cells, drives, config.limit, config.confidence),
         caveat=with_odd(_caveat(cells, config.limit), plan.problem.space),
-        conditions=list(layout.conditions), baseline=_baselines(found), cells=cells,
+        conditions=list(layout.conditions),
+        baseline=_baselines(found),
+        cells=cells,
         mean_width=sum(curve.tolerated.width for curve in found.curves) / len(found.curves),
         audited=sum(one.audited for one in found.tally.screenings),
         leaks=sum(one.leaked for one in found.tally.screenings),
-    )  # fmt: skip
+    )
 
 
 def _note(cells: list[CellView], drives: int, limit: float, confidence: float) -> str:
@@ -778,13 +825,15 @@ def _baselines(found: CampaignTolerance) -> list[BaselineView]:
     for population, (violating, drives) in enumerate(found.tally.baseline):
         members = [cell for cell in layout.cells if cell.population == population]
         others = [
-            cell for cell in layout.cells
+            cell
+            for cell in layout.cells
             if cell.condition == members[0].condition and cell.population != population
-        ]  # fmt: skip
+        ]
         kept = [
-            place for place, _ in enumerate(layout.names)
+            place
+            for place, _ in enumerate(layout.names)
             if others and {c.choices[place] for c in members}.isdisjoint(c.choices[place] for c in others)
-        ]  # fmt: skip
+        ]
         choices = {tuple((layout.names[place], cell.choices[place]) for place in kept) for cell in members}
         views.append(
             BaselineView(
@@ -836,9 +885,12 @@ class _Words:
         return CurveView(
             severity=grid,
             magnitude=None if self.scale is None else [self.scale.at(one) for one in grid],
-            share=curve.median.tolist(), low=curve.low.tolist(), high=curve.high.tolist(),
-            drives=[0, *curve.drives.tolist()], caused=[0, *curve.caused.tolist()],
-        )  # fmt: skip
+            share=curve.median.tolist(),
+            low=curve.low.tolist(),
+            high=curve.high.tolist(),
+            drives=[0, *curve.drives.tolist()],
+            caused=[0, *curve.caused.tolist()],
+        )
 
     def activity(self, curve: Curve) -> str:
         """Return the error with the magnitude at which the limit is reached, or with the largest one."""
@@ -925,9 +977,12 @@ class _Words:
             f"drives violate because of it there, {fall.to_share:.0%} at {self._number(fall.to_severity, unit=True)}"
         )
         return FallView(
-            from_severity=fall.from_severity, to_severity=fall.to_severity,
-            from_share=fall.from_share, to_share=fall.to_share, words=words,
-        )  # fmt: skip
+            from_severity=fall.from_severity,
+            to_severity=fall.to_severity,
+            from_share=fall.from_share,
+            to_share=fall.to_share,
+            words=words,
+        )
 
 
 def _ends(curve: Curve) -> tuple[float, float, float]:
@@ -967,21 +1022,42 @@ def tolerance_csv(view: ToleranceView) -> str:
     ends = ("value", "low", "high")
     rows: list[list[object]] = [
         [
-            *(name.rpartition(".")[2] for name in names), "error", "condition", "finding", "unit",
-            *(f"tolerated_{end}" for end in ends), *(f"severity_{end}" for end in ends),
-            "limit", "confidence", "screened", "vulnerable", "drives", "caused", "sentence",
+            *(name.rpartition(".")[2] for name in names),
+            "error",
+            "condition",
+            "finding",
+            "unit",
+            *(f"tolerated_{end}" for end in ends),
+            *(f"severity_{end}" for end in ends),
+            "limit",
+            "confidence",
+            "screened",
+            "vulnerable",
+            "drives",
+            "caused",
+            "sentence",
         ]
-    ]  # fmt: skip
+    ]
     for cell in view.cells:
         amounts = [getattr(cell.tolerated, end) for end in ends]
         rows.append(
             [
-                *(cell.choices[name] for name in names), cell.error, cell.condition, cell.tolerated.finding.value,
+                *(cell.choices[name] for name in names),
+                cell.error,
+                cell.condition,
+                cell.tolerated.finding.value,
                 cell.unit,
-                *(_digits(one.magnitude) for one in amounts), *(_digits(one.severity) for one in amounts),
-                view.limit, view.confidence, cell.screened, cell.vulnerable, cell.drives, cell.caused, cell.sentence,
+                *(_digits(one.magnitude) for one in amounts),
+                *(_digits(one.severity) for one in amounts),
+                view.limit,
+                view.confidence,
+                cell.screened,
+                cell.vulnerable,
+                cell.drives,
+                cell.caused,
+                cell.sentence,
             ]
-        )  # fmt: skip
+        )
     return csv_text(rows)
 
 

@@ -222,8 +222,13 @@ class Monitors:
         vectors, unsafe = archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:]
         try:
             return Monitor.fitted(
-                plan.problem.space, vectors, unsafe, threshold=plan.neighbourhood.p_th, z=plan.neighbourhood.z,
-                seed=campaign.body.seed, model=model or default_model(unsafe),
-            )  # fmt: skip
+                plan.problem.space,
+                vectors,
+                unsafe,
+                threshold=plan.neighbourhood.p_th,
+                z=plan.neighbourhood.z,
+                seed=campaign.body.seed,
+                model=model or default_model(unsafe),
+            )
         except (MissingExtra, ValueError) as error:
             raise Conflict(f"campaign {campaign.id}: {error}") from None

@@ -45,8 +45,12 @@ PIECE_BYTES: Final = 8 * 1024 * 1024
 """Most rows, and most bytes of distances, that one transaction deletes; a single block may be larger."""
 _DISTANCE_BYTES: Final = 4
 _KEYS: Final[Sequence[InstrumentedAttribute[int]]] = (
-    SolutionRow.number, KnownSolutionRow.place, GenerationRow.number, LlmCallRow.request, ViolationNameRow.number,
-)  # fmt: skip
+    SolutionRow.number,
+    KnownSolutionRow.place,
+    GenerationRow.number,
+    LlmCallRow.request,
+    ViolationNameRow.number,
+)
 """Column that orders the rows of a campaign, for each of the tables with many of them; further rows are deleted with
 the row of the campaign."""
 
@@ -95,9 +99,12 @@ def read_trees(connection: Connection, roots: Sequence[str], *, lock: bool = Fal
     while level:
         for row in connection.execute(members, {"ids": list(level)}):
             found[row.id] = TreeMember(
-                id=row.id, name=row.name, status=CampaignStatus(row.status), finished_at=row.finished_at,
+                id=row.id,
+                name=row.name,
+                status=CampaignStatus(row.status),
+                finished_at=row.finished_at,
                 follow_up_of=level[row.id],
-            )  # fmt: skip
+            )
         below = connection.execute(_FOLLOW_UPS, {"ids": list(level)}).all()
         level = {row.campaign_id: row.of_id for row in below if row.campaign_id not in found}
     children = dict[str | None, list[TreeMember]]()

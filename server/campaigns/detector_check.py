@@ -132,11 +132,16 @@ def check_detector(
     }
     return [
         _checked(
-            found, problem, dict(zip(found.layout.names, choices, strict=True)), condition, curves,
-            by_condition[condition], generator(seed, Stream.TOLERANCE, 4, place),
+            found,
+            problem,
+            dict(zip(found.layout.names, choices, strict=True)),
+            condition,
+            curves,
+            by_condition[condition],
+            generator(seed, Stream.TOLERANCE, 4, place),
         )
         for place, ((condition, choices), curves) in enumerate(cells.items())
-    ]  # fmt: skip
+    ]
 
 
 def _checked(
@@ -212,10 +217,12 @@ def read_drives(connection: Connection, campaign: Campaign, read: ReadArchive, l
         if condition is not None:
             drives.append(
                 Drive(
-                    name=str(number), condition=condition, measures=measures,
+                    name=str(number),
+                    condition=condition,
+                    measures=measures,
                     unsafe=bool(read.archive.unsafe[place]),
                 )
-            )  # fmt: skip
+            )
     if not drives:
         raise InvalidInput.at(
             "/query/episodes",

@@ -67,14 +67,22 @@ def plan_component(
     numbers = sorted({pair.unsafe.number for pair in pairs})
     rows = _rows(archive, numbers)
     return PlannedRepeats(
-        of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=SINGLE, numbers=tuple(numbers),
+        of=campaign.id,
+        t_b=EVERY_T_B,
+        d_th=EVERY_D_TH,
+        repeats=SINGLE,
+        numbers=tuple(numbers),
         campaign=prepare_campaign(
             follow_up_body(
-                campaign, plan, f"{_count(len(numbers), 'unsafe drive')} with ground truth", Repeats.id, len(numbers),
+                campaign,
+                plan,
+                f"{_count(len(numbers), 'unsafe drive')} with ground truth",
+                Repeats.id,
+                len(numbers),
                 {"solutions": rows.tolist(), "seed_numbers": _seed_numbers(campaign, numbers, seeds)},
-            ).model_copy(update={"ground_truth": True}),
+            ).model_copy(update={"ground_truth": True})
         ),
-    )  # fmt: skip
+    )
 
 
 def plan_minimisation(
@@ -112,14 +120,22 @@ def plan_minimisation(
         "seed_numbers": _seed_numbers(campaign, numbers[1::2], seeds),
     }
     return PlannedRepeats(
-        of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=REDUCTION, numbers=tuple(numbers),
+        of=campaign.id,
+        t_b=EVERY_T_B,
+        d_th=EVERY_D_TH,
+        repeats=REDUCTION,
+        numbers=tuple(numbers),
         campaign=prepare_campaign(
             follow_up_body(
-                campaign, plan, f"{_count(len(open_pairs), 'pair')} minimised", Minimise.id,
-                most_trials(reduced), params,
-            ),
+                campaign,
+                plan,
+                f"{_count(len(open_pairs), 'pair')} minimised",
+                Minimise.id,
+                most_trials(reduced),
+                params,
+            )
         ),
-    )  # fmt: skip
+    )
 
 
 def has_one_seed(plan: Plan, pair: Pair) -> bool:

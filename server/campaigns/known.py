@@ -123,10 +123,11 @@ def _encoded(
     wrong = [
         FieldError(
             pointer=f"{pointer}/{name.replace('~', '~0').replace('/', '~1')}",
-            message="unknown parameter; expected component.parameter", nearest=nearest(name, names),
+            message="unknown parameter; expected component.parameter",
+            nearest=nearest(name, names),
         )
         for name in islice((one for one in values if one not in names), _MOST_ERRORS)
-    ]  # fmt: skip
+    ]
     wrong += [
         FieldError(pointer=f"{pointer}/{name}", message="missing; every parameter is required")
         for name in names
@@ -160,12 +161,17 @@ def insert_known(connection: Connection, campaign_id: str, records: Sequence[Kno
             insert(KnownSolutionRow),
             [
                 {
-                    "campaign_id": campaign_id, "place": place, "vector": one.vector, "is_unsafe": one.unsafe,
-                    "robustness": one.robustness, "source_id": one.source, "source_number": one.number,
+                    "campaign_id": campaign_id,
+                    "place": place,
+                    "vector": one.vector,
+                    "is_unsafe": one.unsafe,
+                    "robustness": one.robustness,
+                    "source_id": one.source,
+                    "source_number": one.number,
                 }
                 for place, one in enumerate(records)
             ],
-        )  # fmt: skip
+        )
 
 
 def read_known(
@@ -188,11 +194,14 @@ def read_known(
     )
     return [
         KnownRecord(
-            vector=row.vector, unsafe=row.is_unsafe, robustness=row.robustness, source=row.source_id,
+            vector=row.vector,
+            unsafe=row.is_unsafe,
+            robustness=row.robustness,
+            source=row.source_id,
             number=row.source_number,
         )
         for row in connection.execute(query)
-    ]  # fmt: skip
+    ]
 
 
 def count_known(connection: Connection, campaign_id: str) -> KnownCounts:

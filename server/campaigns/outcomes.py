@@ -281,9 +281,13 @@ def read_outcomes(
     if isinstance(problem, NamesRequirements):
         deciding = {problem.requirements}
     return CampaignOutcomes(
-        requirements=next(iter(deciding)) if len(deciding) == 1 else (), numbers=archive.numbers,
-        groups=tuple(groups), which=which, recorded=recorded, odd=odd_sentence(problem.space),
-    )  # fmt: skip
+        requirements=next(iter(deciding)) if len(deciding) == 1 else (),
+        numbers=archive.numbers,
+        groups=tuple(groups),
+        which=which,
+        recorded=recorded,
+        odd=odd_sentence(problem.space),
+    )
 
 
 def _read_new(
@@ -307,7 +311,9 @@ def _read_new(
         for row in rows:
             check_time()
             found[row.number] = outcome_of(
-                problem, json.loads(row.result) if row.result else None,
-                safe=row.verdict == SolutionVerdict.SAFE, robustness=row.robustness,
-            )  # fmt: skip
+                problem,
+                json.loads(row.result) if row.result else None,
+                safe=row.verdict == SolutionVerdict.SAFE,
+                robustness=row.robustness,
+            )
         return found

@@ -138,9 +138,12 @@ class Pairs:
         pairs = found.pairs[:MOST]
         _, reductions = reducible(read.plan, read.archive, pairs[:MOST_PAIRS_FOLLOWED])
         return CampaignPairs(
-            settings=settings, found=found, nearest=nearest,
-            reducible=find_reducible(read.plan, read.archive, pairs), most_trials=most_trials(reductions),
-        )  # fmt: skip
+            settings=settings,
+            found=found,
+            nearest=nearest,
+            reducible=find_reducible(read.plan, read.archive, pairs),
+            most_trials=most_trials(reductions),
+        )
 
 
 def find_reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> frozenset[tuple[int, int]]:
@@ -177,9 +180,13 @@ def find_stored_pairs(
             return read_activity(connection, campaign_id, plan.problem, archive, places).active
 
     return find_pairs(
-        archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th, seeds=seeds,
+        archive,
+        plan.problem.space,
+        eps=settings.eps,
+        d_th=settings.d_th,
+        seeds=seeds,
         had_part=had_part if isinstance(plan.problem, RecordsActivity) else None,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -182,9 +182,11 @@ def make_plan(body: CampaignBody) -> Plan:
     defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
     values = {**defaults, **body.algorithm.params}
     config = run_plugin(
-        ALGORITHMS, body.algorithm.id, "config_type",
+        ALGORITHMS,
+        body.algorithm.id,
+        "config_type",
         lambda: make_params(algorithm.config_type, values, "/algorithm/params"),
-    )  # fmt: skip
+    )
     resolved = body.model_copy(
         update={
             "problem": PluginChoice(id=body.problem.id, params=problem_params),

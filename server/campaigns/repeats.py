@@ -314,11 +314,13 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
         select(RepeatsRow.numbers, CampaignRow.__table__)
         .join(CampaignRow, RepeatsRow.campaign_id == CampaignRow.id)
         .where(
-            RepeatsRow.of_id == planned.of, RepeatsRow.t_b == planned.t_b, RepeatsRow.d_th == planned.d_th,
+            RepeatsRow.of_id == planned.of,
+            RepeatsRow.t_b == planned.t_b,
+            RepeatsRow.d_th == planned.d_th,
             RepeatsRow.repeats == planned.repeats,
             CampaignRow.status.not_in((CampaignStatus.CANCELLED, CampaignStatus.FAILED)),
         )
-    )  # fmt: skip
+    )
     equal = campaigns_of(connection, [row for row in candidates if tuple(row.numbers) == planned.numbers])
     seed = (
         planned.campaign.body.seed
@@ -329,10 +331,14 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
     campaign = store_campaign(connection, planned.campaign)
     connection.execute(
         insert(RepeatsRow).values(
-            campaign_id=campaign.id, of_id=planned.of, t_b=planned.t_b, d_th=planned.d_th,
-            repeats=planned.repeats, numbers=list(planned.numbers),
+            campaign_id=campaign.id,
+            of_id=planned.of,
+            t_b=planned.t_b,
+            d_th=planned.d_th,
+            repeats=planned.repeats,
+            numbers=list(planned.numbers),
         )
-    )  # fmt: skip
+    )
     note_change(connection, planned.of)
     return campaign, True
 
@@ -360,12 +366,16 @@ def read_follow_ups(connection: Connection, campaign_id: str) -> list[StoredRepe
         }
         found.append(
             StoredRepeats(
-                campaign=campaign, t_b=row.t_b, d_th=row.d_th, repeats=row.repeats,
-                numbers=tuple(row.numbers), evaluated=tuple(evaluated),
+                campaign=campaign,
+                t_b=row.t_b,
+                d_th=row.d_th,
+                repeats=row.repeats,
+                numbers=tuple(row.numbers),
+                evaluated=tuple(evaluated),
                 unsafe=tuple(verdict == SolutionVerdict.UNSAFE for verdict in evaluated.values()),
                 failed=tuple(number for number in verdicts if number not in evaluated),
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -378,12 +388,14 @@ def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> lis
         select(CampaignRow.__table__)
         .join(RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id)
         .where(
-            RepeatsRow.of_id.in_(list(campaigns)), RepeatsRow.t_b == EVERY_T_B, RepeatsRow.d_th == EVERY_D_TH,
+            RepeatsRow.of_id.in_(list(campaigns)),
+            RepeatsRow.t_b == EVERY_T_B,
+            RepeatsRow.d_th == EVERY_D_TH,
             RepeatsRow.repeats != REDUCTION,
             CampaignRow.status.not_in((CampaignStatus.CANCELLED, CampaignStatus.FAILED)),
         )
         .order_by(CampaignRow.created_at, CampaignRow.id)
-    )  # fmt: skip
+    )
     return campaigns_of(connection, connection.execute(query).all())
 
 

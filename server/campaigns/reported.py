@@ -209,6 +209,9 @@ def _parsed(problem: SimulatedProblem, number: int, vector: bytes, text: str | N
     document: dict[str, Any] = result.model_dump(mode="json")
     outcome = outcome_of(problem, document, safe=not evaluation.unsafe, robustness=evaluation.robustness)
     return ReportedResult(
-        number=number, vector=np.frombuffer(vector, dtype="<f8"), unsafe=evaluation.unsafe,
-        robustness=evaluation.robustness, outcome=OutcomeGroup.of(outcome),
-    )  # fmt: skip
+        number=number,
+        vector=np.frombuffer(vector, dtype="<f8"),
+        unsafe=evaluation.unsafe,
+        robustness=evaluation.robustness,
+        outcome=OutcomeGroup.of(outcome),
+    )

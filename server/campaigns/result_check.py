@@ -246,9 +246,11 @@ def _expected(plan: Plan) -> _Expected | None:
         return None
     needed = plan.algorithm.needed_objectives if isinstance(plan.algorithm, NeedsObjectives) else ()
     return _Expected(
-        problem=plan.problem, algorithm=plan.body.algorithm.id, objectives=tuple(needed),
+        problem=plan.problem,
+        algorithm=plan.body.algorithm.id,
+        objectives=tuple(needed),
         user_code=not is_own_plugin(PROBLEMS, plan.body.problem.id),
-    )  # fmt: skip
+    )
 
 
 def _reason(problem: SimulatedProblem, result: Completed, error: Exception) -> str:

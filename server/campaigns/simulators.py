@@ -40,8 +40,9 @@ def other_simulator(connection: Connection, campaign: Campaign) -> str | None:
     if plan.body.sources and not campaign.body.sources:
         log.warning(
             "the version of Brink that started this campaign did not record the source of its plug-ins: edits since "
-            "then cannot be told", extra={"campaign": campaign.id},
-        )  # fmt: skip
+            "then cannot be told",
+            extra={"campaign": campaign.id},
+        )
     problem = plan.problem
     if not isinstance(problem, SimulatedProblem):
         return None

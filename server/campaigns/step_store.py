@@ -211,13 +211,18 @@ def _insert_solutions(
         insert(SolutionRow),
         [
             {
-                "campaign_id": campaign.id, "number": s.number, "generation": generation, "vector": s.vector,
-                "seed": s.seed, "spec_hash": s.job.spec_hash if s.job else None,
-                "verdict": SolutionVerdict.PENDING, "origin": s.origin,
+                "campaign_id": campaign.id,
+                "number": s.number,
+                "generation": generation,
+                "vector": s.vector,
+                "seed": s.seed,
+                "spec_hash": s.job.spec_hash if s.job else None,
+                "verdict": SolutionVerdict.PENDING,
+                "origin": s.origin,
             }
             for s in solutions
         ],
-    )  # fmt: skip
+    )
     for kind in (JobKind.EPISODE, JobKind.DATASET):
         jobs = [(s.number, s.job) for s in solutions if s.job is not None and s.kind is kind]
         job_store.enqueue(connection, campaign.id, kind, jobs, campaign.job_settings)
@@ -304,11 +309,16 @@ def write_step(connection: Connection, step: Step) -> bool:
         update(CampaignRow)
         .where(CampaignRow.id == campaign.id)
         .values(
-            generation=step.generation + 1, evaluated=step.summary.evaluated, unsafe=step.summary.unsafe,
-            failed=step.summary.failed, measured=step.summary.measured, turn=LAST_TURN, served=0,
+            generation=step.generation + 1,
+            evaluated=step.summary.evaluated,
+            unsafe=step.summary.unsafe,
+            failed=step.summary.failed,
+            measured=step.summary.measured,
+            turn=LAST_TURN,
+            served=0,
             sequence=NEXT_SEQUENCE,
         )
-    )  # fmt: skip
+    )
     if step.status is not CampaignStatus.RUNNING:
         set_status(connection, campaign.id, step.status, step.reason)
     return True
@@ -344,18 +354,22 @@ def _update_results(connection: Connection, campaign_id: str, results: Sequence[
         update(SolutionRow)
         .where(SolutionRow.campaign_id == campaign_id, SolutionRow.number == bindparam("solution"))
         .values(
-            verdict=bindparam("verdict_of"), robustness=bindparam("robustness_of"),
-            objectives=bindparam("objectives_of"), failure=bindparam("failure_of"),
+            verdict=bindparam("verdict_of"),
+            robustness=bindparam("robustness_of"),
+            objectives=bindparam("objectives_of"),
+            failure=bindparam("failure_of"),
         ),
         [
             {
-                "solution": one.number, "verdict_of": one.verdict, "robustness_of": one.robustness,
+                "solution": one.number,
+                "verdict_of": one.verdict,
+                "robustness_of": one.robustness,
                 "objectives_of": dict(one.objectives) if one.objectives is not None else None,
                 "failure_of": one.failure,
             }
             for one in results
         ],
-    )  # fmt: skip
+    )
     # A result that could not be evaluated must not be shared with other campaigns.
     failed = [one.number for one in results if one.verdict is SolutionVerdict.FAILED]
     job_store.withdraw_results(connection, campaign_id, failed)
@@ -368,11 +382,16 @@ def _write_archive(connection: Connection, step: Step) -> None:
         block = step.block
         connection.execute(
             insert(DistanceBlockRow).values(
-                campaign_id=step.campaign, generation=step.generation, first_row=block.first_row,
-                rows=block.rows, columns=block.columns, metric_version=block.metric_version,
-                sha256=block.sha256, data=block.data,
+                campaign_id=step.campaign,
+                generation=step.generation,
+                first_row=block.first_row,
+                rows=block.rows,
+                columns=block.columns,
+                metric_version=block.metric_version,
+                sha256=block.sha256,
+                data=block.data,
             )
-        )  # fmt: skip
+        )
     _save_checkpoint(connection, step.campaign, step.checkpoint)
 
 
@@ -380,10 +399,14 @@ def _save_checkpoint(connection: Connection, campaign_id: str, saved: Checkpoint
     connection.execute(delete(CheckpointRow).where(CheckpointRow.campaign_id == campaign_id))
     connection.execute(
         insert(CheckpointRow).values(
-            campaign_id=campaign_id, generation=saved.generation, document=saved.document,
-            neighbours=saved.neighbours, unsafe_neighbours=saved.unsafe_neighbours, sha256=saved.sha256(),
+            campaign_id=campaign_id,
+            generation=saved.generation,
+            document=saved.document,
+            neighbours=saved.neighbours,
+            unsafe_neighbours=saved.unsafe_neighbours,
+            sha256=saved.sha256(),
         )
-    )  # fmt: skip
+    )
 
 
 def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | None:
@@ -398,9 +421,11 @@ def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | No
     if row is None:
         return None
     checkpoint = Checkpoint(
-        generation=row.generation, document=row.document, neighbours=row.neighbours,
+        generation=row.generation,
+        document=row.document,
+        neighbours=row.neighbours,
         unsafe_neighbours=row.unsafe_neighbours,
-    )  # fmt: skip
+    )
     if checkpoint.sha256() != row.sha256:
         raise Damaged(f"campaign {campaign_id}: the checkpoint of generation {row.generation} is damaged")
     return checkpoint
@@ -473,7 +498,10 @@ def read_archive(connection: Connection, campaign_id: str, dimension: int) -> St
     generation = checkpoint.generation if checkpoint else 0
     rows = connection.execute(
         select(
-            SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness,
+            SolutionRow.number,
+            SolutionRow.vector,
+            SolutionRow.verdict,
+            SolutionRow.robustness,
             SolutionRow.generation,
         )
         .where(
@@ -482,7 +510,7 @@ def read_archive(connection: Connection, campaign_id: str, dimension: int) -> St
             SolutionRow.verdict.in_([SolutionVerdict.SAFE, SolutionVerdict.UNSAFE]),
         )
         .order_by(SolutionRow.number)
-    ).all()  # fmt: skip
+    ).all()
     counts = (checkpoint.neighbours, checkpoint.unsafe_neighbours) if checkpoint else (b"", b"")
     return StoredArchive(
         generation=generation,

@@ -95,13 +95,22 @@ def read_tags(connection: Connection, campaigns: Sequence[str]) -> dict[str, lis
 def _campaign(row: Row[*tuple[Any, ...]], tags: list[str]) -> Campaign:
     body = stored_body(row.document, tags, row.notes)
     return Campaign(
-        id=row.id, body=body, document_hash=row.document_hash,
+        id=row.id,
+        body=body,
+        document_hash=row.document_hash,
         status=CampaignStatus(row.status),
-        status_reason=row.status_reason, generation=row.generation, generation_end=row.generation_end,
+        status_reason=row.status_reason,
+        generation=row.generation,
+        generation_end=row.generation_end,
         evaluated=row.evaluated,
-        unsafe=row.unsafe, failed=row.failed, measured=row.measured, failures_accepted=row.failures_accepted,
-        sequence=row.sequence, created_at=row.created_at, finished_at=row.finished_at,
-    )  # fmt: skip
+        unsafe=row.unsafe,
+        failed=row.failed,
+        measured=row.measured,
+        failures_accepted=row.failures_accepted,
+        sequence=row.sequence,
+        created_at=row.created_at,
+        finished_at=row.finished_at,
+    )
 
 
 CAMPAIGNS = DocumentTable(
@@ -162,12 +171,25 @@ def campaign_row(campaign_id: str, body: CampaignBody, document_hash: str) -> di
         document_hash: Hash of the body as it was submitted.
     """
     return {
-        "id": campaign_id, "name": body.name, "document": body.document(), "notes": body.notes,
-        "search_text": search_text(body.name, body.notes, body.tags), "document_hash": document_hash,
-        "status": CampaignStatus.RUNNING, "status_reason": "", "seed": body.seed, "priority": body.priority,
-        "budget": body.budget.simulations, "generation": 0, "evaluated": 0, "unsafe": 0, "failed": 0,
-        "failures_accepted": 0, "turn": 0, "finished_at": None,
-    }  # fmt: skip
+        "id": campaign_id,
+        "name": body.name,
+        "document": body.document(),
+        "notes": body.notes,
+        "search_text": search_text(body.name, body.notes, body.tags),
+        "document_hash": document_hash,
+        "status": CampaignStatus.RUNNING,
+        "status_reason": "",
+        "seed": body.seed,
+        "priority": body.priority,
+        "budget": body.budget.simulations,
+        "generation": 0,
+        "evaluated": 0,
+        "unsafe": 0,
+        "failed": 0,
+        "failures_accepted": 0,
+        "turn": 0,
+        "finished_at": None,
+    }
 
 
 def insert_campaigns(

@@ -101,10 +101,15 @@ def read_campaign_progress(
     remaining = max(0, campaign.budget - done)
     waiting = campaign.status is not CampaignStatus.RUNNING or (queued > 0 and leased == 0 and workers == 0)
     return CampaignProgress(
-        done=done, queued=queued, leased=leased, quarantined=jobs.get(JobStatus.QUARANTINED, 0),
-        rate_per_s=rate, cached=cached, remaining_s=remaining / rate if rate and not waiting else None,
+        done=done,
+        queued=queued,
+        leased=leased,
+        quarantined=jobs.get(JobStatus.QUARANTINED, 0),
+        rate_per_s=rate,
+        cached=cached,
+        remaining_s=remaining / rate if rate and not waiting else None,
         elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()),
-    )  # fmt: skip
+    )
 
 
 def _rate(
@@ -389,15 +394,24 @@ def _solutions(campaign_id: str) -> Select[*tuple[Any, ...]]:
     job = EVALUATIONS.c
     return (
         select(
-            SolutionRow.number, SolutionRow.generation, SolutionRow.vector, SolutionRow.seed,
-            SolutionRow.spec_hash, SolutionRow.verdict, SolutionRow.robustness, SolutionRow.objectives,
-            SolutionRow.failure, SolutionRow.origin, job.spec, job.result, job.attempt,
+            SolutionRow.number,
+            SolutionRow.generation,
+            SolutionRow.vector,
+            SolutionRow.seed,
+            SolutionRow.spec_hash,
+            SolutionRow.verdict,
+            SolutionRow.robustness,
+            SolutionRow.objectives,
+            SolutionRow.failure,
+            SolutionRow.origin,
+            job.spec,
+            job.result,
+            job.attempt,
             job.losses,
         )
         .outerjoin(
-            EVALUATIONS,
-            (job.campaign_id == SolutionRow.campaign_id) & (job.number == SolutionRow.number),
+            EVALUATIONS, (job.campaign_id == SolutionRow.campaign_id) & (job.number == SolutionRow.number)
         )
         .where(SolutionRow.campaign_id == campaign_id)
         .order_by(SolutionRow.number)
-    )  # fmt: skip
+    )

@@ -87,7 +87,10 @@ def set_name(
     if name is not None:
         connection.execute(
             insert(ViolationNameRow).values(
-                campaign_id=campaign_id, number=number, requirement=requirement, name=name,
+                campaign_id=campaign_id,
+                number=number,
+                requirement=requirement,
+                name=name,
                 named_at=database_now(connection),
             )
-        )  # fmt: skip
+        )

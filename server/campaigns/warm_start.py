@@ -154,11 +154,14 @@ def _evaluated(connection: Connection, source: Campaign) -> list[KnownRecord]:
     )
     own = [
         KnownRecord(
-            vector=row.vector, unsafe=row.verdict == SolutionVerdict.UNSAFE, robustness=row.robustness,
-            source=source.id, number=row.number,
+            vector=row.vector,
+            unsafe=row.verdict == SolutionVerdict.UNSAFE,
+            robustness=row.robustness,
+            source=source.id,
+            number=row.number,
         )
         for row in connection.execute(query)
-    ]  # fmt: skip
+    ]
     return own + [one for one in read_known(connection, source.id) if one.unsafe is not None]
 
 

@@ -176,12 +176,26 @@ def _with_columns(page: Select[Any]) -> Select[Any]:
     """Return a query of campaigns that selects what `_outlines` reads."""
     row = CampaignRow
     wanted = page.with_only_columns(
-        row.id, row.name, row.document["problem"]["id"].as_string().label("problem"),
-        row.document["algorithm"]["id"].as_string().label("algorithm"), row.seed, row.status, row.status_reason,
-        row.sequence, row.budget, row.generation, row.evaluated, row.unsafe, row.failed, row.measured,
-        row.created_at, row.finished_at, ExperimentCampaignRow.experiment_id.label("experiment"),
-        RepeatsRow.of_id.label("repeats_of"), RepeatsRow.repeats,
-    )  # fmt: skip
+        row.id,
+        row.name,
+        row.document["problem"]["id"].as_string().label("problem"),
+        row.document["algorithm"]["id"].as_string().label("algorithm"),
+        row.seed,
+        row.status,
+        row.status_reason,
+        row.sequence,
+        row.budget,
+        row.generation,
+        row.evaluated,
+        row.unsafe,
+        row.failed,
+        row.measured,
+        row.created_at,
+        row.finished_at,
+        ExperimentCampaignRow.experiment_id.label("experiment"),
+        RepeatsRow.of_id.label("repeats_of"),
+        RepeatsRow.repeats,
+    )
     return _joined(wanted)
 
 
@@ -200,12 +214,14 @@ def _outlines(connection: Connection, query: Select[Any]) -> list[Outline]:
     return [
         Outline(
             **{
-                **one._mapping, "status": CampaignStatus(one.status), "tags": tagged[one.id],
+                **one._mapping,
+                "status": CampaignStatus(one.status),
+                "tags": tagged[one.id],
                 "follow_ups": followed.get(one.id, FollowUpCounts()),
             }
         )
         for one in rows
-    ]  # fmt: skip
+    ]
 
 
 _FOLLOW_UPS: Final = (

@@ -138,9 +138,14 @@ def make_map(
         points = projection.placed(archive.vectors[rows])
         axes = plane.names if plane is not None else _axes(space, archive.vectors[rows], points)
     return SolutionMap(
-        version=version, projection=projection, axes=axes, rows=rows, points=points, evaluated=len(archive),
+        version=version,
+        projection=projection,
+        axes=axes,
+        rows=rows,
+        points=points,
+        evaluated=len(archive),
         ground=_ground(archive, rows, points, projection) if len(rows) else None,
-    )  # fmt: skip
+    )
 
 
 def _ground(archive: Archive, rows: Rows, points: FloatArray, projection: Projection | Plane) -> Ground:
@@ -190,9 +195,10 @@ class SolutionMaps:
             asked: The solutions that are being simulated, while the archive is empty.
         """
         found = await self._latest.get(
-            (campaign, ended, 0 if asked is None else len(asked)), read.generation,
+            (campaign, ended, 0 if asked is None else len(asked)),
+            read.generation,
             lambda: self._make(campaign, read, asked, ended=ended),
-        )  # fmt: skip
+        )
         kept = self._before.get(campaign)
         if kept is None or kept.evaluated <= found.evaluated:  # an earlier request may finish later
             self._before[campaign] = found

@@ -109,19 +109,29 @@ def open_engines(database: str) -> Engines:
     # left alone it chooses sequential scans, merge and hash joins, or bitmap scans that read a whole index first.
     off = ("enable_seqscan", "enable_bitmapscan", "enable_mergejoin", "enable_hashjoin", "jit")
     for_writing = {
-        **dict.fromkeys(off, "off"), "plan_cache_mode": "force_generic_plan",
-        "lock_timeout": f"{LOCK_S}s", "idle_in_transaction_session_timeout": f"{IDLE_S}s",
-    }  # fmt: skip
+        **dict.fromkeys(off, "off"),
+        "plan_cache_mode": "force_generic_plan",
+        "lock_timeout": f"{LOCK_S}s",
+        "idle_in_transaction_session_timeout": f"{IDLE_S}s",
+    }
     try:
         writer = create_engine(
-            url, pool_pre_ping=True, pool_size=4, connect_args=postgres_options(url, for_writing),
+            url,
+            pool_pre_ping=True,
+            pool_size=4,
+            connect_args=postgres_options(url, for_writing),
             hide_parameters=True,
-        )  # fmt: skip
+        )
         share_round_trips(writer)
         reader = create_engine(
-            url, pool_pre_ping=True, pool_size=8, max_overflow=MAX_OVERFLOW, isolation_level="REPEATABLE READ",
-            connect_args=postgres_options(url), hide_parameters=True,
-        )  # fmt: skip
+            url,
+            pool_pre_ping=True,
+            pool_size=8,
+            max_overflow=MAX_OVERFLOW,
+            isolation_level="REPEATABLE READ",
+            connect_args=postgres_options(url),
+            hide_parameters=True,
+        )
     except ModuleNotFoundError:
         raise DatabaseError(f"Postgres needs its driver: {install_command('postgres')}") from None
     return Engines(writer=writer, reader=reader)
@@ -138,9 +148,10 @@ def postgres_options(url: URL, settings: Mapping[str, str] | None = None) -> dic
         settings: Settings of the server for this connection.
     """
     ours = {
-        "connect_timeout": CONNECT_S, "tcp_user_timeout": _UNACKNOWLEDGED_MS,
+        "connect_timeout": CONNECT_S,
+        "tcp_user_timeout": _UNACKNOWLEDGED_MS,
         **{f"keepalives_{name}": value for name, value in _SILENCE.items()},
-    }  # fmt: skip
+    }
     on_the_server = {
         "tcp_user_timeout": str(_UNACKNOWLEDGED_MS),
         **{f"tcp_keepalives_{name}": str(value) for name, value in _SILENCE.items()},
@@ -156,9 +167,12 @@ def postgres_options(url: URL, settings: Mapping[str, str] | None = None) -> dic
 
 def _sqlite(url: URL, begin: str, *, cache_kib: int) -> Engine:
     engine = create_engine(
-        url, connect_args={"timeout": SQLITE_BUSY_S, "check_same_thread": False}, max_overflow=MAX_OVERFLOW,
-        hide_parameters=True, pool_use_lifo=True,
-    )  # fmt: skip
+        url,
+        connect_args={"timeout": SQLITE_BUSY_S, "check_same_thread": False},
+        max_overflow=MAX_OVERFLOW,
+        hide_parameters=True,
+        pool_use_lifo=True,
+    )
 
     @event.listens_for(engine, "connect")
     def configure(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:

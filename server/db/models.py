@@ -69,11 +69,20 @@ class CampaignRow(Base):
         CheckConstraint("generation >= 0", name="generation_counts"),
         CheckConstraint("evaluated >= 0 AND unsafe >= 0 AND failed >= 0", name="counts_count"),
         Index("ix_campaigns_created_at_id", "created_at", "id"),
-        Index("ix_campaigns_running", "priority", "turn", sqlite_where=text("status = 'running'"),
-              postgresql_where=text("status = 'running'")),
-        Index("ix_campaigns_deleted", "deleted_at", sqlite_where=text("deleted_at IS NOT NULL"),
-              postgresql_where=text("deleted_at IS NOT NULL")),
-    )  # fmt: skip
+        Index(
+            "ix_campaigns_running",
+            "priority",
+            "turn",
+            sqlite_where=text("status = 'running'"),
+            postgresql_where=text("status = 'running'"),
+        ),
+        Index(
+            "ix_campaigns_deleted",
+            "deleted_at",
+            sqlite_where=text("deleted_at IS NOT NULL"),
+            postgresql_where=text("deleted_at IS NOT NULL"),
+        ),
+    )
 
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
     name: Mapped[str] = mapped_column(String(200))
@@ -257,22 +266,41 @@ class JobRow(Base):
         ),
         CheckConstraint("status <> 'leased' OR lease_token IS NOT NULL", name="leases_have_tokens"),
         UniqueConstraint("campaign_id", "number", "kind"),
-        Index("ix_jobs_queued", "campaign_id", "attempt", "id",
-              sqlite_where=text("status = 'queued' AND kind <> 'trace'"),
-              postgresql_where=text("status = 'queued' AND kind <> 'trace'")),
-        Index("ix_jobs_queued_traces", "id",
-              sqlite_where=text("status = 'queued' AND kind = 'trace'"),
-              postgresql_where=text("status = 'queued' AND kind = 'trace'")),
-        Index("ix_jobs_retries", "not_before",
-              sqlite_where=text("status = 'queued' AND attempt > 0"),
-              postgresql_where=text("status = 'queued' AND attempt > 0")),
-        Index("ix_jobs_leased", "lease_expires_at",
-              sqlite_where=text("status = 'leased'"), postgresql_where=text("status = 'leased'")),
-        Index("ix_jobs_lease_worker", "lease_worker",
-              sqlite_where=text("status = 'leased'"), postgresql_where=text("status = 'leased'")),
+        Index(
+            "ix_jobs_queued",
+            "campaign_id",
+            "attempt",
+            "id",
+            sqlite_where=text("status = 'queued' AND kind <> 'trace'"),
+            postgresql_where=text("status = 'queued' AND kind <> 'trace'"),
+        ),
+        Index(
+            "ix_jobs_queued_traces",
+            "id",
+            sqlite_where=text("status = 'queued' AND kind = 'trace'"),
+            postgresql_where=text("status = 'queued' AND kind = 'trace'"),
+        ),
+        Index(
+            "ix_jobs_retries",
+            "not_before",
+            sqlite_where=text("status = 'queued' AND attempt > 0"),
+            postgresql_where=text("status = 'queued' AND attempt > 0"),
+        ),
+        Index(
+            "ix_jobs_leased",
+            "lease_expires_at",
+            sqlite_where=text("status = 'leased'"),
+            postgresql_where=text("status = 'leased'"),
+        ),
+        Index(
+            "ix_jobs_lease_worker",
+            "lease_worker",
+            sqlite_where=text("status = 'leased'"),
+            postgresql_where=text("status = 'leased'"),
+        ),
         Index("ix_jobs_spec_hash_status", "spec_hash", "status"),
         Index("ix_jobs_campaign_id_status", "campaign_id", "status"),
-    )  # fmt: skip
+    )
 
     id: Mapped[int] = mapped_column(JobId, primary_key=True, autoincrement=True)
     campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"))

@@ -24,10 +24,12 @@ _NAMES = itertools.count()
 """Numbers of prepared statements. Names are never used again: it is unknown which ones a rollback has left over."""
 _EXPECTED = frozenset(
     {
-        pq.ExecStatus.COMMAND_OK, pq.ExecStatus.TUPLES_OK, pq.ExecStatus.FATAL_ERROR,
+        pq.ExecStatus.COMMAND_OK,
+        pq.ExecStatus.TUPLES_OK,
+        pq.ExecStatus.FATAL_ERROR,
         pq.ExecStatus.PIPELINE_ABORTED,
     }
-)  # fmt: skip
+)
 
 
 @dataclass(slots=True)
@@ -149,12 +151,14 @@ class Pipeline:
             prepared.row, prepared.loaders = self._loading(result)
         make, loaders = prepared.row, prepared.loaders
         return [
-            make(*[
-                None if (value := result.get_value(row, column)) is None else load(value)
-                for column, load in enumerate(loaders)
-            ])
+            make(
+                *[
+                    None if (value := result.get_value(row, column)) is None else load(value)
+                    for column, load in enumerate(loaders)
+                ]
+            )
             for row in range(result.ntuples)
-        ]  # fmt: skip
+        ]
 
     def _loading(self, result: Any) -> tuple[Callable[..., Any], tuple[Callable[[Any], Any], ...]]:
         """Return the class of a result's rows, and the loaders of its columns."""

@@ -60,23 +60,27 @@ class PairsChoice(Body):
     eps: Annotated[
         float,
         Field(
-            ge=0, le=1,
+            ge=0,
+            le=1,
             description="Largest distance between the sides of a pair, the same for all campaigns.",
         ),
-    ] = DEFAULT_EPS  # fmt: skip
+    ] = DEFAULT_EPS
     d_th: Annotated[
         float,
         Field(
-            ge=0, le=1, description="Smallest distance between two distinct pairs, the same for all campaigns."
+            ge=0,
+            le=1,
+            description="Smallest distance between two distinct pairs, the same for all campaigns.",
         ),
-    ] = DEFAULT_PAIRS_D_TH  # fmt: skip
+    ] = DEFAULT_PAIRS_D_TH
     confirm: Annotated[
         int,
         Field(
-            ge=0, le=10_000,
+            ge=0,
+            le=10_000,
             description="Most simulations of each side of each distinct pair with other seeds: 0, or at least 15.",
         ),
-    ] = 0  # fmt: skip
+    ] = 0
     component: Annotated[
         bool,
         Field(
@@ -117,10 +121,12 @@ class ExperimentBody(Body):
         list[Seed],
         BeforeValidator(_expand_range, json_schema_input_type=list[Seed] | SeedRange),
         Field(
-            min_length=1, max_length=MAX_CAMPAIGNS, description="A list, or {first, count}.",
+            min_length=1,
+            max_length=MAX_CAMPAIGNS,
+            description="A list, or {first, count}.",
             examples=[{"first": 1, "count": 10}],
         ),
-    ]  # fmt: skip
+    ]
     budget: Budget
     priority: Annotated[
         int, Field(ge=-100, le=100, description="Campaigns with a higher priority are served first.")
@@ -181,13 +187,19 @@ class ExperimentBody(Body):
             name=f"{self.name}: {algorithm.label}{on}, seed {seed}"[:LONGEST_NAME],
             problem=PluginChoice(id=case.id, params=case.params),
             algorithm=PluginChoice(id=algorithm.id, params=algorithm.params),
-            budget=self.budget, seed=seed, priority=self.priority, execution=self.execution,
+            budget=self.budget,
+            seed=seed,
+            priority=self.priority,
+            execution=self.execution,
             llm=algorithm.llm,
-        )  # fmt: skip
+        )
         return Cell(
-            place=place, method=algorithm.label, problem=case.label, body=body,
+            place=place,
+            method=algorithm.label,
+            problem=case.label,
+            body=body,
             pointers=(f"/problems/{problem}", f"/algorithms/{method}"),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -151,7 +151,7 @@ class PairCache:
                 if isinstance(found, TooManyPairs)
             ],
             pending=len(finished) - len(done),
-        )  # fmt: skip
+        )
 
     def _start(self, campaign: Campaign, settings: PairSettings) -> asyncio.Future[_Found | TooManyPairs]:
         key = (campaign.id, settings)
@@ -169,19 +169,22 @@ class PairCache:
                 for pair in found.pairs
             ),
             computed=ignores_seeds(plan.problem),
-        )  # fmt: skip
+        )
 
 
 def _counted(connection: Connection, found: Sequence[tuple[Member, _Found]]) -> list[PairRepeat]:
     """Return the pairs of campaigns, with what follow-ups that have ended say about them."""
     return [
         PairRepeat(
-            problem=member.problem, method=member.method, seed=member.campaign.body.seed,
-            campaign=member.campaign.id, computed=one.computed,
+            problem=member.problem,
+            method=member.method,
+            seed=member.campaign.body.seed,
+            campaign=member.campaign.id,
+            computed=one.computed,
             counts=_counts(connection, member.campaign.id, one.pairs),
         )
         for member, one in found
-    ]  # fmt: skip
+    ]
 
 
 def _counts(connection: Connection, campaign: str, pairs: Sequence[DistinctPair]) -> PairCounts:

@@ -147,12 +147,15 @@ class ScoreCache:
             await asyncio.wait(pending, timeout=wait_s)
         known = [
             Repeat(
-                problem=member.problem, method=member.method, seed=member.campaign.body.seed,
-                campaign=member.campaign.id, scores=one.result(),
+                problem=member.problem,
+                method=member.method,
+                seed=member.campaign.body.seed,
+                campaign=member.campaign.id,
+                scores=one.result(),
             )
             for member, one in zip(finished, pending, strict=True)
             if one.done()
-        ]  # fmt: skip
+        ]
         return known, len(finished) - len(known)
 
     async def scores(self, campaign: Campaign, wait_s: float) -> Scores | None:

@@ -82,23 +82,29 @@ def _experiments(connection: Connection, rows: Sequence[Row[*tuple[object, ...]]
     members = _members(connection, [str(row.id) for row in rows])
     return [
         Experiment(
-            id=row.id, body=ExperimentBody.model_validate(row.document), document_hash=row.document_hash,
-            created_at=row.created_at, members=tuple(members.get(row.id, ())),
+            id=row.id,
+            body=ExperimentBody.model_validate(row.document),
+            document_hash=row.document_hash,
+            created_at=row.created_at,
+            members=tuple(members.get(row.id, ())),
         )
         for row in rows
-    ]  # fmt: skip
+    ]
 
 
 def _members(connection: Connection, experiments: Sequence[str]) -> Mapping[str, list[Member]]:
     query = (
         select(
-            ExperimentCampaignRow.experiment_id, ExperimentCampaignRow.place, ExperimentCampaignRow.method,
-            ExperimentCampaignRow.problem, CampaignRow.__table__,
+            ExperimentCampaignRow.experiment_id,
+            ExperimentCampaignRow.place,
+            ExperimentCampaignRow.method,
+            ExperimentCampaignRow.problem,
+            CampaignRow.__table__,
         )
         .join(CampaignRow, CampaignRow.id == ExperimentCampaignRow.campaign_id)
         .where(ExperimentCampaignRow.experiment_id.in_(list(experiments)))
         .order_by(ExperimentCampaignRow.place)
-    )  # fmt: skip
+    )
     found: dict[str, list[Member]] = {}
     rows = connection.execute(query).all() if experiments else []
     for row, campaign in zip(rows, campaigns_of(connection, rows), strict=True):
@@ -128,20 +134,27 @@ def insert_experiment(
     """
     connection.execute(
         insert(ExperimentRow).values(
-            id=experiment_id, name=body.name, document=body.document(),
-            document_hash=body.document_hash(), idempotency_key=key, created_at=database_now(connection),
+            id=experiment_id,
+            name=body.name,
+            document=body.document(),
+            document_hash=body.document_hash(),
+            idempotency_key=key,
+            created_at=database_now(connection),
         )
-    )  # fmt: skip
+    )
     connection.execute(
         insert(ExperimentCampaignRow),
         [
             {
-                "campaign_id": campaign, "experiment_id": experiment_id, "place": cell.place,
-                "method": cell.method, "problem": cell.problem,
+                "campaign_id": campaign,
+                "experiment_id": experiment_id,
+                "place": cell.place,
+                "method": cell.method,
+                "problem": cell.problem,
             }
             for cell, campaign in members
         ],
-    )  # fmt: skip
+    )
 
 
 def count_in_flight(connection: Connection, campaigns: Sequence[str]) -> int:

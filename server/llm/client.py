@@ -202,9 +202,10 @@ class LlmClient:
         self._access.key(self.settings)
         began = self.clock()
         call = _Call(
-            tries=self.settings.retries + 1 if tries is None else tries, deadline_s=deadline_s,
+            tries=self.settings.retries + 1 if tries is None else tries,
+            deadline_s=deadline_s,
             before_request=before_request,
-        )  # fmt: skip
+        )
         try:
             return await self._complete(messages, schema, mode, call)
         except LlmError as error:
@@ -251,8 +252,11 @@ class LlmClient:
                 self._mode, self._proven = mode, True
             return Completion(
                 **{one.name: getattr(reply, one.name) for one in fields(reply)},
-                latency_s=answer.latency_s, mode=mode, effort=call.effort, raw=answer.raw,
-            )  # fmt: skip
+                latency_s=answer.latency_s,
+                mode=mode,
+                effort=call.effort,
+                raw=answer.raw,
+            )
 
     async def _retry(self, body: JsonObject, mode: Mode, call: _Call) -> _Answer:
         """Send a request until it succeeds or fails for good."""

@@ -234,29 +234,47 @@ class _Turns:
         stored = functools.partial(StoredCall, key=key, prompt_hash=prompt_hash(messages))
         if breaker.cools_s > 0:
             return stored(
-                mode=self._client.mode, raw=None, outcome=Outcome.CIRCUIT_OPEN, requests=earlier,
-                **bill.of(lost=0), latency_s=0.0, error=breaker.words[:_ERROR_CHARS],
-            )  # fmt: skip
+                mode=self._client.mode,
+                raw=None,
+                outcome=Outcome.CIRCUIT_OPEN,
+                requests=earlier,
+                **bill.of(lost=0),
+                latency_s=0.0,
+                error=breaker.words[:_ERROR_CHARS],
+            )
         before_request = self._store_before(stored, bill, earlier)
         try:
             completion = await self._client.complete(
-                messages, SCHEMA, tries=1 if breaker.on_trial else max(1, settings.retries + 1 - earlier),
-                deadline_s=self._deadline_s, before_request=before_request,
-            )  # fmt: skip
+                messages,
+                SCHEMA,
+                tries=1 if breaker.on_trial else max(1, settings.retries + 1 - earlier),
+                deadline_s=self._deadline_s,
+                before_request=before_request,
+            )
         except LlmError as error:
             effort = error.effort
             return stored(
-                mode=self._client.mode, raw=error.raw if isinstance(error, UnusableReply) else None,
-                outcome=_outcome_of(error), requests=earlier + effort.requests, **bill.of(lost=effort.lost),
-                latency_s=effort.elapsed_s, error=_failure_words(error, breaker, earlier),
-            )  # fmt: skip
+                mode=self._client.mode,
+                raw=error.raw if isinstance(error, UnusableReply) else None,
+                outcome=_outcome_of(error),
+                requests=earlier + effort.requests,
+                **bill.of(lost=effort.lost),
+                latency_s=effort.elapsed_s,
+                error=_failure_words(error, breaker, earlier),
+            )
         effort = completion.effort
         _, outcome, trouble = self._parse(completion.raw, wanted, known)
         return stored(
-            mode=completion.mode, raw=completion.raw, outcome=outcome, requests=earlier + effort.requests,
-            **bill.of(lost=effort.lost, reply=completion.usage or bill.worst), latency_s=completion.latency_s,
-            error=_join(_stopped_words(earlier), effort.words and f"before the reply: {effort.words}", trouble),
-        )  # fmt: skip
+            mode=completion.mode,
+            raw=completion.raw,
+            outcome=outcome,
+            requests=earlier + effort.requests,
+            **bill.of(lost=effort.lost, reply=completion.usage or bill.worst),
+            latency_s=completion.latency_s,
+            error=_join(
+                _stopped_words(earlier), effort.words and f"before the reply: {effort.words}", trouble
+            ),
+        )
 
     def _store_before(
         self, stored: Callable[..., StoredCall], bill: _Bill, earlier: int
@@ -276,11 +294,15 @@ class _Turns:
             sent.check_budget(settings, bill.messages)
             self._log.store(
                 stored(
-                    mode=mode, raw=None, outcome=Outcome.SENT, requests=earlier + effort.requests + 1,
-                    **bill.of(lost=effort.lost + 1), latency_s=0.0,
+                    mode=mode,
+                    raw=None,
+                    outcome=Outcome.SENT,
+                    requests=earlier + effort.requests + 1,
+                    **bill.of(lost=effort.lost + 1),
+                    latency_s=0.0,
                     error="in progress, or lost when a coordinator stopped",
                 )
-            )  # fmt: skip
+            )
 
         return before_request
 
@@ -521,9 +543,13 @@ class LlmSeeds:
         mode = known[-1].mode if known else Mode.JSON_SCHEMA
         async with LlmClient(settings, access=self._access, mode=mode) as client:
             answer = await ask(
-                request, road=problem.road, max_participants=problem.max_participants, system=problem.system,
-                log=calls, client=client,
-            )  # fmt: skip
+                request,
+                road=problem.road,
+                max_participants=problem.max_participants,
+                system=problem.system,
+                log=calls,
+                client=client,
+            )
         level = logging.INFO if answer.proposals else logging.WARNING
         patterns = "" if answer.proposals else "; hand-written patterns take their place"
         log.log(level, "%s%s", answer.words, patterns, extra={"campaign": campaign_id})

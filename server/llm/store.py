@@ -40,18 +40,26 @@ def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = N
         query = query.where(LlmCallRow.request == key.request, LlmCallRow.turn == key.turn)
     return [
         StoredCall(
-            key=CallKey(row.request, row.turn), prompt_hash=row.prompt_hash, mode=Mode(row.mode), raw=row.reply,
-            outcome=Outcome(row.outcome), requests=row.calls,
+            key=CallKey(row.request, row.turn),
+            prompt_hash=row.prompt_hash,
+            mode=Mode(row.mode),
+            raw=row.reply,
+            outcome=Outcome(row.outcome),
+            requests=row.calls,
             usage=None
             if row.prompt_tokens is None
             else Usage(
-                prompt_tokens=row.prompt_tokens, completion_tokens=row.completion_tokens,
+                prompt_tokens=row.prompt_tokens,
+                completion_tokens=row.completion_tokens,
                 estimated=row.estimated,
             ),
-            cost=row.cost, latency_s=row.latency_s, error=row.error, stored_at=row.called_at,
+            cost=row.cost,
+            latency_s=row.latency_s,
+            error=row.error,
+            stored_at=row.called_at,
         )
         for row in connection.execute(query)
-    ]  # fmt: skip
+    ]
 
 
 def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> None:
@@ -73,14 +81,23 @@ def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> N
     )
     connection.execute(
         insert(LlmCallRow).values(
-            campaign_id=campaign_id, request=call.key.request, turn=call.key.turn,
-            prompt_hash=call.prompt_hash, mode=call.mode, reply=call.raw, outcome=call.outcome,
-            calls=call.requests, prompt_tokens=None if usage is None else usage.prompt_tokens,
+            campaign_id=campaign_id,
+            request=call.key.request,
+            turn=call.key.turn,
+            prompt_hash=call.prompt_hash,
+            mode=call.mode,
+            reply=call.raw,
+            outcome=call.outcome,
+            calls=call.requests,
+            prompt_tokens=None if usage is None else usage.prompt_tokens,
             completion_tokens=None if usage is None else usage.completion_tokens,
-            estimated=usage is not None and usage.estimated, cost=call.cost, latency_s=call.latency_s,
-            error=call.error, called_at=database_now(connection),
+            estimated=usage is not None and usage.estimated,
+            cost=call.cost,
+            latency_s=call.latency_s,
+            error=call.error,
+            called_at=database_now(connection),
         )
-    )  # fmt: skip
+    )
 
 
 def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -> bool:

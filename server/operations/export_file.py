@@ -116,9 +116,15 @@ def reading(path: Path) -> Iterator[None]:
     except BadFile as error:
         raise BadFile(f"{path}: {error}") from None
     except (
-        zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, UnicodeDecodeError, NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        KeyError,
+        UnicodeDecodeError,
+        NotImplementedError,
         RuntimeError,  # raised by zipfile for encrypted members
-    ) as error:  # fmt: skip
+    ) as error:
         raise BadFile(f"{path}: expected an undamaged file written by brink export: {error}") from None
 
 

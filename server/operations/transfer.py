@@ -84,8 +84,13 @@ _BATCH_BYTES: Final = 32 * 1024**2
 _FINAL: Final = (JobStatus.DONE, JobStatus.CANCELLED)
 """States of jobs that nobody can lease any more."""
 _LEASE: Final = (
-    "lease_token", "lost_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before",
-)  # fmt: skip
+    "lease_token",
+    "lost_token",
+    "lease_worker",
+    "lease_expires_at",
+    "failed_worker",
+    "not_before",
+)
 _TABLES: Final[Mapping[str, type[Base]]] = {
     "campaigns": CampaignRow,
     "campaign_tags": CampaignTagRow,
@@ -192,9 +197,13 @@ class _Members:
     def write_manifest(self, campaign_id: str, rows: Mapping[str, int]) -> None:
         """Write the manifest, which completes the file."""
         manifest = {
-            "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": campaign_id,
-            "rows": rows, "sha256": self.sums,
-        }  # fmt: skip
+            "format": FORMAT,
+            "version": VERSION,
+            "brink": __version__,
+            "campaign": campaign_id,
+            "rows": rows,
+            "sha256": self.sums,
+        }
         self._archive.writestr(MANIFEST, json.dumps(manifest, indent=1))
 
 
@@ -448,8 +457,11 @@ class _Import:
         """
         body = self.plan.body
         derived = {
-            "name": body.name, "seed": body.seed, "priority": body.priority, "budget": body.budget.simulations,
-        }  # fmt: skip
+            "name": body.name,
+            "seed": body.seed,
+            "priority": body.priority,
+            "budget": body.budget.simulations,
+        }
         for name, expected in derived.items():
             if row[name] != expected:
                 raise BadFile(

@@ -124,15 +124,24 @@ def verify_results(connection: Connection, campaign: Campaign, limit: int | None
         return done
     query = (
         select(
-            SolutionRow.number, SolutionRow.verdict, SolutionRow.robustness, SolutionRow.objectives,
-            SolutionRow.spec_hash, SolutionRow.failure, JobRow.kind, JobRow.spec,
-            JobRow.spec_hash.label("job_hash"), JobRow.result, JobRow.max_attempts, JobRow.max_losses,
+            SolutionRow.number,
+            SolutionRow.verdict,
+            SolutionRow.robustness,
+            SolutionRow.objectives,
+            SolutionRow.spec_hash,
+            SolutionRow.failure,
+            JobRow.kind,
+            JobRow.spec,
+            JobRow.spec_hash.label("job_hash"),
+            JobRow.result,
+            JobRow.max_attempts,
+            JobRow.max_losses,
         )
         .join(JobRow, _ITS_JOB)
         .where(SolutionRow.campaign_id == campaign.id, SolutionRow.generation < campaign.generation)
         .order_by(SolutionRow.number.desc())
         .limit(limit)
-    )  # fmt: skip
+    )
     streamed = {"stream_results": True, "yield_per": _ROWS_AT_ONCE}  # not of the connection, which may write
     with connection.execute(query, execution_options=streamed) as rows:
         for row in rows:

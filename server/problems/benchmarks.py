@@ -25,8 +25,12 @@ class Mtq:
     def __init__(self, params: NoParams) -> None:
         self.space = MTQ_SPACE
         self.algorithm_defaults: Mapping[str, Any] = {
-            "radius": MTQ_RADIUS, "eps": 0.002, "d_th": 0.05, "margin": 0.0, "checks": 0,
-        }  # fmt: skip
+            "radius": MTQ_RADIUS,
+            "eps": 0.002,
+            "d_th": 0.05,
+            "margin": 0.0,
+            "checks": 0,
+        }
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict of the formula."""

@@ -347,8 +347,12 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
     """Return the JSON schema of a problem's parameters; a requirement has options, each with its meaning."""
     schema = params_model(kind.params_type).model_json_schema()
     schema["properties"][ODD] = {
-        "type": "object", "title": "Odd", "label": "ODD", "default": {}, "description": _ABOUT_ODD,
-    }  # fmt: skip
+        "type": "object",
+        "title": "Odd",
+        "label": "ODD",
+        "default": {},
+        "description": _ABOUT_ODD,
+    }
     requirement = schema["properties"].get("requirement")
     if requirement is not None and isinstance(problem, NamesRequirements):
         requirement |= {"main": True, "options": _requirement_options(kind)}

@@ -75,14 +75,17 @@ def changes_between(
             Change(
                 names=tuple(names[column] for column in columns),
                 units=tuple(
-                    "" if isinstance(one, Categorical) else one.unit for one in map(parameters.__getitem__, columns)
+                    "" if isinstance(one, Categorical) else one.unit
+                    for one in map(parameters.__getitem__, columns)
                 ),
                 safe=tuple(parameters[column].decode(float(rows[0][column])) for column in columns),
                 unsafe=tuple(parameters[column].decode(float(rows[1][column])) for column in columns),
                 active=active,
-                moved=_moved([(parameters[column], float(rows[0][column] - rows[1][column])) for column in columns]),
+                moved=_moved(
+                    [(parameters[column], float(rows[0][column] - rows[1][column])) for column in columns]
+                ),
             )
-        )  # fmt: skip
+        )
     return tuple(changes)
 
 

@@ -50,9 +50,12 @@ _GREATEST_BOUND: Final = 1e3
 """A greater bound of an observation says nothing about how large it usually is."""
 _KNOWN: Final[Mapping[str, tuple[tuple[str, float], ...]]] = {
     CART_POLE: (
-        ("cart position", 1.0), ("cart velocity", 1.0), ("pole angle", 0.2), ("pole angular velocity", 1.0),
-    ),
-}  # fmt: skip
+        ("cart position", 1.0),
+        ("cart velocity", 1.0),
+        ("pole angle", 0.2),
+        ("pole angular velocity", 1.0),
+    )
+}
 """What observations mean, and how large they usually are."""
 
 
@@ -105,9 +108,11 @@ class GymnasiumParams:
         metadata={"help": "Options of the reset to search, with the least and greatest value."},
     )
     reset_seeds: int = setting(
-        0, ge=0, le=2**31 - 1,
+        0,
+        ge=0,
+        le=2**31 - 1,
         help="Number of reset seeds to search; 0 draws them from the seed of each simulation.",
-    )  # fmt: skip
+    )
     timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
     def __post_init__(self) -> None:
@@ -280,10 +285,13 @@ class GymnasiumProblem(HasTrueVariant, JudgedByRequirements):
             seed=seed,
             duration_s=params.steps * params.step_s,
             options={
-                "policy": params.policy, "margin": params.margin or None, "unit": params.unit,
-                "survive_steps": params.survive_steps, "step_s": params.step_s,
+                "policy": params.policy,
+                "margin": params.margin or None,
+                "unit": params.unit,
+                "survive_steps": params.survive_steps,
+                "step_s": params.step_s,
             },
-        )  # fmt: skip
+        )
 
     def _perturbations(self, values: Mapping[str, Value]) -> tuple[Perturbation, ...]:
         if self.is_true:
@@ -301,9 +309,12 @@ class GymnasiumProblem(HasTrueVariant, JudgedByRequirements):
         if kind in (PerturbationType.BIAS, PerturbationType.NOISE):
             magnitude *= self._observed[dimension][1]
         return Perturbation(
-            type=kind, dimension=dimension, magnitude=0.0 if kind in WITHOUT_MAGNITUDE else magnitude,
-            from_step=int(values[prefix + "from_step"]), steps=int(values[prefix + "steps"]),
-        )  # fmt: skip
+            type=kind,
+            dimension=dimension,
+            magnitude=0.0 if kind in WITHOUT_MAGNITUDE else magnitude,
+            from_step=int(values[prefix + "from_step"]),
+            steps=int(values[prefix + "steps"]),
+        )
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""

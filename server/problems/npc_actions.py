@@ -37,8 +37,13 @@ from brink.worker.wire import Completed
 SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@2"}
 """Simulators by the perception of the driving system."""
 ORACLES: Final = (
-    "no-collision@1", "front-gap@2", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
-)  # fmt: skip
+    "no-collision@1",
+    "front-gap@2",
+    "lane-keeping@1",
+    "red-light@1",
+    "speed-limit@1",
+    "progress@1",
+)
 FORMER: Final = {"front-gap@1": "front-gap@2"}
 """Requirements that campaigns may name besides, and the present ones, of which results of old campaigns have none."""
 UNAVOIDABLE_M: Final = 250.0
@@ -75,10 +80,11 @@ class NpcActionsParams:
         choices=("all", "avoidable"),
     )
     criticality: str = setting(
-        "auto", choices=("auto", "gap", "robustness"),
+        "auto",
+        choices=("auto", "gap", "robustness"),
         help="Measure of criticality: the smallest gap to a road user, or the lowest robustness; auto takes the gap "
         "for collisions, front gaps and any violation.",
-    )  # fmt: skip
+    )
     sight: str = setting(
         "oracle",
         help="Perception of the driving system: ground truth, or a detector on camera images (vision extra).",
@@ -107,8 +113,11 @@ class NpcActionsParams:
 
 
 _RANKS: Final[Mapping[Avoidable | None, int]] = {
-    Avoidable.CAREFUL: 0, Avoidable.IDEAL: 2, Avoidable.NO: 3, None: 3,
-}  # fmt: skip
+    Avoidable.CAREFUL: 0,
+    Avoidable.IDEAL: 2,
+    Avoidable.NO: 3,
+    None: 3,
+}
 """Ranks of violations; a solution without any has rank 1."""
 
 

@@ -54,9 +54,10 @@ def check_requirements(given: str | Sequence[str], known: Sequence[str]) -> None
     for name in chosen:
         if name not in known:
             raise ConfigError(
-                "requirement", f"expected {ANY}, or some of {', '.join(known)}; got {name!r}",
+                "requirement",
+                f"expected {ANY}, or some of {', '.join(known)}; got {name!r}",
                 nearest=nearest(name, (ANY, *known)),
-            )  # fmt: skip
+            )
 
 
 class JudgedByRequirements:

@@ -160,11 +160,14 @@ class SumoDrivers(HasTrueVariant, JudgedByRequirements):
         self.space = SearchSpace((traffic_component(params), error_component(params.duration_s)))
         self.algorithm_defaults: Mapping[str, Any] = {
             "severity": f"{BEHAVIOUR}.severity",
-            "fixed": {f"{BEHAVIOUR}.affected": Affected.EGO.value, f"{BEHAVIOUR}.duration_s": params.duration_s},
+            "fixed": {
+                f"{BEHAVIOUR}.affected": Affected.EGO.value,
+                f"{BEHAVIOUR}.duration_s": params.duration_s,
+            },
             "truth": {f"{BEHAVIOUR}.type": NO_ERROR},
             "grossest": {f"{BEHAVIOUR}.type": ErrorType.SHORT_RANGE.value},
             "covers": {f"{BEHAVIOUR}.type": [kind.value for kind in COVERED]},
-        }  # fmt: skip
+        }
         self.requirements = params.requirements
         self.needs = SIMULATOR_ID
         self.timeout_s = params.timeout_s

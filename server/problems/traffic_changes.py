@@ -17,10 +17,15 @@ _SHOWN: Final = 3
 """Changes that are described; the others are counted."""
 _ORDINALS: Final = ("1st", "2nd", "3rd", "4th", "5th", "6th", "7th", "8th")
 _DOING: Final = {
-    Action.KEEP: "keeping its speed", Action.ACCELERATE: "accelerating", Action.DECELERATE: "slowing down",
-    Action.BRAKE: "braking hard", Action.CHANGE_LEFT: "moving to its left",
-    Action.CHANGE_RIGHT: "moving to its right", Action.CUT_IN: "cutting in", Action.CROSS: "crossing the road",
-}  # fmt: skip
+    Action.KEEP: "keeping its speed",
+    Action.ACCELERATE: "accelerating",
+    Action.DECELERATE: "slowing down",
+    Action.BRAKE: "braking hard",
+    Action.CHANGE_LEFT: "moving to its left",
+    Action.CHANGE_RIGHT: "moving to its right",
+    Action.CUT_IN: "cutting in",
+    Action.CROSS: "crossing the road",
+}
 _AMOUNTS: Final = {
     Action.ACCELERATE: "accelerates at {} m/s² instead of {} m/s²",
     Action.DECELERATE: "slows down at {} m/s² instead of {} m/s²",
@@ -89,9 +94,13 @@ class _Sides:
     def change(self, words: str, name: str = "", *, parameters: int = 1, is_action: bool = False) -> _Change:
         """Return a change of this road user; without the name of a number, it counts as a choice."""
         return _Change(
-            place=self.place, who=self.who, words=words, size=self.size(name) if name else 1.0,
-            parameters=parameters, is_action=is_action,
-        )  # fmt: skip
+            place=self.place,
+            who=self.who,
+            words=words,
+            size=self.size(name) if name else 1.0,
+            parameters=parameters,
+            is_action=is_action,
+        )
 
 
 def words_of_traffic_change(
@@ -144,9 +153,14 @@ def _sides(
         present = {kind for kind in kinds if kind != NONE}
         who = present.pop() if len(present) == 1 else "road user"
         yield _Sides(
-            place=place, who=f"{who} {place}", names=names, parameters=parameters, safe=old, unsafe=new,
+            place=place,
+            who=f"{who} {place}",
+            names=names,
+            parameters=parameters,
+            safe=old,
+            unsafe=new,
             changed=own,
-        )  # fmt: skip
+        )
 
 
 def _changes(sides: _Sides) -> Iterator[_Change]:

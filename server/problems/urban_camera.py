@@ -106,8 +106,10 @@ class UrbanCamera(UrbanScenarios):
         """Return the detector."""
         params = self.params
         behaviour: dict[str, Json] = {
-            "mode": "detector", "detector": params.detector, "threshold": params.threshold,
-        }  # fmt: skip
+            "mode": "detector",
+            "detector": params.detector,
+            "threshold": params.threshold,
+        }
         if digest := weights_digest(params.detector):
             behaviour["weights"] = digest
         return behaviour

@@ -86,9 +86,14 @@ def words_of_changes(
         names = frozenset(one.removeprefix(prefix) for one in changed if one.startswith(prefix))
         if names:
             both = _Reports(
-                number, safe["behaviour"], unsafe["behaviour"], names, violated_at_s, ended_at_step,
+                number,
+                safe["behaviour"],
+                unsafe["behaviour"],
+                names,
+                violated_at_s,
+                ended_at_step,
                 unsafe_ended_at_step,
-            )  # fmt: skip
+            )
             parts += both.clauses()
             late = late or both.come_after
     return _description(parts) or (AFTERWARDS if late else "")

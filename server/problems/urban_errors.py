@@ -45,9 +45,15 @@ from brink.sim.world.scenario import words_of_scenario
 SIMULATOR = "brink-drive-errors@1"
 LATEST_ONSET_S: Final = 12.0
 COVERED: Final = (
-    ErrorType.MISS, ErrorType.LATE, ErrorType.FLICKER, ErrorType.TOO_FAR, ErrorType.LEFT, ErrorType.RIGHT,
-    ErrorType.TOO_SMALL, ErrorType.SHORT_RANGE,
-)  # fmt: skip
+    ErrorType.MISS,
+    ErrorType.LATE,
+    ErrorType.FLICKER,
+    ErrorType.TOO_FAR,
+    ErrorType.LEFT,
+    ErrorType.RIGHT,
+    ErrorType.TOO_SMALL,
+    ErrorType.SHORT_RANGE,
+)
 """Errors that are milder than never reporting the target: they hide it, or put it where it is in nobody's way."""
 _FIRST: Final = f"{BEHAVIOUR}.error_1"
 _FIELDS: Final = ("type", "target", "onset", "onset_s", "duration_s", "severity")
@@ -103,12 +109,16 @@ class UrbanErrors(HasTrueVariant, JudgedByRequirements):
         "type": [
             kind.value
             for kind in (
-                ErrorType.MISS, ErrorType.LATE, ErrorType.FLICKER, ErrorType.TOO_FAR, ErrorType.LEFT,
+                ErrorType.MISS,
+                ErrorType.LATE,
+                ErrorType.FLICKER,
+                ErrorType.TOO_FAR,
+                ErrorType.LEFT,
                 ErrorType.SHORT_RANGE,
             )
         ],
         "target": [Target.LEAD.value, Target.PEDESTRIAN.value],
-    }  # fmt: skip
+    }
 
     about_component: ClassVar[str] = (
         "The detector's errors are injected: results show what would happen if a detector erred like this, not that "
@@ -123,13 +133,15 @@ class UrbanErrors(HasTrueVariant, JudgedByRequirements):
         self.algorithm_defaults: Mapping[str, Any] = {
             "severity": f"{_FIRST}.severity",
             "fixed": {
-                **others, f"{_FIRST}.onset": Onset.TIME.value, f"{_FIRST}.duration_s": params.duration_s,
+                **others,
+                f"{_FIRST}.onset": Onset.TIME.value,
+                f"{_FIRST}.duration_s": params.duration_s,
             },
             "truth": {f"{_FIRST}.type": NO_ERROR},
             "grossest": {f"{_FIRST}.type": ErrorType.SHORT_RANGE.value},
             "covers": {f"{_FIRST}.type": [kind.value for kind in COVERED]},
             "needs": {f"{_FIRST}.target={Target.PEDESTRIAN.value}": {"scenario.pedestrians": ["18"]}},
-        }  # fmt: skip
+        }
         self.requirements = params.requirements
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s

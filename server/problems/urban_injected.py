@@ -230,10 +230,13 @@ class UrbanInjected(JudgedByRequirements):
         verdicts = (unsafe.result or {}).get("verdicts") or {}
         times = [(verdicts.get(name) or {}).get("violated_at_s") for name in self.requirements]
         return words_of_changes(
-            old, new, changed, min((t for t in times if t is not None), default=None),
+            old,
+            new,
+            changed,
+            min((t for t in times if t is not None), default=None),
             ended_at_step=min(self._ended_at_step(one) for one in (safe, unsafe)),
             unsafe_ended_at_step=_last_step(unsafe),
-        )  # fmt: skip
+        )
 
     def _ended_at_step(self, one: SimulatedSolution) -> float:
         """Return the perception step at which a drive ended; infinity unless that cut off what was reported."""

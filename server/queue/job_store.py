@@ -190,17 +190,26 @@ def enqueue(
         insert(JobRow),
         [
             {
-                "campaign_id": campaign_id, "number": number, "kind": kind, "spec": job.spec,
-                "spec_hash": job.spec_hash, "needs": job.needs, "cache": settings.cache,
-                "timeout_s": job.timeout_s, "attempt": 0, "max_attempts": settings.max_attempts,
-                "losses": 0, "max_losses": settings.max_losses,
+                "campaign_id": campaign_id,
+                "number": number,
+                "kind": kind,
+                "spec": job.spec,
+                "spec_hash": job.spec_hash,
+                "needs": job.needs,
+                "cache": settings.cache,
+                "timeout_s": job.timeout_s,
+                "attempt": 0,
+                "max_attempts": settings.max_attempts,
+                "losses": 0,
+                "max_losses": settings.max_losses,
                 "status": JobStatus.DONE if job.spec_hash in known else JobStatus.QUEUED,
-                "result": known.get(job.spec_hash), "created_at": now,
+                "result": known.get(job.spec_hash),
+                "created_at": now,
                 "finished_at": now if job.spec_hash in known else None,
             }
             for number, job in jobs
         ],
-    )  # fmt: skip
+    )
     notify_coordinators(connection)
 
 
@@ -400,11 +409,14 @@ def _outcomes(connection: Connection, campaign_id: str, condition: ColumnElement
     generations = {row.number: row.generation for row in connection.execute(solutions)}
     return [
         JobOutcome(
-            number=row.number, generation=generations[row.number], status=JobStatus(row.status),
-            result=row.result, error=row.last_error,
+            number=row.number,
+            generation=generations[row.number],
+            status=JobStatus(row.status),
+            result=row.result,
+            error=row.last_error,
         )
         for row in _jobs_among(connection, campaign_id, sorted(generations))
-    ]  # fmt: skip
+    ]
 
 
 def _jobs_among(
@@ -429,20 +441,41 @@ def _jobs_among(
 
 
 _JOB = (
-    JobRow.id, JobRow.campaign_id, JobRow.number, JobRow.kind, JobRow.needs, JobRow.status, JobRow.attempt,
-    JobRow.max_attempts, JobRow.losses, JobRow.max_losses, JobRow.lease_worker, JobRow.last_error,
-    JobRow.created_at, JobRow.finished_at,
-)  # fmt: skip
+    JobRow.id,
+    JobRow.campaign_id,
+    JobRow.number,
+    JobRow.kind,
+    JobRow.needs,
+    JobRow.status,
+    JobRow.attempt,
+    JobRow.max_attempts,
+    JobRow.losses,
+    JobRow.max_losses,
+    JobRow.lease_worker,
+    JobRow.last_error,
+    JobRow.created_at,
+    JobRow.finished_at,
+)
 
 
 def _job(row: Row[*tuple[Any, ...]]) -> Job:
     return Job(
-        id=row.id, campaign=row.campaign_id, number=row.number, kind=row.kind, needs=row.needs,
-        status=JobStatus(row.status), attempt=row.attempt, counted_attempts=row.attempt - row.losses,
-        max_attempts=row.max_attempts, losses=row.losses, max_losses=row.max_losses,
-        worker=row.lease_worker if row.status == JobStatus.LEASED else None, last_error=row.last_error,
-        created_at=row.created_at, finished_at=row.finished_at,
-    )  # fmt: skip
+        id=row.id,
+        campaign=row.campaign_id,
+        number=row.number,
+        kind=row.kind,
+        needs=row.needs,
+        status=JobStatus(row.status),
+        attempt=row.attempt,
+        counted_attempts=row.attempt - row.losses,
+        max_attempts=row.max_attempts,
+        losses=row.losses,
+        max_losses=row.max_losses,
+        worker=row.lease_worker if row.status == JobStatus.LEASED else None,
+        last_error=row.last_error,
+        created_at=row.created_at,
+        finished_at=row.finished_at,
+    )
 
 
 def find_job(connection: Connection, job_id: int) -> Job | None:
@@ -531,9 +564,15 @@ def count_jobs(connection: Connection) -> Iterator[JobCount]:
     for status, statement in _COUNTS[connection.dialect.name].items():
         for row in connection.execute(statement):
             yield JobCount(
-                status=status, kind=row.kind, needs=row.needs, campaign=row.campaign_id, name=row.name,
-                campaign_status=CampaignStatus(row.campaign_status), jobs=row.jobs, oldest=row.oldest,
-            )  # fmt: skip
+                status=status,
+                kind=row.kind,
+                needs=row.needs,
+                campaign=row.campaign_id,
+                name=row.name,
+                campaign_status=CampaignStatus(row.campaign_status),
+                jobs=row.jobs,
+                oldest=row.oldest,
+            )
 
 
 # Every open page runs this every few seconds, and SQLAlchemy takes longer to build it than the database to run it. It

@@ -53,19 +53,28 @@ _TWIN_RUNS = exists(
     select(_TWIN.c.id)
     .where(
         # The status is a parameter: with a literal, Postgres may scan the index of leased jobs for each job.
-        _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED,
+        _TWIN.c.spec_hash == JobRow.spec_hash,
+        _TWIN.c.kind == JobRow.kind,
+        _TWIN.c.status == JobStatus.LEASED,
     )
     .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
-)  # fmt: skip
+)
 _NOW = transaction_time("now")
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)
 _ELIGIBLE = (_IS_QUEUED, in_list(JobRow.needs, "capabilities"), _DUE, ~(JobRow.cache & _TWIN_RUNS))
 """A worker with these capabilities could run the job now, and no worker is running the same simulation."""
 
 _GRANTED = (
-    JobRow.id, JobRow.campaign_id, JobRow.number, JobRow.kind, JobRow.spec, JobRow.spec_hash,
-    JobRow.attempt, JobRow.timeout_s, JobRow.cache,
-)  # fmt: skip
+    JobRow.id,
+    JobRow.campaign_id,
+    JobRow.number,
+    JobRow.kind,
+    JobRow.spec,
+    JobRow.spec_hash,
+    JobRow.attempt,
+    JobRow.timeout_s,
+    JobRow.cache,
+)
 _HELD_ATTEMPTS = Statement(
     text(  # without statistics, SQLite would read all leases
         "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
@@ -81,14 +90,14 @@ _HELD_ATTEMPTS = Statement(
 _DUE_RETRY = (
     select(JobRow.id)
     .where(
-        _IS_QUEUED, _WAS_TRIED, _DUE, in_list(JobRow.needs, "capabilities"),
-        or_(
-            _IS_TRACE,
-            JobRow.campaign_id.in_(select(CampaignRow.id).where(_IS_RUNNING)),
-        ),
+        _IS_QUEUED,
+        _WAS_TRIED,
+        _DUE,
+        in_list(JobRow.needs, "capabilities"),
+        or_(_IS_TRACE, JobRow.campaign_id.in_(select(CampaignRow.id).where(_IS_RUNNING))),
     )
     .order_by(JobRow.not_before)
-)  # fmt: skip
+)
 _DUE_RETRIES = Statement(
     select(func.count().label("jobs")).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
 )
@@ -441,9 +450,10 @@ class _View:
 
     def _retry(self, demand: LeaseDemand) -> dict[str, Any]:
         return {
-            "capabilities": demand.capabilities, "worker": demand.worker,
+            "capabilities": demand.capabilities,
+            "worker": demand.worker,
             "elsewhere": list(demand.terms.elsewhere),
-        }  # fmt: skip
+        }
 
     def _read(self, query: Statement, values: Values) -> list[Any]:
         return read(self.connection, (query, {**values, "now": self.look.now}))[0]
@@ -459,9 +469,10 @@ def _look(connection: Connection, demands: Sequence[LeaseDemand]) -> Look:
 
 def _about(demands: Sequence[LeaseDemand]) -> dict[str, Any]:
     return {
-        "enough": _enough(demands), "workers": [demand.worker for demand in demands],
+        "enough": _enough(demands),
+        "workers": [demand.worker for demand in demands],
         "capabilities": sorted({name for demand in demands for name in demand.capabilities}),
-    }  # fmt: skip
+    }
 
 
 def _enough(demands: Sequence[LeaseDemand]) -> int:

@@ -44,10 +44,21 @@ _HAS_TWINS = exists(
     .offset(0)  # forces one lookup for each job: Postgres might otherwise collect all queued jobs first
 )
 _REPORTED_JOBS = select(
-    JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token, JobRow.lost_token,
-    JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.losses, JobRow.spec_hash, JobRow.cache,
-    _HAS_TWINS.label("has_twins"), transaction_time("now").label("now"),
-).where(in_list(JobRow.id, "jobs"))  # fmt: skip
+    JobRow.id,
+    JobRow.campaign_id,
+    JobRow.kind,
+    JobRow.status,
+    JobRow.lease_token,
+    JobRow.lost_token,
+    JobRow.lease_worker,
+    JobRow.attempt,
+    JobRow.max_attempts,
+    JobRow.losses,
+    JobRow.spec_hash,
+    JobRow.cache,
+    _HAS_TWINS.label("has_twins"),
+    transaction_time("now").label("now"),
+).where(in_list(JobRow.id, "jobs"))
 _REPORTED = Statement(
     _REPORTED_JOBS,
     # Locking rows in the order of their ids prevents deadlocks.
@@ -63,13 +74,19 @@ _TWINS = (
 )
 _EXPIRED_JOBS = (
     select(
-        JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.losses, JobRow.max_losses, JobRow.lease_worker,
-        JobRow.interrupted, transaction_time("now").label("now"),
+        JobRow.id,
+        JobRow.campaign_id,
+        JobRow.attempt,
+        JobRow.losses,
+        JobRow.max_losses,
+        JobRow.lease_worker,
+        JobRow.interrupted,
+        transaction_time("now").label("now"),
     )
     .where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))
     .order_by(JobRow.lease_expires_at)
     .limit(bindparam("most"))
-)  # fmt: skip
+)
 _EXPIRED = Statement(_EXPIRED_JOBS, postgres=_EXPIRED_JOBS.with_for_update(of=JobRow, skip_locked=True))
 _LOSE = (
     update(JobRow)
@@ -196,9 +213,12 @@ class FailedAttempt:
     def log_fields(self) -> dict[str, object]:
         """Fields for the log."""
         return {
-            "campaign": self.campaign, "job": self.job, "worker": self.worker, "attempt": self.attempt,
+            "campaign": self.campaign,
+            "job": self.job,
+            "worker": self.worker,
+            "attempt": self.attempt,
             "reason": self.reason.partition("\n")[0],
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -455,9 +475,13 @@ def _loss(row: JobRecord) -> _Failure:
 def _interruption(row: JobRecord) -> FailedAttempt:
     reason = "lease expired after an outage of the coordinator, which counts for nobody"
     return FailedAttempt(
-        job=row.id, campaign=row.campaign_id, worker=row.lease_worker, attempt=row.attempt, reason=reason,
+        job=row.id,
+        campaign=row.campaign_id,
+        worker=row.lease_worker,
+        attempt=row.attempt,
+        reason=reason,
         final=False,
-    )  # fmt: skip
+    )
 
 
 def _fail(
@@ -482,10 +506,14 @@ def _fail(
         )
         failed.append(
             FailedAttempt(
-                job=row.id, campaign=row.campaign_id, worker=row.lease_worker, attempt=row.attempt,
-                reason=failure.error, final=not retry,
+                job=row.id,
+                campaign=row.campaign_id,
+                worker=row.lease_worker,
+                attempt=row.attempt,
+                reason=failure.error,
+                final=not retry,
             )
-        )  # fmt: skip
+        )
     connection.execute(
         update(JobRow)
         .where(JobRow.id == bindparam("failed"))

@@ -90,9 +90,12 @@ class _WorkerRecord:
     def take_contact(self, now_s: float) -> workers.Contact:
         """Return the last contact, which the caller records, or else puts back."""
         contact = workers.Contact(
-            worker=self.identity, capabilities=self.capabilities, ago_s=now_s - self.contact_s,
-            done=self.done, failed=self.failed,
-        )  # fmt: skip
+            worker=self.identity,
+            capabilities=self.capabilities,
+            ago_s=now_s - self.contact_s,
+            done=self.done,
+            failed=self.failed,
+        )
         self.recorded_s, self.done, self.failed = now_s, 0, 0
         return contact
 
@@ -247,10 +250,13 @@ class QueueService:
             contacts += self._note_contact(wanted.worker, wanted.capabilities)
         terms = self.terms(wanted.worker.id if wanted is not None else None)
         exchange = Exchange(
-            terms=terms, contacts=contacts, outcomes=tuple(outcomes),
-            release=tuple(request.release), demand=_demand(wanted, terms) if wanted is not None else None,
+            terms=terms,
+            contacts=contacts,
+            outcomes=tuple(outcomes),
+            release=tuple(request.release),
+            demand=_demand(wanted, terms) if wanted is not None else None,
             check=self.check,
-        )  # fmt: skip
+        )
         stored = await self._write(BatchedUnit(run_exchanges, exchange), contacts)
         report, released, granted = stored.report, stored.released, stored.granted
         if UNJUDGED in report.statuses and self.check is not None:
@@ -478,9 +484,10 @@ def _log_swept(swept: _Swept) -> None:
     sweep, expiry = swept.sweep, swept.expiry
     if sweep is not None and sweep.extended:
         away_s = round(sweep.away_s or 0.0, 1)
-        log.info("leases got a full term: no coordinator served their workers", extra={
-            "leases": sweep.extended, "away_s": away_s,
-        })  # fmt: skip
+        log.info(
+            "leases got a full term: no coordinator served their workers",
+            extra={"leases": sweep.extended, "away_s": away_s},
+        )
     if expiry.lost:
         log.warning("leases that ran out: %d", len(expiry.lost))
     for attempt in (*expiry.lost, *expiry.interrupted):

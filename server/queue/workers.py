@@ -88,9 +88,12 @@ def record_contact(connection: Connection, contact: Contact) -> None:
     """Record a worker's contact and the jobs it finished since the previous one, in a write transaction."""
     worker, now = contact.worker, database_now(connection)
     values: dict[str, Any] = {
-        "host": worker.host, "pid": worker.pid, "machine": worker.machine, "version": worker.version,
+        "host": worker.host,
+        "pid": worker.pid,
+        "machine": worker.machine,
+        "version": worker.version,
         "last_seen_at": now - timedelta(seconds=contact.ago_s),
-    }  # fmt: skip
+    }
     if contact.capabilities:
         values["capabilities"] = list(contact.capabilities)
     # Another process with the same id has not been asked to exit.
@@ -171,14 +174,22 @@ def list_workers(connection: Connection, *, within_s: float | None = None) -> li
         query = query.where(WorkerRow.last_seen_at >= now - timedelta(seconds=within_s))
     seen = [
         WorkerStatus(
-            id=row.id, host=row.host, pid=row.pid, version=row.version,
-            capabilities=tuple(row.capabilities), first_seen_at=row.first_seen_at,
-            last_seen_at=row.last_seen_at, seen_s_ago=max(0.0, (now - row.last_seen_at).total_seconds()),
-            jobs_done=row.jobs_done, jobs_failed=row.jobs_failed, jobs_held=held.get(row.id, 0),
-            gone=process_is_gone(row.machine, row.pid), draining=row.drained_at is not None,
+            id=row.id,
+            host=row.host,
+            pid=row.pid,
+            version=row.version,
+            capabilities=tuple(row.capabilities),
+            first_seen_at=row.first_seen_at,
+            last_seen_at=row.last_seen_at,
+            seen_s_ago=max(0.0, (now - row.last_seen_at).total_seconds()),
+            jobs_done=row.jobs_done,
+            jobs_failed=row.jobs_failed,
+            jobs_held=held.get(row.id, 0),
+            gone=process_is_gone(row.machine, row.pid),
+            draining=row.drained_at is not None,
         )
         for row in connection.execute(query)
-    ]  # fmt: skip
+    ]
     return seen if within_s is None else [worker for worker in seen if not worker.gone]
 
 

@@ -183,19 +183,28 @@ class TopDownRecorder:
             for pose in (poses.get(name) for poses in self._poses)
         ]
         return ActorTrack(
-            name=name, kind=actor.kind, length_m=actor.length_m, width_m=actor.width_m,
+            name=name,
+            kind=actor.kind,
+            length_m=actor.length_m,
+            width_m=actor.width_m,
             motion=np.array(rows, np.float32).reshape(-1, 4),
-        )  # fmt: skip
+        )
 
     def _perceived_rows(self) -> Ragged:
         rows = [
             (
-                one.track, float(one.is_person), one.pose.x_m, one.pose.y_m,
-                one.pose.speed_mps * math.cos(one.pose.yaw_rad), one.pose.speed_mps * math.sin(one.pose.yaw_rad),
-                one.length_m, one.width_m,
+                one.track,
+                float(one.is_person),
+                one.pose.x_m,
+                one.pose.y_m,
+                one.pose.speed_mps * math.cos(one.pose.yaw_rad),
+                one.pose.speed_mps * math.sin(one.pose.yaw_rad),
+                one.length_m,
+                one.width_m,
             )
-            for sample in self._perceived for one in sample
-        ]  # fmt: skip
+            for sample in self._perceived
+            for one in sample
+        ]
         first = np.cumsum([0, *(len(sample) for sample in self._perceived)])
         return Ragged(
             columns=PERCEIVED_COLUMNS,

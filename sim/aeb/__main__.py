@@ -4,8 +4,8 @@ python -m brink.sim.aeb train --out FOLDER              writes brink-det-2.onnx,
                                                         point, and brink-det-2.json about the training
 python -m brink.sim.aeb quantise FLOAT.onnx --out FOLDER  writes brink-det-2.onnx from the network in floating point
 
-A run that was interrupted goes on from its last complete epoch when it is started again. `brink bench detector`
-measures the result.
+A run that was interrupted goes on from its last complete epoch when it is started again. `python -m benchmarks
+detector` measures the result.
 """
 
 import argparse
@@ -49,9 +49,11 @@ def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
         validation, test, pictures = (
             training.collect(render_frames(pool, split, count), count, split.name.lower())
             for split, count in (
-                (Split.VALIDATION, HELD_OUT_FRAMES), (Split.TEST, HELD_OUT_FRAMES), (Split.TRAIN, frames)
+                (Split.VALIDATION, HELD_OUT_FRAMES),
+                (Split.TEST, HELD_OUT_FRAMES),
+                (Split.TRAIN, frames),
             )
-        )  # fmt: skip
+        )
     network, record = training.train(pictures, validation, settings, out)
     calibration = pictures.planes[:CALIBRATION_FRAMES]
     training.write_results(network, test, calibration, out, record=record)

@@ -147,10 +147,11 @@ def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Ite
         actors = [_with_look(actor.current_body(), split) for actor in street.actors]
         moved = [replace(body, x_m=x_m + float(rng.uniform(-5.0, 60.0))) for body in actors]
         view = Viewpoint(
-            x_m=x_m, y_m=LANE_Y_M + float(rng.uniform(-0.3, 0.3)),
+            x_m=x_m,
+            y_m=LANE_Y_M + float(rng.uniform(-0.3, 0.3)),
             yaw_rad=float(np.clip(rng.normal(0.0, 0.02), -_MAX_YAW_RAD, _MAX_YAW_RAD)),
             pitch_rad=float(rng.normal(0.0, 0.01)),
-        )  # fmt: skip
+        )
         ego = Rectangle(view.x_m, view.y_m, view.yaw_rad, 0.5 * EGO_CAR.length_m, 0.5 * EGO_CAR.width_m)
         bodies = _without_overlaps([body for body in moved if _stands_free(_rectangle(body), ego, standing)])
         for index in range(int(rng.integers(3, 11))):
@@ -226,11 +227,17 @@ def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator)
     length_m, width_m, height_m = PERSON_SIZE_M
     low_m, high_m = (-0.65, -0.3) if rng.random() < _CHILDREN else (-0.25, 0.15)
     return Body(
-        id=number, kind=BodyKind.PERSON, x_m=ego_x_m + ahead_m, y_m=y_m,
-        yaw_rad=float(rng.uniform(-math.pi, math.pi)), length_m=length_m, width_m=width_m,
-        height_m=height_m + float(rng.uniform(low_m, high_m)), look=int(rng.integers(1000)) + 1000 * int(split),
+        id=number,
+        kind=BodyKind.PERSON,
+        x_m=ego_x_m + ahead_m,
+        y_m=y_m,
+        yaw_rad=float(rng.uniform(-math.pi, math.pi)),
+        length_m=length_m,
+        width_m=width_m,
+        height_m=height_m + float(rng.uniform(low_m, high_m)),
+        look=int(rng.integers(1000)) + 1000 * int(split),
         phase=float(rng.uniform(0.0, 2.0 * math.pi)),
-    )  # fmt: skip
+    )
 
 
 EVALUATOR_ID: Final = "brink-dataset@2"

@@ -48,12 +48,16 @@ class WorldMonitor:
         model = ego.model
         boxes = [
             Box(
-                length_m=ego.length_m, width_m=ego.width_m, height_m=model.height_m, x_m=ego.x_m, y_m=ego.y_m,
+                length_m=ego.length_m,
+                width_m=ego.width_m,
+                height_m=model.height_m,
+                x_m=ego.x_m,
+                y_m=ego.y_m,
                 yaw_rad=ego.yaw_rad,
             ),
             *(_box(actor.body) for actor in street.actors),
             *(_box(body) for body in street.scene.parked),
-        ]  # fmt: skip
+        ]
         ids = engine.add_boxes(boxes)
         count = len(street.actors)
         self._ego_body = ids[0]
@@ -178,9 +182,13 @@ class WorldMonitor:
 
 def _box(body: Body) -> Box:
     return Box(
-        length_m=body.length_m, width_m=body.width_m, height_m=body.height_m, x_m=body.x_m, y_m=body.y_m,
+        length_m=body.length_m,
+        width_m=body.width_m,
+        height_m=body.height_m,
+        x_m=body.x_m,
+        y_m=body.y_m,
         yaw_rad=body.yaw_rad,
-    )  # fmt: skip
+    )
 
 
 FRAME_S: Final = 0.05

@@ -237,8 +237,10 @@ def _surfaces(street: Street) -> tuple[Surface, ...]:
     for kind, x_m, y_m, length_m, width_m in boxes:
         along, across = 0.5 * length_m, 0.5 * width_m
         corners = [
-            (x_m - along, y_m - across), (x_m + along, y_m - across), (x_m + along, y_m + across),
+            (x_m - along, y_m - across),
+            (x_m + along, y_m - across),
+            (x_m + along, y_m + across),
             (x_m - along, y_m + across),
-        ]  # fmt: skip
+        ]
         surfaces.append(Surface(kind=kind, points=_array(corners), closed=True, width_m=0.0))
     return tuple(surfaces)

@@ -102,10 +102,17 @@ class Actor:
         body = self.body
         person = body.kind is BodyKind.PERSON
         return Body(
-            id=body.id, kind=body.kind, x_m=self.x_m, y_m=self.y_m, yaw_rad=body.yaw_rad,
-            length_m=body.length_m, width_m=body.width_m, height_m=body.height_m, look=body.look,
+            id=body.id,
+            kind=body.kind,
+            x_m=self.x_m,
+            y_m=self.y_m,
+            yaw_rad=body.yaw_rad,
+            length_m=body.length_m,
+            width_m=body.width_m,
+            height_m=body.height_m,
+            look=body.look,
             phase=(self.travelled_m * 2.0 * math.pi / 1.4) if person else 0.0,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,13 +225,20 @@ def _lamps() -> tuple[Lamp, ...]:
 
 
 _BY_THE_KERB: Final = (
-    FurnitureKind.BICYCLE, FurnitureKind.BIN, *[FurnitureKind.BOLLARD] * 2, FurnitureKind.POST_BOX,
-    *[FurnitureKind.SIGN] * 2, *[FurnitureKind.METER] * 2,
-)  # fmt: skip
+    FurnitureKind.BICYCLE,
+    FurnitureKind.BIN,
+    *[FurnitureKind.BOLLARD] * 2,
+    FurnitureKind.POST_BOX,
+    *[FurnitureKind.SIGN] * 2,
+    *[FurnitureKind.METER] * 2,
+)
 _BY_THE_WALL: Final = (
-    FurnitureKind.BICYCLE, FurnitureKind.BIN, *[FurnitureKind.PLANTER] * 2, FurnitureKind.BENCH,
+    FurnitureKind.BICYCLE,
+    FurnitureKind.BIN,
+    *[FurnitureKind.PLANTER] * 2,
+    FurnitureKind.BENCH,
     FurnitureKind.BOARD,
-)  # fmt: skip
+)
 _IN_ROWS: Final = {FurnitureKind.BICYCLE: (0.15, 0.5), FurnitureKind.BOLLARD: (1.2, 1.6)}
 """Gaps between items that stand in rows, in m."""
 _FACING_TRAFFIC: Final = (FurnitureKind.SIGN, FurnitureKind.BOARD, FurnitureKind.METER)
@@ -262,10 +276,15 @@ def _item(
     yaw_rad = (math.pi if side < 0 else 0.0) if kind in _FACING_TRAFFIC else (0.0 if side < 0 else math.pi)
     yaw_rad += float(rng.uniform(-0.08, 0.08))
     return Furniture(
-        kind=kind, x_m=x_m, y_m=side * (KERB_M + from_kerb_m), yaw_rad=yaw_rad,
-        length_m=length_m, width_m=width_m, height_m=height_m * float(rng.uniform(0.92, 1.08)),
+        kind=kind,
+        x_m=x_m,
+        y_m=side * (KERB_M + from_kerb_m),
+        yaw_rad=yaw_rad,
+        length_m=length_m,
+        width_m=width_m,
+        height_m=height_m * float(rng.uniform(0.92, 1.08)),
         look=int(rng.integers(1_000)),
-    )  # fmt: skip
+    )
 
 
 def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ...]:
@@ -286,12 +305,18 @@ def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ..
             x_m += size[0] + float(rng.uniform(0.8, 1.6))
     return tuple(
         Body(
-            id=index + 1, kind=BodyKind.VEHICLE, x_m=x_m,
-            y_m=side * (LANE_M + 0.5 * STRIP_M + 0.05), yaw_rad=0.0 if side < 0 else math.pi,
-            length_m=size[0], width_m=size[1], height_m=size[2], look=int(rng.integers(1_000)),
+            id=index + 1,
+            kind=BodyKind.VEHICLE,
+            x_m=x_m,
+            y_m=side * (LANE_M + 0.5 * STRIP_M + 0.05),
+            yaw_rad=0.0 if side < 0 else math.pi,
+            length_m=size[0],
+            width_m=size[1],
+            height_m=size[2],
+            look=int(rng.integers(1_000)),
         )
         for index, (x_m, side, size) in enumerate(places)
-    )  # fmt: skip
+    )
 
 
 def _actors(scenario: AebScenario, seed: int, line_x_m: float, first_id: int) -> tuple[Actor, ...]:
@@ -320,14 +345,25 @@ def _pedestrian(scenario: AebScenario, rng: np.random.Generator, line_x_m: float
     arrival_s = scenario.crossing_m / CRUISE_MPS + scenario.arrival_s
     length_m, width_m, height_m = PERSON_SIZE_M
     body = Body(
-        id=number, kind=BodyKind.PERSON, x_m=line_x_m, y_m=from_y_m, yaw_rad=0.5 * math.pi,
-        length_m=length_m, width_m=width_m, height_m=height_m + float(rng.uniform(-0.1, 0.1)),
+        id=number,
+        kind=BodyKind.PERSON,
+        x_m=line_x_m,
+        y_m=from_y_m,
+        yaw_rad=0.5 * math.pi,
+        length_m=length_m,
+        width_m=width_m,
+        height_m=height_m + float(rng.uniform(-0.1, 0.1)),
         look=int(rng.integers(1_000)),
-    )  # fmt: skip
+    )
     return Actor(
-        name="pedestrian", body=body, x_m=line_x_m, y_m=from_y_m, cruise_mps=WALKING_MPS,
-        starts_s=arrival_s - travelled_m / WALKING_MPS, stops_after_m=2.0 * (KERB_M + 0.8),
-    )  # fmt: skip
+        name="pedestrian",
+        body=body,
+        x_m=line_x_m,
+        y_m=from_y_m,
+        cruise_mps=WALKING_MPS,
+        starts_s=arrival_s - travelled_m / WALKING_MPS,
+        stops_after_m=2.0 * (KERB_M + 0.8),
+    )
 
 
 def _stroller(rng: np.random.Generator, number: int) -> Actor:
@@ -336,20 +372,39 @@ def _stroller(rng: np.random.Generator, number: int) -> Actor:
     along = float(rng.choice([0.0, math.pi]))
     x_m, y_m = float(rng.uniform(15.0, 50.0)), -(KERB_M + float(rng.uniform(1.3, 2.3)))
     body = Body(
-        id=number, kind=BodyKind.PERSON, x_m=x_m, y_m=y_m, yaw_rad=along, length_m=length_m,
-        width_m=width_m, height_m=height_m, look=int(rng.integers(1_000)),
-    )  # fmt: skip
+        id=number,
+        kind=BodyKind.PERSON,
+        x_m=x_m,
+        y_m=y_m,
+        yaw_rad=along,
+        length_m=length_m,
+        width_m=width_m,
+        height_m=height_m,
+        look=int(rng.integers(1_000)),
+    )
     return Actor(name="stroller", body=body, x_m=x_m, y_m=y_m, cruise_mps=float(rng.uniform(1.0, 1.5)))
 
 
 def _vehicle(
-    name: str, number: int, rng: np.random.Generator, size: tuple[float, float, float], x_m: float, y_m: float,
+    name: str,
+    number: int,
+    rng: np.random.Generator,
+    size: tuple[float, float, float],
+    x_m: float,
+    y_m: float,
     yaw_rad: float,
-) -> Actor:  # fmt: skip
+) -> Actor:
     body = Body(
-        id=number, kind=BodyKind.VEHICLE, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, length_m=size[0],
-        width_m=size[1], height_m=size[2], look=int(rng.integers(1_000)),
-    )  # fmt: skip
+        id=number,
+        kind=BodyKind.VEHICLE,
+        x_m=x_m,
+        y_m=y_m,
+        yaw_rad=yaw_rad,
+        length_m=size[0],
+        width_m=size[1],
+        height_m=size[2],
+        look=int(rng.integers(1_000)),
+    )
     cruise_mps = float(rng.uniform(8.2, 9.5))
     return Actor(name=name, body=body, x_m=x_m, y_m=y_m, speed_mps=cruise_mps, cruise_mps=cruise_mps)
 
@@ -360,8 +415,14 @@ def _obstacle(obstacle: Obstacle, rng: np.random.Generator, line_x_m: float, num
     length_m, width_m, height_m = TREE_SIZE_M if tree else OVERTURNED_SIZE_M
     x_m, y_m = float(rng.uniform(25.0, line_x_m - 12.0)), LANE_Y_M + float(rng.uniform(-0.5, 0.5))
     body = Body(
-        id=number, kind=BodyKind.FALLEN_TREE if tree else BodyKind.OVERTURNED_VEHICLE, x_m=x_m, y_m=y_m,
-        yaw_rad=float(rng.uniform(1.2, 1.9)), length_m=length_m, width_m=width_m, height_m=height_m,
+        id=number,
+        kind=BodyKind.FALLEN_TREE if tree else BodyKind.OVERTURNED_VEHICLE,
+        x_m=x_m,
+        y_m=y_m,
+        yaw_rad=float(rng.uniform(1.2, 1.9)),
+        length_m=length_m,
+        width_m=width_m,
+        height_m=height_m,
         look=int(rng.integers(1_000)),
-    )  # fmt: skip
+    )
     return Actor(name=obstacle.value, body=body, x_m=x_m, y_m=y_m)

@@ -234,9 +234,21 @@ class Track:
     """
 
     __slots__ = (
-        "box", "confirmed", "hits", "label", "length_m", "misses", "number", "standing_since_s",
-        "station_hint_m", "vx_mps", "vy_mps", "width_m", "x_m", "y_m",
-    )  # fmt: skip
+        "box",
+        "confirmed",
+        "hits",
+        "label",
+        "length_m",
+        "misses",
+        "number",
+        "standing_since_s",
+        "station_hint_m",
+        "vx_mps",
+        "vy_mps",
+        "width_m",
+        "x_m",
+        "y_m",
+    )
 
     def __init__(self, number: int, place: Place) -> None:
         self.number = number

@@ -85,10 +85,22 @@ class RoutePlanner:
     """
 
     __slots__ = (
-        "_blockers", "_give_way", "_half_length_m", "_half_width_m", "_lights", "_moving_over",
-        "_nudging", "_offset_m", "_overtaking", "_perceived_s", "_profile", "_settings", "_slow_mps",
-        "_target_m", "_time_s",
-    )  # fmt: skip
+        "_blockers",
+        "_give_way",
+        "_half_length_m",
+        "_half_width_m",
+        "_lights",
+        "_moving_over",
+        "_nudging",
+        "_offset_m",
+        "_overtaking",
+        "_perceived_s",
+        "_profile",
+        "_settings",
+        "_slow_mps",
+        "_target_m",
+        "_time_s",
+    )
 
     def __init__(self, route: Route, shape: VehicleShape, settings: PlanningSettings) -> None:
         self._settings = settings

@@ -55,11 +55,17 @@ class EncounterCamera:
     def _body(self, index: int, user: ScriptedUser, time_s: float) -> Body:
         person = user.kind is Kind.PEDESTRIAN
         return Body(
-            id=self._camera.first_id + index, kind=BodyKind.PERSON if person else BodyKind.VEHICLE, x_m=user.x_m,
-            y_m=user.y_m, yaw_rad=user.yaw_rad, length_m=user.length_m, width_m=user.width_m,
-            height_m=user.size.height_m, look=7 * index + 3,
+            id=self._camera.first_id + index,
+            kind=BodyKind.PERSON if person else BodyKind.VEHICLE,
+            x_m=user.x_m,
+            y_m=user.y_m,
+            yaw_rad=user.yaw_rad,
+            length_m=user.length_m,
+            width_m=user.width_m,
+            height_m=user.size.height_m,
+            look=7 * index + 3,
             phase=gait(user.speed_mps, time_s) if person else 0.0,
-        )  # fmt: skip
+        )
 
 
 class BrinkEncounterCamera(BrinkEncounter):

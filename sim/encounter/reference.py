@@ -277,9 +277,14 @@ class ReferenceDriving:
         ego = self._world.ego
         self._station_m, offset_m = self._world.route.line.project(ego.x_m, ego.y_m, self._station_m)
         return EgoState(
-            x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad, speed_mps=ego.speed_mps, accel_mps2=ego.accel_mps2,
-            station_m=self._station_m, offset_m=offset_m,
-        )  # fmt: skip
+            x_m=ego.x_m,
+            y_m=ego.y_m,
+            yaw_rad=ego.yaw_rad,
+            speed_mps=ego.speed_mps,
+            accel_mps2=ego.accel_mps2,
+            station_m=self._station_m,
+            offset_m=offset_m,
+        )
 
     def _light(self, time_s: float) -> LightReading | None:
         signals = self._world.signals

@@ -62,9 +62,7 @@ class _Drive:
         violated: JsonObject = {
             name: one.violated_at_s for name, one in self.result.verdicts.items() if one.violated
         }
-        return {
-            "violated_at_s": violated, "contact_at_s": self.contact_at_s, "brakes_at_s": self.brakes_at_s,
-        }  # fmt: skip
+        return {"violated_at_s": violated, "contact_at_s": self.contact_at_s, "brakes_at_s": self.brakes_at_s}
 
 
 class BrinkEncounter:
@@ -188,9 +186,12 @@ class BrinkEncounter:
         )
         trace = None if recorder is None else recorder.trace(trace_header(spec, verdicts, versions))
         return _Drive(
-            result=result, violations=witness.violations, contact_at_s=witness.contact_at_s,
-            brakes_at_s=witness.brakes_at_s, trace=trace,
-        )  # fmt: skip
+            result=result,
+            violations=witness.violations,
+            contact_at_s=witness.contact_at_s,
+            brakes_at_s=witness.brakes_at_s,
+            trace=trace,
+        )
 
     def _compared(
         self, spec: EpisodeSpec, scenario: EncounterScenario, drive: _Drive, *, record: bool

@@ -38,10 +38,19 @@ _HALF_LENGTH_M: Final = 0.5 * DrivingSettings().shape.length_m
 RANGE_FEATURES: Final[tuple[str, ...]] = (
     *(f"range_{sector}_m" for sector in range(SECTORS)),
     *(f"range_{sector}_closing_mps" for sector in range(SECTORS)),
-    "range_measured_1s", "range_path_m", "range_path_closing_mps", "range_path_ttc_s",
-    "range_path_needed_decel_mps2", "range_path_headway_s", "range_path_least_1s_m", "range_path_least_3s_m",
-    "range_path_change_1s_m", "range_path_speed_mps", "range_least_m", "range_unreported_m",
-)  # fmt: skip
+    "range_measured_1s",
+    "range_path_m",
+    "range_path_closing_mps",
+    "range_path_ttc_s",
+    "range_path_needed_decel_mps2",
+    "range_path_headway_s",
+    "range_path_least_1s_m",
+    "range_path_least_3s_m",
+    "range_path_change_1s_m",
+    "range_path_speed_mps",
+    "range_least_m",
+    "range_unreported_m",
+)
 """Names of the features, in order."""
 
 

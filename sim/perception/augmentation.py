@@ -94,9 +94,13 @@ def zoom(
     # OpenCV maps the centres of pixels, half a pixel from their edges, where boxes end.
     matrix = np.column_stack([scale * np.eye(2), shift + 0.5 * (scale - 1.0)])
     changed = cv2.warpAffine(
-        picture, matrix, (width_px, height_px), flags=cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT, borderValue=_PADDING,
-    )  # fmt: skip
+        picture,
+        matrix,
+        (width_px, height_px),
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=_PADDING,
+    )
     moved = (truth.boxes * np.float32(scale) + np.tile(shift, 2)).astype(np.float32)
     cut = np.clip(moved, 0.0, np.array([width_px, height_px] * 2, np.float32)).astype(np.float32)
     left = _area(cut) / np.maximum(_area(moved), 1e-6)

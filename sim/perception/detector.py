@@ -608,9 +608,13 @@ class UltralyticsDetector:
 
     def _find(self, picture: Picture) -> Any:
         return self._model.predict(
-            picture[:, :, ::-1], conf=MIN_SCORE, iou=NMS_OVERLAP, max_det=MAX_DETECTIONS, device="cpu",
+            picture[:, :, ::-1],
+            conf=MIN_SCORE,
+            iou=NMS_OVERLAP,
+            max_det=MAX_DETECTIONS,
+            device="cpu",
             verbose=False,
-        )[0].boxes  # fmt: skip
+        )[0].boxes
 
     def _check_output(self, _module: Any, _inputs: Any, output: Any) -> None:
         """Check a network's output: an array (1, 4 + classes, n), or a tuple that begins with one."""

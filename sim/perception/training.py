@@ -229,15 +229,20 @@ class _State:
 
     def _parts(self) -> dict[str, Any]:
         return {
-            "network": self.network, "average": self.average, "optimiser": self.optimiser,
+            "network": self.network,
+            "average": self.average,
+            "optimiser": self.optimiser,
             "schedule": self.schedule,
-        }  # fmt: skip
+        }
 
     def save(self, file: Path, run: dict[str, Any]) -> None:
         content = {name: part.state_dict() for name, part in self._parts().items()}
         content |= {
-            "run": run, "epoch": self.epoch, "validation_map": self.validation_map, "wall_s": self.wall_s
-        }  # fmt: skip
+            "run": run,
+            "epoch": self.epoch,
+            "validation_map": self.validation_map,
+            "wall_s": self.wall_s,
+        }
         torch.save(content, file.with_suffix(".new"))
         file.with_suffix(".new").replace(file)
 
@@ -276,11 +281,21 @@ def train(
         raise ValueError(f"pictures: expected {settings.frames} images, got {len(pictures.truths)}")
     device = find_device()
     run = {
-        **asdict(settings), "input_px": list(INPUT_PX), "batch": BATCH, "learning_rate": LEARNING_RATE,
-        "warm_up": WARM_UP, "weight_decay": WEIGHT_DECAY, "average_decay": AVERAGE_DECAY, "unchanged": UNCHANGED,
-        "widths": [*WIDTHS, HEAD_WIDTH], "images": pictures.digest(), "device": _name(device),
-        "torch": str(torch.__version__), "numpy": np.__version__, "opencv": cv2.__version__,
-    }  # fmt: skip
+        **asdict(settings),
+        "input_px": list(INPUT_PX),
+        "batch": BATCH,
+        "learning_rate": LEARNING_RATE,
+        "warm_up": WARM_UP,
+        "weight_decay": WEIGHT_DECAY,
+        "average_decay": AVERAGE_DECAY,
+        "unchanged": UNCHANGED,
+        "widths": [*WIDTHS, HEAD_WIDTH],
+        "images": pictures.digest(),
+        "device": _name(device),
+        "torch": str(torch.__version__),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+    }
     state, checkpoint = _State.initial(settings, device), out / "training.pt"
     if checkpoint.is_file():
         state.load(checkpoint, run)
@@ -360,7 +375,7 @@ def detect_all(network: Network, planes: Picture) -> list[Detections]:
     """Return the network's detections in each image.
 
     Boxes are not clipped to the image, as a detector's are, so that mAP is slightly lower than that of
-    `brink bench detector`.
+    `python -m benchmarks detector`.
     """
     network.eval()
     device = next(network.parameters()).device

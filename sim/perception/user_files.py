@@ -39,9 +39,16 @@ DEFAULT_DETECTOR: Final = "brink-det@2"
 """Detector of a problem with a camera, unless another is chosen."""
 KINDS: Final = ("onnx", "torchscript", "ultralytics")
 CATEGORY_LABELS: Final[Mapping[str, int]] = {
-    "vehicle": 0, "car": 0, "truck": 0, "bus": 0, "van": 0, "motorcycle": 0, "train": 0,
-    "person": 1, "pedestrian": 1,
-}  # fmt: skip
+    "vehicle": 0,
+    "car": 0,
+    "truck": 0,
+    "bus": 0,
+    "van": 0,
+    "motorcycle": 0,
+    "train": 0,
+    "person": 1,
+    "pedestrian": 1,
+}
 """Label of each known category: 0 for a vehicle, 1 for a person."""
 LABEL_WORDS: Final = ("vehicles", "persons")
 MAX_LISTED: Final = 3

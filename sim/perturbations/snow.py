@@ -116,12 +116,16 @@ def _draw_flakes(
     area = frame.shape[0] * frame.shape[1] / scale**2 / (1280 * 720)
     count = max(1, round(depth.count * area * amount / STAMPS))
     stamps = [
-        _stamp(radius_px * scale / step, depth.streak_px * share * scale / step, tilt_rad + turn, depth.opacity)
+        _stamp(
+            radius_px * scale / step, depth.streak_px * share * scale / step, tilt_rad + turn, depth.opacity
+        )
         for radius_px, share, turn in zip(
-            np.linspace(*depth.radius_px, STAMPS), np.linspace(0.5, 1, STAMPS), rng.normal(0, 0.12, STAMPS),
+            np.linspace(*depth.radius_px, STAMPS),
+            np.linspace(0.5, 1, STAMPS),
+            rng.normal(0, 0.12, STAMPS),
             strict=True,
         )
-    ]  # fmt: skip
+    ]
     margin = max(max(stamp.shape) for stamp in stamps)
     layer = np.zeros((rows + 2 * margin, columns + 2 * margin), dtype=np.uint8)
     for stamp in stamps:

@@ -39,8 +39,19 @@ _GOODS: Final = (
 )
 _POSTERS: Final = ((198, 60, 52), (58, 96, 150), (222, 186, 70), (232, 228, 218), (66, 120, 84))
 _WORDS: Final = (
-    "CAFE", "BAKERY", "BOOKS", "FLOWERS", "PHARMACY", "HOTEL", "BANK", "OPTICS", "BAR", "SHOES", "DELI", "RADIO",
-)  # fmt: skip
+    "CAFE",
+    "BAKERY",
+    "BOOKS",
+    "FLOWERS",
+    "PHARMACY",
+    "HOTEL",
+    "BANK",
+    "OPTICS",
+    "BAR",
+    "SHOES",
+    "DELI",
+    "RADIO",
+)
 _LIT: Final = ((255, 214, 140), (250, 226, 176), (232, 190, 118), (216, 226, 236))
 _STONE_RGB: Final = (200, 196, 188)
 _VARIANTS: Final = 6

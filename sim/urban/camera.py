@@ -77,9 +77,12 @@ class RoadCamera:
         self._threshold = threshold
         self._camera = camera
         self._picture = PictureCamera(
-            width_px=SIZE_PX[0], height_px=SIZE_PX[1], fov_deg=camera.fov_deg, height_m=camera.height_m,
+            width_px=SIZE_PX[0],
+            height_px=SIZE_PX[1],
+            fov_deg=camera.fov_deg,
+            height_m=camera.height_m,
             forward_m=camera.forward_m,
-        )  # fmt: skip
+        )
         self.first_id = 1 + len(fixtures(road))
         self._renderer = Renderer(street_scene(road), light, self._picture, seed)
 
@@ -123,13 +126,20 @@ def street_scene(road: Road) -> StreetScene:
         ),
         parked=tuple(
             Body(
-                id=index + 1, kind=BodyKind.VEHICLE, x_m=f.x_m, y_m=f.y_m, yaw_rad=f.yaw_rad,
-                length_m=f.length_m, width_m=f.width_m, height_m=f.height_m, look=index,
+                id=index + 1,
+                kind=BodyKind.VEHICLE,
+                x_m=f.x_m,
+                y_m=f.y_m,
+                yaw_rad=f.yaw_rad,
+                length_m=f.length_m,
+                width_m=f.width_m,
+                height_m=f.height_m,
+                look=index,
             )
             for index, f in enumerate(still)
             if f.kind == "parked-car"
         ),
-    )  # fmt: skip
+    )
 
 
 def _grass(road: Road) -> Ground:
@@ -194,9 +204,13 @@ class InTheLoop:
             weather=Weather(str(spec.scenario["weather"])),
         )
         eyes = RoadCamera(
-            world.road, light, seed=spec.seed, detector=find_detector(str(spec.behaviour["detector"])),
-            threshold=float(str(spec.behaviour["threshold"])), camera=camera,
-        )  # fmt: skip
+            world.road,
+            light,
+            seed=spec.seed,
+            detector=find_detector(str(spec.behaviour["detector"])),
+            threshold=float(str(spec.behaviour["threshold"])),
+            camera=camera,
+        )
         observer = Observer(world, camera)
         meter = self.meter = ErrorMeter(camera)
 
@@ -215,18 +229,31 @@ class InTheLoop:
 def _bodies(world: World, first_id: int, time_s: float) -> list[Body]:
     bodies = [
         Body(
-            id=first_id + index, kind=BodyKind.VEHICLE, x_m=vehicle.x_m, y_m=vehicle.y_m,
-            yaw_rad=vehicle.yaw_rad, length_m=vehicle.length_m, width_m=vehicle.width_m,
-            height_m=vehicle.size.height_m, look=7 * index + 3,
+            id=first_id + index,
+            kind=BodyKind.VEHICLE,
+            x_m=vehicle.x_m,
+            y_m=vehicle.y_m,
+            yaw_rad=vehicle.yaw_rad,
+            length_m=vehicle.length_m,
+            width_m=vehicle.width_m,
+            height_m=vehicle.size.height_m,
+            look=7 * index + 3,
         )
         for index, vehicle in enumerate(world.vehicles)
-    ]  # fmt: skip
+    ]
     bodies += [
         Body(
-            id=first_id + index, kind=BodyKind.PERSON, x_m=walker.x_m, y_m=walker.y_m, yaw_rad=walker.yaw_rad,
-            length_m=walker.length_m, width_m=walker.width_m, height_m=PERSON_HEIGHT_M, look=7 * index + 3,
+            id=first_id + index,
+            kind=BodyKind.PERSON,
+            x_m=walker.x_m,
+            y_m=walker.y_m,
+            yaw_rad=walker.yaw_rad,
+            length_m=walker.length_m,
+            width_m=walker.width_m,
+            height_m=PERSON_HEIGHT_M,
+            look=7 * index + 3,
             phase=gait(walker.speed_mps, time_s + 0.1 * index),
         )
         for index, walker in enumerate(world.walkers, len(bodies))
-    ]  # fmt: skip
+    ]
     return bodies

@@ -74,56 +74,91 @@ RELEVANT_M: Final = FollowSettings().range_m
 """Distance beyond which the driving system ignores vehicles; a range of this or more counts as no error."""
 
 MAGNITUDES: Final[Mapping[ErrorType, Magnitude]] = {
-    ErrorType.MISS: Magnitude(unit="s", none=0.0, most=LONGEST_S, meaning="how long the target is not reported"),
+    ErrorType.MISS: Magnitude(
+        unit="s", none=0.0, most=LONGEST_S, meaning="how long the target is not reported"
+    ),
     ErrorType.LATE: Magnitude(
-        unit="s", none=0.0, most=LONGEST_S, has_window=False,
+        unit="s",
+        none=0.0,
+        most=LONGEST_S,
+        has_window=False,
         meaning="how long after it first was visible the target is first reported",
     ),
     ErrorType.FLICKER: Magnitude(
-        unit="share", none=0.0, most=1.0, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=1.0,
+        has_duration=True,
         meaning="share of each period of 2 s in which the target is not reported",
     ),
     ErrorType.TOO_FAR: Magnitude(
-        unit="share", none=0.0, most=1.0, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=1.0,
+        has_duration=True,
         meaning="how much farther away the box's bottom edge puts the target, as a share of its distance",
     ),
     ErrorType.TOO_NEAR: Magnitude(
-        unit="share", none=0.0, most=0.8, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=0.8,
+        has_duration=True,
         meaning="how much nearer the box's bottom edge puts the target, as a share of its distance",
     ),
     ErrorType.LEFT: Magnitude(
-        unit="m", none=0.0, most=4.0, has_duration=True,
+        unit="m",
+        none=0.0,
+        most=4.0,
+        has_duration=True,
         meaning="how far to the left of the target its box lies, at the target's distance",
     ),
     ErrorType.RIGHT: Magnitude(
-        unit="m", none=0.0, most=4.0, has_duration=True,
+        unit="m",
+        none=0.0,
+        most=4.0,
+        has_duration=True,
         meaning="how far to the right of the target its box lies, at the target's distance",
     ),
     ErrorType.TOO_LARGE: Magnitude(
-        unit="share", none=0.0, most=1.0, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=1.0,
+        has_duration=True,
         meaning="how much wider and higher the box is, about its centre",
     ),
     ErrorType.TOO_SMALL: Magnitude(
-        unit="share", none=0.0, most=0.8, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=0.8,
+        has_duration=True,
         meaning="how much narrower and lower the box is, about its centre",
     ),
     ErrorType.WRONG_LABEL: Magnitude(
-        unit="s", none=0.0, most=LONGEST_S,
+        unit="s",
+        none=0.0,
+        most=LONGEST_S,
         meaning="how long a vehicle is reported as a person, or a person as a vehicle",
     ),
     ErrorType.SHORT_RANGE: Magnitude(
-        unit="m", none=RELEVANT_M, most=0.0, has_window=False,
+        unit="m",
+        none=RELEVANT_M,
+        most=0.0,
+        has_window=False,
         meaning="distance beyond which the target is not reported",
     ),
     ErrorType.GHOST_ON_ROAD: Magnitude(
-        unit="s", none=0.0, most=LONGEST_S,
+        unit="s",
+        none=0.0,
+        most=LONGEST_S,
         meaning="how long a target that is not there is reported at a place on the road",
     ),
     ErrorType.GHOST_IN_IMAGE: Magnitude(
-        unit="s", none=0.0, most=LONGEST_S,
+        unit="s",
+        none=0.0,
+        most=LONGEST_S,
         meaning="how long a target that is not there is reported at a place in the image",
     ),
-}  # fmt: skip
+}
 
 PEDESTRIAN_WITHIN_M: Final = 3.0
 """A single pedestrian is a target within this distance of the middle of the ego's lane."""

@@ -411,8 +411,13 @@ def ghost_bodies(scene: Scene, target: Target, ahead_m: float) -> list[Body]:
         x_m, y_m, yaw_rad = route.pose_at(at_m)
         ghosts.append(
             Body(
-                ObstacleLabel.PERSON, x_m, y_m, yaw_rad + 0.5 * math.pi,
-                PERSON_LENGTH_M, PERSON_WIDTH_M, PERSON_HEIGHT_M,
+                ObstacleLabel.PERSON,
+                x_m,
+                y_m,
+                yaw_rad + 0.5 * math.pi,
+                PERSON_LENGTH_M,
+                PERSON_WIDTH_M,
+                PERSON_HEIGHT_M,
             )
-        )  # fmt: skip
+        )
     return ghosts

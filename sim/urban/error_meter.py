@@ -271,9 +271,15 @@ class ErrorMeter:
     def _compared(self, time_s: float, true: TrueBox, reported: ReportedBox | None) -> Sample:
         depth_m = self._depth_m(true.box) if true.depth_m is None else true.depth_m
         sample = Sample(
-            time_s, true.track, true.kind, true.is_target, true.is_visible, true.box.label, depth_m,
+            time_s,
+            true.track,
+            true.kind,
+            true.is_target,
+            true.is_visible,
+            true.box.label,
+            depth_m,
             is_seen=reported is not None,
-        )  # fmt: skip
+        )
         if reported is None:
             return sample
         box, found = true.box, reported.box

@@ -41,9 +41,17 @@ LABELS: Final = (ObstacleLabel.VEHICLE, ObstacleLabel.PERSON)
 ERRORS: Final = ("far", "right_m", "size")
 """Errors of place and size, as in `error_meter.Sample`."""
 SHARES: Final = (
-    "seen", "at_once", "found_first", "found_in_0.2s", "found_in_1s", "found_later", "lost_in_0.2s", "lost_in_1s",
-    "lost_later", "wrong_label",
-)  # fmt: skip
+    "seen",
+    "at_once",
+    "found_first",
+    "found_in_0.2s",
+    "found_in_1s",
+    "found_later",
+    "lost_in_0.2s",
+    "lost_in_1s",
+    "lost_later",
+    "wrong_label",
+)
 SEEN, AT_ONCE, FOUND_FIRST, FOUND, LOST, WRONG_LABEL = 0, 1, 2, 3, 6, 9
 """Columns of `SHARES`; `FOUND` and `LOST` are the first of three."""
 KEPT: Final = (*ERRORS, "wrong_label", *(f"{name}_constant" for name in ERRORS))
@@ -145,9 +153,12 @@ class ErrorProcess:
             InvalidEpisode: One is out of range, or quantiles do not ascend.
         """
         parts = {
-            "shares": self.shares, "kept": self.kept, "per_hour": self.ghosts[:, 0], "seconds": self.ghosts[:, 1:],
+            "shares": self.shares,
+            "kept": self.kept,
+            "per_hour": self.ghosts[:, 0],
+            "seconds": self.ghosts[:, 1:],
             **{name: self.errors[:, :, i] for i, name in enumerate(ERRORS)},
-        }  # fmt: skip
+        }
         for name, values in parts.items():
             low, high = _BOUNDS[name]
             wrong = values[~((values >= low) & (values <= high))]

@@ -170,9 +170,12 @@ class _Fitted:
     def start(self, world: World, camera: Camera) -> Detects:
         spec = self._spec
         self._detector = FittedDetector(
-            world, camera, self._process, seed=spec.seed,
+            world,
+            camera,
+            self._process,
+            seed=spec.seed,
             perception_steps=last_perception_step(spec.duration_s) + 1,
-        )  # fmt: skip
+        )
         return self._detector
 
     def features(self, outcome: Outcome) -> dict[str, Json]:

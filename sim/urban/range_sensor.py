@@ -151,6 +151,8 @@ def known_conditions(scenario: UrbanScenario) -> KnownConditions:
 def range_sensor(world: World, scenario: UrbanScenario, spec: EpisodeSpec) -> RangeSensor:
     """Return the range sensor of an episode."""
     return RangeSensor(
-        world, known_conditions(scenario), seed=spec.seed,
+        world,
+        known_conditions(scenario),
+        seed=spec.seed,
         perception_steps=last_perception_step(spec.duration_s) + 1,
-    )  # fmt: skip
+    )

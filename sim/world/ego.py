@@ -112,9 +112,20 @@ class EgoCar:
     """
 
     __slots__ = (
-        "_drive_mps2", "_friction", "_grade_mps2", "accel_mps2", "length_m", "model", "speed_mps",
-        "steer_rad", "width_m", "x_m", "y_m", "yaw_rad", "yaw_rate_radps",
-    )  # fmt: skip
+        "_drive_mps2",
+        "_friction",
+        "_grade_mps2",
+        "accel_mps2",
+        "length_m",
+        "model",
+        "speed_mps",
+        "steer_rad",
+        "width_m",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+        "yaw_rate_radps",
+    )
 
     def __init__(
         self,

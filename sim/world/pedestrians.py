@@ -63,10 +63,29 @@ class Walker:
     """
 
     __slots__ = (
-        "_cos_yaw", "_go_ahead", "_sin_yaw", "_target_m", "_waited_s", "ahead", "centre", "crosses_at_m",
-        "kerb_m", "length_m", "name", "offset_m", "on_zebra", "patience_s", "phase", "speed_mps", "station_m",
-        "walking_mps", "width_m", "x_m", "y_m", "yaw_rad",
-    )  # fmt: skip
+        "_cos_yaw",
+        "_go_ahead",
+        "_sin_yaw",
+        "_target_m",
+        "_waited_s",
+        "ahead",
+        "centre",
+        "crosses_at_m",
+        "kerb_m",
+        "length_m",
+        "name",
+        "offset_m",
+        "on_zebra",
+        "patience_s",
+        "phase",
+        "speed_mps",
+        "station_m",
+        "walking_mps",
+        "width_m",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+    )
 
     def __init__(
         self,

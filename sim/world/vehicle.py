@@ -126,10 +126,28 @@ class Vehicle:
     """
 
     __slots__ = (
-        "_arcs", "_gap_m", "_gap_speed_mps", "_phase", "_stop_m", "accel_mps2", "length_m", "name",
-        "offset_m", "path", "pull_out", "size", "speed_mps", "starts_s", "station_m", "stops", "style",
-        "width_m", "x_m", "y_m", "yaw_rad",
-    )  # fmt: skip
+        "_arcs",
+        "_gap_m",
+        "_gap_speed_mps",
+        "_phase",
+        "_stop_m",
+        "accel_mps2",
+        "length_m",
+        "name",
+        "offset_m",
+        "path",
+        "pull_out",
+        "size",
+        "speed_mps",
+        "starts_s",
+        "station_m",
+        "stops",
+        "style",
+        "width_m",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+    )
 
     def __init__(
         self,

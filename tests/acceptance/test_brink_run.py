@@ -30,9 +30,12 @@ def written(folder: Path, body: dict[str, Any]) -> str:
 
 
 KNOWN_BOUNDARY: dict[str, Any] = {
-    "name": "known boundary", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"},
-    "budget": {"simulations": 120}, "seed": 1,
-}  # fmt: skip
+    "name": "known boundary",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "mlcshe@1"},
+    "budget": {"simulations": 120},
+    "seed": 1,
+}
 
 
 def test_a_campaign_file_becomes_results(

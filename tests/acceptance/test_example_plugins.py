@@ -44,10 +44,21 @@ def run_campaign(
     file = folder / "campaign.yaml"
     file.write_text("\n".join(lines), encoding="utf-8")
     command = [
-        sys.executable, "-c", "from brink.cli.main import main; main()", "--plugin", plugin, "run", str(file),
-        "--database", f"sqlite:///{folder}/brink.db", "--out", str(folder / "out"), "--no-pictures", "--json",
+        sys.executable,
+        "-c",
+        "from brink.cli.main import main; main()",
+        "--plugin",
+        plugin,
+        "run",
+        str(file),
+        "--database",
+        f"sqlite:///{folder}/brink.db",
+        "--out",
+        str(folder / "out"),
+        "--no-pictures",
+        "--json",
         *options,
-    ]  # fmt: skip
+    ]
     run = subprocess.run(command, cwd=plugins, capture_output=True, text=True, timeout=240, check=False)
     assert run.returncode == 0, run.stderr
     summary: dict[str, Any] = json.loads(run.stdout)
@@ -61,9 +72,12 @@ def test_an_edited_plugin_is_simulated_again_under_the_same_id(tmp_path: Path) -
     edited = source.replace("+ 15.0 - bias", "+ 25.0 - bias")
     assert edited != source
     lines = [
-        "name: brakes", "problem: {id: brake-assist@1}", "algorithm: {id: random@1}", "budget: {simulations: 80}",
+        "name: brakes",
+        "problem: {id: brake-assist@1}",
+        "algorithm: {id: random@1}",
+        "budget: {simulations: 80}",
         "seed: 1",
-    ]  # fmt: skip
+    ]
     plugins = tmp_path / "plugins"
     plugins.mkdir()
 
@@ -85,8 +99,11 @@ def test_an_edited_plugin_is_simulated_again_under_the_same_id(tmp_path: Path) -
 @pytest.mark.long("runs two campaigns, each in a process of its own")
 def test_a_campaign_starts_from_an_earlier_one_with_real_workers(tmp_path: Path) -> None:
     lines = [
-        "name: brakes", "problem: {id: brake-assist@1}", "algorithm: {id: edge@1}", "budget: {simulations: 60}",
-    ]  # fmt: skip
+        "name: brakes",
+        "problem: {id: brake-assist@1}",
+        "algorithm: {id: edge@1}",
+        "budget: {simulations: 60}",
+    ]
     earlier = run_campaign("brake_assist", [*lines, "seed: 1"], tmp_path)
     start = f"start_from: {{campaign: '{earlier['campaign']}'}}"
     warm = run_campaign("brake_assist", [*lines, "seed: 2", start], tmp_path)
@@ -98,15 +115,23 @@ def test_every_example_passes_the_checks_that_the_documentation_recommends() -> 
     modules = [file.stem for file in sorted(PLUGINS.glob("*.py"))]
     assert len(modules) >= 4
     command = [
-        sys.executable, "-c", "from brink.cli.main import main; main()",
-        *(part for module in modules for part in ("--plugin", module)), "plugins", "check", "--json",
-    ]  # fmt: skip
+        sys.executable,
+        "-c",
+        "from brink.cli.main import main; main()",
+        *(part for module in modules for part in ("--plugin", module)),
+        "plugins",
+        "check",
+        "--json",
+    ]
     run = subprocess.run(command, cwd=PLUGINS, capture_output=True, text=True, timeout=240, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
     results = {f"{one['kind']} {one['id']}": one for one in json.loads(run.stdout)}
     assert set(results) == {
-        "algorithm edge-walk@1", "problem brake-assist@1", "requirement front-gap-3-m@1", "requirement gentle@1",
+        "algorithm edge-walk@1",
+        "problem brake-assist@1",
+        "requirement front-gap-3-m@1",
+        "requirement gentle@1",
         "simulator brake-assist-sim@1",
-    }  # fmt: skip
+    }
     assert all(one["passed"] for one in results.values())
     assert results["algorithm edge-walk@1"]["words"].count(",") == len(example_spaces()) - 1

@@ -43,9 +43,10 @@ def test_the_life_of_a_job(databases: Databases, tmp_path: Path) -> None:
         # 2. A worker leases jobs with tokens: this one by hand, and it does nothing more.
         identity = {"id": "by-hand", "host": "here", "pid": 1, "version": ""}
         lease = ask(
-            "POST", "/jobs/lease",
+            "POST",
+            "/jobs/lease",
             json={"worker": identity, "capabilities": ["brink-drive@2"], "max_jobs": 1, "wait_s": 0},
-        )  # fmt: skip
+        )
         (held,) = lease["jobs"]
         assert held["spec"]["simulator"] == "brink-drive@2"
 

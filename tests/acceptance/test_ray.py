@@ -41,8 +41,11 @@ def running(
 ) -> Iterator[Site]:
     """A coordinator that wants a token."""
     of_ray = {
-        "RAY_TMPDIR": str(ray_home), "HOME": str(ray_home), "RAY_USAGE_STATS_ENABLED": "0", **authentication,
-    }  # fmt: skip
+        "RAY_TMPDIR": str(ray_home),
+        "HOME": str(ray_home),
+        "RAY_USAGE_STATS_ENABLED": "0",
+        **authentication,
+    }
     token = {"BRINK_TOKEN": f"token-{secrets.token_hex(12)}"}
     with databases.database() as url, site(tmp_path, url, {**QUICK, **of_ray, **token}) as made:
         yield made
@@ -63,9 +66,14 @@ HEAD = ("--head", "--port=0", "--include-dashboard=false")
 def node(running: Site, *arguments: str, **more: str) -> Iterator[Program]:
     """Have one more node of one CPU in the cluster."""
     command = [
-        RAY, "start", "--num-cpus=1", "--min-worker-port=0", "--max-worker-port=0", "--block",
+        RAY,
+        "start",
+        "--num-cpus=1",
+        "--min-worker-port=0",
+        "--max-worker-port=0",
+        "--block",
         *arguments,
-    ]  # fmt: skip
+    ]
     with Program(command, cwd=running.folder, env={**running.env, **more}) as program:
         try:
             program.await_line("Ray runtime started")
@@ -165,9 +173,13 @@ def test_a_pool_follows_its_cluster(running: Site) -> None:
 
 def test_pictures_are_simulated_on_a_cluster_that_requires_a_token(running: Site) -> None:
     body = {
-        "name": "pictures", "problem": {"id": "urban-camera@1", "params": {"duration_s": 5.0}},
-        "algorithm": {"id": "random@1"}, "budget": {"simulations": 4}, "seed": 1, "execution": {"cache": False},
-    }  # fmt: skip
+        "name": "pictures",
+        "problem": {"id": "urban-camera@1", "params": {"duration_s": 5.0}},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": 4},
+        "seed": 1,
+        "execution": {"cache": False},
+    }
     with node(running, *HEAD) as head:
         started = pool(running, "--ray", address_of(head))
         campaign = running.submit(body)

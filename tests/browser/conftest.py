@@ -12,7 +12,7 @@ from support.api import ball, eventually, listening_coordinator, progress, submi
 from support.problems import small_problems
 
 import brink.server.access.authentication
-from brink.bench.chromium import NoChromium, chromium, executable
+from benchmarks.chromium import NoChromium, chromium, executable
 from browser.console import Console, silence
 from browser.served import (
     ANY_PAIR,
@@ -90,9 +90,14 @@ def guarded(own_database: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[http
 def views(site: Served) -> list[View]:
     """Every view but that which asks for a token."""
     return views_of(
-        site.urban, unsafe_one(site)["number"], (site.urban, site.ball), site.experiment,
-        f"#/campaigns/{site.urban}/pairs{ANY_PAIR}", a_pair(site.client, site.urban)[1], LOOSELY,
-    )  # fmt: skip
+        site.urban,
+        unsafe_one(site)["number"],
+        (site.urban, site.ball),
+        site.experiment,
+        f"#/campaigns/{site.urban}/pairs{ANY_PAIR}",
+        a_pair(site.client, site.urban)[1],
+        LOOSELY,
+    )
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from playwright.sync_api import expect as shown
 from support.api import eventually, expect, listening_coordinator, progress, submit
 from support.databases import sqlite_template
 
-from brink.bench.chromium import chromium
+from benchmarks.chromium import chromium
 from brink.cli.options import with_api
 from brink.report.campaign import campaign_report, write_page
 from browser.console import Console, silence
@@ -53,29 +53,52 @@ USUAL_PORT: Final = 8700
 URBAN: Final = {"id": "urban-injected@1"}
 MLCSHE: Final = {"id": "mlcshe@1"}
 SEARCH: Final[dict[str, Any]] = {
-    "name": "front gap", "problem": URBAN, "algorithm": MLCSHE, "budget": {"simulations": 400}, "seed": 5,
-}  # fmt: skip
+    "name": "front gap",
+    "problem": URBAN,
+    "algorithm": MLCSHE,
+    "budget": {"simulations": 400},
+    "seed": 5,
+}
 PAIRS: Final[dict[str, Any]] = {
-    **SEARCH, "name": "quickstart", "algorithm": {"id": "edge@1"}, "budget": {"simulations": 300}, "seed": 1,
-}  # fmt: skip
+    **SEARCH,
+    "name": "quickstart",
+    "algorithm": {"id": "edge@1"},
+    "budget": {"simulations": 300},
+    "seed": 1,
+}
 TRAFFIC: Final[dict[str, Any]] = {
-    "name": "other drivers", "problem": {"id": "npc-actions@1"}, "algorithm": {"id": "random@1"},
-    "budget": {"simulations": 60}, "seed": 1,
-}  # fmt: skip
+    "name": "other drivers",
+    "problem": {"id": "npc-actions@1"},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 60},
+    "seed": 1,
+}
 HURRIED: Final[dict[str, Any]] = {
-    **SEARCH, "name": "hurried", "problem": {"id": "urban-injected@1", "params": {"timeout_s": 0.01}},
-    "budget": {"simulations": 8}, "algorithm": {"id": "random@1", "params": {"generation_size": 4}},
+    **SEARCH,
+    "name": "hurried",
+    "problem": {"id": "urban-injected@1", "params": {"timeout_s": 0.01}},
+    "budget": {"simulations": 8},
+    "algorithm": {"id": "random@1", "params": {"generation_size": 4}},
     "execution": {"max_attempts": 1, "cache": False},
-}  # fmt: skip
+}
 RUNNING: Final = {
-    **SEARCH, "name": "collisions", "budget": {"simulations": 20_000}, "priority": -10,
+    **SEARCH,
+    "name": "collisions",
+    "budget": {"simulations": 20_000},
+    "priority": -10,
     "problem": {"id": "urban-injected@1", "params": {"requirement": "no-collision@1"}},
-}  # fmt: skip
+}
 EXPERIMENT: Final = {
-    "name": "which search finds more", "problems": [URBAN],
-    "algorithms": [{**MLCSHE, "name": "MLCSHE"}, {"id": "ga@1", "name": "GA"}, {"id": "random@1", "name": "random"}],
-    "seeds": {"first": 1, "count": 2}, "budget": {"simulations": 200},
-}  # fmt: skip
+    "name": "which search finds more",
+    "problems": [URBAN],
+    "algorithms": [
+        {**MLCSHE, "name": "MLCSHE"},
+        {"id": "ga@1", "name": "GA"},
+        {"id": "random@1", "name": "random"},
+    ],
+    "seeds": {"first": 1, "count": 2},
+    "budget": {"simulations": 200},
+}
 
 
 @contextmanager
@@ -120,13 +143,22 @@ def demonstration(folder: Path) -> Iterator[tuple[httpx.Client, list[View], str]
         members = expect(client.get(f"{API}/experiments/{experiment}"))["members"]
         compared = [one["campaign"] for one in members if one["seed"] == 1]
         views = views_of(
-            search, _telling(client, search), compared, experiment, f"#/campaigns/{pairs}/pairs",
+            search,
+            _telling(client, search),
+            compared,
+            experiment,
+            f"#/campaigns/{pairs}/pairs",
             a_pair(client, pairs, "")[1],
-        )  # fmt: skip
+        )
         found = View(
-            name="finding", place=f"#/campaigns/{pairs}",
-            ready=("role=button[name='Confirm the pairs']", ".best-pairs figure:last-child", ".legend .ringed"),
-        )  # fmt: skip
+            name="finding",
+            place=f"#/campaigns/{pairs}",
+            ready=(
+                "role=button[name='Confirm the pairs']",
+                ".best-pairs figure:last-child",
+                ".legend .ringed",
+            ),
+        )
         goes_on = View(name="running", place=f"#/campaigns/{running}", ready=("canvas.map", ".legend li"))
         yield client, [*views, found, goes_on], pairs
 

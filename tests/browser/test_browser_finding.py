@@ -37,9 +37,11 @@ def test_rows_with_equal_names_show_their_ids(own: httpx.Client, visit: Visits) 
     twins = [submit(own, ball(name="twin", seed=seed)) for seed in (1, 2)]
     single = submit(own, ball(name="single"))
     body = {
-        "name": "again", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}],
+        "name": "again",
+        "problems": [{"id": "ball@1"}],
+        "algorithms": [{"id": "random@1"}],
         "budget": {"simulations": 8},
-    }  # fmt: skip
+    }
     experiments = [
         str(expect(own.post("/api/v1/experiments", json={**body, "seeds": [seed]}), 201)["id"])
         for seed in (1, 2)
@@ -87,10 +89,13 @@ def test_the_pairs_of_an_experiment_follow_its_problems_and_its_follow_ups(
 ) -> None:
     finds = {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}
     body = {
-        "name": "followed", "algorithms": [{"name": "finds", **finds}], "seeds": [1],
+        "name": "followed",
+        "algorithms": [{"name": "finds", **finds}],
+        "seeds": [1],
         "problems": [{"name": name, "id": "urban-injected@1"} for name in ("first", "second")],
-        "budget": {"simulations": 2}, "pairs": {"component": True},
-    }  # fmt: skip
+        "budget": {"simulations": 2},
+        "pairs": {"component": True},
+    }
     experiment = str(expect(own.post("/api/v1/experiments", json=body), 201)["id"])
     members = expect(own.get(f"/api/v1/experiments/{experiment}"))["members"]
     first, second = (f"/api/v1/campaigns/{one['campaign']}" for one in members)

@@ -143,9 +143,12 @@ def test_once_everything_is_answered_a_next_step_opens_the_form_for_another_camp
     own: httpx.Client, visit: Visits
 ) -> None:
     body = {
-        "name": "answered", "problem": {"id": "urban-injected@1"}, "budget": {"simulations": 2},
-        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}, "execution": {"keep_traces": 0},
-    }  # fmt: skip
+        "name": "answered",
+        "problem": {"id": "urban-injected@1"},
+        "budget": {"simulations": 2},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}},
+        "execution": {"keep_traces": 0},
+    }
     campaign = submit(own, body)
     FakeWorker(own, capabilities=(URBAN,), judge=judged).work(campaign)
     page = visit(origin(own), f"#/campaigns/{campaign}")
@@ -174,9 +177,12 @@ def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
 ) -> None:
     console.expect_status(503)
     body = {
-        "name": "pictured", "problem": {"id": "urban-injected@1"}, "budget": {"simulations": 2},
-        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}}, "execution": {"keep_traces": 0},
-    }  # fmt: skip
+        "name": "pictured",
+        "problem": {"id": "urban-injected@1"},
+        "budget": {"simulations": 2},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}},
+        "execution": {"keep_traces": 0},
+    }
     campaign = submit(own, body)
     worker = FakeWorker(own, capabilities=(URBAN,), judge=filmed)
     worker.work(campaign)

@@ -198,10 +198,11 @@ def test_a_campaign_is_cloned_with_several_requirements_and_a_larger_budget(
     site: Served, browse: Browse
 ) -> None:
     body = {
-        "name": "several", "problem": {"id": "urban-injected@1", "params": {
-            "requirement": ["front-gap@1", "no-collision@1"]}},
-        "algorithm": {"id": "random@1"}, "budget": {"simulations": 20},
-    }  # fmt: skip
+        "name": "several",
+        "problem": {"id": "urban-injected@1", "params": {"requirement": ["front-gap@1", "no-collision@1"]}},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": 20},
+    }
     campaign = expect(site.client.post(f"{API}/campaigns", json=body), 201)["id"]
     expect(site.client.post(f"{API}/campaigns/{campaign}/cancel"))
     page = browse(f"#/new?from={campaign}&simulations=80")

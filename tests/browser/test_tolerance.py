@@ -25,12 +25,14 @@ TOLERANCE: dict[str, Any] = {
         "params": {
             "cells": {"type": ["miss", "left"], "target": ["lead"]},
             "conditions": [{"name": "by night", "time_of_day": "night"}],
-            "without_error": 8, "generation_size": 20, "grossest": {},
+            "without_error": 8,
+            "generation_size": 20,
+            "grossest": {},
         },
     },
     "budget": {"simulations": 60},
     "seed": 1,
-}  # fmt: skip
+}
 
 
 CAMERA: dict[str, Any] = {
@@ -42,7 +44,7 @@ CAMERA: dict[str, Any] = {
     "algorithm": {"id": "random@1"},
     "budget": {"simulations": 3},
     "seed": 5,
-}  # fmt: skip
+}
 """Drives with a detector in the loop, under the condition of the tolerances."""
 
 

@@ -48,30 +48,34 @@ def views_of(
     return [
         View(name="campaigns", place="#/", ready=("table.campaigns tbody tr",)),
         View(
-            name="campaign", place=f"#/campaigns/{campaign}{thresholds}",
+            name="campaign",
+            place=f"#/campaigns/{campaign}{thresholds}",
             ready=("table.boundary tbody tr", ".chart canvas", ".panel svg", ".legend li"),
         ),
         View(name="new-campaign", place="#/new", ready=("text=Submit campaign",)),
         View(
-            name="solution", place=f"#/campaigns/{campaign}/solutions/{solution}",
+            name="solution",
+            place=f"#/campaigns/{campaign}/solutions/{solution}",
             ready=("role=button[name='Play']", ".replay-map canvas"),
         ),
         View(name="pairs", place=pairs, ready=("table.pairs tbody tr",)),
         View(
-            name="pair", place=pair,
+            name="pair",
+            place=pair,
             ready=("role=button[name='Play']", ".drive canvas", "text=Both drives over time"),
         ),
         View(
-            name="compare", place=f"#/compare?ids={','.join(compared)}", ready=(".chart canvas", ".chips li"),
+            name="compare", place=f"#/compare?ids={','.join(compared)}", ready=(".chart canvas", ".chips li")
         ),
         View(name="experiments", place="#/experiments", ready=("table.experiments tbody tr",)),
         View(
-            name="experiment", place=f"#/experiments/{experiment}",
+            name="experiment",
+            place=f"#/experiments/{experiment}",
             ready=("text=Campaigns finished", "main img, main canvas"),
         ),
         View(name="workers", place="#/workers", ready=("table.workers tbody tr",)),
         View(name="jobs", place="#/jobs?status=quarantined", ready=("table.jobs tbody tr",)),
-    ]  # fmt: skip
+    ]
 
 
 def open_view(page: Page, url: str, view: View) -> None:

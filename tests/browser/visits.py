@@ -37,9 +37,16 @@ class Visits:
         self._contexts: list[BrowserContext] = []
 
     def __call__(
-        self, url: str, place: str = "#/", *, width: int = WIDTH, height: int = HEIGHT, theme: Theme = "light",
-        token: str | None = None, stopped: bool = False,
-    ) -> Page:  # fmt: skip
+        self,
+        url: str,
+        place: str = "#/",
+        *,
+        width: int = WIDTH,
+        height: int = HEIGHT,
+        theme: Theme = "light",
+        token: str | None = None,
+        stopped: bool = False,
+    ) -> Page:
         """Open a place as somebody who was never here before.
 
         Args:

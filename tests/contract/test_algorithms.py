@@ -48,19 +48,25 @@ ERRORS = SearchSpace(
     )
 )
 SPACES = {
-    **example_spaces(), "mtq": MTQ_SPACE, "onemax": ONEMAX_SPACE, "errors": ERRORS,
+    **example_spaces(),
+    "mtq": MTQ_SPACE,
+    "onemax": ONEMAX_SPACE,
+    "errors": ERRORS,
     "mixed within an ODD": limited(
         example_spaces()["mixed"],
         {
-            "scenario.weather": ["wet", "fog"], "behaviour.start": {"min": 20}, "behaviour.delay": 0.5,
-            "behaviour.left": {"min": 100, "max": 130}, "behaviour.right": {"max": 170},
+            "scenario.weather": ["wet", "fog"],
+            "behaviour.start": {"min": 20},
+            "behaviour.delay": 0.5,
+            "behaviour.left": {"min": 100, "max": 130},
+            "behaviour.right": {"max": 170},
         },
     ),
     "traffic within an ODD": limited(
         example_spaces()["traffic"],
         {"participants.p*.kind": ["none", "car"], "participants.p*.speed_mps": {"min": 5, "max": 8}},
     ),
-}  # fmt: skip
+}
 
 
 def algorithm(plugin_id: str) -> Algorithm:
@@ -82,9 +88,12 @@ def config_for(checked: Algorithm, space: SearchSpace) -> Any:
         return checked.config_type(safe=rows[0], unsafe=rows[1])
     if checked.id == TOLERANCE:
         return checked.config_type(
-            cells={"type": ["miss", "late"]}, truth={"type": "none"}, without_error=10,
-            conditions=[{"weather": "dry"}, {"weather": "wet"}], generation_size=30,
-        )  # fmt: skip
+            cells={"type": ["miss", "late"]},
+            truth={"type": "none"},
+            without_error=10,
+            conditions=[{"weather": "dry"}, {"weather": "wet"}],
+            generation_size=30,
+        )
     if checked.id != REPEAT:
         return checked.config_type()
     rng = np.random.default_rng(1)
@@ -122,9 +131,13 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
         return
     budget = 100 if plugin_id == EDGE else 170  # each of its many small generations grows trees
     run = check_algorithm(
-        checked, space, budget=budget, config=config_for(checked, space),
-        ends_itself=plugin_id in {SIMOOD, MINIMISE}, repeats=plugin_id in {REPEAT, EDGE, MINIMISE, TOLERANCE, "qd@1"},
-    )  # fmt: skip
+        checked,
+        space,
+        budget=budget,
+        config=config_for(checked, space),
+        ends_itself=plugin_id in {SIMOOD, MINIMISE},
+        repeats=plugin_id in {REPEAT, EDGE, MINIMISE, TOLERANCE, "qd@1"},
+    )
     assert len(run.generations) >= 2
 
 

@@ -20,8 +20,14 @@ from brink.sim.requirements import FrontGap, Requirement, WorldSample
 from brink.sim.testing import ContractBroken, check_requirement
 
 SHIPPED = {
-    "front-gap@1", "front-gap@2", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
-}  # fmt: skip
+    "front-gap@1",
+    "front-gap@2",
+    "no-collision@1",
+    "lane-keeping@1",
+    "red-light@1",
+    "speed-limit@1",
+    "progress@1",
+}
 
 
 def test_the_shipped_requirements_are_registered() -> None:

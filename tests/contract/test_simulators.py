@@ -59,11 +59,15 @@ def test_functions_pass_the_contract_suite(tmp_path: Path) -> None:
     file, digest = write_function(margin, tmp_path)
     specs = [
         EpisodeSpec(
-            simulator=simulator_of(digest), scenario={"all": {"x": seed / 4, "road": "wet"}}, behaviour={},
-            requirements=(FUNCTION,), seed=seed, duration_s=60.0,
+            simulator=simulator_of(digest),
+            scenario={"all": {"x": seed / 4, "road": "wet"}},
+            behaviour={},
+            requirements=(FUNCTION,),
+            seed=seed,
+            duration_s=60.0,
         )
         for seed in range(4)
-    ]  # fmt: skip
+    ]
     check_simulator(
         lambda: FunctionSimulator(file),
         specs,

@@ -262,9 +262,11 @@ class FakeWorker:
 
     def _wanted(self, max_jobs: int, wait_s: float) -> dict[str, Any]:
         return {
-            "worker": self.identity, "capabilities": list(self.capabilities), "max_jobs": max_jobs,
+            "worker": self.identity,
+            "capabilities": list(self.capabilities),
+            "max_jobs": max_jobs,
             "wait_s": wait_s,
-        }  # fmt: skip
+        }
 
     def _report(self, jobs: list[LeasedJob], **more: Any) -> tuple[list[str], list[LeasedJob]]:
         """Report outcomes; return the statuses, and the jobs of the next lease if `more` asks for one."""

@@ -1,7 +1,7 @@
 """Databases for tests: each test gets one of its own, migrated, on SQLite or on a real Postgres.
 
 ``TEST_DATABASE_URL`` names a running Postgres server on which the user may create databases. Without it, one is
-started once a run, as `brink.bench.servers` finds it.
+started once a run, as `benchmarks.servers` finds it.
 """
 
 import os
@@ -21,7 +21,7 @@ from sqlalchemy import create_engine, inspect
 from sqlalchemy.engine import make_url
 from sqlalchemy.util import LRUCache
 
-from brink.bench.servers import temporary_postgres
+from benchmarks.servers import temporary_postgres
 from brink.server.db.engine import open_engines
 from brink.server.db.upgrade import upgrade
 
@@ -35,9 +35,14 @@ module_on_sqlite = pytest.mark.parametrize("module_databases", BACKENDS[:1], ind
 on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
 
 FAST = {
-    "fsync": "off", "synchronous_commit": "off", "full_page_writes": "off", "autovacuum": "off",
-    "wal_level": "minimal", "max_wal_senders": "0", "shared_buffers": "32MB",
-}  # fmt: skip
+    "fsync": "off",
+    "synchronous_commit": "off",
+    "full_page_writes": "off",
+    "autovacuum": "off",
+    "wal_level": "minimal",
+    "max_wal_senders": "0",
+    "shared_buffers": "32MB",
+}
 """Postgres settings: nothing in a test's database has to survive a power cut."""
 
 

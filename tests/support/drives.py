@@ -20,14 +20,22 @@ def urban_drive(number: int) -> Trace:
     """Return one of twelve drives: one on each road, with all tasks, times of day and weathers among them."""
     curve, road_id = list(RoadCurve)[number // 3], number % 3
     scenario: JsonObject = {
-        "time_of_day": list(TimeOfDay)[number % 3].value, "weather": list(Weather)[number % 7].value,
-        "pedestrians": 18 if number % 2 else 0, "road_curve": curve.value, "road_id": road_id,
-        "road_length": (number // 3 + number) % 3, "driving_task": list(DrivingTask)[(number // 2) % 3].value,
-    }  # fmt: skip
+        "time_of_day": list(TimeOfDay)[number % 3].value,
+        "weather": list(Weather)[number % 7].value,
+        "pedestrians": 18 if number % 2 else 0,
+        "road_curve": curve.value,
+        "road_id": road_id,
+        "road_length": (number // 3 + number) % 3,
+        "driving_task": list(DrivingTask)[(number // 2) % 3].value,
+    }
     spec = EpisodeSpec(
-        simulator="brink-drive@2", scenario=scenario, behaviour={"mode": "oracle"}, requirements=REQUIREMENTS,
-        seed=number, duration_s=30.0,
-    )  # fmt: skip
+        simulator="brink-drive@2",
+        scenario=scenario,
+        behaviour={"mode": "oracle"},
+        requirements=REQUIREMENTS,
+        seed=number,
+        duration_s=30.0,
+    )
     return recorded(BrinkDrive(), spec)
 
 
@@ -37,9 +45,17 @@ def encounter_drive() -> Trace:
 
     def user(kind: str, **changes: float) -> JsonObject:
         step: JsonObject = {
-            "action": "keep", "from_s": 0.0, "lasts_s": 12.0, "s_m": 0.0, "d_m": 0.0, "heading_rad": 0.0,
-            "speed_mps": 0.0, "accel_mps2": 0.0, "aside_m": 0.0, **changes,
-        }  # fmt: skip
+            "action": "keep",
+            "from_s": 0.0,
+            "lasts_s": 12.0,
+            "s_m": 0.0,
+            "d_m": 0.0,
+            "heading_rad": 0.0,
+            "speed_mps": 0.0,
+            "accel_mps2": 0.0,
+            "aside_m": 0.0,
+            **changes,
+        }
         return {"kind": kind, "stretches": [step]}
 
     users: list[Json] = [
@@ -50,11 +66,19 @@ def encounter_drive() -> Trace:
     spec = EpisodeSpec(
         simulator="brink-encounter@1",
         scenario={
-            "time_of_day": "sunset", "weather": "wet", "road_curve": "left", "road_id": 1, "road_length": 2,
-            "driving_task": "follow_road", "road_users": users,
+            "time_of_day": "sunset",
+            "weather": "wet",
+            "road_curve": "left",
+            "road_id": 1,
+            "road_length": 2,
+            "driving_task": "follow_road",
+            "road_users": users,
         },
-        behaviour={"mode": "oracle"}, requirements=("no-collision@1",), seed=5, duration_s=12.0,
-    )  # fmt: skip
+        behaviour={"mode": "oracle"},
+        requirements=("no-collision@1",),
+        seed=5,
+        duration_s=12.0,
+    )
     return recorded(BrinkEncounter(), spec)
 
 
@@ -64,11 +88,19 @@ def street_drive() -> Trace:
     spec = EpisodeSpec(
         simulator="brink-aeb@2",
         scenario={
-            "time_of_day": "night", "weather": "soft_rain", "occluder": "van", "crossing_m": 50.0, "arrival_s": 0.1,
-            "oncoming_m": 60.0, "obstacle": "novelty",
+            "time_of_day": "night",
+            "weather": "soft_rain",
+            "occluder": "van",
+            "crossing_m": 50.0,
+            "arrival_s": 0.1,
+            "oncoming_m": 60.0,
+            "obstacle": "novelty",
         },
-        behaviour={"mode": "oracle"}, requirements=("no-collision@1",), seed=2, duration_s=15.0,
-    )  # fmt: skip
+        behaviour={"mode": "oracle"},
+        requirements=("no-collision@1",),
+        seed=2,
+        duration_s=15.0,
+    )
     return recorded(BrinkAeb(), spec)
 
 
@@ -91,6 +123,7 @@ def absent(trace: Trace, name: str, *spans: tuple[int, int]) -> Trace:
     return replace(
         trace,
         actors=tuple(
-            replace(actor, motion=changed(actor.motion)) if actor.name == name else actor for actor in trace.actors
+            replace(actor, motion=changed(actor.motion)) if actor.name == name else actor
+            for actor in trace.actors
         ),
-    )  # fmt: skip
+    )

@@ -62,8 +62,12 @@ def drive_with(
     features[:, ALL_FEATURES.index("ttc_s")] = features[:, ALL_FEATURES.index("range_path_ttc_s")] = 10.0
     features[:, ALL_FEATURES.index(feature)] = values
     return Drive(
-        digest="" if spec is None else spec.digest(), scenario=scenario, behaviour=behaviour,
-        seed=seed, features=features,
+        digest="" if spec is None else spec.digest(),
+        scenario=scenario,
+        behaviour=behaviour,
+        seed=seed,
+        features=features,
         violated_at_s={REQUIREMENT: violated_at_s},
-        robustness={REQUIREMENT: 1.0 if violated_at_s is None else -1.0}, ended_at_s=0.1 * len(values),
-    )  # fmt: skip
+        robustness={REQUIREMENT: 1.0 if violated_at_s is None else -1.0},
+        ended_at_s=0.1 * len(values),
+    )

@@ -174,9 +174,16 @@ def prepare(client: httpx.Client, engines: Engines) -> Target:
     submit(client, ball(seed=3, priority=100, execution={"cache": False}))
     (other,) = theirs.lease(max_jobs=1)
     return Target(
-        client=client, engines=engines, tokens=_tokens(engines), finished=finished, running=running, mine=held,
-        theirs=other, reported=reported, lost=lost,
-    )  # fmt: skip
+        client=client,
+        engines=engines,
+        tokens=_tokens(engines),
+        finished=finished,
+        running=running,
+        mine=held,
+        theirs=other,
+        reported=reported,
+        lost=lost,
+    )
 
 
 def _tokens(engines: Engines) -> dict[str, str]:

@@ -12,11 +12,17 @@ from pathlib import Path
 from typing import Any, Final
 
 KINDS: Final = (
-    "v1 PersistentVolumeClaim", "v1 Service", "apps/v1 Deployment", "batch/v1 CronJob",
-    "batch/v1 Job", "networking.k8s.io/v1 Ingress", "networking.k8s.io/v1 NetworkPolicy",
+    "v1 PersistentVolumeClaim",
+    "v1 Service",
+    "apps/v1 Deployment",
+    "batch/v1 CronJob",
+    "batch/v1 Job",
+    "networking.k8s.io/v1 Ingress",
+    "networking.k8s.io/v1 NetworkPolicy",
     "policy/v1 PodDisruptionBudget",
-    "keda.sh/v1alpha1 ScaledObject", "monitoring.coreos.com/v1 ServiceMonitor",
-)  # fmt: skip
+    "keda.sh/v1alpha1 ScaledObject",
+    "monitoring.coreos.com/v1 ServiceMonitor",
+)
 """What the manifests contain: API version and kind."""
 FILE: Final = Path(__file__).resolve().parents[1] / "data" / "schemas" / "kubernetes.json"
 _COMMENT: Final = re.compile(r"/\*.*?\*/", re.DOTALL)
@@ -27,9 +33,14 @@ _RESOURCE: Final = re.compile(r'"apiVersion": "([^"]+)";\s+"kind": "([^"]+)";')
 _TOKEN: Final = re.compile(r'"(?:[^"\\]|\\.)*"|\w+|\[\w+: string\]|[{}<>|?:;\[\]()]')
 _NAME: Final = re.compile(r"\b\w+ as (I\w+)")
 _SIMPLE: Final[dict[str, dict[str, Any]]] = {
-    "string": {"type": "string"}, "number": {"type": "number"}, "boolean": {"type": "boolean"},
-    "object": {"type": "object"}, "any": {}, "unknown": {}, "null": {"type": "null"},
-}  # fmt: skip
+    "string": {"type": "string"},
+    "number": {"type": "number"},
+    "boolean": {"type": "boolean"},
+    "object": {"type": "object"},
+    "any": {},
+    "unknown": {},
+    "null": {"type": "null"},
+}
 
 
 class Parser:

@@ -74,9 +74,13 @@ def completion(text: Any, server: Server = Server.VLLM, finish: str | None = "st
     message: dict[str, Any] = {"role": "assistant", "content": text}
     choice: dict[str, Any] = {"index": 0, "message": message, "finish_reason": finish}
     body: dict[str, Any] = {
-        "id": "chatcmpl-1", "object": "chat.completion", "created": 1_800_000_000, "model": MODEL,
-        "choices": [choice], "usage": dict(USAGE),
-    }  # fmt: skip
+        "id": "chatcmpl-1",
+        "object": "chat.completion",
+        "created": 1_800_000_000,
+        "model": MODEL,
+        "choices": [choice],
+        "usage": dict(USAGE),
+    }
     match server:
         case Server.VLLM:
             message |= {"reasoning_content": None, "tool_calls": []}
@@ -294,9 +298,14 @@ def action(name: str = "keep", duration_s: float = 2.0, magnitude: float = 0.0) 
 def participant(**changes: Any) -> dict[str, Any]:
     """Return a car ahead that brakes, as a model writes it."""
     return {
-        "kind": "car", "ds_m": 25.0, "dd_m": 0.0, "heading": "with_ego", "speed_mps": 8.0,
-        "actions": [action("keep"), action("brake", 2.0, 6.0)], **changes,
-    }  # fmt: skip
+        "kind": "car",
+        "ds_m": 25.0,
+        "dd_m": 0.0,
+        "heading": "with_ego",
+        "speed_mps": 8.0,
+        "actions": [action("keep"), action("brake", 2.0, 6.0)],
+        **changes,
+    }
 
 
 def item(**changes: Any) -> dict[str, Any]:

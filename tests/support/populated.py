@@ -54,9 +54,12 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
     for spare in spares[::2]:
         expect(client.post(f"/api/v1/campaigns/{spare}/cancel"))
     tiny: dict[str, Any] = {
-        "name": "tiny", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}], "seeds": [1],
+        "name": "tiny",
+        "problems": [{"id": "ball@1"}],
+        "algorithms": [{"id": "random@1"}],
+        "seeds": [1],
         "budget": {"simulations": 20},
-    }  # fmt: skip
+    }
     experiments = [expect(client.post("/api/v1/experiments", json=tiny), 201)["id"] for _ in range(SPARES)]
     return {
         "experiments": experiments[:1],
@@ -74,9 +77,7 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
 
 
 def _place(violation: Mapping[str, Any], campaign: str) -> dict[str, Any]:
-    return {
-        "campaign_id": campaign, "number": violation["number"], "requirement": violation["requirement"],
-    }  # fmt: skip
+    return {"campaign_id": campaign, "number": violation["number"], "requirement": violation["requirement"]}
 
 
 def _strong(job: LeasedJob) -> Completed:

@@ -72,9 +72,13 @@ class Ball:
         elif self.params.slow_s:
             scenario |= {"fault": "wait", "slow_s": self.params.slow_s}
         return EpisodeSpec(
-            simulator=self.params.needs, scenario=scenario, behaviour={"y": y}, requirements=(REQUIREMENT,),
-            seed=seed, duration_s=1.0,
-        )  # fmt: skip
+            simulator=self.params.needs,
+            scenario=scenario,
+            behaviour={"y": y},
+            requirements=(REQUIREMENT,),
+            seed=seed,
+            duration_s=1.0,
+        )
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict at a point."""
@@ -126,10 +130,13 @@ class SlottedBlind:
         """Return the episode of a scenario and its perturbations."""
         decoded = self.space.decode(tuple(vectors))
         return EpisodeSpec(
-            simulator=SIMULATOR, scenario={"gap": float(decoded["scenario"]["gap"]) / 60.0, "limit": 1.2},
-            behaviour={"strong": decoded["perturbation"]["intensity_1"]}, requirements=(REQUIREMENT,),
-            seed=seed, duration_s=1.0,
-        )  # fmt: skip
+            simulator=SIMULATOR,
+            scenario={"gap": float(decoded["scenario"]["gap"]) / 60.0, "limit": 1.2},
+            behaviour={"strong": decoded["perturbation"]["intensity_1"]},
+            requirements=(REQUIREMENT,),
+            seed=seed,
+            duration_s=1.0,
+        )
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict."""
@@ -149,9 +156,14 @@ class Slotted(SlottedBlind):
         """Return what measures the perturbations: they alone decide it, whatever the seed."""
         first, strong, second, weak = (float(value) for value in vectors[1])
         return EpisodeSpec(
-            simulator=SIMULATOR, scenario={}, behaviour={"first": first, "strong": strong, "weak": weak},
-            requirements=(), seed=0, duration_s=1.0, options={"second": second},
-        )  # fmt: skip
+            simulator=SIMULATOR,
+            scenario={},
+            behaviour={"first": first, "strong": strong, "weak": weak},
+            requirements=(),
+            seed=0,
+            duration_s=1.0,
+            options={"second": second},
+        )
 
     def measurement(self, outcome: Completed) -> Measured:
         """Return alpha."""

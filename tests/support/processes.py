@@ -38,9 +38,14 @@ def brink(
     """Run a command to its end."""
     return subprocess.run(
         [BRINK, *arguments],
-        cwd=cwd, env=environment(env), capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False,
+        cwd=cwd,
+        env=environment(env),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S * 2,
+        check=False,
         stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    )
 
 
 class Program:
@@ -51,9 +56,14 @@ class Program:
         self._news = threading.Condition()
         self.process = subprocess.Popen(
             list(command),
-            cwd=cwd, env=environment(env), text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, start_new_session=True,
-        )  # fmt: skip
+            cwd=cwd,
+            env=environment(env),
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -145,8 +155,9 @@ class Site:
         """Start the coordinator, at the same port as before."""
         self.coordinator = Program(
             [BRINK, "serve", "--database", self.database, "--port", str(self.port)],
-            cwd=self.folder, env=self.env,
-        )  # fmt: skip
+            cwd=self.folder,
+            env=self.env,
+        )
         self.port = int(self.coordinator.await_line(r"coordinator at http://127\.0\.0\.1:(\d+)")[1])
         deadline = time.monotonic() + PATIENCE_S
         while True:
@@ -161,8 +172,17 @@ class Site:
     def start_workers(self, count: int, *arguments: str) -> None:
         """Start some more workers."""
         command = [
-            sys.executable, "-m", "worker", "--server", self.url, "--wait", "5", "--memory", "512", *arguments,
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "worker",
+            "--server",
+            self.url,
+            "--wait",
+            "5",
+            "--memory",
+            "512",
+            *arguments,
+        ]
         self.workers += [Program(command, cwd=self.folder, env=self.env) for _ in range(count)]
 
     def kill_everything(self) -> None:

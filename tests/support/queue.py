@@ -81,19 +81,24 @@ class Queue:
     ) -> str:
         """Store a campaign with that many jobs, or with a job for each of these hashes; return its id."""
         body = CampaignBody(
-            name="test", problem=PluginChoice(id="ball@1"), algorithm=PluginChoice(id="ga@1"),
-            budget=Budget(simulations=1000), priority=priority,
+            name="test",
+            problem=PluginChoice(id="ball@1"),
+            algorithm=PluginChoice(id="ga@1"),
+            budget=Budget(simulations=1000),
+            priority=priority,
             execution=Execution(cache=cache, max_attempts=max_attempts, max_losses=max_losses),
-        )  # fmt: skip
+        )
         name = f"{next(self._numbers):08x}"  # the same each time: ties between campaigns are broken by id
         hashes = [secrets.token_hex(32) for _ in range(jobs)] if isinstance(jobs, int) else list(jobs)
         solutions = [
             NewSolution(
-                number=number, vector=b"", seed=number,
+                number=number,
+                vector=b"",
+                seed=number,
                 job=NewJob(spec="{}", spec_hash=spec_hash, needs=needs, timeout_s=60.0),
             )
             for number, spec_hash in enumerate(hashes)
-        ]  # fmt: skip
+        ]
 
         def unit(connection: Connection) -> None:
             row = store.campaign_row(name, body, body.document_hash())

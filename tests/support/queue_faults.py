@@ -26,13 +26,20 @@ RECORDED: Final = Path(__file__).resolve().parents[1] / "data" / "queue_faults.j
 HISTORIES: Final = 500
 """Histories that a search tries at most for one fault."""
 RARE: Final = (
-    "who comes second finds the same turn", "paused campaigns hand out retries", "priorities are ignored",
-    "retries overtake work of a higher priority", "campaigns do not take turns",
-    "turns begin anew with each grant", "a retry goes back to the worker that failed it",
-    "equal simulations without a cache are dealt out to one", "who comes second sees the queue as it was",
-    "a job that can never run is tried again", "a result is not shared", "a retry by hand has no attempts",
+    "who comes second finds the same turn",
+    "paused campaigns hand out retries",
+    "priorities are ignored",
+    "retries overtake work of a higher priority",
+    "campaigns do not take turns",
+    "turns begin anew with each grant",
+    "a retry goes back to the worker that failed it",
+    "equal simulations without a cache are dealt out to one",
+    "who comes second sees the queue as it was",
+    "a job that can never run is tried again",
+    "a result is not shared",
+    "a retry by hand has no attempts",
     "a retry by hand has no losses",
-)  # fmt: skip
+)
 """Faults that a search of so many histories reveals late, or by luck alone, so that their recorded histories have to
 do. A search for one of these takes 5 to 60 seconds, for one of the others 1 to 4."""
 NOTICED: Final = (AssertionError, IntegrityError)
@@ -61,28 +68,23 @@ FAULTS = {
         "_IS_QUEUED = JobRow.status != constant(JobStatus.DONE)",
     ),
     "jobs go to workers that cannot run them": Fault(
-        lease_store, 'in_list(JobRow.needs, "capabilities"), _DUE,', "_DUE,",
+        lease_store, 'in_list(JobRow.needs, "capabilities"), _DUE,', "_DUE,"
     ),
     "backoffs are not waited for": Fault(
-        lease_store, "or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)",
-        "JobRow.id.is_not(None)",
+        lease_store, "or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)", "JobRow.id.is_not(None)"
     ),
     "equal simulations run at once": Fault(lease_store, "~(JobRow.cache & _TWIN_RUNS),", ""),
     "equal simulations are granted together": Fault(
-        lease_policy, "if job.cache and job.spec_hash in seen: continue", "",
+        lease_policy, "if job.cache and job.spec_hash in seen: continue", ""
     ),
     "equal simulations without a cache wait for each other": Fault(
-        lease_store, "~(JobRow.cache & _TWIN_RUNS)", "~_TWIN_RUNS",
+        lease_store, "~(JobRow.cache & _TWIN_RUNS)", "~_TWIN_RUNS"
     ),
     "paused campaigns hand out work": Fault(
-        lease_store,
-        "_IS_RUNNING, exists( select(JobRow.id)",
-        "exists( select(JobRow.id)",
+        lease_store, "_IS_RUNNING, exists( select(JobRow.id)", "exists( select(JobRow.id)"
     ),
     "paused campaigns hand out retries": Fault(
-        lease_store,
-        "or_(_IS_TRACE, _IS_RUNNING)",
-        "or_(_IS_TRACE, CampaignRow.id.is_not(None))",
+        lease_store, "or_(_IS_TRACE, _IS_RUNNING)", "or_(_IS_TRACE, CampaignRow.id.is_not(None))"
     ),
     "priorities are ignored": Fault(
         lease_store,
@@ -90,37 +92,34 @@ FAULTS = {
         ".order_by(CampaignRow.turn, CampaignRow.id)",
     ),
     "retries overtake work of a higher priority": Fault(
-        lease_policy, "return best is None or retry.priority >= best", "return True",
+        lease_policy, "return best is None or retry.priority >= best", "return True"
     ),
     "campaigns do not take turns": Fault(
-        lease_store, "statement = _END_TURN if turn > NEW_TURN else _SERVE", "statement = _SERVE",
+        lease_store, "statement = _END_TURN if turn > NEW_TURN else _SERVE", "statement = _SERVE"
     ),
     "turns begin anew with each grant": Fault(lease_store, "_write_turns(connection, assignment.turns)", ""),
     "a turn has no end": Fault(lease_policy, "if served >= TURN * live_workers:", "if live_workers == 0:"),
     "a turn is a grant": Fault(lease_policy, "if served >= TURN * live_workers:", "if live_workers > 0:"),
     "the end of the queue goes to one worker": Fault(
-        lease_policy, "return min(demand.max_jobs, max(1, share))", "return demand.max_jobs",
+        lease_policy, "return min(demand.max_jobs, max(1, share))", "return demand.max_jobs"
     ),
     "attempts are not charged": Fault(lease_store, "attempt=JobRow.attempt + 1,", ""),
     "retries are granted in company": Fault(
-        lease_store, "JobRow.not_before, JobRow.id).limit(1)", "JobRow.not_before, JobRow.id).limit(3)",
+        lease_store, "JobRow.not_before, JobRow.id).limit(1)", "JobRow.not_before, JobRow.id).limit(3)"
     ),
     "who holds a retry gets more": Fault(
-        lease_policy, "if any(attempt > 1 for attempt in attempts): return []", "",
+        lease_policy, "if any(attempt > 1 for attempt in attempts): return []", ""
     ),
-    "a retry goes to a worker that holds jobs": Fault(
-        lease_policy, "if attempts: return []", "",
-    ),
+    "a retry goes to a worker that holds jobs": Fault(lease_policy, "if attempts: return []", ""),
     "a retry goes back to the worker that failed it": Fault(
-        lease_store, 'JobRow.failed_worker != bindparam("worker"),',
-        "JobRow.id.is_not(None),",
+        lease_store, 'JobRow.failed_worker != bindparam("worker"),', "JobRow.id.is_not(None),"
     ),
     "a job is dealt out twice": Fault(lease_policy, "job.id not in self._granted and not (", "not ("),
     "equal simulations are dealt out to two": Fault(
-        lease_policy, "not (job.cache and (job.spec_hash, job.kind) in self._running)", "True",
+        lease_policy, "not (job.cache and (job.spec_hash, job.kind) in self._running)", "True"
     ),
     "equal simulations without a cache are dealt out to one": Fault(
-        lease_policy, "not (job.cache and (job.spec_hash", "not ((job.spec_hash",
+        lease_policy, "not (job.cache and (job.spec_hash", "not ((job.spec_hash"
     ),
     "who comes second finds the same turn": Fault(
         lease_policy,
@@ -133,10 +132,13 @@ FAULTS = {
         "limit = grant_limit(demand, backlog.jobs)",
     ),
     "a retry is dealt out with the rest": Fault(
-        lease_store, "if len(demands) > 1 and (look.backlog.retries or look.backlog.traces):",
+        lease_store,
+        "if len(demands) > 1 and (look.backlog.retries or look.backlog.traces):",
         "if look.backlog.traces:",
     ),
-    "anybody renews a lease": Fault(lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"),
+    "anybody renews a lease": Fault(
+        lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
+    ),
     "anybody gives a lease back": Fault(
         lease_store,
         "JobRow.lease_token == held.token) .values( status",
@@ -144,27 +146,25 @@ FAULTS = {
     ),
     "a lease given back is charged": Fault(lease_store, "attempt=JobRow.attempt - 1,", ""),
     "anybody reports a job": Fault(
-        report_store,
-        "if not secrets.compare_digest(row.lease_token, outcome.token): return \"stale\"", "",
+        report_store, 'if not secrets.compare_digest(row.lease_token, outcome.token): return "stale"', ""
     ),
     "a report counts twice": Fault(
-        report_store, "if row.status == JobStatus.LEASED and not reported_before:", "if not reported_before:",
+        report_store, "if row.status == JobStatus.LEASED and not reported_before:", "if not reported_before:"
     ),
-    "a report that was stored is called stale": Fault(
-        report_store, 'return "duplicate"', 'return "stale"',
-    ),
+    "a report that was stored is called stale": Fault(report_store, 'return "duplicate"', 'return "stale"'),
     "a failed job is lost": Fault(
-        report_store, "retry = not outcome.final and times < row.max_attempts", "retry = False",
+        report_store, "retry = not outcome.final and times < row.max_attempts", "retry = False"
     ),
     "a failed job is tried for ever": Fault(
-        report_store, "retry = not outcome.final and times < row.max_attempts", "retry = not outcome.final",
+        report_store, "retry = not outcome.final and times < row.max_attempts", "retry = not outcome.final"
     ),
     "a job that can never run is tried again": Fault(
-        report_store, "retry = not outcome.final and times < row.max_attempts",
+        report_store,
+        "retry = not outcome.final and times < row.max_attempts",
         "retry = times < row.max_attempts",
     ),
     "failed jobs do not back off": Fault(
-        report_store, '"wait_until": now + timedelta(seconds=wait_s) if retry else None', '"wait_until": None',
+        report_store, '"wait_until": now + timedelta(seconds=wait_s) if retry else None', '"wait_until": None'
     ),
     "leases never run out": Fault(
         report_store,
@@ -172,16 +172,19 @@ FAULTS = {
         'JobRow.lease_expires_at < datetime.fromisoformat("2000-01-01T00:00:00+00:00"))',
     ),
     "leases run out at once": Fault(
-        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))',
+        report_store,
+        '.where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))',
         ".where(IS_LEASED)",
     ),
     "a late report is called stored": Fault(
-        report_store, "losses=JobRow.losses + 1, lost_token=JobRow.lease_token, lease_token=None",
+        report_store,
+        "losses=JobRow.losses + 1, lost_token=JobRow.lease_token, lease_token=None",
         "losses=JobRow.losses + 1",
     ),
     "a result is not shared": Fault(
         report_store,
-        "_finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)", "",
+        "_finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)",
+        "",
     ),
     "a result is shared without a cache": Fault(
         report_store,
@@ -194,48 +197,51 @@ FAULTS = {
         "JobRow.status == JobStatus.QUEUED, ) .values(",
     ),
     "a cancelled job keeps its lease": Fault(
-        job_store,
-        "status=JobStatus.CANCELLED, lease_token=None,",
-        "status=JobStatus.CANCELLED,",
+        job_store, "status=JobStatus.CANCELLED, lease_token=None,", "status=JobStatus.CANCELLED,"
     ),
     "a retry by hand has no attempts": Fault(
-        job_store, "max_attempts=JobRow.attempt - JobRow.losses + more_attempts",
+        job_store,
+        "max_attempts=JobRow.attempt - JobRow.losses + more_attempts",
         "max_attempts=JobRow.attempt - JobRow.losses",
     ),
     "a retry by hand has no losses": Fault(job_store, "max_losses=JobRow.losses + more_losses,", ""),
     "a late result is not taken": Fault(
-        report_store, "restored = _restore_lost(connection, rows, outcomes, now)", "restored = {}",
+        report_store, "restored = _restore_lost(connection, rows, outcomes, now)", "restored = {}"
     ),
     "a late result is taken after quarantine": Fault(
-        report_store, "and row.status == JobStatus.QUEUED and row.lost_token",
+        report_store,
+        "and row.status == JobStatus.QUEUED and row.lost_token",
         "and row.status != JobStatus.LEASED and row.lost_token",
     ),
     "a lost lease stays lost after its failure is reported": Fault(
-        report_store, "losses=JobRow.losses - case((JobRow.interrupted, 0), else_=1)", "losses=JobRow.losses",
+        report_store, "losses=JobRow.losses - case((JobRow.interrupted, 0), else_=1)", "losses=JobRow.losses"
     ),
     "a lost lease counts as a failed attempt": Fault(
-        report_store, "times = row.attempt - row.losses", "times = row.attempt",
+        report_store, "times = row.attempt - row.losses", "times = row.attempt"
     ),
     "a job loses its workers for ever": Fault(report_store, "retry = times < row.max_losses", "retry = True"),
     "leases run out in an outage": Fault(outages, "if is_gap or resuming: extended", "if resuming: extended"),
     "leases run out while a coordinator restarts": Fault(
-        outages, "if is_gap or resuming: extended", "if is_gap: extended",
+        outages, "if is_gap or resuming: extended", "if is_gap: extended"
     ),
     "a coordinator that restarts keeps leases for ever": Fault(
-        outages, "_SHORT if again else _NOT_YET_EXTENDED", "_SHORT",
+        outages, "_SHORT if again else _NOT_YET_EXTENDED", "_SHORT"
     ),
     "an outage counts as a loss": Fault(outages, "interrupted=True", "interrupted=False"),
     "a late result after an outage is a loss less": Fault(
-        report_store, "attempt=JobRow.attempt + case((JobRow.interrupted, 1), else_=0)", "attempt=JobRow.attempt",
+        report_store,
+        "attempt=JobRow.attempt + case((JobRow.interrupted, 1), else_=0)",
+        "attempt=JobRow.attempt",
     ),
     "a renewed lease is interrupted for ever": Fault(
-        lease_store, 'lease_expires_at=bindparam("until"), interrupted=False',
+        lease_store,
+        'lease_expires_at=bindparam("until"), interrupted=False',
         'lease_expires_at=bindparam("until")',
     ),
     "a new lease is interrupted from the start": Fault(
-        lease_store, "interrupted=False, not_before=None", "not_before=None",
+        lease_store, "interrupted=False, not_before=None", "not_before=None"
     ),
-}  # fmt: skip
+}
 """The faults, by what goes wrong."""
 
 

@@ -315,12 +315,15 @@ class QueueMachine(RuleBasedStateMachine):
     @step(
         asks=st.lists(
             st.tuples(
-                st.sampled_from(WORKERS), st.integers(1, 5), st.sampled_from([NEEDS, NEEDS, NEEDS[:1], NEEDS[1:]])
+                st.sampled_from(WORKERS),
+                st.integers(1, 5),
+                st.sampled_from([NEEDS, NEEDS, NEEDS[:1], NEEDS[1:]]),
             ),
-            min_size=2, max_size=4,
+            min_size=2,
+            max_size=4,
         ),
         live_workers=st.integers(1, 3),
-    )  # fmt: skip
+    )
     def lease_together(self, asks: Sequence[tuple[str, int, Sequence[str]]], live_workers: int) -> None:
         granted = self.queue.lease_together(asks, live_workers=live_workers)
         assert len(granted) == len(asks)
@@ -377,12 +380,14 @@ class QueueMachine(RuleBasedStateMachine):
         exchanges=st.lists(
             st.tuples(
                 st.lists(st.tuples(PICK, st.sampled_from([False, False, False, True])), max_size=2),
-                st.sampled_from(WORKERS), st.integers(0, 4),
+                st.sampled_from(WORKERS),
+                st.integers(0, 4),
             ),
-            min_size=1, max_size=3,
+            min_size=1,
+            max_size=3,
         ),
         live_workers=st.integers(1, 3),
-    )  # fmt: skip
+    )
     def exchange(
         self, exchanges: Sequence[tuple[Sequence[tuple[int, bool]], str, int]], live_workers: int
     ) -> None:
@@ -404,7 +409,7 @@ class QueueMachine(RuleBasedStateMachine):
                 else None,
             )
             for outcomes, (_, worker, max_jobs) in zip(reports, exchanges, strict=True)
-        ]  # fmt: skip
+        ]
         answers = self.queue.exchange(*asked)
         expected = self.take_in_reports(list(itertools.chain.from_iterable(reports)))
         assert [status for report, _ in answers for status in report.statuses] == expected
@@ -624,11 +629,16 @@ def search(engines: Engines, *, histories: int, steps: int = 60, shrink: bool = 
     run_state_machine_as_test(
         machine,
         settings=settings(
-            max_examples=histories, stateful_step_count=steps, deadline=None, derandomize=True, database=None,
+            max_examples=histories,
+            stateful_step_count=steps,
+            deadline=None,
+            derandomize=True,
+            database=None,
             phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
-            suppress_health_check=list(HealthCheck), report_multiple_bugs=False,
+            suppress_health_check=list(HealthCheck),
+            report_multiple_bugs=False,
         ),
-    )  # fmt: skip
+    )
 
 
 def replay(engines: Engines, history: Iterable[Step]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-from brink.bench.servers import NoPostgres
+from benchmarks.servers import NoPostgres
 from support.databases import running_postgres
 
 MEMORY = Path("/dev/shm")
@@ -52,15 +52,22 @@ class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
 
     TOGETHER = "tests/browser"
     ALONE = (
-        "tests/browser/test_browser_labels.py", "tests/browser/test_browser_opening.py",
+        "tests/browser/test_browser_labels.py",
+        "tests/browser/test_browser_opening.py",
         "tests/browser/test_browser_tokens.py",
-    )  # fmt: skip
+    )
     """Files whose tests have coordinators of their own."""
     FIRST = (
-        TOGETHER, "tests/integration/database/test_queue_machine.py", "tests/acceptance",
-        "tests/integration/server/test_chaos.py", "tests/unit/sim/perception", "tests/integration", "tests/unit/sim",
-        "tests/unit/plots", "tests/contract",
-    )  # fmt: skip
+        TOGETHER,
+        "tests/integration/database/test_queue_machine.py",
+        "tests/acceptance",
+        "tests/integration/server/test_chaos.py",
+        "tests/unit/sim/perception",
+        "tests/integration",
+        "tests/unit/sim",
+        "tests/unit/plots",
+        "tests/contract",
+    )
 
     def _split_scope(self, nodeid: str) -> str:
         shares_site = nodeid.startswith(self.TOGETHER) and not nodeid.startswith(self.ALONE)

@@ -58,9 +58,12 @@ class RoadReader:
         arc = one.find("arc")
         assert arc is not None or one.find("line") is not None
         return (
-            number(one, "s"), number(one, "length"), complex(number(one, "x"), number(one, "y")), number(one, "hdg"),
+            number(one, "s"),
+            number(one, "length"),
+            complex(number(one, "x"), number(one, "y")),
+            number(one, "hdg"),
             0.0 if arc is None else number(arc, "curvature"),
-        )  # fmt: skip
+        )
 
     def reference(self, s_m: float) -> tuple[complex, float]:
         """Return the point of the reference line at s, and the heading."""

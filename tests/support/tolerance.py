@@ -23,17 +23,22 @@ def body(seed: int = 1, simulations: int = 1400, **changes: Any) -> dict[str, An
     """Return the body of a search for tolerances."""
     params = {"cells": CELLS, "conditions": CONDITIONS, "without_error": 25, **changes}
     return {
-        "name": f"tolerance-{seed}", "problem": {"id": "urban-errors@1", "params": {"errors": 1}},
-        "algorithm": {"id": "tolerance@1", "params": params}, "budget": {"simulations": simulations},
+        "name": f"tolerance-{seed}",
+        "problem": {"id": "urban-errors@1", "params": {"errors": 1}},
+        "algorithm": {"id": "tolerance@1", "params": params},
+        "budget": {"simulations": simulations},
         "seed": seed,
-    }  # fmt: skip
+    }
 
 
 def camera(seed: int = 3) -> dict[str, Any]:
     return {
-        "name": "camera", "problem": {"id": "urban-camera@1"}, "algorithm": {"id": "random@1"},
-        "budget": {"simulations": 200}, "seed": seed,
-    }  # fmt: skip
+        "name": "camera",
+        "problem": {"id": "urban-camera@1"},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": 200},
+        "seed": seed,
+    }
 
 
 def outcome(unsafe: bool, features: Mapping[str, Any]) -> Completed:

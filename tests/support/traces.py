@@ -127,16 +127,26 @@ def make_trace(*, samples: int = 200, lead_stops_at_m: float = 80.0, violated: b
         target_speed_mps=np.where(ghost, 6.0, 8.0).astype(np.float32),
         target_offset_m=np.where(ghost, 0.9, 0.0).astype(np.float32),
         lights=tuple("red" if 4 < t < 8 else "green" for t in time_s),
-        robustness={"front-gap@1": robustness.astype(np.float32), "progress@1": np.full(samples, 5, np.float32)},
+        robustness={
+            "front-gap@1": robustness.astype(np.float32),
+            "progress@1": np.full(samples, 5, np.float32),
+        },
         events=tuple(events),
         scene=straight_scene(),
         about={
-            "spec": {"scenario": {
-                "time_of_day": "sunset", "weather": "wet_cloudy", "pedestrians": 18, "road_curve": "straight",
-                "road_id": 1, "road_length": 1, "driving_task": "follow_road",
-            }}
+            "spec": {
+                "scenario": {
+                    "time_of_day": "sunset",
+                    "weather": "wet_cloudy",
+                    "pedestrians": 18,
+                    "road_curve": "straight",
+                    "road_id": 1,
+                    "road_length": 1,
+                    "driving_task": "follow_road",
+                }
+            }
         },
-    )  # fmt: skip
+    )
 
 
 def _seen(ego: np.ndarray, actors: list[ActorTrack]) -> list[list[tuple[float, ...]]]:
@@ -151,9 +161,13 @@ def _seen(ego: np.ndarray, actors: list[ActorTrack]) -> list[list[tuple[float, .
             vehicle = actor.kind == "vehicle"
             body = Body(
                 label=ObstacleLabel.VEHICLE if vehicle else ObstacleLabel.PERSON,
-                x_m=ax, y_m=ay, yaw_rad=ayaw, length_m=actor.length_m, width_m=actor.width_m,
+                x_m=ax,
+                y_m=ay,
+                yaw_rad=ayaw,
+                length_m=actor.length_m,
+                width_m=actor.width_m,
                 height_m=1.5 if vehicle else 1.75,
-            )  # fmt: skip
+            )
             seen = camera.project(x_m, y_m, yaw_rad, body)
             if seen is not None:
                 box = seen[0]
@@ -184,9 +198,12 @@ def guarded(trace: Trace) -> Trace:
     alarm[40:60], intervenes[45:80] = 1, 1
     rising = np.linspace(0.0, 0.9, samples, dtype=np.float32)
     track = GuardTrack(
-        fallback="safe-stop@1", horizons_s=(1.0, 3.0), probabilities=np.column_stack([rising / 2, rising]),
-        alarm=alarm, intervenes=intervenes,
-    )  # fmt: skip
+        fallback="safe-stop@1",
+        horizons_s=(1.0, 3.0),
+        probabilities=np.column_stack([rising / 2, rising]),
+        alarm=alarm,
+        intervenes=intervenes,
+    )
     return replace(trace, guard=track)
 
 

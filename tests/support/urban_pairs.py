@@ -7,11 +7,24 @@ from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 SPACE = UrbanInjected(UrbanInjected.params_type()).space
 SCENARIO = {
-    "time_of_day": "noon", "weather": "clear", "pedestrians": "0", "road_curve": "straight", "road_id": "0",
-    "road_length": "0", "driving_task": "follow_road",
-}  # fmt: skip
-BOX = {"x_min_0_px": 300.0, "x_max_0_px": 400.0, "y_min_0_px": 250.0, "y_max_0_px": 400.0,
-       "x_min_1_px": 100.0, "x_max_1_px": 500.0, "y_min_1_px": 250.0, "y_max_1_px": 500.0}  # fmt: skip
+    "time_of_day": "noon",
+    "weather": "clear",
+    "pedestrians": "0",
+    "road_curve": "straight",
+    "road_id": "0",
+    "road_length": "0",
+    "driving_task": "follow_road",
+}
+BOX = {
+    "x_min_0_px": 300.0,
+    "x_max_0_px": 400.0,
+    "y_min_0_px": 250.0,
+    "y_max_0_px": 400.0,
+    "x_min_1_px": 100.0,
+    "x_max_1_px": 500.0,
+    "y_min_1_px": 250.0,
+    "y_max_1_px": 500.0,
+}
 NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
 LATEST_STEP = 150
 """A report that begins before this step is unsafe."""

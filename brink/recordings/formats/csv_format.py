@@ -23,9 +23,17 @@ from brink.sim.driving.interface import ObstacleLabel
 COLUMNS: Final = ("drive", "time_s", "source", "id", "label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
 """Columns of every file. `id` names a true road user within its drive."""
 OPTIONAL: Final = (
-    "target", "condition", "score", "occlusion", "visible_share", "truncation", "distance_m", "lateral_m", "lane",
+    "target",
+    "condition",
+    "score",
+    "occlusion",
+    "visible_share",
+    "truncation",
+    "distance_m",
+    "lateral_m",
+    "lane",
     "ignore",
-)  # fmt: skip
+)
 SOURCES: Final = ("truth", "detection", "ignore", "frame")
 """What a row says: a true road user, a detection, a region to ignore, or that there is an image at this time."""
 EGO_LANE: Final = "ego"

@@ -31,10 +31,20 @@ from brink.recordings.recording import (
 )
 
 CLASS_NAMES: Final = {
-    1: "pedestrian", 2: "person on vehicle", 3: "car", 4: "bicycle", 5: "motorbike", 6: "non motorized vehicle",
-    7: "static person", 8: "distractor", 9: "occluder", 10: "occluder on the ground", 11: "full occluder",
-    12: "reflection", 13: "crowd",
-}  # fmt: skip
+    1: "pedestrian",
+    2: "person on vehicle",
+    3: "car",
+    4: "bicycle",
+    5: "motorbike",
+    6: "non motorized vehicle",
+    7: "static person",
+    8: "distractor",
+    9: "occluder",
+    10: "occluder on the ground",
+    11: "full occluder",
+    12: "reflection",
+    13: "crowd",
+}
 _PEDESTRIAN: Final = CLASS_NAMES[1]
 _PLACE_COLUMNS: Final = 10
 """Rows with places in the world have this many columns, and no class."""

@@ -31,9 +31,16 @@ CENTRE_AHEAD_M: Final = 1.4
 """How far the centre of the ego is ahead of its rear axle: that of the Renault Zoe that recorded nuScenes."""
 _PIECE: Final = 1024**2
 _TABLES: Final = (
-    "scene", "sample", "sample_annotation", "instance", "category", "ego_pose", "sample_data", "calibrated_sensor",
+    "scene",
+    "sample",
+    "sample_annotation",
+    "instance",
+    "category",
+    "ego_pose",
+    "sample_data",
+    "calibrated_sensor",
     "sensor",
-)  # fmt: skip
+)
 _POSE_CHANNELS: Final = ("CAM_FRONT", "LIDAR_TOP")
 """Sensors with the time of whose key frame the ego's pose is taken; the last that there is counts."""
 _VISIBLE_SHARES: Final = {"": None, "1": 0.2, "2": 0.5, "3": 0.7, "4": 0.9}

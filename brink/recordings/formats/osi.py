@@ -31,10 +31,27 @@ _VEHICLE: Final = 2
 _TYPES: Final = {3: "pedestrian", 4: "animal"}
 """Classes by `MovingObject.Type`, except vehicles."""
 _VEHICLE_TYPES: Final = {
-    2: "car", 3: "car", 4: "car", 5: "car", 6: "van", 7: "truck", 8: "trailer", 9: "trailer", 10: "motorcycle",
-    11: "bicycle", 12: "bus", 13: "tram", 14: "train", 15: "wheelchair", 16: "truck", 17: "scooter",
-    18: "micromobility", 19: "work_machine", 20: "watercraft", 21: "aircraft",
-}  # fmt: skip
+    2: "car",
+    3: "car",
+    4: "car",
+    5: "car",
+    6: "van",
+    7: "truck",
+    8: "trailer",
+    9: "trailer",
+    10: "motorcycle",
+    11: "bicycle",
+    12: "bus",
+    13: "tram",
+    14: "train",
+    15: "wheelchair",
+    16: "truck",
+    17: "scooter",
+    18: "micromobility",
+    19: "work_machine",
+    20: "watercraft",
+    21: "aircraft",
+}
 """Classes of vehicles by `MovingObject.VehicleClassification.Type`; the others are just vehicles."""
 _OTHER: Final = "other"
 _LARGELY_HIDDEN: Final = 2
@@ -385,10 +402,17 @@ FORMAT: Final = Format(
         **dict.fromkeys(("trailer", "tram", "train", "work_machine"), ClassMeaning.VEHICLE),
         **dict.fromkeys(
             (
-                "motorcycle", "bicycle", "wheelchair", "scooter", "micromobility", "watercraft", "aircraft", "animal",
+                "motorcycle",
+                "bicycle",
+                "wheelchair",
+                "scooter",
+                "micromobility",
+                "watercraft",
+                "aircraft",
+                "animal",
                 _OTHER,
             ),
             ClassMeaning.IGNORE,
         ),
     },
-)  # fmt: skip
+)

@@ -74,13 +74,15 @@ class GymnasiumSimulator:
             verdicts={name: verdict},
             objectives={f"{name}:robustness": verdict.robustness},
             features={
-                "steps": steps, "terminated": episode.terminated, "reward": float(episode.rewards.sum()),
+                "steps": steps,
+                "terminated": episode.terminated,
+                "reward": float(episode.rewards.sum()),
                 PERTURBED: perturbed,
             },
             provenance=provenance(
                 self.id, cpu_s, versions_with("gymnasium"), simulated_s=steps * wanted.step_s
             ),
-        )  # fmt: skip
+        )
 
 
 def _loaded(wanted: GymnasiumEpisode) -> tuple[Callable[[Any], Any], Callable[[Episode], float] | None]:
@@ -191,9 +193,12 @@ def _run(
         states.append(_flat(state))
         observations.append(sensor.observe(states[-1]))
     episode = Episode(
-        states=np.array(states), observations=np.array(observations), actions=tuple(actions),
-        rewards=np.array(rewards), terminated=bool(terminated),
-    )  # fmt: skip
+        states=np.array(states),
+        observations=np.array(observations),
+        actions=tuple(actions),
+        rewards=np.array(rewards),
+        terminated=bool(terminated),
+    )
     return episode, sensor.steps
 
 

@@ -70,9 +70,12 @@ class Perturbation:
     def to_json(self) -> JsonObject:
         """Return the perturbation as a JSON object."""
         return {
-            "type": self.type.value, "dimension": self.dimension, "magnitude": self.magnitude,
-            "from_step": self.from_step, "steps": self.steps,
-        }  # fmt: skip
+            "type": self.type.value,
+            "dimension": self.dimension,
+            "magnitude": self.magnitude,
+            "from_step": self.from_step,
+            "steps": self.steps,
+        }
 
     @classmethod
     def from_json(cls, where: str, document: Json) -> Self:

@@ -95,9 +95,11 @@ class _Episode:
         self._recorder = None
         if record:
             self._recorder = TopDownRecorder(
-                spec.requirements, ego_size_m=self._world.ego_size_m, scene=self._world.scene(spec.duration_s),
+                spec.requirements,
+                ego_size_m=self._world.ego_size_m,
+                scene=self._world.scene(spec.duration_s),
                 route=self._world.route,
-            )  # fmt: skip
+            )
 
     def run(self) -> None:
         """Run until the end of the episode: a collision, the goal, or its duration."""
@@ -133,10 +135,17 @@ class _Episode:
             if distance_m(world.pose, pose) <= RANGE_M
         ]
         self._recorder.sample(
-            self._time_s, world.pose, world.accel_mps2, actors, perceived=perceived, plan=plan,
-            target_speed_mps=world.target_speed_mps, robustness=robustness,
-            seen=_boxes(world, truth), given=_boxes(world, perceived),
-        )  # fmt: skip
+            self._time_s,
+            world.pose,
+            world.accel_mps2,
+            actors,
+            perceived=perceived,
+            plan=plan,
+            target_speed_mps=world.target_speed_mps,
+            robustness=robustness,
+            seen=_boxes(world, truth),
+            given=_boxes(world, perceived),
+        )
 
     def _event(self, kind: str, text: str) -> None:
         if self._recorder is not None:
@@ -163,13 +172,17 @@ class _Episode:
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
             features={
-                "ended": self._ended, "ended_at_s": self._time_s, "way_m": self._way_m,
-                "collided_with": self._collided, ERROR_STEPS: steps_to_json(steps),
-                "severity": max(acted, default=0.0), **features_of(self._requirements),
+                "ended": self._ended,
+                "ended_at_s": self._time_s,
+                "way_m": self._way_m,
+                "collided_with": self._collided,
+                ERROR_STEPS: steps_to_json(steps),
+                "severity": max(acted, default=0.0),
+                **features_of(self._requirements),
             },
             provenance=provenance(SIMULATOR_ID, cpu_s, versions, simulated_s=self._time_s),
             trace=trace,
-        )  # fmt: skip
+        )
 
 
 def _boxes(world: "HighwayWorld", vehicles: list[Perceived]) -> list[Box]:

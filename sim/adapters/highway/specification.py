@@ -140,7 +140,7 @@ _GOALS: Final[Mapping[bool, Mapping[Goal, str]]] = {
         Goal.RIGHT: "to the right lane",
     },
     False: {Goal.LEFT: "turning left", Goal.STRAIGHT: "straight on", Goal.RIGHT: "turning right"},
-}  # fmt: skip
+}
 
 
 class ErrorType(StrEnum):
@@ -173,34 +173,51 @@ class Target(StrEnum):
 
 
 MAGNITUDES: Final[Mapping[ErrorType, Magnitude]] = {
-    ErrorType.MISS: Magnitude(unit="s", none=0.0, most=LONGEST_S, meaning="how long the target is not perceived"),
+    ErrorType.MISS: Magnitude(
+        unit="s", none=0.0, most=LONGEST_S, meaning="how long the target is not perceived"
+    ),
     ErrorType.LATE: Magnitude(
-        unit="s", none=0.0, most=LONGEST_S, has_window=False,
+        unit="s",
+        none=0.0,
+        most=LONGEST_S,
+        has_window=False,
         meaning=f"how long after it came within {RANGE_M:g} m the target is first perceived",
     ),
     ErrorType.SHORT_RANGE: Magnitude(
-        unit="m", none=RANGE_M, most=0.0, has_window=False,
+        unit="m",
+        none=RANGE_M,
+        most=0.0,
+        has_window=False,
         meaning="distance beyond which the target is not perceived",
     ),
     ErrorType.GHOST: Magnitude(
-        unit="s", none=0.0, most=LONGEST_S, meaning="how long a vehicle that is not there is perceived",
+        unit="s", none=0.0, most=LONGEST_S, meaning="how long a vehicle that is not there is perceived"
     ),
     ErrorType.TOO_FAR: Magnitude(
-        unit="share", none=0.0, most=1.0, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=1.0,
+        has_duration=True,
         meaning="how much farther away the target is perceived, as a share of its distance",
     ),
     ErrorType.TOO_FAST: Magnitude(
-        unit="m/s", none=0.0, most=15.0, has_duration=True, meaning="how much faster the target is perceived",
+        unit="m/s", none=0.0, most=15.0, has_duration=True, meaning="how much faster the target is perceived"
     ),
     ErrorType.POSITION_NOISE: Magnitude(
-        unit="m", none=0.0, most=5.0, has_duration=True,
+        unit="m",
+        none=0.0,
+        most=5.0,
+        has_duration=True,
         meaning="standard deviation of the target's perceived position, along and across its heading",
     ),
     ErrorType.SPEED_NOISE: Magnitude(
-        unit="m/s", none=0.0, most=10.0, has_duration=True,
+        unit="m/s",
+        none=0.0,
+        most=10.0,
+        has_duration=True,
         meaning="standard deviation of the target's perceived speed",
     ),
-}  # fmt: skip
+}
 
 GHOST_DISTANCE_M: Final = (5.0, 80.0)
 """How far ahead of the ego's centre a ghost may appear."""
@@ -229,9 +246,13 @@ class PerceptionError:
     def to_json(self) -> JsonObject:
         """Return the error as a JSON object, with the fields that its type has."""
         values: JsonObject = {
-            "type": self.type.value, "target": self.target.value, "magnitude": self.magnitude,
-            "onset_s": self.onset_s, "duration_s": self.duration_s, "distance_m": self.distance_m,
-        }  # fmt: skip
+            "type": self.type.value,
+            "target": self.target.value,
+            "magnitude": self.magnitude,
+            "onset_s": self.onset_s,
+            "duration_s": self.duration_s,
+            "distance_m": self.distance_m,
+        }
         return {name: values[name] for name in fields_of(self.type)}
 
     @classmethod

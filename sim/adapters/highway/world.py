@@ -50,8 +50,10 @@ _PATH: Final = "brink.sim.adapters.highway.driver."
 _VEHICLES: Final = 18
 """Other vehicles on a highway; density changes the distances between them."""
 _NAMES: Final[Mapping[Goal, tuple[str, str]]] = {
-    Goal.LEFT: ("wxr", "o1"), Goal.STRAIGHT: ("nxr", "o2"), Goal.RIGHT: ("exr", "o3"),
-}  # fmt: skip
+    Goal.LEFT: ("wxr", "o1"),
+    Goal.STRAIGHT: ("nxr", "o2"),
+    Goal.RIGHT: ("exr", "o3"),
+}
 """Where the ego leaves a roundabout and an intersection, as nodes of highway-env's road networks."""
 _LINES: Final[Mapping[RoadKind, Mapping[tuple[str, str], float]]] = {
     RoadKind.ROUNDABOUT: {("ses", "se"): 5.0},
@@ -89,16 +91,25 @@ class HighwayWorld:
             vehicle.target_speed *= scenario.traffic_speed
         route = self._route(original)
         self.ego = Ego(
-            road, original.position, original.heading, scenario.ego_speed * usual_mps, route=route,
+            road,
+            original.position,
+            original.heading,
+            scenario.ego_speed * usual_mps,
+            route=route,
             target_speed=scenario.target_speed * usual_mps,
-        )  # fmt: skip
+        )
         road.vehicles[:] = [self.ego, *(v for v in others if self._leaves_room(v))]
         self._env.controlled_vehicles = [self.ego]
         self._view = perceived_road(road.network)
         self._driver = Driver(
-            self._view, self.ego.position.copy(), self.ego.heading, self.ego.speed, route=route,
-            target_speed=scenario.target_speed * usual_mps, enable_lane_change=scenario.road in STRAIGHT_ROADS,
-        )  # fmt: skip
+            self._view,
+            self.ego.position.copy(),
+            self.ego.heading,
+            self.ego.speed,
+            route=route,
+            target_speed=scenario.target_speed * usual_mps,
+            enable_lane_change=scenario.road in STRAIGHT_ROADS,
+        )
         self._driver.lines = _LINES.get(scenario.road, {})
         if scenario.road is RoadKind.ROUNDABOUT:
             circle = ("se", "ex", "ee", "nx", "ne", "wx", "we", "sx", "se")
@@ -197,11 +208,13 @@ class HighwayWorld:
         """Return the other vehicles with their places relative to the ego."""
         return [
             Body(
-                number=self._number(near.vehicle), pose=_pose(near.vehicle), along_m=near.along_m,
+                number=self._number(near.vehicle),
+                pose=_pose(near.vehicle),
+                along_m=near.along_m,
                 lane=None if near.aside_m is None else _lane_of(near.aside_m),
             )
             for near in self._around
-        ]  # fmt: skip
+        ]
 
     def decide(self, perceived: Sequence[Perceived]) -> str:
         """Let the driver decide on the next step, and return what it does in a word or two.
@@ -293,14 +306,26 @@ class HighwayWorld:
         self._nearest_m = nearest_m
         half_lane_m = 0.5 * float(lane.width_at(along_m))
         return WorldSample(
-            time_s=time_s, x_m=pose.x_m, y_m=pose.y_m, yaw_rad=pose.yaw_rad, speed_mps=pose.speed_mps,
-            station_m=self._driven_m, offset_m=-float(aside_m),
+            time_s=time_s,
+            x_m=pose.x_m,
+            y_m=pose.y_m,
+            yaw_rad=pose.yaw_rad,
+            speed_mps=pose.speed_mps,
+            station_m=self._driven_m,
+            offset_m=-float(aside_m),
             heading_error_rad=-wrapped(ego.heading - float(lane.heading_at(along_m))),
-            ego_length_m=ego.LENGTH, ego_width_m=ego.WIDTH, lane_left_m=half_lane_m, lane_right_m=-half_lane_m,
-            speed_limit_mps=float(lane.speed_limit), front_gap_m=front_m, nearest_gap_m=nearest_m,
-            closing_speed_mps=closing_mps, collision=self._collision(nearest),
-            may_wait=self._driver.waits or (front_m is not None and front_m < 10.0), goal_reached=self.arrived,
-        )  # fmt: skip
+            ego_length_m=ego.LENGTH,
+            ego_width_m=ego.WIDTH,
+            lane_left_m=half_lane_m,
+            lane_right_m=-half_lane_m,
+            speed_limit_mps=float(lane.speed_limit),
+            front_gap_m=front_m,
+            nearest_gap_m=nearest_m,
+            closing_speed_mps=closing_mps,
+            collision=self._collision(nearest),
+            may_wait=self._driver.waits or (front_m is not None and front_m < 10.0),
+            goal_reached=self.arrived,
+        )
 
     def _gaps(self, body: Any, aside_m: float) -> tuple[tuple[float, Any] | None, float | None]:
         """Return the clearance to the nearest body and which one that is, and the front gap."""
@@ -366,11 +391,13 @@ class HighwayWorld:
         lines = [line for lane, span in zip(lanes, spans, strict=True) for line in _markings(lane, span)]
         objects = [
             Surface(
-                kind="building", closed=True, width_m=0.0,
+                kind="building",
+                closed=True,
+                width_m=0.0,
                 points=np.array(corners(_pose(one), one.LENGTH, one.WIDTH), np.float32),
             )
             for one in self._env.road.objects
-        ]  # fmt: skip
+        ]
         return [*areas, *lines, *objects]
 
 
@@ -379,9 +406,12 @@ def _environment(scenario: HighwayScenario, seed: int) -> Any:
     traffic = "IntersectionTraffic" if scenario.road is RoadKind.INTERSECTION else "Traffic"
     config: dict[str, Any] = {
         "observation": {"type": "AttributesObservation", "attributes": ["time"]},
-        "simulation_frequency": STEPS_PER_S, "policy_frequency": STEPS_PER_S,
-        "neighbour_vehicles_connected_lanes": True, "duration": math.inf, "other_vehicles_type": _PATH + traffic,
-    }  # fmt: skip
+        "simulation_frequency": STEPS_PER_S,
+        "policy_frequency": STEPS_PER_S,
+        "neighbour_vehicles_connected_lanes": True,
+        "duration": math.inf,
+        "other_vehicles_type": _PATH + traffic,
+    }
     match scenario.road:
         case RoadKind.HIGHWAY:
             kind, counts = HighwayEnv, {"vehicles_count": _VEHICLES, "vehicles_density": scenario.density}

@@ -17,9 +17,18 @@ from typing import Final
 
 ROADS: Final = Path(__file__).parent / "roads"
 _OPTIONS: Final = (
-    "--no-turnarounds", "--offset.disable-normalization", "--junctions.corner-detail", "5", "--no-warnings",
-    "--tls.default-type", "static", "--default.lanewidth", "3.5", "--output.street-names", "false",
-)  # fmt: skip
+    "--no-turnarounds",
+    "--offset.disable-normalization",
+    "--junctions.corner-detail",
+    "5",
+    "--no-warnings",
+    "--tls.default-type",
+    "static",
+    "--default.lanewidth",
+    "3.5",
+    "--output.street-names",
+    "false",
+)
 _HEADER: Final = re.compile(rb"<!--.*?-->\s*", re.DOTALL)
 
 
@@ -143,10 +152,12 @@ def grid() -> Plan:
             if inside:
                 nodes.append(
                     Node(
-                        name=_crossroad(column, row), x_m=column * spacing_m, y_m=row * spacing_m,
+                        name=_crossroad(column, row),
+                        x_m=column * spacing_m,
+                        y_m=row * spacing_m,
                         kind="traffic_light" if inside == 2 else "priority",
                     )
-                )  # fmt: skip
+                )
     for line in range(size):
         for at in range(-1, size):
             for one, other in (((at, line), (at + 1, line)), ((line, at), (line, at + 1))):
@@ -169,10 +180,14 @@ def ring() -> Plan:
         )
         edges.append(
             Edge(
-                name=f"q{quarter}", begin=f"r{quarter}", end=f"r{(quarter + 1) % quarters}", lanes=1,
-                speed_mps=22.22, shape=shape,
+                name=f"q{quarter}",
+                begin=f"r{quarter}",
+                end=f"r{(quarter + 1) % quarters}",
+                lanes=1,
+                speed_mps=22.22,
+                shape=shape,
             )
-        )  # fmt: skip
+        )
     return Plan(nodes=tuple(nodes), edges=tuple(edges))
 
 

@@ -148,10 +148,15 @@ def demand_xml(drive: Drive, seed: int, duration_s: float) -> str:
     begin_s, ego = drive.traffic.begin_s, roads.ego
     vehicles = [
         _Vehicle(
-            name=EGO, kind="automated", route=ego.route, repeat=roads.repeat, lane=ego.lane, depart_s=begin_s,
+            name=EGO,
+            kind="automated",
+            route=ego.route,
+            repeat=roads.repeat,
+            lane=ego.lane,
+            depart_s=begin_s,
             start=(ego.position_m, ego.speed_mps),
         )
-    ]  # fmt: skip
+    ]
     if drive.traffic.demand > 0.0:
         vehicles += _in_line(roads, drive, seed, begin_s)
         vehicles += _entering(roads, drive, seed, begin_s, duration_s)
@@ -165,9 +170,14 @@ def _in_line(roads: Roads, drive: Drive, seed: int, begin_s: float) -> Iterator[
         for place_m, kind, route in _standing(lane, drive, generator(seed, Stream.LANE, index), roads.ego):
             speed_mps = min(lane.speed_mps, TRUCKS_MPS) if kind == "truck" else lane.speed_mps
             yield _Vehicle(
-                name=f"{kind}-{next(numbers)}", kind=kind, route=route, repeat=roads.repeat, lane=lane.lane,
-                depart_s=begin_s, start=(place_m, speed_mps),
-            )  # fmt: skip
+                name=f"{kind}-{next(numbers)}",
+                kind=kind,
+                route=route,
+                repeat=roads.repeat,
+                lane=lane.lane,
+                depart_s=begin_s,
+                start=(place_m, speed_mps),
+            )
 
 
 def _entering(roads: Roads, drive: Drive, seed: int, begin_s: float, duration_s: float) -> Iterator[_Vehicle]:
@@ -179,9 +189,13 @@ def _entering(roads: Roads, drive: Drive, seed: int, begin_s: float, duration_s:
     # SUMO wants vehicles in order of departure.
     for number, (at_s, index, kind, route) in enumerate(sorted(arrivals, key=lambda one: one[:2]), start=1):
         yield _Vehicle(
-            name=f"{kind}-in-{number}", kind=kind, route=route, repeat=roads.repeat,
-            lane=roads.entries[index].lane, depart_s=begin_s + at_s,
-        )  # fmt: skip
+            name=f"{kind}-in-{number}",
+            kind=kind,
+            route=route,
+            repeat=roads.repeat,
+            lane=roads.entries[index].lane,
+            depart_s=begin_s + at_s,
+        )
 
 
 def _types(drive: Drive) -> Iterator[str]:
@@ -265,12 +279,17 @@ def _motorway() -> Roads:
     full = [
         # The merging lane is the rightmost one of its edge.
         Lane(
-            edge=edge, lane=lane + (edge == "merge"), length_m=length_m, speed_mps=speed_mps, headway_s=2.0,
-            routes=(way[way.index(edge) :],), trucks=lane < 2,
+            edge=edge,
+            lane=lane + (edge == "merge"),
+            length_m=length_m,
+            speed_mps=speed_mps,
+            headway_s=2.0,
+            routes=(way[way.index(edge) :],),
+            trucks=lane < 2,
         )
         for edge, length_m in (("before", 1525.0), ("merge", 264.0), ("after", 2000.0))
         for lane, speed_mps in enumerate(speeds_mps)
-    ]  # fmt: skip
+    ]
     slip = Lane(
         edge="ramp", lane=0, length_m=402.0, speed_mps=20.0, headway_s=4.0, routes=(("ramp", *way[1:]),)
     )
@@ -286,13 +305,18 @@ def _arterial() -> Roads:
     west = tuple(f"a{index + 1}_a{index}" for index in reversed(range(_CROSSROADS + 1)))
     along = [
         Lane(
-            edge=way[place], lane=lane, length_m=260.0, speed_mps=10.0, headway_s=4.0,
-            routes=_ways_on(way[place:], side) if lane == 0 else (way[place:],), trucks=lane == 0,
+            edge=way[place],
+            lane=lane,
+            length_m=260.0,
+            speed_mps=10.0,
+            headway_s=4.0,
+            routes=_ways_on(way[place:], side) if lane == 0 else (way[place:],),
+            trucks=lane == 0,
         )
         for way, side in ((east, "s"), (west, "n"))
         for place in range(len(way))
         for lane in range(2)
-    ]  # fmt: skip
+    ]
     across = []
     for index in range(1, _CROSSROADS + 1):
         # Those from the south turn right to the east, those from the north to the west.
@@ -392,11 +416,15 @@ def _ring() -> Roads:
     length_m = math.tau * 200.0 / len(edges)
     full = [
         Lane(
-            edge=edge, lane=0, length_m=length_m, speed_mps=8.0, headway_s=2.4,
+            edge=edge,
+            lane=0,
+            length_m=length_m,
+            speed_mps=8.0,
+            headway_s=2.4,
             routes=((*edges[place:], *edges[:place]),),
         )
         for place, edge in enumerate(edges)
-    ]  # fmt: skip
+    ]
     ego = Ego(lane=0, position_m=150.0, speed_mps=8.0, route=edges)
     return Roads(ego=ego, full=tuple(full), entries=(), repeat=10)
 

@@ -104,8 +104,11 @@ class Drawing:
         """
         path = np.array(self._path, np.float64)
         recorder = TopDownRecorder(
-            self._requirements, ego_size_m=self._size_m, scene=self._roads.near(path), route=_float32(self._route),
-        )  # fmt: skip
+            self._requirements,
+            ego_size_m=self._size_m,
+            scene=self._roads.near(path),
+            route=_float32(self._route),
+        )
         for sample in self._samples:
             recorder.sample(**sample)
         if self._collision is not None:
@@ -138,9 +141,11 @@ class Drawing:
             return ()
         heading = math.atan2(body.y_m - sample.y_m, body.x_m - sample.x_m)
         pose = Pose(
-            x_m=body.x_m + shift_m * math.cos(heading), y_m=body.y_m + shift_m * math.sin(heading),
-            yaw_rad=body.yaw_rad, speed_mps=body.speed_mps,
-        )  # fmt: skip
+            x_m=body.x_m + shift_m * math.cos(heading),
+            y_m=body.y_m + shift_m * math.sin(heading),
+            yaw_rad=body.yaw_rad,
+            speed_mps=body.speed_mps,
+        )
         track = self._numbers.setdefault(lead, len(self._numbers) + 1)
         return (Perceived(track=track, pose=pose, length_m=body.length_m, width_m=body.width_m),)
 
@@ -161,9 +166,13 @@ def _boxes(sample: WorldSample, bodies: Sequence[Body]) -> list[Box]:
 def _body(perceived: Perceived) -> Body:
     pose = perceived.pose
     return Body(
-        x_m=pose.x_m, y_m=pose.y_m, yaw_rad=pose.yaw_rad, speed_mps=pose.speed_mps, length_m=perceived.length_m,
+        x_m=pose.x_m,
+        y_m=pose.y_m,
+        yaw_rad=pose.yaw_rad,
+        speed_mps=pose.speed_mps,
+        length_m=perceived.length_m,
         width_m=perceived.width_m,
-    )  # fmt: skip
+    )
 
 
 def _plan(sample: WorldSample, accel_mps2: float) -> str:

@@ -20,12 +20,33 @@ Library: TypeAlias = Any
 STEP_S: Final = 0.1
 _QUIET: Final = "LIBSUMO_AS_TRACI"
 _OPTIONS: Final = (
-    "--step-length", str(STEP_S), "--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never",
-    "--xml-validation.net", "never", "--time-to-teleport", "-1", "--collision.action", "warn",
-    "--collision.mingap-factor", "0", "--collision.check-junctions", "true",
-    "--collision.check-junctions.mingap", "0", "--lanechange.duration", "3", "--max-depart-delay", "30",
-    "--precision", "6",
-)  # fmt: skip
+    "--step-length",
+    str(STEP_S),
+    "--no-step-log",
+    "true",
+    "--no-warnings",
+    "true",
+    "--xml-validation",
+    "never",
+    "--xml-validation.net",
+    "never",
+    "--time-to-teleport",
+    "-1",
+    "--collision.action",
+    "warn",
+    "--collision.mingap-factor",
+    "0",
+    "--collision.check-junctions",
+    "true",
+    "--collision.check-junctions.mingap",
+    "0",
+    "--lanechange.duration",
+    "3",
+    "--max-depart-delay",
+    "30",
+    "--precision",
+    "6",
+)
 
 if find_spec("libsumo") is None:
     raise ExtraMissing("sumo@1 needs libsumo: install the extra sumo")

@@ -84,30 +84,48 @@ class ErrorType(StrEnum):
 MAGNITUDES: Final[Mapping[ErrorType, Magnitude]] = {
     ErrorType.MISS: Magnitude(unit="s", none=0.0, most=10.0, meaning="how long nothing ahead is perceived"),
     ErrorType.SHORT_RANGE: Magnitude(
-        unit="m", none=RANGE_M, most=0.0, has_duration=True,
+        unit="m",
+        none=RANGE_M,
+        most=0.0,
+        has_duration=True,
         meaning="distance beyond which nothing ahead is perceived",
     ),
     ErrorType.TOO_FAR: Magnitude(
-        unit="share", none=0.0, most=9.0, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=9.0,
+        has_duration=True,
         meaning="how much farther away things ahead seem, as a share of their distance",
     ),
     ErrorType.TOO_NEAR: Magnitude(
-        unit="share", none=0.0, most=0.9, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=0.9,
+        has_duration=True,
         meaning="how much nearer things ahead seem, as a share of their distance",
     ),
     ErrorType.TOO_FAST: Magnitude(
-        unit="m/s", none=0.0, most=10.0, has_duration=True,
+        unit="m/s",
+        none=0.0,
+        most=10.0,
+        has_duration=True,
         meaning="how much faster the vehicle ahead seems, for each 10 m of its distance",
     ),
     ErrorType.NOISE: Magnitude(
-        unit="share", none=0.0, most=3.0, has_duration=True,
+        unit="share",
+        none=0.0,
+        most=3.0,
+        has_duration=True,
         meaning="standard deviation of the perceived distance, as a share of the distance",
     ),
     ErrorType.LATE: Magnitude(
-        unit="s", none=0.0, most=5.0, has_duration=True,
+        unit="s",
+        none=0.0,
+        most=5.0,
+        has_duration=True,
         meaning="how much time passes from one look at what is ahead to the next",
     ),
-}  # fmt: skip
+}
 
 
 class Affected(StrEnum):
@@ -138,9 +156,11 @@ class PerceptionError:
     def to_json(self) -> JsonObject:
         """Return the error as a JSON object, with the fields that its type has."""
         document: JsonObject = {
-            "type": self.type.value, "affected": self.affected.value, "magnitude": self.magnitude,
+            "type": self.type.value,
+            "affected": self.affected.value,
+            "magnitude": self.magnitude,
             "onset_s": self.onset_s,
-        }  # fmt: skip
+        }
         return document | ({"duration_s": self.duration_s} if MAGNITUDES[self.type].has_duration else {})
 
     @classmethod

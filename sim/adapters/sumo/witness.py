@@ -18,9 +18,13 @@ RELEVANT_TTC_S: Final = 20.0
 PASSED_M: Final = 1e-3
 """Least distance past a stop line that has been passed."""
 _LIGHTS: Final = {
-    "r": LightState.RED, "u": LightState.RED, "y": LightState.AMBER, "Y": LightState.AMBER,
-    "g": LightState.GREEN, "G": LightState.GREEN,
-}  # fmt: skip
+    "r": LightState.RED,
+    "u": LightState.RED,
+    "y": LightState.AMBER,
+    "Y": LightState.AMBER,
+    "g": LightState.GREEN,
+    "G": LightState.GREEN,
+}
 """State of a traffic light by SUMO's letter; of lights that are off, none."""
 
 
@@ -84,9 +88,13 @@ class Witness:
         yaw_rad = math.remainder(yaw_rad, math.tau)
         back_m = size[0] / 2
         return Body(
-            x_m=x_m - back_m * math.cos(yaw_rad), y_m=y_m - back_m * math.sin(yaw_rad), yaw_rad=yaw_rad,
-            speed_mps=float(own.getSpeed(vehicle)), length_m=size[0], width_m=size[1],
-        )  # fmt: skip
+            x_m=x_m - back_m * math.cos(yaw_rad),
+            y_m=y_m - back_m * math.sin(yaw_rad),
+            yaw_rad=yaw_rad,
+            speed_mps=float(own.getSpeed(vehicle)),
+            length_m=size[0],
+            width_m=size[1],
+        )
 
     def sample(self, time_s: float, collision: Collision | None) -> WorldSample:
         """Return the facts of the step that has just ended.
@@ -107,13 +115,28 @@ class Witness:
         self.accel_mps2 = float(own.getAcceleration(ego))
         self.hardest_braking_mps2 = max(self.hardest_braking_mps2, -self.accel_mps2)
         return WorldSample(
-            time_s=time_s, x_m=body.x_m, y_m=body.y_m, yaw_rad=body.yaw_rad, speed_mps=body.speed_mps,
-            station_m=way_m, offset_m=float(own.getLateralLanePosition(ego)), heading_error_rad=0.0,
-            ego_length_m=body.length_m, ego_width_m=body.width_m, lane_left_m=width_m / 2, lane_right_m=-width_m / 2,
-            speed_limit_mps=limit_mps, front_gap_m=front_m, nearest_gap_m=nearest_m, closing_speed_mps=closing_mps,
-            collision=collision, light=light, stop_line_gap_m=line_m,
-            may_wait=light in (LightState.RED, LightState.AMBER) or (front_m is not None and front_m < AHEAD_M / 10),
-        )  # fmt: skip
+            time_s=time_s,
+            x_m=body.x_m,
+            y_m=body.y_m,
+            yaw_rad=body.yaw_rad,
+            speed_mps=body.speed_mps,
+            station_m=way_m,
+            offset_m=float(own.getLateralLanePosition(ego)),
+            heading_error_rad=0.0,
+            ego_length_m=body.length_m,
+            ego_width_m=body.width_m,
+            lane_left_m=width_m / 2,
+            lane_right_m=-width_m / 2,
+            speed_limit_mps=limit_mps,
+            front_gap_m=front_m,
+            nearest_gap_m=nearest_m,
+            closing_speed_mps=closing_mps,
+            collision=collision,
+            light=light,
+            stop_line_gap_m=line_m,
+            may_wait=light in (LightState.RED, LightState.AMBER)
+            or (front_m is not None and front_m < AHEAD_M / 10),
+        )
 
     def _gaps(self, ego: str, speed_mps: float) -> tuple[float | None, float | None, float]:
         """Return the gaps ahead and behind, bumper to bumper, and how fast the smaller one shrinks."""

@@ -265,10 +265,19 @@ def test_the_database_clock_goes_forward(engines: Engines) -> None:
 def test_a_job_that_breaks_an_invariant_is_not_stored(engines: Engines, broken: dict[str, object]) -> None:
     campaign = Queue(engines=engines).campaign(0)
     sound = {
-        "campaign_id": campaign, "number": 1, "kind": "episode", "spec": "{}", "spec_hash": "h", "needs": "x",
-        "cache": True, "timeout_s": 1.0, "status": "queued", "attempt": 0, "max_attempts": 3,
+        "campaign_id": campaign,
+        "number": 1,
+        "kind": "episode",
+        "spec": "{}",
+        "spec_hash": "h",
+        "needs": "x",
+        "cache": True,
+        "timeout_s": 1.0,
+        "status": "queued",
+        "attempt": 0,
+        "max_attempts": 3,
         "created_at": datetime.now(UTC),
-    }  # fmt: skip
+    }
     with pytest.raises(IntegrityError), engines.writer.begin() as connection:
         connection.execute(insert(JobRow).values({**sound, **broken}))
     with engines.writer.begin() as connection:

@@ -42,9 +42,12 @@ BODIES = {
     "ga": ball(simulations=100),
     "edge": ball(
         simulations=80,
-        algorithm={"id": "edge@1", "params": {"generation_size": 9, "in_flight": 3, "d_th": 0.05, "explore": 0.2}},
+        algorithm={
+            "id": "edge@1",
+            "params": {"generation_size": 9, "in_flight": 3, "d_th": 0.05, "explore": 0.2},
+        },
     ),
-}  # fmt: skip
+}
 """With several generations in flight, one, and several that depend on each other."""
 
 
@@ -129,9 +132,11 @@ def test_a_coordinator_that_stops_between_pieces_reports_no_error(
 
     monkeypatch.setattr(step_store, "write_piece", slowly)
     body = {
-        "name": "x", "problem": {"id": "mtq@1"}, "budget": {"simulations": 700},
+        "name": "x",
+        "problem": {"id": "mtq@1"},
+        "budget": {"simulations": 700},
         "algorithm": {"id": "random@1", "params": {"generation_size": 700}},
-    }  # fmt: skip
+    }
     with coordinator(database_url) as client:
         submit(client, body)
     assert not [one.getMessage() for one in caplog.records if one.levelno >= logging.WARNING]
@@ -187,9 +192,10 @@ def test_results_of_a_large_generation_are_written_before_its_step_but_for_failu
     client: httpx.Client, engines: Engines, small_pieces: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     body = ball(
-        simulations=60, execution={"max_failed_share": 1.0, "max_attempts": 1},
+        simulations=60,
+        execution={"max_failed_share": 1.0, "max_attempts": 1},
         algorithm={"id": "random@1", "params": {"generation_size": 60}},
-    )  # fmt: skip
+    )
     campaign, seen = submit(client, body), Counter[str]()
     write_step = step_store.write_step
 
@@ -244,11 +250,13 @@ def test_results_that_were_written_before_a_step_that_was_never_taken_are_read_b
         step_store.SolutionResult(number=number, verdict=verdict, robustness=robustness)
         for number, (verdict, robustness) in enumerate(
             [
-                (SolutionVerdict.SAFE, 1.0), (SolutionVerdict.UNSAFE, -1.0), (SolutionVerdict.MEASURED, None),
+                (SolutionVerdict.SAFE, 1.0),
+                (SolutionVerdict.UNSAFE, -1.0),
+                (SolutionVerdict.MEASURED, None),
                 (SolutionVerdict.FAILED, None),
             ]
         )
-    ]  # fmt: skip
+    ]
     with engines.writer.begin() as connection:
         assert step_store.write_results(connection, campaign, 0, wrote)
     expect(client.post(f"{API}/{campaign}/cancel"))
@@ -291,9 +299,12 @@ def test_an_experiment_is_stored_in_pieces(
         {"name": "RS", "id": "random@1"},
     ]
     body = {
-        "name": "many", "problems": [{"id": "ball@1"}], "algorithms": methods,
-        "seeds": {"first": 1, "count": 3}, "budget": {"simulations": 20},
-    }  # fmt: skip
+        "name": "many",
+        "problems": [{"id": "ball@1"}],
+        "algorithms": methods,
+        "seeds": {"first": 1, "count": 3},
+        "budget": {"simulations": 20},
+    }
     made = expect(client.post("/api/v1/experiments", json=body), 201)
     campaigns = [one["campaign"] for one in made["members"]]
     assert len(campaigns) == 6

@@ -75,9 +75,10 @@ TIDYINGS = ((), ("VACUUM",), ("ANALYZE",), ("VACUUM", "ANALYZE"))
 def tidied(*backends: str) -> pytest.MarkDecorator:
     """Run a test on `stale` queues: one on SQLite, which never tidies up, and one per tidying on Postgres."""
     cases: dict[str, list[tuple[str, tuple[str, ...]]]] = {
-        "sqlite": [("sqlite", ())], "postgres": [("postgres", tidying) for tidying in TIDYINGS],
+        "sqlite": [("sqlite", ())],
+        "postgres": [("postgres", tidying) for tidying in TIDYINGS],
         "just analysed": [("postgres", TIDYINGS[-1])],
-    }  # fmt: skip
+    }
     return pytest.mark.parametrize(
         ("stale_backend", "stale"),
         [case for backend in backends for case in cases[backend]],

@@ -83,8 +83,10 @@ def test_a_machine_is_this_boot_seen_from_this_pid_namespace() -> None:
     assert os.readlink("/proc/self/ns/pid") in machine_name()
     child = subprocess.run(
         [sys.executable, "-c", "from brink.worker.wire import machine_name; print(machine_name())"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert child.stdout.strip() == machine_name()
 
 

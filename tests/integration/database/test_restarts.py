@@ -45,15 +45,17 @@ pytestmark = pytest.mark.usefixtures("small_problems", "few_trees")
 CAMPAIGNS = {
     "ga": ball(simulations=100),
     "mlcshe": ball(
-        simulations=100,
-        algorithm={"id": "mlcshe@1", "params": {"population_size": 5, "archive_size": 2}},
+        simulations=100, algorithm={"id": "mlcshe@1", "params": {"population_size": 5, "archive_size": 2}}
     ),
     "random": ball(simulations=100, algorithm={"id": "random@1", "params": {"generation_size": 30}}),
     "edge": ball(
         simulations=80,
-        algorithm={"id": "edge@1", "params": {"generation_size": 7, "in_flight": 4, "d_th": 0.05, "explore": 0.2}},
+        algorithm={
+            "id": "edge@1",
+            "params": {"generation_size": 7, "in_flight": 4, "d_th": 0.05, "explore": 0.2},
+        },
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", mostly_long(CAMPAIGNS, ["mlcshe", "edge"], "runs a campaign twice"))

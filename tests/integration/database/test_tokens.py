@@ -117,9 +117,19 @@ def test_a_worker_runs_a_campaign_with_its_token(url: str, tokens: dict[str, str
 
 
 NO_TOKENS = (
-    None, "", "Bearer", "Basic {admin}", "bearer {admin}", "Bearer {admin}x", "Bearer {admin} x", "{admin}",
-    f"Bearer {UNKNOWN}", "Bearer {forged}", "Bearer \u00fc", "Bearer " + "x" * 8000,
-)  # fmt: skip
+    None,
+    "",
+    "Bearer",
+    "Basic {admin}",
+    "bearer {admin}",
+    "Bearer {admin}x",
+    "Bearer {admin} x",
+    "{admin}",
+    f"Bearer {UNKNOWN}",
+    "Bearer {forged}",
+    "Bearer \u00fc",
+    "Bearer " + "x" * 8000,
+)
 """Headers without a valid token."""
 
 

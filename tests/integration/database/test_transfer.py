@@ -176,9 +176,12 @@ def with_follow_ups(client: httpx.Client) -> tuple[str, dict[str, str]]:
     """Run a campaign that holds a pair, and ask everything about it; the last follow-up is half simulated."""
     params = {"solutions": [SAFE, UNSAFE], "seed_numbers": [0, 0]}
     body = {
-        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 2},
+        "name": "given",
+        "problem": {"id": "urban-injected@1"},
+        "seed": 4,
+        "budget": {"simulations": 2},
         "algorithm": {"id": "repeat@1", "params": params},
-    }  # fmt: skip
+    }
     campaign = submit(client, body)
     urban(client).work(campaign)
     asked = {}
@@ -355,59 +358,93 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     ),
     "a table is missing": ({"jobs.jsonl": lambda _: None}, "undamaged"),
     "no JSON": ({"solutions.jsonl": lambda data: data[:-30]}, "line 70"),
-    "a column is missing": ({"solutions.jsonl": in_line(lambda row: row.pop("seed"))}, "expected an object with"),
-    "a column too many": ({"solutions.jsonl": in_line(lambda row: row.update(x=1))}, "expected an object with"),
+    "a column is missing": (
+        {"solutions.jsonl": in_line(lambda row: row.pop("seed"))},
+        "expected an object with",
+    ),
+    "a column too many": (
+        {"solutions.jsonl": in_line(lambda row: row.update(x=1))},
+        "expected an object with",
+    ),
     "text for a number": (
-        {"solutions.jsonl": in_line(lambda row: row.update(seed="1"))}, "line 1: seed: expected a int, got '1'",
+        {"solutions.jsonl": in_line(lambda row: row.update(seed="1"))},
+        "line 1: seed: expected a int, got '1'",
     ),
     "a number past 64 bits": ({"solutions.jsonl": in_line(lambda row: row.update(seed=2**70))}, "64-bit"),
     "null": ({"solutions.jsonl": in_line(lambda row: row.update(generation=None))}, "got null"),
-    "a long text": ({"jobs.jsonl": in_line(lambda row: row.update(needs="x" * 999))}, "at most 128 characters"),
-    "a state that is none": ({"jobs.jsonl": in_line(lambda row: row.update(status="gone"))}, "cannot be stored"),
+    "a long text": (
+        {"jobs.jsonl": in_line(lambda row: row.update(needs="x" * 999))},
+        "at most 128 characters",
+    ),
+    "a state that is none": (
+        {"jobs.jsonl": in_line(lambda row: row.update(status="gone"))},
+        "cannot be stored",
+    ),
     "another campaign's row": (
-        {"solutions.jsonl": in_line(lambda row: row.update(campaign_id="other"))}, "expected campaign_id",
+        {"solutions.jsonl": in_line(lambda row: row.update(campaign_id="other"))},
+        "expected campaign_id",
     ),
     "a spec with another hash": (
-        {"jobs.jsonl": in_line(lambda row: row.update(spec_hash="0" * 64))}, "expected spec_hash to be the hash of",
+        {"jobs.jsonl": in_line(lambda row: row.update(spec_hash="0" * 64))},
+        "expected spec_hash to be the hash of",
     ),
     "a spec that is none": ({"jobs.jsonl": in_line(lambda row: row.update(spec="{}"))}, "line 1: spec"),
-    "vectors of another length": ({"arrays/vectors.npy": array(np.zeros((70, 3)))}, "expected 2 numbers in each row"),
-    "too few vectors": ({"arrays/vectors.npy": array(np.zeros((3, 2)))}, "expected one row for each solution"),
+    "vectors of another length": (
+        {"arrays/vectors.npy": array(np.zeros((70, 3)))},
+        "expected 2 numbers in each row",
+    ),
+    "too few vectors": (
+        {"arrays/vectors.npy": array(np.zeros((3, 2)))},
+        "expected one row for each solution",
+    ),
     "vectors of another type": ({"arrays/vectors.npy": array(np.zeros((70, 2), "f4"))}, "type <f8"),
     "objects": (
-        {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "expected an array",
+        {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)},
+        "expected an array",
     ),
     "an array that claims to be huge": ({"arrays/vectors.npy": lambda _: huge()}, "expected an array"),
     "distances of another generation": (
-        {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))}, "does not match its checksum",
+        {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))},
+        "does not match its checksum",
     ),
     "notes that are none": ({"campaigns.jsonl": in_line(lambda row: row.update(notes="a\x1bb"))}, "notes: "),
     "a tag that is none": (
-        {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "two words"}'}, "tags: ",
+        {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "two words"}'},
+        "tags: ",
     ),
     "a tag in capitals": (
-        {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "Night"}'}, "in lower case",
+        {"campaign_tags.jsonl": lambda _: b'{"campaign_id": "x", "tag": "Night"}'},
+        "in lower case",
     ),
     "a checkpoint of another archive": (
-        {"checkpoints.jsonl": in_line(lambda row: row.update(generation=0))}, "checkpoints.jsonl: neighbours: ",
+        {"checkpoints.jsonl": in_line(lambda row: row.update(generation=0))},
+        "checkpoints.jsonl: neighbours: ",
     ),
     "a damaged checkpoint": (
-        {"arrays/checkpoint-document.npy": array(np.zeros(9, "u1"))}, "checkpoints.jsonl: campaign",
+        {"arrays/checkpoint-document.npy": array(np.zeros(9, "u1"))},
+        "checkpoints.jsonl: campaign",
     ),
     "distances of other solutions": (
-        {"distance_blocks.jsonl": in_line(lambda row: row.update(first_row=1))}, "up to the last row",
+        {"distance_blocks.jsonl": in_line(lambda row: row.update(first_row=1))},
+        "up to the last row",
     ),
     "a solution without its job": (
-        {"jobs.jsonl": lambda data: data.split(b"\n", 1)[1]}, "expected a job for each solution",
+        {"jobs.jsonl": lambda data: data.split(b"\n", 1)[1]},
+        "expected a job for each solution",
     ),
     "a number that JSON cannot carry": (
-        {"solutions.jsonl": in_line(lambda row: row.update(number=2**53 + 1))}, "number: expected at most",
+        {"solutions.jsonl": in_line(lambda row: row.update(number=2**53 + 1))},
+        "number: expected at most",
     ),
-    "a time limit of ages": ({"jobs.jsonl": in_line(lambda row: row.update(timeout_s=1e9))}, "of at most 604800"),
+    "a time limit of ages": (
+        {"jobs.jsonl": in_line(lambda row: row.update(timeout_s=1e9))},
+        "of at most 604800",
+    ),
     "an unknown problem": (
-        {"campaigns.jsonl": in_line(lambda row: row["document"]["problem"].update(id="none@1"))}, "unknown problem",
+        {"campaigns.jsonl": in_line(lambda row: row["document"]["problem"].update(id="none@1"))},
+        "unknown problem",
     ),
-}  # fmt: skip
+}
 
 
 @on_sqlite
@@ -431,63 +468,94 @@ LIKE_THE_API: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] 
         "expected finite numbers, got 1e400",
     ),
     "NaN": (
-        {"generations.jsonl": in_line(lambda row: row.update(best_fitness=float("nan")))}, "expected finite numbers",
+        {"generations.jsonl": in_line(lambda row: row.update(best_fitness=float("nan")))},
+        "expected finite numbers",
     ),
     "a key twice": (
-        {"solutions.jsonl": lambda data: data.replace(b'"seed":', b'"seed":1,"seed":', 1)}, "expected each key once",
+        {"solutions.jsonl": lambda data: data.replace(b'"seed":', b'"seed":1,"seed":', 1)},
+        "expected each key once",
     ),
     "an integer without end": (
-        {"solutions.jsonl": in_line(lambda row: row.update(robustness=10**4000))}, "line 1: robustness: ",
+        {"solutions.jsonl": in_line(lambda row: row.update(robustness=10**4000))},
+        "line 1: robustness: ",
     ),
     "a number beyond the limits": (
-        {"solutions.jsonl": in_line(lambda row: row.update(robustness=-1e308))}, "at most 1e+100",
+        {"solutions.jsonl": in_line(lambda row: row.update(robustness=-1e308))},
+        "at most 1e+100",
     ),
     "a violation beyond the limits": (
         {"jobs.jsonl": in_line(lambda row: row.update(result=row["result"].replace("null", "1e308", 1)))},
         "violated_at_s",
     ),
-    "deep nesting": (
-        {"solutions.jsonl": lambda data: b"[" * 500_000 + b"\n" + data}, "nested too deeply",
+    "deep nesting": ({"solutions.jsonl": lambda data: b"[" * 500_000 + b"\n" + data}, "nested too deeply"),
+    "many values": (
+        {"solutions.jsonl": lambda data: b"[" + b"[]," * 2_000_000 + b"\n" + data},
+        "1000000 values",
     ),
-    "many values": ({"solutions.jsonl": lambda data: b"[" + b"[]," * 2_000_000 + b"\n" + data}, "1000000 values"),
     "a lone surrogate": (
-        {"solutions.jsonl": in_line(lambda row: row.update(failure="\ud800"))}, "lone surrogates",
+        {"solutions.jsonl": in_line(lambda row: row.update(failure="\ud800"))},
+        "lone surrogates",
     ),
     "NUL": ({"jobs.jsonl": in_line(lambda row: row.update(last_error="a\0b"))}, "without NUL characters"),
     "escape sequences in a name": (
-        {"campaigns.jsonl": in_line(lambda row: row.update(name="\x1b[2J"))}, "name: expected text without control",
+        {"campaigns.jsonl": in_line(lambda row: row.update(name="\x1b[2J"))},
+        "name: expected text without control",
     ),
     "a name that is not the campaign's": (
-        {"campaigns.jsonl": in_line(lambda row: row.update(name="another"))}, "name: expected 'ball' as in document",
+        {"campaigns.jsonl": in_line(lambda row: row.update(name="another"))},
+        "name: expected 'ball' as in document",
     ),
     "a priority out of range": (
-        {"campaigns.jsonl": in_line(lambda row: row.update(priority=10**6))}, "priority: expected 0 as in document",
+        {"campaigns.jsonl": in_line(lambda row: row.update(priority=10**6))},
+        "priority: expected 0 as in document",
     ),
-    "a negative number": ({"solutions.jsonl": in_line(lambda row: row.update(number=-1))}, "expected a number >= 0"),
-    "a number past 32 bits": ({"solutions.jsonl": in_line(lambda row: row.update(generation=2**40))}, "32-bit"),
+    "a negative number": (
+        {"solutions.jsonl": in_line(lambda row: row.update(number=-1))},
+        "expected a number >= 0",
+    ),
+    "a number past 32 bits": (
+        {"solutions.jsonl": in_line(lambda row: row.update(generation=2**40))},
+        "32-bit",
+    ),
     "a time out of range": (
-        {"campaigns.jsonl": in_line(lambda row: row.update(created_at="0001-01-01T00:00:00+23:59"))}, "created_at",
+        {"campaigns.jsonl": in_line(lambda row: row.update(created_at="0001-01-01T00:00:00+23:59"))},
+        "created_at",
     ),
-    "ended without a time": ({"campaigns.jsonl": in_line(lambda row: row.update(finished_at=None))}, "finished_at"),
+    "ended without a time": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(finished_at=None))},
+        "finished_at",
+    ),
     "counts of other solutions": (
-        {"campaigns.jsonl": in_line(lambda row: row.update(unsafe=row["unsafe"] + 1))}, "solutions unsafe, but",
+        {"campaigns.jsonl": in_line(lambda row: row.update(unsafe=row["unsafe"] + 1))},
+        "solutions unsafe, but",
     ),
     "no time limit": ({"jobs.jsonl": in_line(lambda row: row.update(timeout_s=0))}, "expected a number > 0"),
-    "a result that is none": ({"jobs.jsonl": in_line(lambda row: row.update(result="{}"))}, "result: verdicts"),
+    "a result that is none": (
+        {"jobs.jsonl": in_line(lambda row: row.update(result="{}"))},
+        "result: verdicts",
+    ),
     "a result without end": (
         {"jobs.jsonl": in_line(lambda row: row.update(result=row["result"].replace("{", '{"a":1e999,', 1)))},
         "result: ",
     ),
-    "another simulator": ({"jobs.jsonl": in_line(lambda row: row.update(needs="gymnasium@1"))}, "needs: expected"),
-    "a hash that is none": (
-        {"campaigns.jsonl": in_line(lambda row: row.update(document_hash="x"))}, "document_hash: expected a SHA-256",
+    "another simulator": (
+        {"jobs.jsonl": in_line(lambda row: row.update(needs="gymnasium@1"))},
+        "needs: expected",
     ),
-    "vectors that are not finite": ({"arrays/vectors.npy": array(np.full((70, 2), np.nan))}, "expected finite"),
+    "a hash that is none": (
+        {"campaigns.jsonl": in_line(lambda row: row.update(document_hash="x"))},
+        "document_hash: expected a SHA-256",
+    ),
+    "vectors that are not finite": (
+        {"arrays/vectors.npy": array(np.full((70, 2), np.nan))},
+        "expected finite",
+    ),
     "too many vectors": ({"arrays/vectors.npy": array(np.zeros((71, 2)))}, "expected 70 rows"),
     "a header of gigabytes": (
-        {"arrays/vectors.npy": lambda _: b"\x93NUMPY\x02\x00" + b"\xff" * 4 + b" " * 1000}, "array of format 1.0",
+        {"arrays/vectors.npy": lambda _: b"\x93NUMPY\x02\x00" + b"\xff" * 4 + b" " * 1000},
+        "array of format 1.0",
     ),
-}  # fmt: skip
+}
 """What the API would refuse, too."""
 
 
@@ -626,12 +694,19 @@ def test_an_imported_campaign_that_may_run_is_checked_like_a_new_one(
             "llm.endpoint: this coordinator may use models on its own machine, without a key",
         ),
         (
-            {"campaigns.jsonl": in_line(lambda row: row["document"].update(llm={**model, "endpoint": "http://[::1]"}))},
+            {
+                "campaigns.jsonl": in_line(
+                    lambda row: row["document"].update(llm={**model, "endpoint": "http://[::1]"})
+                )
+            },
             "llm.api_key_env: this coordinator may not send the key in AWS_SECRET_ACCESS_KEY",
         ),
-        ({"jobs.jsonl": in_line(another, states.index("queued"))}, "expected the simulation that ball@1 asks for"),
+        (
+            {"jobs.jsonl": in_line(another, states.index("queued"))},
+            "expected the simulation that ball@1 asks for",
+        ),
         ({"arrays/vectors.npy": array(np.full((len(states), 2), 99.0))}, "within the search space"),
-    )  # fmt: skip
+    )
     for changes, message in wrong:
         with pytest.raises(BadFile) as refused:
             run("import", str(rewritten(file, changes)), "--database", elsewhere)
@@ -660,9 +735,11 @@ def test_a_verdict_that_its_result_does_not_give_is_refused(
 ) -> None:
     file = tmp_path / "drives.brink"
     body = ball(
-        simulations=4, problem={"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
-        algorithm={"id": "random@1", "params": {"generation_size": 4}}, execution={"keep_traces": 0},
-    )  # fmt: skip
+        simulations=4,
+        problem={"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
+        algorithm={"id": "random@1", "params": {"generation_size": 4}},
+        execution={"keep_traces": 0},
+    )
     with coordinator(database_url) as client:
         campaign = submit(client, body)
         worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=_holds_all)

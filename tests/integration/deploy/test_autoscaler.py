@@ -33,9 +33,13 @@ def plain(simulations: int = 20, **changes: Any) -> dict[str, Any]:
 
 def campaign(problem: str, simulations: int, **changes: Any) -> dict[str, Any]:
     return {
-        "name": problem, "problem": {"id": problem, "params": {"duration_s": 5.0}},
-        "algorithm": {"id": "random@1"}, "budget": {"simulations": simulations}, "seed": 1, **changes,
-    }  # fmt: skip
+        "name": problem,
+        "problem": {"id": problem, "params": {"duration_s": 5.0}},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": simulations},
+        "seed": 1,
+        **changes,
+    }
 
 
 def wanted(client: httpx.Client) -> dict[str, int]:
@@ -109,9 +113,13 @@ def test_queries_are_evaluated_as_prometheus_does() -> None:
     exposition = "\n".join(
         [
             "# TYPE a gauge",
-            'a{worker="x",pod="1"} 3', 'a{worker="x",pod="2"} 4', 'a{worker="y",pod="1"} 5', 'b{worker="x"} 9', "",
+            'a{worker="x",pod="1"} 3',
+            'a{worker="x",pod="2"} 4',
+            'a{worker="y",pod="1"} 5',
+            'b{worker="x"} 9',
+            "",
         ]
-    )  # fmt: skip
+    )
     assert evaluate('max(a{worker="x"})', exposition) == 4
     assert evaluate("max(a)", exposition) == 5
     assert evaluate('sum(max by (worker) (a{worker=~"x|y"}))', exposition) == 9

@@ -13,7 +13,7 @@ from support.databases import Databases, on_postgres
 from support.manifests import pod_specs
 from support.processes import TOY, brink
 
-from brink.bench.servers import find_binaries
+from benchmarks.servers import find_binaries
 
 BACKUP, RESTORE = pod_specs()["CronJob brink-backup"], pod_specs()["Job brink-restore-"]
 
@@ -37,8 +37,11 @@ def run(
     path = os.pathsep.join((str(find_binaries()), os.environ["PATH"]))
     return subprocess.run(
         [*one["command"], script.replace("/backups", str(folder))],
-        env={"PATH": path, **variables}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env={"PATH": path, **variables},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def dump(database: str, folder: Path) -> Path:

@@ -165,9 +165,13 @@ def test_every_secret_is_documented() -> None:
     texts = [path.read_text() for path in KUBERNETES.glob("*.yaml")]
     secrets = {pair for text in texts for pair in re.findall(r"\{name: (brink-\w+), key: (\w+)", text)}
     assert secrets == {
-        ("brink-database", "url"), ("brink-tokens", "admin"), ("brink-tokens", "worker"), ("brink-tokens", "read"),
-        ("brink-llm", "endpoints"), ("brink-llm", "key"),
-    }  # fmt: skip
+        ("brink-database", "url"),
+        ("brink-tokens", "admin"),
+        ("brink-tokens", "worker"),
+        ("brink-tokens", "read"),
+        ("brink-llm", "endpoints"),
+        ("brink-llm", "key"),
+    }
     page = PAGES["run-on-kubernetes"]
     for name, key in secrets:
         assert name in page
@@ -283,8 +287,10 @@ def test_data_is_at_the_same_path_everywhere() -> None:
             }
             mounted[document["metadata"]["name"]] = {mount["mountPath"] for mount in mounts}
     assert mounted == {
-        "brink-coordinator": {"/data"}, "brink-worker-vision": {"/data"}, "brink-worker": set(),
-    }  # fmt: skip
+        "brink-coordinator": {"/data"},
+        "brink-worker-vision": {"/data"},
+        "brink-worker": set(),
+    }
 
 
 def test_compose_says_which_variable_is_missing() -> None:

@@ -41,8 +41,12 @@ def token_file(tmp_path: Path) -> Path:
 def task(running: Site, token_file: Path) -> Program:
     """Start one task of the array."""
     settings = {
-        **TOY, **TASK, "BRINK": BRINK, "BRINK_SERVER": running.url, "BRINK_TOKEN_FILE": str(token_file),
-    }  # fmt: skip
+        **TOY,
+        **TASK,
+        "BRINK": BRINK,
+        "BRINK_SERVER": running.url,
+        "BRINK_TOKEN_FILE": str(token_file),
+    }
     program = Program(["bash", str(SCRIPT)], cwd=running.folder, env=settings)
     running.workers.append(program)
     return program

@@ -118,9 +118,7 @@ def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result)
 
 
 def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
-    options: dict[str, Any] = {
-        "algorithm": "edge@1", "progress": False, "simulations": 20, "workers": 1,
-    }  # fmt: skip
+    options: dict[str, Any] = {"algorithm": "edge@1", "progress": False, "simulations": 20, "workers": 1}
     far = brink.search(inside, SPACE, params={"eps": 1e-6, "explore": 0.9}, **options)
     assert len(far.pairs()) == 0
     found = re.search(
@@ -229,9 +227,7 @@ def test_a_function_that_fails_too_often_is_counted(folder: Path) -> None:
             raise RuntimeError("no road here")
         return x - 0.5
 
-    options: dict[str, Any] = {
-        "algorithm": "random@1", "simulations": 60, "workers": 1, "progress": False,
-    }  # fmt: skip
+    options: dict[str, Any] = {"algorithm": "random@1", "simulations": 60, "workers": 1, "progress": False}
     with pytest.raises(
         CampaignUnfinished, match=r"narrow: \d\d of 60 calls failed.*RuntimeError: no road here"
     ):
@@ -366,8 +362,12 @@ def test_a_picture_is_saved_under_a_name_of_its_kind(tmp_path: Path) -> None:
 
 def test_a_search_starts_from_an_earlier_one(circle: brink.Result) -> None:
     options: dict[str, Any] = {
-        "algorithm": "random@1", "simulations": 60, "params": {"radius": 0.3}, "progress": False, "workers": 1,
-    }  # fmt: skip
+        "algorithm": "random@1",
+        "simulations": 60,
+        "params": {"radius": 0.3},
+        "progress": False,
+        "workers": 1,
+    }
     by_result = brink.search(inside, SPACE, start_from=circle, **options)
     by_id = brink.search(inside, SPACE, start_from=circle.id, resume=False, **options)
     by_frame = brink.search(inside, SPACE, start_from=circle.to_pandas(), resume=False, **options)

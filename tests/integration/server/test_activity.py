@@ -15,17 +15,18 @@ from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 API = "/api/v1/campaigns"
 END_STEP = 100
 URBAN = {
-    "name": "short drives", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 60},
+    "name": "short drives",
+    "problem": {"id": "urban-injected@1"},
+    "seed": 4,
+    "budget": {"simulations": 60},
     "algorithm": {"id": "random@1", "params": {"generation_size": 60}},
-}  # fmt: skip
+}
 
 
 def older(job: LeasedJob) -> Completed | JobFailed:
     """Return an outcome without a record of the injected trajectories."""
     verdict = WireVerdict(robustness=-1.0 if job.spec["seed"] % 2 else 1.0, unit="m", violated_at_s=None)
-    return Completed(
-        verdicts=dict.fromkeys(REQUIREMENTS, verdict), features={"ended_at_s": 0.1 * END_STEP},
-    )  # fmt: skip
+    return Completed(verdicts=dict.fromkeys(REQUIREMENTS, verdict), features={"ended_at_s": 0.1 * END_STEP})
 
 
 def ends_early(job: LeasedJob) -> Completed | JobFailed:

@@ -50,19 +50,35 @@ def changed(path: str, value: object) -> dict[str, Any]:
 BAD = [
     pytest.param("/problem/id", "bal@1", "/problem/id", "unknown problem 'bal@1'", "ball@1", id="problem"),
     pytest.param("/problem/id", "xyzzy", "/problem/id", "expected one of", None, id="nothing-near"),
-    pytest.param("/algorithm/id", "mlcsh@1", "/algorithm/id", "unknown algorithm", "mlcshe@1", id="algorithm"),
+    pytest.param(
+        "/algorithm/id", "mlcsh@1", "/algorithm/id", "unknown algorithm", "mlcshe@1", id="algorithm"
+    ),
     pytest.param("/bugdet", {}, "/bugdet", "unknown field; expected one of", "budget", id="field"),
-    pytest.param("/budget/simulation", 1, "/budget/simulation", "unknown field", "simulations", id="nested-field"),
     pytest.param(
-        "/llm", {"modell": "x", "model": "x", "endpoint": "http://127.0.0.1:9/v1"}, "/llm/modell", "unknown field",
-        "model", id="field-of-an-optional-object",
+        "/budget/simulation", 1, "/budget/simulation", "unknown field", "simulations", id="nested-field"
     ),
-    pytest.param("/problem/params/limt", 1.0, "/problem/params/limt", "unknown field", "limit", id="parameter"),
     pytest.param(
-        "/algorithm/params/populaton_size", 9, "/algorithm/params/populaton_size", "unknown field",
-        "population_size", id="setting",
+        "/llm",
+        {"modell": "x", "model": "x", "endpoint": "http://127.0.0.1:9/v1"},
+        "/llm/modell",
+        "unknown field",
+        "model",
+        id="field-of-an-optional-object",
     ),
-    pytest.param("/budget/simulations", "60", "/budget/simulations", "valid integer, got '60'", None, id="text"),
+    pytest.param(
+        "/problem/params/limt", 1.0, "/problem/params/limt", "unknown field", "limit", id="parameter"
+    ),
+    pytest.param(
+        "/algorithm/params/populaton_size",
+        9,
+        "/algorithm/params/populaton_size",
+        "unknown field",
+        "population_size",
+        id="setting",
+    ),
+    pytest.param(
+        "/budget/simulations", "60", "/budget/simulations", "valid integer, got '60'", None, id="text"
+    ),
     pytest.param("/budget/simulations", 60.5, "/budget/simulations", "valid integer", None, id="fraction"),
     pytest.param("/budget/simulations", True, "/budget/simulations", "valid integer", None, id="boolean"),
     pytest.param("/seed", -1, "/seed", "greater than or equal to 0, got -1", None, id="negative"),
@@ -70,25 +86,40 @@ BAD = [
     pytest.param("/priority", 101, "/priority", "less than or equal to 100", None, id="priority"),
     pytest.param("/name", "", "/name", "at least 1 character", None, id="empty"),
     pytest.param("/name", "a\0b", "/name", "", None, id="nul"),
-    pytest.param("/problem/params/limit", 0, "/problem/params/limit", "greater than 0, got 0", None, id="bound"),
-    pytest.param("/problem/params/limit", "1", "/problem/params/limit", "valid number", None, id="number-as-text"),
+    pytest.param(
+        "/problem/params/limit", 0, "/problem/params/limit", "greater than 0, got 0", None, id="bound"
+    ),
+    pytest.param(
+        "/problem/params/limit", "1", "/problem/params/limit", "valid number", None, id="number-as-text"
+    ),
     pytest.param(
         "/problem/params/needs", "faulty", "/problem/params/needs", "'faulty@1' or", "faulty@1", id="choice"
     ),
     pytest.param(
-        "/execution/max_failed_share", 1.5, "/execution/max_failed_share", "less than or equal to 1", None,
+        "/execution/max_failed_share",
+        1.5,
+        "/execution/max_failed_share",
+        "less than or equal to 1",
+        None,
         id="share",
     ),
-    pytest.param("/budget/simulations", 19, "/budget/simulations", "at least the 20", None, id="small-budget"),
+    pytest.param(
+        "/budget/simulations", 19, "/budget/simulations", "at least the 20", None, id="small-budget"
+    ),
     pytest.param("/budget", None, "/budget", "got None", None, id="null"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("path", "value", "pointer", "message", "nearest"), BAD)
 def test_answer_points_at_the_wrong_field(
-    client: httpx.Client, engines: Engines, path: str, value: object, pointer: str, message: str,
+    client: httpx.Client,
+    engines: Engines,
+    path: str,
+    value: object,
+    pointer: str,
+    message: str,
     nearest: str | None,
-) -> None:  # fmt: skip
+) -> None:
     before = row_counts(engines)
     answer = client.post("/api/v1/campaigns", json=changed(path, value))
     assert answer.status_code == 422, answer.text
@@ -226,7 +257,8 @@ HUGE = 10**25
         ("lease", {"worker": IDENTITY, "capabilites": []}, "/capabilites"),
         ("heartbeat", {"worker": IDENTITY, "leases": [{"job": HUGE, "token": "t"}]}, "/leases/0/job"),
         (
-            "results", {"worker": IDENTITY, "results": [{"job": 1, "token": "t", "outcome": {"kind": "other"}}]},
+            "results",
+            {"worker": IDENTITY, "results": [{"job": 1, "token": "t", "outcome": {"kind": "other"}}]},
             "/results/0/outcome",
         ),
         (
@@ -234,13 +266,17 @@ HUGE = 10**25
             {
                 "worker": IDENTITY,
                 "results": [
-                    {"job": HUGE, "token": "t", "outcome": {"kind": "failed", "reason": "error", "message": ""}},
+                    {
+                        "job": HUGE,
+                        "token": "t",
+                        "outcome": {"kind": "failed", "reason": "error", "message": ""},
+                    }
                 ],
             },
             "/results/0/job",
         ),
     ],
-)  # fmt: skip
+)
 def test_answer_points_at_the_wrong_worker_field(
     client: httpx.Client, path: str, body: dict[str, Any], pointer: str
 ) -> None:

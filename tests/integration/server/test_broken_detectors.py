@@ -48,10 +48,13 @@ def client(databases: Databases, monkeypatch: pytest.MonkeyPatch) -> Iterator[ht
 
 def campaign(problem: str, detector: str, **params: Any) -> dict[str, Any]:
     return {
-        "name": "blind", "problem": {"id": problem, "params": {"detector": detector, **params}},
-        "algorithm": {"id": "random@1", "params": {"generation_size": 3}}, "budget": {"simulations": 3}, "seed": 1,
+        "name": "blind",
+        "problem": {"id": problem, "params": {"detector": detector, **params}},
+        "algorithm": {"id": "random@1", "params": {"generation_size": 3}},
+        "budget": {"simulations": 3},
+        "seed": 1,
         "execution": {"max_attempts": 3, "max_failed_share": 1.0},
-    }  # fmt: skip
+    }
 
 
 def run(client: httpx.Client, body: dict[str, Any]) -> tuple[dict[str, Any], list[JobFailed]]:
@@ -98,8 +101,9 @@ def test_an_episode_with_nan_fails_at_once_and_no_solution_is_safe(
 def test_a_measurement_on_data_with_nan_fails(client: httpx.Client) -> None:
     body = campaign("aeb-crossing@1", "nan@1", dataset_frames=10)
     body["algorithm"] = {
-        "id": "simood-ga@1", "params": {"generations": 1, "population_size": 2, "finalists": 1, "repeats": 1},
-    }  # fmt: skip
+        "id": "simood-ga@1",
+        "params": {"generations": 1, "population_size": 2, "finalists": 1, "repeats": 1},
+    }
     body["budget"] = {"simulations": 20}
     done, failures = run(client, body)
     assert done["evaluated"] == 0

@@ -409,9 +409,12 @@ def test_etag_changes_with_the_progress_of_a_running_campaign(client: httpx.Clie
 
 def test_in_process_problem_needs_no_worker(client: httpx.Client) -> None:
     body = {
-        "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"},
-        "budget": {"simulations": 300}, "seed": 1,
-    }  # fmt: skip
+        "name": "mtq",
+        "problem": {"id": "mtq@1"},
+        "algorithm": {"id": "mlcshe@1"},
+        "budget": {"simulations": 300},
+        "seed": 1,
+    }
     campaign = submit(client, body)
     eventually(lambda: progress(client, campaign)["status"] == "finished", "mtq")
     done = progress(client, campaign)

@@ -34,9 +34,14 @@ API = "/api/v1/campaigns"
 VOID: Final = {"meta", "img", "br", "link", "input"}
 NO_PICTURES: Mapping[str, Path] = {}
 MTQ: dict[str, Any] = {
-    "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": {"id": "edge@1", "params": {"eps": 0.02}},
-    "budget": {"simulations": 150}, "seed": 1, "tags": ["disc", "demo"], "notes": "First line.\nSecond line.",
-}  # fmt: skip
+    "name": "disc",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "edge@1", "params": {"eps": 0.02}},
+    "budget": {"simulations": 150},
+    "seed": 1,
+    "tags": ["disc", "demo"],
+    "notes": "First line.\nSecond line.",
+}
 
 pytestmark = pytest.mark.usefixtures("few_trees")
 
@@ -131,9 +136,14 @@ def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(di
     page = written(database_url, campaign, most_pairs=2, show=lambda *step: told.append(step))
     found = Page(page)
     assert found.headings == [
-        "What was found", "The nearest pairs", "The boundary", "Requirements held and violated",
-        "How far to trust it", "How it was computed", "Tags and notes",
-    ]  # fmt: skip
+        "What was found",
+        "The nearest pairs",
+        "The boundary",
+        "Requirements held and violated",
+        "How far to trust it",
+        "How it was computed",
+        "Tags and notes",
+    ]
     assert "Brink searched for pairs of solutions that are neighbours" in found.text
     count = re.search(r"The result: (\d+) distinct pairs across the boundary", found.text)
     assert count
@@ -265,12 +275,15 @@ def test_failures_repeats_and_results_of_the_cache_are_told(database_url: str) -
 @on_sqlite
 def test_confirmation_and_blame_of_pairs_are_told(database_url: str) -> None:
     given: dict[str, Any] = {
-        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 4},
+        "name": "given",
+        "problem": {"id": "urban-injected@1"},
+        "seed": 4,
+        "budget": {"simulations": 4},
         "algorithm": {
             "id": "repeat@1",
             "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE], "seed_numbers": [0, 0, 2, 2]},
         },
-    }  # fmt: skip
+    }
     with coordinator(database_url) as client:
         worker = FakeWorker(client, capabilities=(SIMULATOR,), judge=judged)
         campaign = submit(client, given)
@@ -292,10 +305,12 @@ def test_confirmation_and_blame_of_pairs_are_told(database_url: str) -> None:
 @on_sqlite
 def test_a_campaign_on_traffic_shows_types_of_violations(database_url: str) -> None:
     traffic: dict[str, Any] = {
-        "name": "traffic", "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 8.0}},
-        "algorithm": {"id": "nsga2@1", "params": {"population_size": 20}}, "budget": {"simulations": 40},
+        "name": "traffic",
+        "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 8.0}},
+        "algorithm": {"id": "nsga2@1", "params": {"population_size": 20}},
+        "budget": {"simulations": 40},
         "execution": {"keep_traces": 0},
-    }  # fmt: skip
+    }
     with coordinator(database_url) as client:
         campaign = submit(client, traffic)
         assert traffic_worker(client).work(campaign)["status"] == "finished"
@@ -341,9 +356,11 @@ def strong_is_unsafe(job: LeasedJob) -> Completed | JobFailed:
 @pytest.mark.usefixtures("small_problems")
 def test_chains_of_changes_to_the_image_are_shown(database_url: str) -> None:
     slots: dict[str, Any] = {
-        "name": "slots", "problem": {"id": "slotted@1"}, "budget": {"simulations": 40},
+        "name": "slots",
+        "problem": {"id": "slotted@1"},
+        "budget": {"simulations": 40},
         "algorithm": {"id": "random@1", "params": {"generation_size": 40}},
-    }  # fmt: skip
+    }
     with coordinator(database_url) as client:
         campaign = submit(client, slots)
         assert FakeWorker(client, judge=strong_is_unsafe).work(campaign)["status"] == "finished"

@@ -9,7 +9,7 @@ from support.databases import on_sqlite
 from support.processes import environment
 from support.queue import RESULT, Queue
 
-from brink.bench.chaos import ChaosPlan, Findings, Ledger, audit, run_trial
+from benchmarks.chaos import ChaosPlan, Findings, Ledger, audit, run_trial
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, SolutionRow
 from brink.server.states import CampaignStatus, SolutionVerdict
@@ -134,8 +134,9 @@ class TestAudit:
         with engines.reader.connect() as connection:
             assert audit(connection, Ledger(), {}, crashes=1).charged == ()
             assert audit(connection, Ledger(), {}, charged=["job 1"]).charged == (
-                "job 1", "1 failed attempts, but 0 episodes were killed"
-            )  # fmt: skip
+                "job 1",
+                "1 failed attempts, but 0 episodes were killed",
+            )
 
     def test_internal_errors_are_findings(self, engines: Engines) -> None:
         ledger = Ledger()

@@ -23,6 +23,7 @@ from support.databases import Databases, on_sqlite
 from support.queue import Queue
 from typer.testing import CliRunner
 
+from benchmarks.cli import bench
 from brink.cli import campaigns, commands, perturbations
 from brink.cli.commands import app
 from brink.cli.main import main
@@ -40,8 +41,11 @@ from brink.sim.catalogue import PLUGINS_VARIABLE, import_plugin_modules
 from brink.worker.wire import JobFailed
 
 MTQ = {
-    "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"}, "budget": {"simulations": 150},
-}  # fmt: skip
+    "name": "mtq",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "mlcshe@1"},
+    "budget": {"simulations": 150},
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,9 +213,18 @@ def test_rejected_token_is_told_from_a_missing_one(
 
 
 IDS = [
-    ("results",), ("status",), ("pause",), ("delete", "--yes"), ("pairs",), ("export",), ("monitor", "fit"),
-    ("compare",), ("experiment", "status"), ("experiment", "cancel"), ("replay", "1", "--out", "x.png"),
-]  # fmt: skip
+    ("results",),
+    ("status",),
+    ("pause",),
+    ("delete", "--yes"),
+    ("pairs",),
+    ("export",),
+    ("monitor", "fit"),
+    ("compare",),
+    ("experiment", "status"),
+    ("experiment", "cancel"),
+    ("replay", "1", "--out", "x.png"),
+]
 
 
 @pytest.mark.parametrize("given", ["", "b", "../jobs", "3f?x", "campaign.yaml"])
@@ -502,9 +515,12 @@ def test_contact_sheet_names_missing_opencv(brink: Command, monkeypatch: pytest.
 
 
 SENSITIVITY: dict[str, Any] = {
-    "name": "known", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1", "params": {"archive_size": 3}},
-    "budget": {"simulations": 120}, "seed": 7,
-}  # fmt: skip
+    "name": "known",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "mlcshe@1", "params": {"archive_size": 3}},
+    "budget": {"simulations": 120},
+    "seed": 7,
+}
 
 
 @on_sqlite
@@ -563,30 +579,22 @@ def test_study_of_heredity_runs_at_the_chosen_size(databases: Databases, tmp_pat
     file, out = tmp_path / "study.yaml", tmp_path / "out"
     params = {"population_size": 5, "archive_size": 2}
     study = {
-        "name": "study", "problems": [{"id": "mtq@1"}], "seeds": {"count": 9}, "budget": {"simulations": 1300},
+        "name": "study",
+        "problems": [{"id": "mtq@1"}],
+        "seeds": {"count": 9},
+        "budget": {"simulations": 1300},
         "algorithms": [
             {"name": "one", "id": "mlcshe@1", "params": params},
             {"name": "other", "id": "mlcshe@1", "params": {**params, "selection": "none"}},
         ],
-    }  # fmt: skip
+    }
     file.write_text(yaml.safe_dump(study))
     size = ["--seeds", "2", "--simulations", "100"]
     with databases.database() as url:
-        command = [
-            "bench",
-            "heredity",
-            str(file),
-            *size,
-            "--workers",
-            "1",
-            "--database",
-            url,
-            "--out",
-            str(out),
-        ]
-        said = CliRunner().invoke(app, command)
+        command = ["heredity", str(file), *size, "--workers", "1", "--database", url, "--out", str(out)]
+        said = CliRunner().invoke(bench, command)
         assert said.exit_code == 0, said.output
-        again = CliRunner().invoke(app, [*command, "--resume", "--json"])
+        again = CliRunner().invoke(bench, [*command, "--resume", "--json"])
         assert again.exit_code == 0, again.output
     assert "strict DBS, selection: no difference is significant" in said.output
     [folder] = [path for path in out.iterdir() if path.is_dir()]

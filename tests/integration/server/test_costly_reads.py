@@ -28,16 +28,34 @@ AT_ONCE = 12
 """Costly reads at once: more than the event loop has default threads on a small machine."""
 LIMIT_S = 3.0
 WORK = (
-    (solutions, "solution_views"), (solutions, "boundary_rows"), (solutions, "table_bytes"),
-    (np, "savez_compressed"), (analysis, "_map_view"), (analysis, "_dependence"), (outcomes, "_view"),
-    (pairs, "pairs_view"), (finding, "pairs_view"), (repeats, "repeats_view"),
-    (campaign_outcomes, "read_outcomes"), (plan, "distinct_boundary"),
-)  # fmt: skip
+    (solutions, "solution_views"),
+    (solutions, "boundary_rows"),
+    (solutions, "table_bytes"),
+    (np, "savez_compressed"),
+    (analysis, "_map_view"),
+    (analysis, "_dependence"),
+    (outcomes, "_view"),
+    (pairs, "pairs_view"),
+    (finding, "pairs_view"),
+    (repeats, "repeats_view"),
+    (campaign_outcomes, "read_outcomes"),
+    (plan, "distinct_boundary"),
+)
 """Functions that decode, compute or render for reads, where they are looked up."""
 READS = (
-    "solutions", "solutions?max_fitness=0.9", "solutions/3", "boundary?d_th=0.19", "boundary?format=csv",
-    "archive.npz", "map", "outcomes", "pairs", "finding", "dependence", "repeats",
-)  # fmt: skip
+    "solutions",
+    "solutions?max_fitness=0.9",
+    "solutions/3",
+    "boundary?d_th=0.19",
+    "boundary?format=csv",
+    "archive.npz",
+    "map",
+    "outcomes",
+    "pairs",
+    "finding",
+    "dependence",
+    "repeats",
+)
 
 
 @pytest.fixture(scope="module")

@@ -371,9 +371,12 @@ def test_two_coordinators_give_the_same_etags(databases: Databases, small_proble
 
 def small_experiment(client: httpx.Client) -> str:
     body: dict[str, Any] = {
-        "name": "small", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}], "seeds": [1],
+        "name": "small",
+        "problems": [{"id": "ball@1"}],
+        "algorithms": [{"id": "random@1"}],
+        "seeds": [1],
         "budget": {"simulations": 20},
-    }  # fmt: skip
+    }
     return str(expect(client.post("/api/v1/experiments", json=body), 201)["id"])
 
 

@@ -158,9 +158,12 @@ def test_an_experiment_is_deleted_at_once_and_erased_in_pieces(
 ) -> None:
     one = ball()
     document = {
-        "name": "small", "problems": [one["problem"]], "algorithms": [one["algorithm"]], "seeds": [1, 2],
+        "name": "small",
+        "problems": [one["problem"]],
+        "algorithms": [one["algorithm"]],
+        "seeds": [1, 2],
         "budget": one["budget"],
-    }  # fmt: skip
+    }
     experiment = expect(client.post("/api/v1/experiments", json=document), 201)
     members = [member["campaign"] for member in experiment["members"]]
     for campaign in members:
@@ -261,9 +264,12 @@ def test_retention_deletes_an_experiment_when_all_of_it_is_old(
 ) -> None:
     one = ball()
     document = {
-        "name": "small", "problems": [one["problem"]], "algorithms": [one["algorithm"]], "seeds": [1, 2],
+        "name": "small",
+        "problems": [one["problem"]],
+        "algorithms": [one["algorithm"]],
+        "seeds": [1, 2],
         "budget": one["budget"],
-    }  # fmt: skip
+    }
     members = [
         m["campaign"] for m in expect(client.post("/api/v1/experiments", json=document), 201)["members"]
     ]
@@ -286,8 +292,10 @@ def test_nothing_deletes_a_tree_with_a_campaign_that_has_not_ended(
         assert again in expect(client.delete(f"{API}/{root}"), 409)["detail"]
     doomed = expect(client.get(f"{API}/{first}/deletion"))["campaigns"]
     assert [(one["id"], one["follow_up_of"]) for one in doomed] == [
-        (first, None), (repeats, first), (again, repeats),
-    ]  # fmt: skip
+        (first, None),
+        (repeats, first),
+        (again, repeats),
+    ]
     expect(client.post(f"{API}/{again}/cancel"))
     expect(client.delete(f"{API}/{first}"), 204)
     for one in (first, repeats, again):
@@ -323,11 +331,17 @@ def test_traces_and_large_distances_are_erased_a_few_at_a_time(
         connection.execute(insert(TraceRow), traces)
         blocks = [
             {
-                "campaign_id": campaign, "generation": generation, "first_row": 0, "rows": rows, "columns": 4,
-                "metric_version": 1, "sha256": "", "data": np.zeros((rows, 4), "<f4").tobytes(),
+                "campaign_id": campaign,
+                "generation": generation,
+                "first_row": 0,
+                "rows": rows,
+                "columns": 4,
+                "metric_version": 1,
+                "sha256": "",
+                "data": np.zeros((rows, 4), "<f4").tobytes(),
             }
             for generation, rows in enumerate((3, 3, 9, 1, 1))
-        ]  # fmt: skip
+        ]
         connection.execute(insert(DistanceBlockRow), blocks)
 
     queue.run(fill)

@@ -312,9 +312,11 @@ def test_thresholds_are_compared(check: Checked, tmp_path: Path) -> None:
     assert int(lines[1][1]) < int(lines[2][1])
     assert "cells:" in shown
     assert "must be checked by others" in shown
-    rows = list(csv.DictReader(io.StringIO(
-        check("--detections", file, "--thresholds", "0.5,0.3", "--format", "csv").stdout
-    )))  # fmt: skip
+    rows = list(
+        csv.DictReader(
+            io.StringIO(check("--detections", file, "--thresholds", "0.5,0.3", "--format", "csv").stdout)
+        )
+    )
     assert len(rows) == 16
     assert {row["threshold"] for row in rows} == {"0.3", "0.5"}
     both = json.loads(check("--detections", file, "--thresholds", "0.5,0.3", "--json").stdout)

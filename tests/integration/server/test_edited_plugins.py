@@ -103,9 +103,12 @@ def test_what_a_submission_says_of_sources_is_replaced(client: httpx.Client, edi
 @on_sqlite
 def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client, edit: Edit) -> None:
     document = {
-        "name": "x", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}], "seeds": [1],
+        "name": "x",
+        "problems": [{"id": "ball@1"}],
+        "algorithms": [{"id": "random@1"}],
+        "seeds": [1],
         "budget": {"simulations": 20},
-    }  # fmt: skip
+    }
     experiment = ExperimentRun(parse_experiment(document))
     campaign = CampaignRun(parse_body({**ball(), "algorithm": {"id": "random@1"}}), pictures=True)
 

@@ -26,10 +26,13 @@ PAIRS = {"d_th": 0.01, "confirm": 30, "component": True}
 def experiment(**changes: Any) -> dict[str, Any]:
     """Return an experiment of two methods, of which one finds two pairs and the other none."""
     return {
-        "name": "pairs", "problems": [{"name": "gap", "id": "urban-injected@1"}],
+        "name": "pairs",
+        "problems": [{"name": "gap", "id": "urban-injected@1"}],
         "algorithms": [{"name": "finds", **FINDS}, {"name": "other", **FINDS_NOTHING}],
-        "seeds": {"first": 1, "count": 4}, "budget": {"simulations": 4}, **changes,
-    }  # fmt: skip
+        "seeds": {"first": 1, "count": 4},
+        "budget": {"simulations": 4},
+        **changes,
+    }
 
 
 def work(client: httpx.Client) -> None:
@@ -109,8 +112,13 @@ def test_pairs_are_counted_and_compared_once_they_are_tried(client: httpx.Client
     assert after["problems"][0]["says"] == "Compared on confirmed distinct pairs."
     first = after["repeats"][0]
     assert {key: first[key] for key in ("distinct", "checked", "tried", "judged", "confirmed", "drives")} == {
-        "distinct": 2, "checked": 0, "tried": 2, "judged": 2, "confirmed": 2, "drives": 15,
-    }  # fmt: skip
+        "distinct": 2,
+        "checked": 0,
+        "tried": 2,
+        "judged": 2,
+        "confirmed": 2,
+        "drives": 15,
+    }
     one = expect(client.get(f"/api/v1/campaigns/{first['campaign']}/pairs", params={"d_th": 0.01}))
     assert (one["distinct"], one["confirmed"], one["component"], one["scenario"]) == (2, 2, 1, 1)
 
@@ -141,9 +149,14 @@ def test_a_campaign_with_too_many_pairs_is_left_out_and_named(
     assert len(pairs_of(client, name)["left_out"]) == 2, "they are not searched again on every request"
     assert pairs_of(client, name, d_th=0.011)["left_out"] == []
     section = pair_section(
-        [], "gap", eps=0.02, d_th=0.01, heading="", picture=None,
+        [],
+        "gap",
+        eps=0.02,
+        d_th=0.01,
+        heading="",
+        picture=None,
         left_out=[LeftOutView.model_validate(one) for one in pairs["left_out"]],
-    )  # fmt: skip
+    )
     assert f"(**finds**, seed 2): {told}" in section[-1]
 
 
@@ -204,9 +217,11 @@ def test_the_command_follows_up_all_campaigns_and_the_report_begins_with_pairs(
 @on_sqlite
 def test_what_cannot_be_asked_is_said_once(listening_client: httpx.Client) -> None:
     mtq = experiment(
-        problems=[{"id": "mtq@1"}], seeds=[1, 2], budget={"simulations": 400},
+        problems=[{"id": "mtq@1"}],
+        seeds=[1, 2],
+        budget={"simulations": 400},
         algorithms=[{"id": "random@1", "params": {"generation_size": 100}}],
-    )  # fmt: skip
+    )
     name = expect(listening_client.post(API, json=mtq), 201)["id"]
     work(listening_client)
     arguments = ["experiment", "pairs", name, "--eps", "0.1", "--confirm", "30", "--server"]

@@ -25,10 +25,16 @@ def experiment(**changes: Any) -> dict[str, Any]:
     """Return a small experiment on the ball: two methods, three seeds."""
     ga = ball()["algorithm"]
     return {
-        "name": "small", "problems": [{"name": "ball", "id": "ball@1"}],
-        "algorithms": [{"name": "GA", **ga}, {"name": "RS", "id": "random@1", "params": {"generation_size": 20}}],
-        "seeds": {"first": 1, "count": 3}, "budget": {"simulations": 60}, **changes,
-    }  # fmt: skip
+        "name": "small",
+        "problems": [{"name": "ball", "id": "ball@1"}],
+        "algorithms": [
+            {"name": "GA", **ga},
+            {"name": "RS", "id": "random@1", "params": {"generation_size": 20}},
+        ],
+        "seeds": {"first": 1, "count": 3},
+        "budget": {"simulations": 60},
+        **changes,
+    }
 
 
 def submit(client: httpx.Client, **changes: Any) -> dict[str, Any]:
@@ -121,7 +127,7 @@ def test_an_experiment_is_submitted_with_all_of_its_campaigns(client: httpx.Clie
         ({"name": "n" * 120, "algorithms": [{"id": "ga@1"}, {"id": "a" * 100}]}, "/algorithms/1/id"),
         ({"algorithms": [{"id": "ga@1", "params": {"radius": -1}}]}, "/algorithms/0/params/radius"),
     ],
-)  # fmt: skip
+)
 def test_nothing_is_stored_of_an_experiment_that_cannot_run(
     client: httpx.Client, engines: Engines, changes: dict[str, Any], pointer: str
 ) -> None:
@@ -225,9 +231,11 @@ def test_experiments_are_listed_newest_first_and_page_by_page(client: httpx.Clie
 
 def test_results_wait_no_longer_than_asked(database_url: str) -> None:
     mtq = experiment(
-        problems=[{"id": "mtq@1"}], algorithms=[{"id": "mlcshe@1"}], seeds={"count": 2},
+        problems=[{"id": "mtq@1"}],
+        algorithms=[{"id": "mlcshe@1"}],
+        seeds={"count": 2},
         budget={"simulations": 200},
-    )  # fmt: skip
+    )
     with coordinator(database_url) as client:
         name = expect(client.post(API, json=mtq), 201)["id"]
         work_through(client, name)

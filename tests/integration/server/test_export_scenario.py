@@ -19,8 +19,8 @@ from support.standards import ScenarioReader, schema_errors
 from typer.testing import CliRunner, Result
 
 from brink.cli.commands import app
-from brink.exchange.exportable import NotExportable
 from brink.extras import install_command
+from brink.scenarios.exportable import NotExportable
 from brink.server.errors import InvalidInput
 from brink.sim.episode import EpisodeSpec
 from brink.sim.trace import Trace
@@ -28,9 +28,12 @@ from brink.sim.urban.simulator import BrinkDrive
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 CAMPAIGN: dict[str, Any] = {
-    "name": "drives", "problem": {"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
-    "algorithm": {"id": "random@1"}, "budget": {"simulations": 6}, "seed": 4,
-}  # fmt: skip
+    "name": "drives",
+    "problem": {"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 6},
+    "seed": 4,
+}
 SOLUTION = 3
 
 
@@ -42,9 +45,11 @@ def simulate(job: LeasedJob) -> Completed | JobFailed:
         for name, one in result.verdicts.items()
     }
     return Completed(
-        verdicts=verdicts, objectives=dict(result.objectives), features=dict(result.features),
+        verdicts=verdicts,
+        objectives=dict(result.objectives),
+        features=dict(result.features),
         trace=None if result.trace is None else base64.b64encode(result.trace).decode(),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,9 +134,16 @@ def test_a_coordinators_worker_simulates_the_drive(driven: Driven, tmp_path: Pat
         thread.start()
         try:
             told = export(
-                "scenario", driven.campaign, str(SOLUTION), "--server", str(client.base_url), "--out", str(tmp_path),
-                "--ego", "controlled",
-            )  # fmt: skip
+                "scenario",
+                driven.campaign,
+                str(SOLUTION),
+                "--server",
+                str(client.base_url),
+                "--out",
+                str(tmp_path),
+                "--ego",
+                "controlled",
+            )
         finally:
             stopped.set()
             thread.join()
@@ -208,8 +220,10 @@ def test_a_missing_extra_is_named(driven: Driven, tmp_path: Path, module: str) -
     scenario = ["export", "scenario", driven.campaign, "1", *where, str(folder)]
     ended = subprocess.run(
         [sys.executable, "-c", WITHOUT, module, *whole, ";", *scenario],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert [line for line in ended.stdout.splitlines() if line.startswith("status")] == [
         "status 0",
         "status 1",

@@ -19,9 +19,7 @@ from brink.worker.wire import Completed, JobFailed, LeasedJob
 API = "/api/v1/campaigns"
 YAML = {"Content-Type": "application/yaml"}
 SEARCH = ball(simulations=60)
-PAIRS = ball(
-    name="edge", simulations=60, algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}},
-)  # fmt: skip
+PAIRS = ball(name="edge", simulations=60, algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}})
 
 
 def finding(client: httpx.Client, campaign: str) -> dict[str, Any]:
@@ -193,10 +191,13 @@ def filmed(job: LeasedJob) -> Completed | JobFailed:
 def urban(client: httpx.Client, unsafe: list[float] = UNSAFE) -> str:
     """Return a finished campaign with one pair, without traces."""
     body = {
-        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 2},
+        "name": "given",
+        "problem": {"id": "urban-injected@1"},
+        "seed": 4,
+        "budget": {"simulations": 2},
         "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, unsafe]}},
         "execution": {"keep_traces": 0},
-    }  # fmt: skip
+    }
     campaign = submit(client, body)
     FakeWorker(client, capabilities=(URBAN,), judge=filmed).work(campaign)
     return campaign

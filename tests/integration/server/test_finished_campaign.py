@@ -312,8 +312,9 @@ def test_nearest_neighbours_agree_with_the_distance_matrix(finished: Finished) -
             assert one["within"] == (one["distance"] <= found["radius"])
         itself = by_number[number]
         assert (found["neighbours"], found["unsafe_neighbours"]) == (
-            itself["neighbours"], itself["unsafe_neighbours"],
-        )  # fmt: skip
+            itself["neighbours"],
+            itself["unsafe_neighbours"],
+        )
         low, high = wilson_interval(found["unsafe_neighbours"], found["neighbours"], 1.96)
         assert found["interval"] == pytest.approx((float(low), float(high)))
         assert (found["evaluated"], found["p_th"]) == (len(numbers), 0.1)
@@ -350,9 +351,12 @@ def test_equally_near_neighbours_come_by_number() -> None:
 
 
 SLOTS: dict[str, Any] = {
-    "name": "slots", "problem": {"id": "slotted-blind@1"},
-    "algorithm": {"id": "random@1", "params": {"generation_size": 50}}, "budget": {"simulations": 100}, "seed": 3,
-}  # fmt: skip
+    "name": "slots",
+    "problem": {"id": "slotted-blind@1"},
+    "algorithm": {"id": "random@1", "params": {"generation_size": 50}},
+    "budget": {"simulations": 100},
+    "seed": 3,
+}
 
 
 def strong(job: LeasedJob) -> Completed:
@@ -376,8 +380,10 @@ def test_scores_are_available_once_the_campaign_has_ended(client: httpx.Client) 
     found = scores(client, campaign)
     assert (found["id"], found["name"], found["status"]) == (campaign, "ball", "finished")
     assert (found["fractions"], found["t_bs"], found["d_ths"]) == (
-        list(PAPER_FRACTIONS), list(PAPER_T_BS), list(D_THS),
-    )  # fmt: skip
+        list(PAPER_FRACTIONS),
+        list(PAPER_T_BS),
+        list(D_THS),
+    )
     assert found["evaluated"] == 60
     assert found["unsafe_share"] == pytest.approx(found["unsafe"] / 60)
     assert (found["control"], found["says"]) == (None, []), "the ball has no component called scenario"
@@ -401,9 +407,12 @@ def test_scores_compare_the_campaign_with_its_control(client: httpx.Client) -> N
     assert all("proves nothing" in words for row in found["says"] for words in row)
 
     experiment = {
-        "name": "one", "problems": [SLOTS["problem"]], "algorithms": [SLOTS["algorithm"]], "seeds": [3],
+        "name": "one",
+        "problems": [SLOTS["problem"]],
+        "algorithms": [SLOTS["algorithm"]],
+        "seeds": [3],
         "budget": SLOTS["budget"],
-    }  # fmt: skip
+    }
     stored = expect(client.post("/api/v1/experiments", json=experiment), 201)
     assert worker.work(stored["members"][0]["campaign"])["status"] == "finished"
     path = f"/api/v1/experiments/{stored['id']}/results"

@@ -86,9 +86,11 @@ def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client
     tolerances = submit(client, tolerance(simulations=400))
     FakeWorker(client, capabilities=("brink-drive-errors@1",), judge=judge).work(tolerances)
     traffic = {
-        "name": "traffic", "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},
-        "algorithm": {"id": "mumoea@1", "params": {"population_size": 20}}, "budget": {"simulations": 40},
-    }  # fmt: skip
+        "name": "traffic",
+        "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},
+        "algorithm": {"id": "mumoea@1", "params": {"population_size": 20}},
+        "budget": {"simulations": 40},
+    }
     violations = submit(client, traffic)
     traffic_worker(client).work(violations)
     types = expect(client.get(f"{API}/campaigns/{violations}/violations"))["types"]
@@ -104,9 +106,12 @@ def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client
 
 def test_the_part_of_the_component_is_told_by_its_follow_up(client: httpx.Client) -> None:
     given = {
-        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": 4},
+        "name": "given",
+        "problem": {"id": "urban-injected@1"},
+        "seed": 4,
+        "budget": {"simulations": 4},
         "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE]}},
-    }  # fmt: skip
+    }
     campaign = submit(client, given)
     worker = FakeWorker(client, capabilities=(URBAN,), judge=judged)
     worker.work(campaign)

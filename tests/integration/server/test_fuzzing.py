@@ -44,14 +44,28 @@ def test_generated_requests_are_answered(database_url: str, tmp_path: Path) -> N
         operations = sum(len(METHODS & of_path.keys()) for of_path in paths.values())
         before = {campaign: digest(client, campaign) for campaign in known["campaigns"][:3]}
         environment = {
-            **os.environ, "SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(HOOKS),
+            **os.environ,
+            "SCHEMATHESIS_HOOKS": "schemathesis_hooks",
+            "PYTHONPATH": str(HOOKS),
             "BRINK_FUZZ_KNOWN": json.dumps(known),
-        }  # fmt: skip
+        }
         command = [
-            str(FUZZER), "--config-file", str(HOOKS / "schemathesis.toml"), "run",
-            f"{client.base_url}/openapi.json", "--checks", CHECKS, "--phases", "examples,coverage,fuzzing",
-            "--max-examples", "30", "--seed", "1", "--request-timeout", "30",
-        ]  # fmt: skip
+            str(FUZZER),
+            "--config-file",
+            str(HOOKS / "schemathesis.toml"),
+            "run",
+            f"{client.base_url}/openapi.json",
+            "--checks",
+            CHECKS,
+            "--phases",
+            "examples,coverage,fuzzing",
+            "--max-examples",
+            "30",
+            "--seed",
+            "1",
+            "--request-timeout",
+            "30",
+        ]
         fuzzer = subprocess.run(
             command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
         )

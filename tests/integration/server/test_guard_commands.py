@@ -34,8 +34,11 @@ CAMPAIGN: dict[str, Any] = {
     "seed": 4,
 }
 OTHER: dict[str, Any] = {
-    "name": "other", "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"}, "budget": {"simulations": 20},
-}  # fmt: skip
+    "name": "other",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 20},
+}
 UNSAFE_SHARE = (0.2, 0.8)
 PAIRS = {"generation_size": 5, "in_flight": 1, "checks": 0}
 

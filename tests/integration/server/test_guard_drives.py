@@ -206,9 +206,23 @@ def test_the_drives_of_a_guard_with_an_odd_are_within_it(tmp_path: Path) -> None
     stale.touch()
 
     document = json.loads(
-        called(str(file), "--drives", "2", "--seeds", "1", "--processes", "1", "--threshold", "0.99", "--json",
-               "--out", str(stale.parent), "--pictures", "0")
-    )  # fmt: skip
+        called(
+            str(file),
+            "--drives",
+            "2",
+            "--seeds",
+            "1",
+            "--processes",
+            "1",
+            "--threshold",
+            "0.99",
+            "--json",
+            "--out",
+            str(stale.parent),
+            "--pictures",
+            "0",
+        )
+    )
 
     assert document["problem"]["params"] == {**params, "requirement": ["front-gap@1"]}
     assert document["recommended"] is None, "a single seed is not enough"
@@ -272,18 +286,23 @@ def made_up(falls: Sequence[Sequence[int]], lost: Sequence[float]) -> GuardedLoo
             outcomes=[
                 Outcome(
                     violated_at_s=unsafe if prevented <= i < 4 else safe,
-                    way_m=300.0 if i < 4 else 100.0 * (1.0 - share), time_s=10.0,
+                    way_m=300.0 if i < 4 else 100.0 * (1.0 - share),
+                    time_s=10.0,
                 )
                 for prevented in each
                 for i in range(5)
             ],
         )
         for place, (each, share) in enumerate(zip(falls, lost, strict=True))
-    ]  # fmt: skip
+    ]
     return GuardedLoop(
-        requirements=("front-gap@1",), specs=[spec] * 20, seed=[s for s in range(4) for _ in range(5)],
-        without=without, sights=[None] * 20, conditions=conditions,
-    )  # fmt: skip
+        requirements=("front-gap@1",),
+        specs=[spec] * 20,
+        seed=[s for s in range(4) for _ in range(5)],
+        without=without,
+        sights=[None] * 20,
+        conditions=conditions,
+    )
 
 
 def test_a_threshold_is_chosen_on_half_of_the_seeds_and_reported_on_the_others() -> None:

@@ -44,11 +44,12 @@ def simulate(job: LeasedJob) -> Completed:
     value = robustness(spec)
     verdicts = {
         name: WireVerdict(
-            robustness=value if name == REQUIREMENT else 1.0, unit="m",
+            robustness=value if name == REQUIREMENT else 1.0,
+            unit="m",
             violated_at_s=3.0 if value < 0 and name == REQUIREMENT else None,
         )
         for name in spec.requirements
-    }  # fmt: skip
+    }
     return Completed(verdicts=verdicts, objectives={}, features={"way_m": 1.0, "ended_at_s": 6.0})
 
 
@@ -146,9 +147,15 @@ def test_a_guard_is_not_judged_on_a_campaign_that_repeats_the_one_it_was_fitted_
 
 def test_a_drive_that_two_campaigns_share_counts_once(searched: Searched, tmp_path: Path) -> None:
     result = brink(
-        "fit", searched.campaign, searched.repeated, "--database", searched.database, "--out", tmp_path / "g.json",
+        "fit",
+        searched.campaign,
+        searched.repeated,
+        "--database",
+        searched.database,
+        "--out",
+        tmp_path / "g.json",
         "--json",
-    )  # fmt: skip
+    )
     assert result.exit_code == 0, (result.output, result.exception)
     assert json.loads(result.stdout)["drives"] == BUDGET
 

@@ -14,7 +14,7 @@ from pydantic import SecretStr, ValidationError
 from support.api import ball, eventually, expect, listening_coordinator, row_counts
 from support.databases import on_sqlite
 
-from brink.bench.processes import Process, free_port
+from benchmarks.processes import Process, free_port
 from brink.server.db.engine import Engines, parse_url
 from brink.server.errors import DatabaseError
 from brink.server.runtime import request_timeout
@@ -133,7 +133,9 @@ ELSEWHERE = {
     "a page without an origin sends a change": (403, "POST", {"Origin": "null"}),
     "a page on another port sends a change": (403, "POST", {"Origin": "http://127.0.0.1:1"}),
     "another site's page embeds a picture": (
-        403, "GET", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"},
+        403,
+        "GET",
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"},
     ),
     "another host name": (421, "GET", {"Host": "evil.example"}),
     "a host name that begins with the loopback address": (421, "GET", {"Host": "127.0.0.1.evil.example"}),
@@ -142,7 +144,7 @@ ELSEWHERE = {
     "the dashboard sends a change": (201, "POST", {"Sec-Fetch-Site": "same-origin"}),
     "another loopback name": (200, "GET", {"Host": "localhost:1"}),
     "the loopback address of IPv6": (200, "GET", {"Host": "[::1]:1"}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("status", "method", "headers"), ELSEWHERE.values(), ids=ELSEWHERE)
@@ -178,9 +180,10 @@ STALLED = {
     "a body shorter than its length": (HEAD + b"Content-Length: 100\r\n\r\n{", b" 408 "),
     "chunks without an end": (HEAD + b"Transfer-Encoding: chunked\r\n\r\n1\r\n{\r\n", b" 408 "),
     "an incomplete body for an unknown path": (
-        HEAD.replace(b"campaigns", b"nothing") + b"Content-Length: 100\r\n\r\n{", b" 40",
+        HEAD.replace(b"campaigns", b"nothing") + b"Content-Length: 100\r\n\r\n{",
+        b" 40",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("sent", "answered"), STALLED.values(), ids=STALLED)
@@ -218,9 +221,13 @@ MANY = 300
 def test_coordinator_raises_its_limit_of_open_files(tmp_path: Path) -> None:
     port = free_port()
     serve = [
-        str(Path(sys.executable).with_name("brink")), "serve", "--database", f"sqlite:///{tmp_path}/a.db",
-        "--port", str(port),
-    ]  # fmt: skip
+        str(Path(sys.executable).with_name("brink")),
+        "serve",
+        "--database",
+        f"sqlite:///{tmp_path}/a.db",
+        "--port",
+        str(port),
+    ]
     process = Process(["/bin/sh", "-c", f'ulimit -S -n {FEW}; exec "$@"', "sh", *serve], tmp_path / "log", {})
     process.start()
 

@@ -327,9 +327,17 @@ def test_storing_a_reply_is_retried_until_shutdown(
     writer.close()
     log = CampaignCalls(engines, writer, "nobody", stopping)
     call = StoredCall(
-        key=CallKey(0, 0), prompt_hash="0" * 64, mode=Mode.PLAIN, raw="{}", outcome=Outcome.OK, requests=1,
-        usage=None, cost=None, latency_s=0.1, error=None,
-    )  # fmt: skip
+        key=CallKey(0, 0),
+        prompt_hash="0" * 64,
+        mode=Mode.PLAIN,
+        raw="{}",
+        outcome=Outcome.OK,
+        requests=1,
+        usage=None,
+        cost=None,
+        latency_s=0.1,
+        error=None,
+    )
     refused: list[BaseException] = []
 
     def store() -> None:
@@ -478,7 +486,9 @@ def broken(*wrong: Any) -> Step:
 
 FAULTS = {
     "vLLM rejects json_schema": Fault((GOOD,), llm=8, sent=3, forms=("json_object", "plain")),
-    "llama-cpp-python accepts a schema in json_object": Fault((GOOD,), llm=8, sent=2, forms=("schema_in_object",)),
+    "llama-cpp-python accepts a schema in json_object": Fault(
+        (GOOD,), llm=8, sent=2, forms=("schema_in_object",)
+    ),
     "llama.cpp accepts plain text only": Fault(
         (says(reply_text(items(8)), server=Server.LLAMA_CPP),), llm=8, sent=4, forms=("plain",)
     ),
@@ -495,7 +505,9 @@ FAULTS = {
     "duplicates": Fault((broken(*items(3)), MORE), llm=5, repaired=3, sent=2),
     "prompt injection": Fault(
         (says(INJECTION + reply_text([*items(5), item(kind=INJECTION), {INJECTION: 1}, INJECTION])), MORE),
-        llm=5, repaired=3, sent=2,
+        llm=5,
+        repaired=3,
+        sent=2,
     ),
     "declined": Fault((says(None, finish="content_filter"),)),
     "short rate limit": Fault((refuses(429, "slow", Retry_After="0.3"), GOOD), llm=8, sent=2),
@@ -508,7 +520,7 @@ FAULTS = {
     "connection always cut": Fault((cut("x"), cut("x")), sent=2),
     "huge": Fault((huge(2 * MAX_REPLY_BYTES),)),
     "wrong key": Fault((refuses(401, "wrong key"),)),
-}  # fmt: skip
+}
 
 
 def prepare(endpoint: Endpoint, fault: Fault) -> None:

@@ -40,9 +40,12 @@ def large(client: httpx.Client) -> str:
     """A finished campaign with more solutions than are listed."""
     campaign = submit(
         client,
-        ball(problem={"id": "mtq@1"}, algorithm={"id": "random@1", "params": {"generation_size": 400}},
-             simulations=SOLUTIONS),
-    )  # fmt: skip
+        ball(
+            problem={"id": "mtq@1"},
+            algorithm={"id": "random@1", "params": {"generation_size": 400}},
+            simulations=SOLUTIONS,
+        ),
+    )
     eventually(lambda: progress(client, campaign)["status"] == "finished", "the campaign ends")
     return campaign
 

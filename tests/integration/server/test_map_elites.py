@@ -11,13 +11,14 @@ def test_every_solution_of_overlapping_generations_has_its_origin(client: httpx.
         {
             "name": "kinds",
             "problem": {
-                "id": "npc-actions@1", "params": {"participants": 2, "duration_s": 5.0, "count": "avoidable"},
+                "id": "npc-actions@1",
+                "params": {"participants": 2, "duration_s": 5.0, "count": "avoidable"},
             },
             "algorithm": {"id": "qd@1", "params": {"generation_size": 6, "in_flight": 3, "initial": 18}},
             "budget": {"simulations": 40},
             "seed": 1,
         },
-    )  # fmt: skip
+    )
     assert origins(client, campaign) == ["random"] * 18
     stands = traffic_worker(client).work(campaign)
     assert (stands["status"], stands["failed"]) == ("finished", 0)

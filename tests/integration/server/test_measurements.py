@@ -35,10 +35,12 @@ from brink.server.problems.base import NoParams
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 SIMOOD = {
-    "name": "slots", "problem": {"id": "slotted@1"},
+    "name": "slots",
+    "problem": {"id": "slotted@1"},
     "algorithm": {"id": "simood-ga@1", "params": {"finalists": 4, "repeats": 3}},
-    "budget": {"simulations": 200}, "seed": 5,
-}  # fmt: skip
+    "budget": {"simulations": 200},
+    "seed": 5,
+}
 
 
 SMALL = {**SIMOOD, "budget": {"simulations": 130}}
@@ -277,10 +279,13 @@ def test_chains_are_a_data_frame_and_a_table(finished: Finished, tmp_path: Path)
 @pytest.mark.parametrize(
     ("harm", "interacts", "words"),
     [
-        (0.0462, False, "+0.046"), (0.05, True, "+0.050 (interacts)"), (-0.12, False, "-0.120"),
-        (-0.0004, None, "0.000"), (None, None, ""),
+        (0.0462, False, "+0.046"),
+        (0.05, True, "+0.050 (interacts)"),
+        (-0.12, False, "-0.120"),
+        (-0.0004, None, "0.000"),
+        (None, None, ""),
     ],
-)  # fmt: skip
+)
 def test_added_harm_is_shown_with_three_decimals(
     harm: float | None, interacts: bool | None, words: str
 ) -> None:

@@ -43,9 +43,12 @@ PROBLEM = {
     "params": {"requirement": "front-gap@1", "duration_s": 6.0, "trajectories": 3, "odd": ODD},
 }
 SEARCH: dict[str, Any] = {
-    "name": "within", "problem": PROBLEM, "seed": 5, "budget": {"simulations": 70},
+    "name": "within",
+    "problem": PROBLEM,
+    "seed": 5,
+    "budget": {"simulations": 70},
     "algorithm": {"id": "edge@1", "params": {"d_th": 0.02, "eps": 0.05}},
-}  # fmt: skip
+}
 
 
 def simulate(job: LeasedJob) -> Completed | JobFailed:
@@ -56,9 +59,11 @@ def simulate(job: LeasedJob) -> Completed | JobFailed:
         for name, one in result.verdicts.items()
     }
     return Completed(
-        verdicts=verdicts, objectives=dict(result.objectives), features=dict(result.features),
+        verdicts=verdicts,
+        objectives=dict(result.objectives),
+        features=dict(result.features),
         trace=None if result.trace is None else base64.b64encode(result.trace).decode(),
-    )  # fmt: skip
+    )
 
 
 def drive(client: httpx.Client, body: dict[str, Any]) -> str:
@@ -112,10 +117,13 @@ def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Sea
         }
         random = drive(client, {**anywhere, "problem": {"id": "urban-injected@1", "params": own}})
         return Searched(
-            database=url, campaign=campaign, digest=progress(client, campaign)["digest"],
+            database=url,
+            campaign=campaign,
+            digest=progress(client, campaign)["digest"],
             pairs=expect(client.get(f"{API}/{campaign}/pairs")),
-            finding=expect(client.get(f"{API}/{campaign}/finding")), random=random,
-        )  # fmt: skip
+            finding=expect(client.get(f"{API}/{campaign}/finding")),
+            random=random,
+        )
 
 
 def test_everything_that_was_simulated_is_within_the_odd(searched: Searched) -> None:
@@ -210,10 +218,11 @@ def test_a_warm_start_leaves_out_what_is_outside_the_odd_and_counts_it(searched:
         refused = client.post(
             API,
             json={
-                **body, "start_from": {"campaign": searched.random},
+                **body,
+                "start_from": {"campaign": searched.random},
                 "problem": {**PROBLEM, "params": {**PROBLEM["params"], "odd": nowhere}},  # type: ignore[dict-item]
             },
-        )  # fmt: skip
+        )
     assert refused.status_code == 422
     assert "has no solutions within the ODD" in refused.json()["errors"][0]["message"]
 
@@ -230,10 +239,17 @@ def test_a_wrong_odd_is_refused_at_submission(searched: Searched) -> None:
 
 def test_a_command_adds_limits_to_those_of_the_file(sqlite_file: Path, tmp_path: Path) -> None:
     file = tmp_path / "hills.json"
-    file.write_text(json.dumps({
-        "name": "hills", "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"},
-        "budget": {"simulations": 30}, "seed": 1,
-    }))  # fmt: skip
+    file.write_text(
+        json.dumps(
+            {
+                "name": "hills",
+                "problem": {"id": "mtq@1"},
+                "algorithm": {"id": "random@1"},
+                "budget": {"simulations": 30},
+                "seed": 1,
+            }
+        )
+    )
     url = f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'hills.db')}"
     command = ["run", str(file), "--odd", "x.x={min: 0.2, max: 0.4}", "--no-pictures", "--json"]
     told = CliRunner().invoke(

@@ -18,9 +18,12 @@ from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 API = "/api/v1/campaigns"
 URBAN: dict[str, Any] = {
-    "name": "urban", "problem": {"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
-    "algorithm": {"id": "random@1", "params": {"generation_size": 30}}, "budget": {"simulations": 60}, "seed": 3,
-}  # fmt: skip
+    "name": "urban",
+    "problem": {"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},
+    "algorithm": {"id": "random@1", "params": {"generation_size": 30}},
+    "budget": {"simulations": 60},
+    "seed": 3,
+}
 UNITS = {"speed-limit@1": "m/s", "progress@1": "s"}
 
 
@@ -73,9 +76,14 @@ def test_every_solution_says_what_its_verdict_is_about(driven: tuple[httpx.Clien
     hit = next(one for one in found if one["kind"] == "other")
     [violated] = hit["violated"]
     assert violated == {
-        "requirement": "no-collision@1", "time_s": 12.84, "words": "hit a pedestrian", "decides": False,
-        "avoidable": None, "avoided_by": None, "avoidable_words": "",
-    }  # fmt: skip
+        "requirement": "no-collision@1",
+        "time_s": 12.84,
+        "words": "hit a pedestrian",
+        "decides": False,
+        "avoidable": None,
+        "avoided_by": None,
+        "avoidable_words": "",
+    }
 
 
 def test_outcomes_are_counted(driven: tuple[httpx.Client, str]) -> None:

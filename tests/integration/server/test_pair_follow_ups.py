@@ -40,9 +40,12 @@ def by_chance(job: LeasedJob) -> Completed | JobFailed:
 def body(*rows: list[float], **changes: Any) -> dict[str, Any]:
     """Return the body of a campaign that simulates given solutions of the urban problem once each."""
     return {
-        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": len(rows)},
+        "name": "given",
+        "problem": {"id": "urban-injected@1"},
+        "seed": 4,
+        "budget": {"simulations": len(rows)},
         "algorithm": {"id": "repeat@1", "params": {"solutions": list(rows), **changes}},
-    }  # fmt: skip
+    }
 
 
 def worked(client: httpx.Client, campaign: str, judge: Any = judged) -> str:
@@ -131,8 +134,9 @@ def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Clien
     worked(client, asked["campaign"], by_chance)
     after = pairs_of(client, campaign)["pairs"]
     assert [(pair["place"], pair["confirmation"]["state"]) for pair in after] == [
-        (2, "not tried"), (1, "refuted"),
-    ]  # fmt: skip
+        (2, "not tried"),
+        (1, "refuted"),
+    ]
     best = expect(client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01, "limit": 1}))["pairs"]
     assert [pair["place"] for pair in best] == [2]
     again = ask(client, campaign, 200, kind="confirm", d_th=0.01, limit=1)
@@ -141,8 +145,10 @@ def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Clien
     assert [row["pair"] for row in csv.DictReader(io.StringIO(table))] == ["2", "1"]
     words = legend(PairsView.model_validate(pairs_of(client, campaign)))
     assert [term.partition(":")[0] for term in words if term.startswith(("conf", "ref", "undec"))] == [
-        "confirmed 0/15 26/27", "refuted", "confirmed pairs come first, refuted ones last; a pair keeps its number",
-    ]  # fmt: skip
+        "confirmed 0/15 26/27",
+        "refuted",
+        "confirmed pairs come first, refuted ones last; a pair keeps its number",
+    ]
 
 
 def test_a_pair_is_pending_while_it_is_undecided_and_drives_are_coming(client: httpx.Client) -> None:
@@ -381,10 +387,13 @@ def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> N
     campaign = submit(
         client,
         {
-            "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": algorithm, "seed": 2,
+            "name": "mtq",
+            "problem": {"id": "mtq@1"},
+            "algorithm": algorithm,
+            "seed": 2,
             "budget": {"simulations": 400},
         },
-    )  # fmt: skip
+    )
     assert FakeWorker(client).work(campaign)["status"] == "finished"
     params = {"eps": 0.1, "d_th": 0.1}
     view = expect(client.get(f"{API}/{campaign}/pairs", params=params))

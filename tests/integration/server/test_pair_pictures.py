@@ -14,6 +14,7 @@ import brink.report.pair_pictures
 from brink.api.live import Steps
 from brink.cli.commands import app
 from brink.cli.pair_pictures import chosen_pair
+from brink.pictures.pair_view import STILL_WIDTH_PX
 from brink.plots.style import WIDTH_PX
 from brink.report.pair_pictures import facts, findings, headline, share_words
 from brink.search.analysis.confirmation import Confirmation
@@ -27,13 +28,15 @@ from brink.server.api.pair_views import (
     ShareView,
 )
 from brink.server.errors import InvalidInput
-from brink.sim.replay.pair_view import STILL_WIDTH_PX
 from brink.sim.trace import Trace
 
 CAMPAIGN = {
-    "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"}, "budget": {"simulations": 300},
+    "name": "disc",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 300},
     "seed": 1,
-}  # fmt: skip
+}
 WIDE = ["--eps", "0.05", "--d-th", "0.1"]
 
 
@@ -191,15 +194,17 @@ def test_shares_and_facts_say_what_is_known(disc: tuple[str, list[str]]) -> None
     [
         (ComponentPart.COMPONENT, "front gap held", "keeps the front gap: the component"),
         (
-            ComponentPart.COMPONENT, "front gap held; stood still too long at 14.4 s",
+            ComponentPart.COMPONENT,
+            "front gap held; stood still too long at 14.4 s",
             "keeps the front gap (but stood still too long at 14.4 s): the component",
         ),
         (
-            ComponentPart.SCENARIO, "violated the front gap at 5.5 s",
+            ComponentPart.SCENARIO,
+            "violated the front gap at 5.5 s",
             "is unsafe too (violated the front gap at 5.5 s): the scenario",
         ),
     ],
-)  # fmt: skip
+)
 def test_the_findings_say_what_is_to_blame(
     disc: tuple[str, list[str]], state: ComponentPart, outcome: str, words: str
 ) -> None:
@@ -216,20 +221,21 @@ def test_the_findings_say_what_is_to_blame(
     [
         (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds each side."),
         (
-            Confirmation.REFUTED, 7, 10,
+            Confirmation.REFUTED,
+            7,
+            10,
             "Refuted, so chance has a part: with other seeds, the safe side was unsafe in 7 of 10.",
         ),
         (
-            Confirmation.REFUTED, 6, 3,
+            Confirmation.REFUTED,
+            6,
+            3,
             "Refuted, so chance has a part: with other seeds, the safe side was unsafe in 6 of 10 and the unsafe "
             "side in only 3 of 10.",
         ),
-        (
-            Confirmation.UNDECIDED, 1, 9,
-            "Undecided with 10 other seeds each side: chance may decide.",
-        ),
+        (Confirmation.UNDECIDED, 1, 9, "Undecided with 10 other seeds each side: chance may decide."),
     ],
-)  # fmt: skip
+)
 def test_the_findings_say_whether_other_seeds_confirm_the_pair(
     disc: tuple[str, list[str]], state: Confirmation, safe: int, unsafe: int, words: str
 ) -> None:

@@ -58,9 +58,13 @@ def test_pairs_are_close_have_opposite_verdicts_and_lie_apart(client: httpx.Clie
     assert view["tight"] >= view["distinct"] >= 3
     assert (view["safe"] + view["unsafe"], view["chancy"]) == (200, 0)
     assert view["rule"] == {
-        "safe_at_most": 0.2, "unsafe_at_least": 0.8, "error": 0.05, "least_drives": 15, "further_drives": 12,
+        "safe_at_most": 0.2,
+        "unsafe_at_least": 0.8,
+        "error": 0.05,
+        "least_drives": 15,
+        "further_drives": 12,
         "interval": 0.9,
-    }  # fmt: skip
+    }
     assert view["note"] == f"{view['distinct']} distinct pairs across the boundary, none simulated again yet"
     middles = []
     for place, pair in enumerate(view["pairs"], start=1):

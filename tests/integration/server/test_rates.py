@@ -25,9 +25,12 @@ def test_results_from_the_cache_are_counted_apart(client: httpx.Client) -> None:
 
 def test_results_from_the_cache_are_no_rate_of_an_experiment(client: httpx.Client) -> None:
     body = {
-        "name": "small", "problems": [{"name": "ball", "id": "ball@1"}],
-        "algorithms": [{"name": "GA", **ball()["algorithm"]}], "seeds": [1], "budget": {"simulations": 60},
-    }  # fmt: skip
+        "name": "small",
+        "problems": [{"name": "ball", "id": "ball@1"}],
+        "algorithms": [{"name": "GA", **ball()["algorithm"]}],
+        "seeds": [1],
+        "budget": {"simulations": 60},
+    }
     found = []
     for name in ("first", "again"):
         experiment = expect(client.post("/api/v1/experiments", json={**body, "name": name}), 201)
@@ -56,9 +59,12 @@ def test_waiting_for_a_worker_has_no_time_left(database_url: str, small_problems
             path = f"/api/v1/campaigns/{submit(client, ball())}/progress"
         else:
             body = {
-                "name": "e", "problems": [{"name": "ball", "id": "ball@1"}],
-                "algorithms": [{"name": "GA", **ball()["algorithm"]}], "seeds": [1], "budget": {"simulations": 60},
-            }  # fmt: skip
+                "name": "e",
+                "problems": [{"name": "ball", "id": "ball@1"}],
+                "algorithms": [{"name": "GA", **ball()["algorithm"]}],
+                "seeds": [1],
+                "budget": {"simulations": 60},
+            }
             path = f"/api/v1/experiments/{expect(client.post('/api/v1/experiments', json=body), 201)['id']}/progress"
         worker = FakeWorker(client)
         worker.report(worker.lease(max_jobs=8))

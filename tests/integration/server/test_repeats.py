@@ -342,9 +342,12 @@ def test_retention_keeps_campaigns_with_young_repeats(
 def test_an_experiment_is_not_deleted_while_its_boundaries_are_repeated(client: httpx.Client) -> None:
     one = body()
     document = {
-        "name": "small", "problems": [one["problem"]], "algorithms": [one["algorithm"]], "seeds": [1],
+        "name": "small",
+        "problems": [one["problem"]],
+        "algorithms": [one["algorithm"]],
+        "seeds": [1],
         "budget": one["budget"],
-    }  # fmt: skip
+    }
     found = expect(client.post("/api/v1/experiments", json=document), 201)
     campaign = found["members"][0]["campaign"]
     FakeWorker(client, judge=by_chance).work(campaign)

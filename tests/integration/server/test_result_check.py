@@ -13,9 +13,11 @@ from brink.server.problems.catalogue import make_algorithm
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 TRAFFIC: dict[str, Any] = {
-    "name": "traffic", "problem": {"id": "npc-actions@1"}, "algorithm": {"id": "nsga2@1"},
+    "name": "traffic",
+    "problem": {"id": "npc-actions@1"},
+    "algorithm": {"id": "nsga2@1"},
     "budget": {"simulations": 100},
-}  # fmt: skip
+}
 
 
 def without(outcome: Completed | JobFailed, **changes: Any) -> Completed:
@@ -145,9 +147,12 @@ def test_reason_with_a_character_that_no_database_stores_is_stored_without_it(
 @on_sqlite
 def test_a_measurement_without_its_objective_is_refused(client: httpx.Client) -> None:
     body = {
-        "name": "slots", "problem": {"id": "slotted@1"}, "algorithm": {"id": "simood-ga@1"},
-        "budget": {"simulations": 200}, "seed": 5,
-    }  # fmt: skip
+        "name": "slots",
+        "problem": {"id": "slotted@1"},
+        "algorithm": {"id": "simood-ga@1"},
+        "budget": {"simulations": 200},
+        "seed": 5,
+    }
     submit(client, body)
     worker = FakeWorker(client, judge=lambda job: Completed(verdicts={}, objectives={"other": 1.0}))
     jobs = worker.lease(max_jobs=4)

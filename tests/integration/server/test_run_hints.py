@@ -16,9 +16,12 @@ from brink.search import surrogate
 from brink.server.api.schemas import Combinations
 
 TRAFFIC = {
-    "name": "n", "problem": {"id": "npc-actions@1", "params": {"participants": 2}},
-    "algorithm": {"id": "nsga2@1", "params": {"population_size": 20}}, "budget": {"simulations": 20}, "seed": 1,
-}  # fmt: skip
+    "name": "n",
+    "problem": {"id": "npc-actions@1", "params": {"participants": 2}},
+    "algorithm": {"id": "nsga2@1", "params": {"population_size": 20}},
+    "budget": {"simulations": 20},
+    "seed": 1,
+}
 
 
 @pytest.fixture

@@ -70,9 +70,12 @@ SEARCH = {"id": "edge@1", "params": {"eps": 0.01}}
 def run(folder: Path, database: str, algorithm: dict[str, Any], *options: str, simulations: int = 300) -> str:
     """Run a campaign on a problem without drives; return what was printed."""
     body = {
-        "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": algorithm,
-        "budget": {"simulations": simulations}, "seed": 1,
-    }  # fmt: skip
+        "name": "disc",
+        "problem": {"id": "mtq@1"},
+        "algorithm": algorithm,
+        "budget": {"simulations": simulations},
+        "seed": 1,
+    }
     (folder / "disc.json").write_text(json.dumps(body))
     command = ["run", str(folder / "disc.json"), "--database", database, "--out", str(folder), *options]
     ran = CliRunner().invoke(app, command)
@@ -192,9 +195,7 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
     async def draw(api: Api) -> tuple[PairFindings, list[Path]]:
         found = await fetch_pair_findings(api, await fetch_archive(api, campaign))
         assert isinstance(found, PairFindings)
-        drawing = Drawing(
-            api=api, campaign=campaign, folder=tmp_path, stop=asyncio.Event(), timeout_s=1.0
-        )  # fmt: skip
+        drawing = Drawing(api=api, campaign=campaign, folder=tmp_path, stop=asyncio.Event(), timeout_s=1.0)
         return found, await found.draw(drawing)
 
     found, files = with_api(None, searched.database, draw)

@@ -30,15 +30,19 @@ def few(client: httpx.Client) -> Known:
     finished = finish(client, ball(simulations=20, execution={"keep_traces": 0}))
     running = submit(client, ball(seed=2, execution={"cache": False}))
     tiny: dict[str, Any] = {
-        "name": "tiny", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}], "seeds": [1],
+        "name": "tiny",
+        "problems": [{"id": "ball@1"}],
+        "algorithms": [{"id": "random@1"}],
+        "seeds": [1],
         "budget": {"simulations": 20},
-    }  # fmt: skip
+    }
     return {
-        "campaigns": [finished, running], "tolerances": [{}],
+        "campaigns": [finished, running],
+        "tolerances": [{}],
         "experiments": [expect(client.post("/api/v1/experiments", json=tiny), 201)["id"]],
         "violations": [{"number": 2, "requirement": "distance@1"}],
         "jobs": [job.job for job in FakeWorker(client).lease(max_jobs=1)],
-    }  # fmt: skip
+    }
 
 
 def dump(engines: Engines) -> dict[str, list[tuple[Any, ...]]]:
@@ -57,9 +61,13 @@ def values_of(known: Known) -> dict[str, list[str]]:
         "campaign_id": [*known["campaigns"], *known["tolerances"][0].values()],
         "experiment_id": known["experiments"],
         "number": ["0", "1", str(violation["number"])],
-        "safe": ["0"], "unsafe": ["1"], "side": ["safe", "unsafe", "system", "reference"],
-        "extension": ["png", "mp4"], "index": ["0"], "requirement": [violation["requirement"]],
-    }  # fmt: skip
+        "safe": ["0"],
+        "unsafe": ["1"],
+        "side": ["safe", "unsafe", "system", "reference"],
+        "extension": ["png", "mp4"],
+        "index": ["0"],
+        "requirement": [violation["requirement"]],
+    }
 
 
 def queries_of(known: Known) -> dict[str, dict[str, Any]]:

@@ -161,8 +161,9 @@ def stuck(*, simulations: int = 40) -> dict[str, Any]:
     """Return the body of a campaign whose problem and algorithm can hang."""
     search = {"id": StuckSearch.id, "params": {"generation_size": 10, "in_flight": 1}}
     return ball(simulations=simulations) | {
-        "problem": {"id": StuckBall.id, "params": {"sticks": True}}, "algorithm": search
-    }  # fmt: skip
+        "problem": {"id": StuckBall.id, "params": {"sticks": True}},
+        "algorithm": search,
+    }
 
 
 def is_paused(client: httpx.Client, campaign: str) -> Callable[[], bool]:

@@ -1,8 +1,8 @@
-"""A coordinator beside code and requests that stall, as `brink bench stalls` measures it."""
+"""A coordinator beside code and requests that stall, as `python -m benchmarks stalls` measures it."""
 
 import pytest
 
-from brink.bench.stalls import DISTURBANCES, PROBES, measure_stall
+from benchmarks.stalls import DISTURBANCES, PROBES, measure_stall
 
 
 @pytest.mark.long("starts a coordinator, and measures wall-clock time")

@@ -113,8 +113,9 @@ def test_violations_without_an_error_are_counted_apart(service: Service) -> None
     assert [share["evaluated"] for share in shares] == [25] * 4
     assert 0 < sum(share["unsafe"] for share in shares) < 50
     assert [one["choices"] for one in view["baseline"]][:2] == [
-        [{"behaviour.error_1.target": "lead"}], [{"behaviour.error_1.target": "pedestrian"}],
-    ]  # fmt: skip
+        [{"behaviour.error_1.target": "lead"}],
+        [{"behaviour.error_1.target": "pedestrian"}],
+    ]
     assert all(cell["screened"] >= 40 for cell in view["cells"])
     assert all(cell["vulnerable"] <= cell["screened"] for cell in view["cells"])
     assert view["audited"] > view["leaks"] == 0
@@ -274,12 +275,13 @@ def test_other_campaigns_have_no_tolerances(service: Service) -> None:
         ({"cells": {"typ": ["miss"]}}, "/algorithm/params/cells", "unknown parameter 'typ'"),
         ({"conditions": [{"weather": "snow"}]}, "/algorithm/params/conditions", "expected one of clear"),
         (
-            {"conditions": [{"name": "empty", "pedestrians": "0"}]}, "/algorithm/params/conditions",
+            {"conditions": [{"name": "empty", "pedestrians": "0"}]},
+            "/algorithm/params/conditions",
             "pedestrian under empty: expected scenario.pedestrians to allow 18, got 0",
         ),
         ({"limit": 1.5}, "/algorithm/params/limit", "less than 1"),
     ],
-)  # fmt: skip
+)
 def test_a_search_that_cannot_run_is_refused_at_submission(
     service: Service, changes: dict[str, Any], pointer: str, words: str
 ) -> None:
@@ -356,9 +358,10 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     for file, result in ((good, "met"), (bad, "not met")):
         view = json.loads(tolerance("--detections", str(file), "--json"))
         (cell,) = (
-            one for one in view["cells"]
+            one
+            for one in view["cells"]
             if list(one["choices"].values()) == ["miss", "lead"] and one["condition"] == "by night"
-        )  # fmt: skip
+        )
         assert cell["result"] == result
         assert cell["typical"] == pytest.approx(0.3 if result == "met" else 4.0)
     assert "not met" in tolerance("--detections", str(bad))

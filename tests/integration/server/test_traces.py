@@ -34,6 +34,7 @@ import brink.server.campaigns.plan
 from brink.api.client import Api, CoordinatorError
 from brink.cli.commands import app
 from brink.cli.run import CampaignRun
+from brink.pictures.scene import EpisodeScene, map_centres
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.checks import PLUGIN_CHECKS_AT_ONCE, SLOW_AT_ONCE
@@ -45,7 +46,6 @@ from brink.server.queue.wakeups import Wakeups
 from brink.server.states import CampaignStatus, JobKind
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.replay.scene import EpisodeScene, map_centres
 from brink.sim.trace import ACTION, BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Ragged, Trace
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
@@ -175,9 +175,14 @@ def test_responses_for_a_missing_trace_are_documented(client: httpx.Client) -> N
 def test_replay_fails_at_once_if_no_worker_can_trace(listening_client: httpx.Client, tmp_path: Path) -> None:
     campaign = submit(listening_client, ball())
     given = [
-        "replay", campaign, "3", "--out", str(tmp_path / "x.png"), "--server",
+        "replay",
+        campaign,
+        "3",
+        "--out",
+        str(tmp_path / "x.png"),
+        "--server",
         str(listening_client.base_url),
-    ]  # fmt: skip
+    ]
     said = CliRunner().invoke(app, given)
     assert isinstance(said.exception, CoordinatorError)
     assert "no live worker can run faulty@1" in str(said.exception)
@@ -394,9 +399,12 @@ def test_episode_has_the_trace_in_columns(ended: Ended) -> None:
     decisive = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
     words = "violated the front gap at 17.5 s"
     assert found["story"] == {
-        "requirement": "front-gap@1", "violated": True, "decisive": decisive, "words": words,
+        "requirement": "front-gap@1",
+        "violated": True,
+        "decisive": decisive,
+        "words": words,
         "violations": [{"requirement": "front-gap@1", "sample": decisive, "time_s": 17.5, "words": words}],
-    }  # fmt: skip
+    }
     assert "sunset" in found["words"]["scenario"]
     assert found["words"]["report"] == "injected"
 
@@ -536,10 +544,16 @@ def _with_unbounded_scene(trace: Trace) -> Trace:
 @pytest.mark.parametrize(
     "spoil",
     [
-        _with_short_ego, _without_samples, _in_reverse, _with_rows_past_the_end, _with_other_columns,
-        _with_lone_surrogate, _with_picture_of_no_sample, _with_unbounded_scene,
+        _with_short_ego,
+        _without_samples,
+        _in_reverse,
+        _with_rows_past_the_end,
+        _with_other_columns,
+        _with_lone_surrogate,
+        _with_picture_of_no_sample,
+        _with_unbounded_scene,
     ],
-)  # fmt: skip
+)
 def test_inconsistent_trace_is_a_conflict(ended: Ended, spoil: Callable[[Trace], Trace]) -> None:
     path = ended.kept(spoil(make_trace(samples=40)).to_bytes())
     assert "cannot be drawn" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]

@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 from brink.api.live import CampaignDisplay
 from brink.cli.commands import app
 from brink.cli.findings import draw_types, write_violations
+from brink.pictures.pair_view import STILL_WIDTH_PX
 from brink.search.analysis.violations import RULES_VERSION
 from brink.server.api.schemas import Progress, Violations
-from brink.sim.replay.pair_view import STILL_WIDTH_PX
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",

@@ -94,18 +94,24 @@ def test_results_of_an_earlier_campaign_guide_the_search_and_are_not_its_own(
     stands, own = progress(client, campaign), archive(client, campaign)
     known = archive(client, earlier)
     assert stands["known"] == {
-        "campaign": earlier, "results": 60, "unsafe": int(known["unsafe"].sum()), "points": 0,
+        "campaign": earlier,
+        "results": 60,
+        "unsafe": int(known["unsafe"].sum()),
+        "points": 0,
         "outside_odd": 0,
-    }  # fmt: skip
+    }
     assert stands["simulations"] == stands["evaluated"] == len(own["numbers"])
     assert stands["generations"][0]["evaluated"] <= 25
     assert own["numbers"].tolist() == list(range(len(own["numbers"])))
     assert stands["digest"] == warm_digest(body, known)
     page = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 1000}))
     assert len(page["solutions"]) == len(own["numbers"])
-    assert all(one["spec"] for one in [
-        expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/{number}")) for number in (0, 10)
-    ])  # fmt: skip
+    assert all(
+        one["spec"]
+        for one in [
+            expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/{number}")) for number in (0, 10)
+        ]
+    )
 
 
 def warm_digest(document: Body, arrays: Any) -> str:
@@ -280,45 +286,78 @@ def test_another_space_is_refused_with_what_differs(client: httpx.Client, earlie
 BAD = [
     pytest.param({}, "/start_from", "expected either campaign or solutions", None, id="nothing"),
     pytest.param(
-        {"campaign": "abcd", "solutions": [point(0, 0)]}, "/start_from", "either campaign or solutions", None,
+        {"campaign": "abcd", "solutions": [point(0, 0)]},
+        "/start_from",
+        "either campaign or solutions",
+        None,
         id="both",
     ),
     pytest.param({"solutions": []}, "/start_from/solutions", "at least 1 item", None, id="no-solutions"),
     pytest.param(
-        {"solutions": [point(0, 0)], "limit": 3}, "/start_from", "limit and results only with campaign", None,
+        {"solutions": [point(0, 0)], "limit": 3},
+        "/start_from",
+        "limit and results only with campaign",
+        None,
         id="limit-of-given-solutions",
     ),
     pytest.param({"campaing": "abcd"}, "/start_from/campaing", "unknown field", "campaign", id="field"),
-    pytest.param({"campaign": "nosuchid"}, "/start_from/campaign", "no such campaign", None, id="unknown-campaign"),
-    pytest.param({"campaign": "a"}, "/start_from/campaign", "at least 2 characters", None, id="short-id"),
-    pytest.param({"campaign": "abcd", "limit": 0}, "/start_from/limit", "or equal to 1, got 0", None, id="zero"),
     pytest.param(
-        {"campaign": "abcd", "limit": 5001}, "/start_from/limit", "less than or equal to 5000", None, id="too-many"
+        {"campaign": "nosuchid"}, "/start_from/campaign", "no such campaign", None, id="unknown-campaign"
+    ),
+    pytest.param({"campaign": "a"}, "/start_from/campaign", "at least 2 characters", None, id="short-id"),
+    pytest.param(
+        {"campaign": "abcd", "limit": 0}, "/start_from/limit", "or equal to 1, got 0", None, id="zero"
+    ),
+    pytest.param(
+        {"campaign": "abcd", "limit": 5001},
+        "/start_from/limit",
+        "less than or equal to 5000",
+        None,
+        id="too-many",
     ),
     pytest.param(
         {"solutions": [{"values": {"where.x": 0.0, "what.z": 0.0, "what.y": 0}}]},
-        "/start_from/solutions/0/values/what.z", "unknown parameter", "what.y", id="unknown-parameter",
+        "/start_from/solutions/0/values/what.z",
+        "unknown parameter",
+        "what.y",
+        id="unknown-parameter",
     ),
     pytest.param(
-        {"solutions": [point(0, 0), {"values": {"where.x": 0.0}}]}, "/start_from/solutions/1/values/what.y",
-        "missing", None, id="missing-parameter",
+        {"solutions": [point(0, 0), {"values": {"where.x": 0.0}}]},
+        "/start_from/solutions/1/values/what.y",
+        "missing",
+        None,
+        id="missing-parameter",
     ),
     pytest.param(
-        {"solutions": [point(0, 3.0)]}, "/start_from/solutions/0/values/what.y", "got 3", None, id="out-of-range"
+        {"solutions": [point(0, 3.0)]},
+        "/start_from/solutions/0/values/what.y",
+        "got 3",
+        None,
+        id="out-of-range",
     ),
     pytest.param(
-        {"solutions": [{"values": {"where.x": "left", "what.y": 0.0}}]}, "/start_from/solutions/0/values/where.x",
-        "'left'", None, id="text-for-a-number",
+        {"solutions": [{"values": {"where.x": "left", "what.y": 0.0}}]},
+        "/start_from/solutions/0/values/where.x",
+        "'left'",
+        None,
+        id="text-for-a-number",
     ),
     pytest.param(
-        {"solutions": [point(0, 1), point(1, 1), point(0, 1, 0.5)]}, "/start_from/solutions/2",
-        "the same as solution 0", None, id="twice",
+        {"solutions": [point(0, 1), point(1, 1), point(0, 1, 0.5)]},
+        "/start_from/solutions/2",
+        "the same as solution 0",
+        None,
+        id="twice",
     ),
     pytest.param(
-        {"solutions": [{**point(0, 0), "robustness": "low"}]}, "/start_from/solutions/0/robustness", "valid number",
-        None, id="robustness",
+        {"solutions": [{**point(0, 0), "robustness": "low"}]},
+        "/start_from/solutions/0/robustness",
+        "valid number",
+        None,
+        id="robustness",
     ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("start", "pointer", "message", "nearest"), BAD)
@@ -355,9 +394,11 @@ def test_algorithms_that_cannot_start_from_anything_say_which_can(
 
 def test_a_file_that_starts_from_nothing_keeps_its_hash_and_one_that_does_has_its_own() -> None:
     body = {
-        "name": "ball", "problem": {"id": "ball@1"}, "budget": {"simulations": 60},
+        "name": "ball",
+        "problem": {"id": "ball@1"},
+        "budget": {"simulations": 60},
         "algorithm": {"id": "ga@1", "params": {"population_size": 20}},
-    }  # fmt: skip
+    }
     cold = parse_body(body).document_hash()
     assert cold == "4e962fa28735de31773fe90b47af8a75ac51ec5b418acc0bc5a191c0daf00a0b"
     starts = [{"campaign": "abcd"}, {"campaign": "abcd", "limit": 5}, {"solutions": [point(0, 0)]}]

@@ -89,8 +89,13 @@ def test_the_last_results_of_a_generation_are_reported_at_once(coordinator: Fake
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [("segfault", "crashed"), ("exit", "crashed"), ("out-of-memory", "out-of-memory"), ("invalid", "invalid")],
-)  # fmt: skip
+    [
+        ("segfault", "crashed"),
+        ("exit", "crashed"),
+        ("out-of-memory", "out-of-memory"),
+        ("invalid", "invalid"),
+    ],
+)
 def test_a_faulty_job_is_reported_with_its_reason_and_its_neighbours_complete(
     coordinator: FakeCoordinator, fault: str, reason: str
 ) -> None:

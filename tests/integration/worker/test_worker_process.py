@@ -46,9 +46,14 @@ def process(shared_processes: list[EpisodeProcess]) -> Iterator[EpisodeProcess]:
 
 def spec(**scenario: Any) -> dict[str, Any]:
     return {
-        "simulator": "faulty@1", "scenario": scenario, "behaviour": {"x": 0.6}, "requirements": ["distance@1"],
-        "seed": 1, "duration_s": 1.0, "options": {},
-    }  # fmt: skip
+        "simulator": "faulty@1",
+        "scenario": scenario,
+        "behaviour": {"x": 0.6},
+        "requirements": ["distance@1"],
+        "seed": 1,
+        "duration_s": 1.0,
+        "options": {},
+    }
 
 
 def run(process: EpisodeProcess, *, timeout_s: float = 20.0, **scenario: Any) -> Completed | JobFailed:

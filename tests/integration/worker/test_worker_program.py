@@ -148,8 +148,13 @@ def guide_blocks(language: str) -> list[str]:
 
 def test_every_message_in_the_guide_is_valid() -> None:
     kinds: list[type[Message]] = [
-        LeaseRequest, LeaseReply, HeartbeatRequest, HeartbeatReply, ResultsRequest, ResultsReply,
-    ]  # fmt: skip
+        LeaseRequest,
+        LeaseReply,
+        HeartbeatRequest,
+        HeartbeatReply,
+        ResultsRequest,
+        ResultsReply,
+    ]
     examples = guide_blocks("json")
     assert len(examples) == len(kinds)
     for kind, example in zip(kinds, examples, strict=True):

@@ -139,9 +139,14 @@ class FakeCoordinator:
         with self.changed:
             number = len(self.jobs) + 1
             spec = {
-                "simulator": simulator, "scenario": scenario or {}, "behaviour": {"x": number / 10},
-                "requirements": ["distance@1"], "seed": number, "duration_s": 1.0, "options": {},
-            }  # fmt: skip
+                "simulator": simulator,
+                "scenario": scenario or {},
+                "behaviour": {"x": number / 10},
+                "requirements": ["distance@1"],
+                "seed": number,
+                "duration_s": 1.0,
+                "options": {},
+            }
             self.jobs[number] = Job(number, spec, record, timeout_s, needs=simulator)
             self.changed.notify_all()
             return number

@@ -13,10 +13,16 @@ WANTED = {"worker": {"id": "mine"}, "capabilities": ["faulty@1"], "wait_s": 0}
 def _everything(target: Target, authorization: bytes | None) -> Iterable[Answer]:
     headers = {} if authorization is None else {b"Authorization": authorization}
     for method, path in (
-        ("GET", CAMPAIGNS), ("POST", CAMPAIGNS), ("GET", f"{CAMPAIGNS}/{target.running}"), ("POST", LEASE),
-        ("POST", f"{CAMPAIGNS}/{target.running}/cancel"), ("DELETE", f"{CAMPAIGNS}/{target.finished}"),
-        ("GET", "/metrics"), ("GET", "/nothing"), ("GET", f"{CAMPAIGNS}/{target.finished}/archive.npz"),
-    ):  # fmt: skip
+        ("GET", CAMPAIGNS),
+        ("POST", CAMPAIGNS),
+        ("GET", f"{CAMPAIGNS}/{target.running}"),
+        ("POST", LEASE),
+        ("POST", f"{CAMPAIGNS}/{target.running}/cancel"),
+        ("DELETE", f"{CAMPAIGNS}/{target.finished}"),
+        ("GET", "/metrics"),
+        ("GET", "/nothing"),
+        ("GET", f"{CAMPAIGNS}/{target.finished}/archive.npz"),
+    ):
         yield target.ask(method, path, None, headers=headers)
 
 
@@ -29,10 +35,19 @@ def _none(target: Target) -> Iterable[Answer]:
 def _malformed(target: Target) -> Iterable[Answer]:
     token = target.tokens["admin"].encode()
     for given in (
-        b"", b"Bearer", b"Bearer  ?", token, b"bearer " + token, b"Bearer " + token[:-1], b"Bearer " + token + b"0",
-        b"Bearer brink_admin_00000000_" + b"0" * 48, b"Bearer \xff\xfe", b"Bearer " + b"x" * 8000,
-        b"Bearer ' OR '1'='1", b"Bearer " + token.upper(),
-    ):  # fmt: skip
+        b"",
+        b"Bearer",
+        b"Bearer  ?",
+        token,
+        b"bearer " + token,
+        b"Bearer " + token[:-1],
+        b"Bearer " + token + b"0",
+        b"Bearer brink_admin_00000000_" + b"0" * 48,
+        b"Bearer \xff\xfe",
+        b"Bearer " + b"x" * 8000,
+        b"Bearer ' OR '1'='1",
+        b"Bearer " + token.upper(),
+    ):
         yield from _everything(target, given)
 
 
@@ -122,6 +137,17 @@ def _spelled(target: Target) -> Iterable[Answer]:
 
 
 ACCESS: tuple[Attack, ...] = (
-    _none, _malformed, _revoked, _expired, _widened, _misplaced, _both, _read_changes, _user_leases,
-    _worker_submits, _worker_reads, _others_delete, _spelled,
-)  # fmt: skip
+    _none,
+    _malformed,
+    _revoked,
+    _expired,
+    _widened,
+    _misplaced,
+    _both,
+    _read_changes,
+    _user_leases,
+    _worker_submits,
+    _worker_reads,
+    _others_delete,
+    _spelled,
+)

@@ -116,9 +116,16 @@ def _billions(target: Target) -> Iterable[Answer]:
 @row("an unknown content type", 422)
 def _content_types(target: Target) -> Iterable[Answer]:
     for kind in (
-        "text/plain", "application/xml", "multipart/form-data; boundary=x", "application/x-www-form-urlencoded",
-        "application/x-python-pickle", "application/yaml", "x", "application/json5", "",
-    ):  # fmt: skip
+        "text/plain",
+        "application/xml",
+        "multipart/form-data; boundary=x",
+        "application/x-www-form-urlencoded",
+        "application/x-python-pickle",
+        "application/yaml",
+        "x",
+        "application/json5",
+        "",
+    ):
         yield target.ask("POST", CAMPAIGNS, "user", content=BALL, headers={"Content-Type": kind})
     yield target.ask("POST", CAMPAIGNS, "user", content=BALL)
 
@@ -216,17 +223,39 @@ def _long_names(target: Target) -> Iterable[Answer]:
     long = "x" * 1024**2
     start = {"solutions": [{"values": {long: 1}}]}
     for body in (
-        {**ball(seed=9), long: 1}, ball(seed=9, execution={long: 1}), ball(seed=9, start_from=start),
-        ball(seed=9, sources={long: 1}), ball(seed=9, problem={"id": "ball@1", "params": {long: 1}}),
-    ):  # fmt: skip
+        {**ball(seed=9), long: 1},
+        ball(seed=9, execution={long: 1}),
+        ball(seed=9, start_from=start),
+        ball(seed=9, sources={long: 1}),
+        ball(seed=9, problem={"id": "ball@1", "params": {long: 1}}),
+    ):
         yield target.submit(body)
     for outcome in ({"kind": long}, {"kind": "completed", "verdicts": {long: 1}}):
         yield target.say("results", results(target.mine.job, target.mine.token, outcome))
 
 
 BODIES: tuple[Attack, ...] = (
-    _not_finite, _huge_integers, _deep, _twice, _no_json, _no_campaign, _unknown_fields, _types, _billions,
-    _content_types, _bomb, _too_long, _endless, _many_values, _many_fields, _many_parameters,
-    _aliases, _lie, _longer, _unended, _no_length, _both,
+    _not_finite,
+    _huge_integers,
+    _deep,
+    _twice,
+    _no_json,
+    _no_campaign,
+    _unknown_fields,
+    _types,
+    _billions,
+    _content_types,
+    _bomb,
+    _too_long,
+    _endless,
+    _many_values,
+    _many_fields,
+    _many_parameters,
+    _aliases,
+    _lie,
+    _longer,
+    _unended,
+    _no_length,
+    _both,
     _long_names,
-)  # fmt: skip
+)

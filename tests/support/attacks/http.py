@@ -52,9 +52,11 @@ def _preflight(target: Target) -> Iterable[Answer]:
 @row("an upgrade to a websocket", 200, 401)
 def _websocket(target: Target) -> Iterable[Answer]:
     asked = {
-        "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
         "Sec-WebSocket-Version": "13",
-    }  # fmt: skip
+    }
     for scope in ("admin", None):
         yield target.ask("GET", CAMPAIGNS, scope, headers=asked)
         yield target.ask("GET", CAMPAIGNS, scope, headers={"Connection": "Upgrade", "Upgrade": "h2c"})
@@ -78,11 +80,15 @@ def _pipelined(target: Target) -> Iterable[Answer]:
 @row("a request that is not valid HTTP/1.1", 400, 401, problem=False)
 def _garbage(target: Target) -> Iterable[Answer]:
     for line in (
-        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", b"\x00\r\n\r\n", b"GET /metrics\r\n\r\n",
-        b"GET /metrics HTTP/1.1\r\nConnection: close\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x\r\nno colon\r\n\r\n",
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+        b"\x00\r\n\r\n",
+        b"GET /metrics\r\n\r\n",
+        b"GET /metrics HTTP/1.1\r\nConnection: close\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: x\r\nno colon\r\n\r\n",
         b"HTTP/1.1 200 OK\r\n\r\n",
-        b"GET /\xff HTTP/1.1\r\nHost: x\r\n\r\n", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
-    ):  # fmt: skip
+        b"GET /\xff HTTP/1.1\r\nHost: x\r\n\r\n",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    ):
         yield target.send(line, scope=None)
 
 
@@ -101,6 +107,15 @@ def _slow(target: Target) -> Iterable[Answer]:
 
 
 HTTP: tuple[Attack, ...] = (
-    _hosts, _redirect, _override, _methods, _preflight, _websocket, _proxied, _pipelined, _garbage, _enormous,
+    _hosts,
+    _redirect,
+    _override,
+    _methods,
+    _preflight,
+    _websocket,
+    _proxied,
+    _pipelined,
+    _garbage,
+    _enormous,
     _slow,
-)  # fmt: skip
+)

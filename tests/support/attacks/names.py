@@ -10,9 +10,19 @@ from support.hostile import KEY, Answer, Attack, Target, row
 
 CAMPAIGNS = "/api/v1/campaigns"
 SQL = (
-    "' OR '1'='1", "x'; DROP TABLE jobs; --", "%", "_", "__", "a%' --", "\\", "1 UNION SELECT * FROM tokens",
-    "';ATTACH DATABASE '/tmp/x' AS x;--", "$1", ":campaign", "pg_sleep(9)",
-)  # fmt: skip
+    "' OR '1'='1",
+    "x'; DROP TABLE jobs; --",
+    "%",
+    "_",
+    "__",
+    "a%' --",
+    "\\",
+    "1 UNION SELECT * FROM tokens",
+    "';ATTACH DATABASE '/tmp/x' AS x;--",
+    "$1",
+    ":campaign",
+    "pg_sleep(9)",
+)
 
 
 @row("SQL in an id", 404)
@@ -28,12 +38,16 @@ def _sql_in_ids(target: Target) -> Iterable[Answer]:
 def _sql_in_queries(target: Target) -> Iterable[Answer]:
     for sql in SQL:
         for path, name in (
-            (CAMPAIGNS, "status"), (CAMPAIGNS, "document_hash"), (CAMPAIGNS, "limit"), ("/api/v1/jobs", "status"),
-            ("/api/v1/jobs", "campaign"), ("/api/v1/jobs", "after"),
+            (CAMPAIGNS, "status"),
+            (CAMPAIGNS, "document_hash"),
+            (CAMPAIGNS, "limit"),
+            ("/api/v1/jobs", "status"),
+            ("/api/v1/jobs", "campaign"),
+            ("/api/v1/jobs", "after"),
             (f"{CAMPAIGNS}/{target.finished}/solutions", "after"),
             (f"{CAMPAIGNS}/{target.finished}/solutions", "unsafe"),
             (f"{CAMPAIGNS}/{target.finished}/distances", "numbers"),
-        ):  # fmt: skip
+        ):
             yield target.ask("GET", path, params={name: sql})
 
 
@@ -70,10 +84,23 @@ def _traversal_in_ids(target: Target) -> Iterable[Answer]:
 @row("path traversal below the documentation files", 404, hides=("root:", "secret"))
 def _traversal_in_pages(target: Target) -> Iterable[Answer]:
     for way in (
-        "../../etc/passwd", "..%2f..%2f..%2fetc%2fpasswd", "%2e%2e/%2e%2e/etc/passwd", "/etc/passwd",
-        "%2fetc%2fpasswd", "..%5c..%5cetc", "....//....//etc/passwd", "%252e%252e%252fetc", "%00",
-        "swagger-ui.css%00", "swagger-ui.css%0a", "../__init__.py", "..%2f__init__.py", "a" * 5000, "", ".",
-    ):  # fmt: skip
+        "../../etc/passwd",
+        "..%2f..%2f..%2fetc%2fpasswd",
+        "%2e%2e/%2e%2e/etc/passwd",
+        "/etc/passwd",
+        "%2fetc%2fpasswd",
+        "..%5c..%5cetc",
+        "....//....//etc/passwd",
+        "%252e%252e%252fetc",
+        "%00",
+        "swagger-ui.css%00",
+        "swagger-ui.css%0a",
+        "../__init__.py",
+        "..%2f__init__.py",
+        "a" * 5000,
+        "",
+        ".",
+    ):
         head = f"GET /docs-files/{way} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
         yield target.send(head.encode(), scope=None)
 
@@ -81,11 +108,19 @@ def _traversal_in_pages(target: Target) -> Iterable[Answer]:
 @row("path traversal from a public path to the API", 401, 404)
 def _around(target: Target) -> Iterable[Answer]:
     for way in (
-        "/docs-files/../api/v1/campaigns", "/docs-files/%2e%2e/api/v1/campaigns", "/docs/../api/v1/campaigns",
-        "/healthz/../api/v1/campaigns", "//api/v1/campaigns", "/./api/v1/campaigns", "/%61pi/v1/campaigns",
-        "/healthz%2f..%2fmetrics", "/docs-files%2f..%2fmetrics", "http://localhost/api/v1/campaigns",
-        "/healthz;/../metrics", "/API/V1/CAMPAIGNS",
-    ):  # fmt: skip
+        "/docs-files/../api/v1/campaigns",
+        "/docs-files/%2e%2e/api/v1/campaigns",
+        "/docs/../api/v1/campaigns",
+        "/healthz/../api/v1/campaigns",
+        "//api/v1/campaigns",
+        "/./api/v1/campaigns",
+        "/%61pi/v1/campaigns",
+        "/healthz%2f..%2fmetrics",
+        "/docs-files%2f..%2fmetrics",
+        "http://localhost/api/v1/campaigns",
+        "/healthz;/../metrics",
+        "/API/V1/CAMPAIGNS",
+    ):
         head = f"GET {way} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
         yield target.send(head.encode(), scope=None)
 
@@ -101,9 +136,12 @@ def _line_feeds(target: Target) -> Iterable[Answer]:
 @row("NUL or a lone surrogate in a campaign", 422)
 def _odd_text(target: Target) -> Iterable[Answer]:
     bodies: tuple[dict[str, object], ...] = (
-        {"name": "ODD"}, {"algorithm": {"id": "ODD"}}, {"problem": {"id": "ODD"}}, {"ODD": 1},
+        {"name": "ODD"},
+        {"algorithm": {"id": "ODD"}},
+        {"problem": {"id": "ODD"}},
+        {"ODD": 1},
         {"problem": {"id": "ball@1", "params": {"ODD": 1}}},
-    )  # fmt: skip
+    )
     for odd in (r"\u0000", r"\ud800", r"\udfff\ud800"):
         for body in bodies:
             yield target.submit(json.dumps({**ball(seed=9), **body}).replace("ODD", odd).encode())
@@ -128,18 +166,36 @@ def _bounds(target: Target) -> Iterable[Answer]:
         yield target.ask(
             "GET", "/api/v1/jobs", params={"after": f"-{number}" if number == "\u0664" else number}
         )
-    for path in ("solutions?limit=1001", "solutions?after=-2", "solutions/9007199254740993", "solutions/-1",
-                 "progress?since=-1", "boundary?t_b=2", "boundary?d_th=nan", "solutions?max_fitness=inf",
-                 "solutions/1/trace?wait_s=61", "solutions/1/trace?wait_s=nan", "solutions/1/replay.exe",
-                 "distances?numbers=", f"distances?numbers={'1,' * 1001}",
-                 f"distances?numbers={'9' * 6000}"):  # fmt: skip
+    for path in (
+        "solutions?limit=1001",
+        "solutions?after=-2",
+        "solutions/9007199254740993",
+        "solutions/-1",
+        "progress?since=-1",
+        "boundary?t_b=2",
+        "boundary?d_th=nan",
+        "solutions?max_fitness=inf",
+        "solutions/1/trace?wait_s=61",
+        "solutions/1/trace?wait_s=nan",
+        "solutions/1/replay.exe",
+        "distances?numbers=",
+        f"distances?numbers={'1,' * 1001}",
+        f"distances?numbers={'9' * 6000}",
+    ):
         yield target.ask("GET", f"{CAMPAIGNS}/{target.finished}/{path}")
 
 
 @row("numbers of solutions and jobs that do not exist", 404)
 def _not_there(target: Target) -> Iterable[Answer]:
-    for path in ("solutions/9007199254740992", "solutions/60", "solutions/60/trace", "distances?numbers=0,60",
-                 "distances?numbers=-1", f"distances?numbers={'9' * 4000}", "violations"):  # fmt: skip
+    for path in (
+        "solutions/9007199254740992",
+        "solutions/60",
+        "solutions/60/trace",
+        "distances?numbers=0,60",
+        "distances?numbers=-1",
+        f"distances?numbers={'9' * 4000}",
+        "violations",
+    ):
         yield target.ask("GET", f"{CAMPAIGNS}/{target.finished}/{path}")
     yield target.ask("POST", "/api/v1/jobs/9007199254740992/retry")
 
@@ -175,6 +231,18 @@ def _taken_key(target: Target) -> Iterable[Answer]:
 
 
 NAMES: tuple[Attack, ...] = (
-    _sql_in_ids, _sql_in_queries, _sql_in_cursors, _traversal_in_ids, _traversal_in_pages, _around, _line_feeds,
-    _odd_text, _bounds, _not_there, _short_ids, _long_key, _binary_key, _taken_key,
-)  # fmt: skip
+    _sql_in_ids,
+    _sql_in_queries,
+    _sql_in_cursors,
+    _traversal_in_ids,
+    _traversal_in_pages,
+    _around,
+    _line_feeds,
+    _odd_text,
+    _bounds,
+    _not_there,
+    _short_ids,
+    _long_key,
+    _binary_key,
+    _taken_key,
+)

@@ -91,10 +91,17 @@ def _immense(target: Target) -> Iterable[Answer]:
 def _no_result(target: Target) -> Iterable[Answer]:
     whole = outcome_of(target.mine)
     outcomes: tuple[object, ...] = (
-        None, [], "completed", {}, {"kind": "other"}, {"kind": "failed", "reason": "hacked", "message": ""},
-        {**whole, "verdicts": None}, {**whole, "verdicts": {"distance@1": {"robustness": "x", "unit": "m"}}},
-        {**whole, "admin": True}, {**whole, "features": []},
-    )  # fmt: skip
+        None,
+        [],
+        "completed",
+        {},
+        {"kind": "other"},
+        {"kind": "failed", "reason": "hacked", "message": ""},
+        {**whole, "verdicts": None},
+        {**whole, "verdicts": {"distance@1": {"robustness": "x", "unit": "m"}}},
+        {**whole, "admin": True},
+        {**whole, "features": []},
+    )
     for outcome in outcomes:
         yield target.say("results", results(target.mine.job, target.mine.token, outcome))
 
@@ -147,19 +154,33 @@ def _odd_text(target: Target) -> Iterable[Answer]:
 @row("a worker identity that is too long or malformed", 422)
 def _identity(target: Target) -> Iterable[Answer]:
     for identity in (
-        {"id": "x" * 65}, {"id": ""}, {"id": "mine", "host": "x" * 256}, {"id": "mine", "version": "x" * 65},
-        {"id": "mine", "machine": "x" * 129}, {"id": "mine", "pid": -1}, {"id": "mine", "pid": 2**63},
-        {"id": "mine", "scope": "admin"}, {"id": ["mine"]}, None,
-    ):  # fmt: skip
+        {"id": "x" * 65},
+        {"id": ""},
+        {"id": "mine", "host": "x" * 256},
+        {"id": "mine", "version": "x" * 65},
+        {"id": "mine", "machine": "x" * 129},
+        {"id": "mine", "pid": -1},
+        {"id": "mine", "pid": 2**63},
+        {"id": "mine", "scope": "admin"},
+        {"id": ["mine"]},
+        None,
+    ):
         yield target.say("lease", {**WANTED, "worker": identity})
 
 
 @row("a lease request beyond the limits", 422)
 def _wishes(target: Target) -> Iterable[Answer]:
     for wish in (
-        {"max_jobs": 257}, {"max_jobs": 10**25}, {"max_jobs": 0}, {"max_jobs": -1}, {"wait_s": 61}, {"wait_s": -1},
-        {"capabilities": ["x"] * 257}, {"capabilities": ["x" * 129]}, {"capabilities": {"x": 1}},
-    ):  # fmt: skip
+        {"max_jobs": 257},
+        {"max_jobs": 10**25},
+        {"max_jobs": 0},
+        {"max_jobs": -1},
+        {"wait_s": 61},
+        {"wait_s": -1},
+        {"capabilities": ["x"] * 257},
+        {"capabilities": ["x" * 129]},
+        {"capabilities": {"x": 1}},
+    ):
         yield target.say("lease", {**WANTED, **wish})
     yield target.say("lease", json.dumps(WANTED).encode().replace(b'"wait_s": 0', b'"wait_s": NaN'))
     lease = {"job": target.mine.job, "token": "0" * 32}
@@ -189,7 +210,22 @@ def _no_numbers(target: Target) -> Iterable[Answer]:
 
 
 WORKERS: tuple[Attack, ...] = (
-    _forged, _another_jobs, _another_workers, _twice, _late, _nowhere, _heartbeat, _release, _not_finite,
-    _immense, _no_result, _enormous, _no_base64, _enormous_trace, _odd_text, _identity, _wishes,
+    _forged,
+    _another_jobs,
+    _another_workers,
+    _twice,
+    _late,
+    _nowhere,
+    _heartbeat,
+    _release,
+    _not_finite,
+    _immense,
+    _no_result,
+    _enormous,
+    _no_base64,
+    _enormous_trace,
+    _odd_text,
+    _identity,
+    _wishes,
     _no_numbers,
-)  # fmt: skip
+)

@@ -15,9 +15,14 @@ from brink.server.errors import InvalidInput
 
 SHAPE = (len(PAPER_T_BS), len(D_THS))
 ROW = Row(
-    label="night", campaign="3f2a", unsafe_share=0.2, dbs=np.arange(30.0).reshape(SHAPE),
-    strict=np.zeros(SHAPE), strict_spread=np.zeros(SHAPE), repeats=None,
-)  # fmt: skip
+    label="night",
+    campaign="3f2a",
+    unsafe_share=0.2,
+    dbs=np.arange(30.0).reshape(SHAPE),
+    strict=np.zeros(SHAPE),
+    strict_spread=np.zeros(SHAPE),
+    repeats=None,
+)
 
 
 @pytest.mark.parametrize(("chosen", "titles"), [(None, ["0.1", "0.2", "0.3"]), ([0.5], ["0.5"])])

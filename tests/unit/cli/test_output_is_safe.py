@@ -24,13 +24,13 @@ from brink.worker.log import JsonFormatter, LineFormatter
 PACKAGE = Path(brink.__file__).parent
 FOLDERS = [
     "api",
-    "bench",
     "cli",
-    "exchange",
     "guard",
+    "pictures",
     "plots",
     "python",
     "report",
+    "scenarios",
     "search",
     "server",
     "sim",
@@ -97,8 +97,7 @@ def test_nobody_writes_csv_or_to_the_terminal_by_another_way() -> None:
         ("api/terminal.py", "terminal"),
         ("cli/main.py", "terminal"),  # before anything is imported
         ("worker/run.py", "terminal"),  # a wrong setting, before the log is set up
-        ("bench/urban.py", "terminal"),  # a number, for the process that measures
-        ("exchange/replay_in_carla.py", "terminal"),  # copied beside an exported drive, to run without Brink
+        ("scenarios/replay_in_carla.py", "terminal"),  # copied beside an exported drive, to run without Brink
         ("sim/perception/detector.py", "terminal"),  # read by the process that started it
         ("sim/aeb/__main__.py", "terminal"),  # programs that train detectors
         ("sim/perception/training.py", "terminal"),

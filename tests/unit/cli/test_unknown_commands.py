@@ -26,9 +26,13 @@ def test_an_unknown_command_names_those_there_are(words: list[str], said: str) -
     [
         ("/problem/params/requirement", "problem.params.requirement"),
         ("/solutions/0/values/a~1b", "solutions[0].values.a/b"),
-        ("/query/eps", "eps"), ("/path/campaign_id", ""), ("/", ""), ("", ""), ("--out", "--out"),
+        ("/query/eps", "eps"),
+        ("/path/campaign_id", ""),
+        ("/", ""),
+        ("", ""),
+        ("--out", "--out"),
     ],
-)  # fmt: skip
+)
 def test_messages_name_fields_as_the_campaign_file_does(pointer: str, name: str) -> None:
     assert field_name(pointer) == name
     assert str(FieldError(pointer=pointer, message="expected 1")) == (

@@ -55,10 +55,14 @@ def test_waiting_names_the_missing_extra_or_plug_in() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"workers": 1}, {"leased": 3}, {"queued": 0}, {"status": "paused"}, {"status": "finished"},
+        {"workers": 1},
+        {"leased": 3},
+        {"queued": 0},
+        {"status": "paused"},
+        {"status": "finished"},
         {"workers": 2, "unrunnable": {"carla@1": 59}},
     ],
-)  # fmt: skip
+)
 def test_nothing_is_said_while_something_happens(changes: dict[str, Any]) -> None:
     assert words(**changes) == ""
 

@@ -80,9 +80,10 @@ def test_the_threshold_is_set_on_the_probability_that_decides_in_the_car(
     stump = stump_guard()
     # The shortest horizon has the highest score: its probability is that of the longest one, too.
     fitted = FittedHorizons(
-        forest=stump.forest, calibration=stump.calibration,
+        forest=stump.forest,
+        calibration=stump.calibration,
         unseen=tuple(np.tile([3.0, -2.0, -2.0], (len(one.features), 1)) for one in drives),
-    )  # fmt: skip
+    )
     monkeypatch.setattr(fitting, "fit_horizons", lambda *_: fitted)
     found = fitting.fit(drives, [REQUIREMENT], false_alarms=0.0)
     assert found.alarm.threshold == pytest.approx(1 / (1 + np.exp(-3.0)))
@@ -242,8 +243,9 @@ def test_drives_that_end_differently_are_reported() -> None:
 def test_the_figure_shows_both_panels() -> None:
     figure = figure_guard(evaluate(stump_guard(), safe_and_unsafe()))
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
-        "Predicted violations and false alarms", "Lead time, alarms in 5% of safe drives",
-    ]  # fmt: skip
+        "Predicted violations and false alarms",
+        "Lead time, alarms in 5% of safe drives",
+    ]
 
 
 def test_baselines_confirm_alarms_as_the_guard_does() -> None:

@@ -11,8 +11,8 @@ from matplotlib.ft2font import FT2Font
 from matplotlib.text import Text
 
 import brink
+from brink.pictures.figure import LAST_RESORT, LiteralFigure
 from brink.plots.style import EndLabel, label_ends, new_figure, set_panel_title
-from brink.sim.replay.figure import LAST_RESORT, LiteralFigure
 
 BAD = r"$\bad{$ 100$ $x^2$ _a_"
 PACKAGE = Path(brink.__file__).parent
@@ -67,11 +67,11 @@ def test_no_other_figure_is_made() -> None:
         for folder in (
             "plots",
             "report",
+            "pictures",
             "cli",
-            "bench",
             "guard",
             "python",
-            "exchange",
+            "scenarios",
             "sim",
             "server",
             "search",

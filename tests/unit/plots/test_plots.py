@@ -46,14 +46,22 @@ from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.participants import RoadLimits
 from brink.server.dashboard.solution_map import make_map
 
-MIXED = SearchSpace((
-    Component("scenario", (Categorical("weather", ("clear", "wet", "hard_rain")), Integer("lanes", 1, 4))),
-    Component(
-        "behaviour",
-        (Categorical("label", ("null", "vehicle")), Real("x_px", 0.0, 800.0, "px"), Integer("t0_step", 0, 300)),
-        (Dormant("label", "null", ("x_px", "t0_step")),),
-    ),
-))  # fmt: skip
+MIXED = SearchSpace(
+    (
+        Component(
+            "scenario", (Categorical("weather", ("clear", "wet", "hard_rain")), Integer("lanes", 1, 4))
+        ),
+        Component(
+            "behaviour",
+            (
+                Categorical("label", ("null", "vehicle")),
+                Real("x_px", 0.0, 800.0, "px"),
+                Integer("t0_step", 0, 300),
+            ),
+            (Dormant("label", "null", ("x_px", "t0_step")),),
+        ),
+    )
+)
 """A space with a category, few and many integers, and a number that can be inactive."""
 
 
@@ -218,9 +226,11 @@ def test_map_says_what_verdicts_are_about() -> None:
     others = np.zeros(len(plain.archive), np.bool_)
     others[np.flatnonzero(~plain.archive.unsafe)[:29]] = True
     about = VerdictWords(
-        held="front gap held", other="front gap held, another requirement violated",
-        violated="violated the front gap", others=others,
-    )  # fmt: skip
+        held="front gap held",
+        other="front gap held, another requirement violated",
+        violated="violated the front gap",
+        others=others,
+    )
     figure = figure_embedding(replace(plain, words=about))
     text, safe = words(figure), int((~plain.archive.unsafe).sum())
     assert f"front gap held: {safe - 29}" in text
@@ -355,9 +365,14 @@ def test_a_parameter_with_an_effect_comes_before_one_without() -> None:
 def _few(count: int, *, unsafe: bool) -> CampaignFigures:
     vectors = np.random.default_rng(3).random((count, 2))
     return campaign(
-        MTQ_SPACE, vectors, np.full(count, unsafe), np.full(count, -1.0 if unsafe else 1.0), radius=0.05, t_b=0.01,
+        MTQ_SPACE,
+        vectors,
+        np.full(count, unsafe),
+        np.full(count, -1.0 if unsafe else 1.0),
+        radius=0.05,
+        t_b=0.01,
         d_th=0.3,
-    )  # fmt: skip
+    )
 
 
 FURTHER = pytest.mark.long("draws all figures of another campaign")
@@ -551,8 +566,9 @@ def test_a_pair_of_a_mixed_problem_has_a_row_for_each_difference() -> None:
     figure = figure_pair(inputs, PairFigure(safe=0, unsafe=1, change="hard rain instead of clear"))
     words = [text.get_text() for text in figure.axes[0].texts]
     assert [word for word in words if word.startswith(("scenario", "behaviour"))] == [
-        "scenario: weather", "behaviour: x px",
-    ]  # fmt: skip
+        "scenario: weather",
+        "behaviour: x px",
+    ]
     assert {"clear", "hard rain", "400.25 px", "410.5 px", "The other 3 parameters are the same."} <= set(
         words
     )

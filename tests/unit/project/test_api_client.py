@@ -25,10 +25,20 @@ def read(schema: Any, answer: httpx.Response) -> Any:
 
 def test_an_answer_is_read_into_its_schema_and_dumps_to_the_same_document() -> None:
     worker = {
-        "id": "w", "host": "h", "pid": 1, "version": "0", "capabilities": ["ball@1"],
-        "first_seen_at": "2026-01-02T03:04:05.678901Z", "last_seen_at": "2026-01-02T03:04:06Z",
-        "seen_s_ago": 1.0, "live": True, "draining": False, "jobs_done": 2, "jobs_failed": 0, "jobs_held": 1,
-    }  # fmt: skip
+        "id": "w",
+        "host": "h",
+        "pid": 1,
+        "version": "0",
+        "capabilities": ["ball@1"],
+        "first_seen_at": "2026-01-02T03:04:05.678901Z",
+        "last_seen_at": "2026-01-02T03:04:06Z",
+        "seen_s_ago": 1.0,
+        "live": True,
+        "draining": False,
+        "jobs_done": 2,
+        "jobs_failed": 0,
+        "jobs_held": 1,
+    }
     [found] = read(list[WorkerView], httpx.Response(200, json=[worker]))
     assert found.live
     assert json.dumps(found.model_dump(mode="json")) == json.dumps(worker)

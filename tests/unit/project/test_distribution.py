@@ -35,8 +35,11 @@ def test_a_wheel_holds_the_page_the_templates_the_weights_and_the_type_marker(tm
 
     tracked = subprocess.run(
         ["git", "ls-files", "brink/report/templates", "server/dashboard/static", "sim/perception/weights"],
-        cwd=ROOT, check=True, capture_output=True, text=True,
-    ).stdout.splitlines()  # fmt: skip
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.splitlines()
     assert tracked
     assert {f"brink/{name.removeprefix('brink/')}" for name in tracked} | {"brink/py.typed"} <= names
 

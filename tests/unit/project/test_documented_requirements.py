@@ -17,11 +17,15 @@ SHIPPED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 PLUGINS = ROOT / "examples" / "plugins"
 CHOOSING = ROOT / "docs" / "how-to" / "choose-what-counts-as-unsafe.md"
 ANY = {
-    "urban-injected@1": "requirement", "urban-errors@1": "requirement", "urban-camera@1": "requirement",
+    "urban-injected@1": "requirement",
+    "urban-errors@1": "requirement",
+    "urban-camera@1": "requirement",
     "urban-fitted@1": "requirement",
-    "highway-perception@1": "requirement", "sumo-drivers@1": "requirement", "npc-actions@1": "violation",
+    "highway-perception@1": "requirement",
+    "sumo-drivers@1": "requirement",
+    "npc-actions@1": "violation",
     "aeb-crossing@1": "hazard",
-}  # fmt: skip
+}
 """The parameter of each problem that chooses requirements."""
 
 

@@ -48,9 +48,12 @@ SUBMITTED = (["submit", str(EXAMPLE), "--server", CLOSED], 1)
 def test_a_client_command_loads_neither_the_search_nor_the_server(arguments: list[str], status: int) -> None:
     done = subprocess.run(
         [sys.executable, "-c", RUN_AND_LIST, *arguments],
-        capture_output=True, text=True, timeout=60, check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
         env={name: value for name, value in os.environ.items() if not name.startswith("BRINK_")},
-    )  # fmt: skip
+    )
     assert f"exit {status}" in done.stdout, done.stderr
     loaded = set(done.stdout.split("loaded ")[-1].split())
     assert HEAVY & loaded == set()

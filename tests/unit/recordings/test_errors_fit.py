@@ -331,9 +331,15 @@ def test_a_document_that_cannot_be_is_refused(
 
 def violations(unsafe: int, low: float, high: float) -> Violations:
     return Violations(
-        campaign=f"c{unsafe}", name=f"n{unsafe}", problem="urban-fitted@1", unsafe=unsafe, drives=1000, replicates=20,
-        low=low, high=high,
-    )  # fmt: skip
+        campaign=f"c{unsafe}",
+        name=f"n{unsafe}",
+        problem="urban-fitted@1",
+        unsafe=unsafe,
+        drives=1000,
+        replicates=20,
+        low=low,
+        high=high,
+    )
 
 
 def test_agreement_is_said_in_words() -> None:

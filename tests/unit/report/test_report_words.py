@@ -43,8 +43,9 @@ def test_parameters_that_differ_in_digits_alone_share_a_row() -> None:
     assert weather.values == f"{', '.join(f'w{n}' for n in range(12))} and 2 more"
     assert x.values == "0 to 1 (no unit)"
     assert [(one.names, one.values) for one in users] == [
-        ("p*.speed (2 parameters)", "0 to 15 m/s"), ("p3.speed", "0 to 9 m/s"),
-    ]  # fmt: skip
+        ("p*.speed (2 parameters)", "0 to 15 m/s"),
+        ("p3.speed", "0 to 9 m/s"),
+    ]
 
 
 def test_parameters_that_were_varied_have_their_titles() -> None:
@@ -64,11 +65,13 @@ def test_only_what_occurred_was_varied() -> None:
     recorded = np.array([[True, True, True, False]] * 4)
     columns = parameter_columns(space, rows, recorded)
     assert [(one.names, one.values) for one in ranges(columns)] == [
-        ("type", "none, miss, late"), ("severity", "0 to 1 (no unit)"),
-    ]  # fmt: skip
+        ("type", "none, miss, late"),
+        ("severity", "0 to 1 (no unit)"),
+    ]
     assert [(one.names, one.values) for one in constants(columns)] == [
-        ("onset_s", "4 s"), ("distance_m", "had no part"),
-    ]  # fmt: skip
+        ("onset_s", "4 s"),
+        ("distance_m", "had no part"),
+    ]
 
 
 @pytest.mark.parametrize("requirement", requirement_ids())

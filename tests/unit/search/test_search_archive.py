@@ -374,9 +374,15 @@ def test_mismatched_shapes_are_rejected() -> None:
     archive = grown_in_steps(rows, unsafe, [])[-1]
     with pytest.raises(ValueError, match="robustness: expected shape"):
         Archive.restore(
-            SPACE, NEAR, numbers=archive.numbers, vectors=archive.vectors, unsafe=archive.unsafe, robustness=[0.0],
-            neighbours=archive.neighbours, unsafe_neighbours=archive.unsafe_neighbours,
-        )  # fmt: skip
+            SPACE,
+            NEAR,
+            numbers=archive.numbers,
+            vectors=archive.vectors,
+            unsafe=archive.unsafe,
+            robustness=[0.0],
+            neighbours=archive.neighbours,
+            unsafe_neighbours=archive.unsafe_neighbours,
+        )
 
 
 @pytest.mark.parametrize(

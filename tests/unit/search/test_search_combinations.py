@@ -118,13 +118,21 @@ def test_nothing_is_concluded_from_fewer_than_three_places() -> None:
 
 def test_variants_at_a_solution_were_simulated_in_its_place() -> None:
     trials = [
-        (0, (NOISE, BLUR), True), (1, (NOISE, BLUR), False), (1, (BLUR, NOISE), True), (1, (BLUR,), False),
-        (0, (), False), (1, (), False), (1, (Step(2, 3),), True),
-    ]  # fmt: skip
+        (0, (NOISE, BLUR), True),
+        (1, (NOISE, BLUR), False),
+        (1, (BLUR, NOISE), True),
+        (1, (BLUR,), False),
+        (0, (), False),
+        (1, (), False),
+        (1, (Step(2, 3),), True),
+    ]
     verdicts = verdicts_by_chain(SPACE, archive_of(trials))
     assert variants_at(verdicts, (NOISE, BLUR), 1) == {
-        (): (5, False), (BLUR,): (3, False), (NOISE, BLUR): (1, False), (BLUR, NOISE): (2, True),
-    }  # fmt: skip
+        (): (5, False),
+        (BLUR,): (3, False),
+        (NOISE, BLUR): (1, False),
+        (BLUR, NOISE): (2, True),
+    }
     with pytest.raises(KeyError):
         variants_at(verdicts, (NOISE, BLUR), 2)
 

@@ -24,9 +24,15 @@ SHAPE = (len(PAPER_T_BS), len(D_THS))
 def row(strict: float, *, spread: float = 0.0, repeats: float | None = None, beyond: int = 0) -> Row:
     figures = np.full(SHAPE, strict)
     return Row(
-        label="night", campaign="3f2a", unsafe_share=0.2, dbs=figures, strict=figures,
-        strict_spread=np.full(SHAPE, spread), repeats=repeats, beyond=beyond,
-    )  # fmt: skip
+        label="night",
+        campaign="3f2a",
+        unsafe_share=0.2,
+        dbs=figures,
+        strict=figures,
+        strict_spread=np.full(SHAPE, spread),
+        repeats=repeats,
+        beyond=beyond,
+    )
 
 
 @pytest.mark.parametrize(
@@ -71,9 +77,16 @@ GA, RS, GA_CONTROL = (
 def duel(second: Line, p: float | None, adjusted: float | None, a12: float, level: float = 0.05) -> Duel:
     result = Comparison(u=1.0, p_value=p, a12=a12)
     return Duel(
-        first=GA, second=second, measure=Measure.STRICT, t_b=0.1, d_th=0.2, result=result, adjusted=adjusted,
-        found_nothing=False, level=level,
-    )  # fmt: skip
+        first=GA,
+        second=second,
+        measure=Measure.STRICT,
+        t_b=0.1,
+        d_th=0.2,
+        result=result,
+        adjusted=adjusted,
+        found_nothing=False,
+        level=level,
+    )
 
 
 @pytest.mark.parametrize(

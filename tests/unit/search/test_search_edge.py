@@ -265,8 +265,13 @@ def test_an_unknown_component_is_named_with_what_was_meant() -> None:
 def test_settings_are_those_of_the_documented_defaults() -> None:
     given = dataclasses.asdict(EdgeConfig())
     assert {name: given[name] for name in ("eps", "d_th", "explore", "margin", "checks", "vary")} == {
-        "eps": 0.02, "d_th": 0.2, "explore": 0.4, "margin": 0.2, "checks": 1, "vary": "all",
-    }  # fmt: skip
+        "eps": 0.02,
+        "d_th": 0.2,
+        "explore": 0.4,
+        "margin": 0.2,
+        "checks": 1,
+        "vary": "all",
+    }
 
 
 def test_a_partner_that_is_known_already_is_no_miss() -> None:

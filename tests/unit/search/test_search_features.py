@@ -35,15 +35,37 @@ def test_every_column_belongs_to_one_unit() -> None:
 
 def test_features_are_scaled_numbers_categories_middles_and_lengths() -> None:
     features = Features.of_space(parts(2))
-    row = parts(2).encode({"scene": {"gap": 3.0, "colour_0": "blue", "left_0": 2.0, "right_0": 6.0,
-                                     "colour_1": "red", "left_1": 0.0, "right_1": 1.0}})  # fmt: skip
+    row = parts(2).encode(
+        {
+            "scene": {
+                "gap": 3.0,
+                "colour_0": "blue",
+                "left_0": 2.0,
+                "right_0": 6.0,
+                "colour_1": "red",
+                "left_1": 0.0,
+                "right_1": 1.0,
+            }
+        }
+    )
     found = dict(zip(features.names(), features.of_rows(np.array(row))[0].tolist(), strict=True))
-    assert found == pytest.approx({
-        "scene.gap": 0.75, "scene.left_0": 0.2, "scene.right_0": 0.6, "scene.left_1": 0.0, "scene.right_1": 0.1,
-        "scene.colour_0=red": 0.0, "scene.colour_0=blue": 1.0, "scene.colour_1=red": 1.0, "scene.colour_1=blue": 0.0,
-        "middle of scene.left_0..scene.right_0": 0.4, "length of scene.left_0..scene.right_0": 0.4,
-        "middle of scene.left_1..scene.right_1": 0.05, "length of scene.left_1..scene.right_1": 0.1,
-    })  # fmt: skip
+    assert found == pytest.approx(
+        {
+            "scene.gap": 0.75,
+            "scene.left_0": 0.2,
+            "scene.right_0": 0.6,
+            "scene.left_1": 0.0,
+            "scene.right_1": 0.1,
+            "scene.colour_0=red": 0.0,
+            "scene.colour_0=blue": 1.0,
+            "scene.colour_1=red": 1.0,
+            "scene.colour_1=blue": 0.0,
+            "middle of scene.left_0..scene.right_0": 0.4,
+            "length of scene.left_0..scene.right_0": 0.4,
+            "middle of scene.left_1..scene.right_1": 0.05,
+            "length of scene.left_1..scene.right_1": 0.1,
+        }
+    )
 
 
 @pytest.mark.parametrize(("count", "orders"), [(2, 2), (3, 6), (4, 4)])

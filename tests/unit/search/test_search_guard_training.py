@@ -90,11 +90,13 @@ def test_connected_drives_are_never_divided_and_violations_are_spread_evenly() -
     """Each scenario has three drives, and one behaviour of each joins it to the next one."""
     given = [
         series(
-            number, violated=number % 3 == 0, scenario=number // 3,
+            number,
+            violated=number % 3 == 0,
+            scenario=number // 3,
             behaviour=number // 6 if number % 3 == 1 else None,
         )
         for number in range(120)
-    ]  # fmt: skip
+    ]
     *divisions, last = _divisions(given, np.random.default_rng(1))
     assert len(divisions) == FOLDS
     assert last.fitted.all()

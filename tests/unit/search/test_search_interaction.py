@@ -35,8 +35,13 @@ def test_added_harm_is_unknown_without_every_step_alone() -> None:
 
 def test_parts_keep_the_order_of_their_steps() -> None:
     assert parts_of((SNOW, NOISE, BLUR)) == [
-        (SNOW,), (NOISE,), (BLUR,), (SNOW, NOISE), (SNOW, BLUR), (NOISE, BLUR),
-    ]  # fmt: skip
+        (SNOW,),
+        (NOISE,),
+        (BLUR,),
+        (SNOW, NOISE),
+        (SNOW, BLUR),
+        (NOISE, BLUR),
+    ]
 
 
 def test_row_of_a_chain_gives_the_chain_and_is_valid() -> None:

@@ -257,9 +257,12 @@ def test_mutation_rates_are_products_of_three_numbers() -> None:
     )
     assert mutation_rates(component, 0, CONFIG).tolist() == [1.0, 1.0, 1.0]
     config = MlcsheConfig(
-        mutation_probability=0.5, real_mutation_factor=0.4, categorical_mutation_factor=0.2,
-        integer_mutation_factor=0.0, scenario_mutation_factor=0.5,
-    )  # fmt: skip
+        mutation_probability=0.5,
+        real_mutation_factor=0.4,
+        categorical_mutation_factor=0.2,
+        integer_mutation_factor=0.0,
+        scenario_mutation_factor=0.5,
+    )
     assert mutation_rates(component, 0, config).tolist() == pytest.approx([0.1, 0.05, 0.0])
     assert mutation_rates(component, 1, config).tolist() == pytest.approx([0.2, 0.1, 0.0])
 
@@ -305,14 +308,15 @@ def ranking(fitness: list[float], **changes: object) -> list[tuple[int, ...]]:
     return [
         population_archive(
             MlcsheState(
-                config=config, ledger=Ledger.start(space, config, seed=seed, budget=100),
+                config=config,
+                ledger=Ledger.start(space, config, seed=seed, budget=100),
                 populations=(population, population),
             ),
             0,
             np.array(fitness),
         )
         for seed in range(10)
-    ]  # fmt: skip
+    ]
 
 
 FITNESS = [0.9, 0.2, 0.5, np.inf, 0.1, 0.8]
@@ -381,9 +385,12 @@ def test_every_strategy_keeps_the_contract(changes: dict[str, object]) -> None:
 def test_strategies_differ_from_the_default() -> None:
     plain = archive_digest(run_to_end().archive)
     for changes in (
-        {"selection": "none"}, {"archive_strategy": "best"}, {"archive_strategy": "random"},
-        {"fitness_aggregate": "worst"}, {"real_mutation_factor": 0.1},
-    ):  # fmt: skip
+        {"selection": "none"},
+        {"archive_strategy": "best"},
+        {"archive_strategy": "random"},
+        {"fitness_aggregate": "worst"},
+        {"real_mutation_factor": 0.1},
+    ):
         assert archive_digest(run_to_end(**changes).archive) != plain
 
 

@@ -50,9 +50,12 @@ def test_scores_follow_the_definition(kind: str) -> None:
     rows = np.array([MIXED.join(MIXED.sample(rng)) for _ in range(90)])
     weights = rng.uniform(0.5, 4.0, MIXED.dimension)
     used = {
-        "all": np.ones(MIXED.dimension, bool), "some": np.arange(MIXED.dimension) % 2 == 0,
-        "numbers": ~MIXED.categorical, "categories": MIXED.categorical, "none": np.zeros(MIXED.dimension, bool),
-    }[kind]  # fmt: skip
+        "all": np.ones(MIXED.dimension, bool),
+        "some": np.arange(MIXED.dimension) % 2 == 0,
+        "numbers": ~MIXED.categorical,
+        "categories": MIXED.categorical,
+        "none": np.zeros(MIXED.dimension, bool),
+    }[kind]
     monitor = Monitor.of(MIXED, weights * used, rows[:70], rng.random(70) < 0.3, threshold=0.1)
     risks = monitor.score(rows[60:])
     assert risks.neighbours is not None
@@ -198,16 +201,35 @@ def test_json_of_an_evaluation_keeps_the_published_field_names() -> None:
     fresh, truth = plane(300, seed=2)
     found = evaluate_monitor(Monitor.of(PLANE, (8, 0), rows, unsafe, threshold=0.5), fresh, truth).to_json()
     assert list(found) == [
-        "model", "learned", "fresh", "threshold", "witnesses", "answers", "unlike", "left_out", "pairs",
-    ]  # fmt: skip
+        "model",
+        "learned",
+        "fresh",
+        "threshold",
+        "witnesses",
+        "answers",
+        "unlike",
+        "left_out",
+        "pairs",
+    ]
     witness = json.loads(json.dumps(found))["witnesses"][0]
     assert list(witness) == ["name", "judgement", "alarms"]
     assert list(witness["judgement"]) == [
-        "solutions", "unsafe", "auroc", "brier", "bins", "calibration_error",
-    ]  # fmt: skip
+        "solutions",
+        "unsafe",
+        "auroc",
+        "brier",
+        "bins",
+        "calibration_error",
+    ]
     assert list(witness["judgement"]["bins"][0]) == [
-        "solutions", "foretold", "low", "high", "observed", "observed_low", "observed_high",
-    ]  # fmt: skip
+        "solutions",
+        "foretold",
+        "low",
+        "high",
+        "observed",
+        "observed_low",
+        "observed_high",
+    ]
     assert list(witness["alarms"][0]) == ["probability", "missed", "false"]
     assert [list(one) for one in found["answers"]] == [["answer", "solutions", "unsafe"]] * 3
     assert [one["answer"] for one in found["answers"]] == ["safe", "unsafe", "unknown"]

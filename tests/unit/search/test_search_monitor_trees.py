@@ -28,11 +28,13 @@ def boxes() -> SearchSpace:
     return SearchSpace(
         (
             Component(
-                "scene", tuple(parameters), tuple(Extent(f"left_{i}", f"right_{i}", 1.0, 10.0) for i in (1, 2)),
+                "scene",
+                tuple(parameters),
+                tuple(Extent(f"left_{i}", f"right_{i}", 1.0, 10.0) for i in (1, 2)),
                 interchangeable=tuple((f"left_{i}", f"right_{i}") for i in (1, 2)),
             ),
         )
-    )  # fmt: skip
+    )
 
 
 BOXES = boxes()

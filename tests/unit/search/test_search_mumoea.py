@@ -464,11 +464,16 @@ def test_inconsistent_settings_are_rejected() -> None:
 @pytest.mark.parametrize(
     "changes",
     mostly_long(
-        [{}, {"differential": "always"}, {"initial": "random", "differential": "never"}, {"crossover": "srinivas"}],
+        [
+            {},
+            {"differential": "always"},
+            {"initial": "random", "differential": "never"},
+            {"crossover": "srinivas"},
+        ],
         [],
         "searches several times",
     ),
-)  # fmt: skip
+)
 def test_contract_holds_with_other_settings(changes: dict[str, Any]) -> None:
     check_algorithm(MUMOEA, SPACE, budget=100, config=replace(SMALL, **changes), evaluate=driven)
 

@@ -144,7 +144,11 @@ def test_size_counts_what_is_within_the_odd() -> None:
 @pytest.mark.parametrize(
     ("odd", "name", "message"),
     [
-        ({"scenario.wether": "dry"}, "scenario.wether", "did you mean 'scenario.weather'?; known: scenario.weather"),
+        (
+            {"scenario.wether": "dry"},
+            "scenario.wether",
+            "did you mean 'scenario.weather'?; known: scenario.weather",
+        ),
         ({"weather": "dry"}, "weather", "known: scenario.weather"),
         ({"weather.*": "dry"}, "weather.*", "unknown parameter 'weather.*'"),
         ({"scenario.weather": []}, "scenario.weather", "expected some of dry, wet, fog, got []"),
@@ -162,7 +166,7 @@ def test_size_counts_what_is_within_the_odd() -> None:
         ({"behaviour.left": 1, "behaviour.l*": 1}, "behaviour.l*", "behaviour.left is limited twice"),
         ({"behaviour.right": {"max": 40}}, None, "right can be 50 above left"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_odd_is_refused_with_what_was_expected(
     odd: dict[str, object], name: str | None, message: str
 ) -> None:
@@ -180,12 +184,15 @@ def test_an_odd_has_at_least_two_solutions() -> None:
 
 def test_a_block_is_switched_off_by_its_label_not_by_zeros() -> None:
     members = ("x", "y")
-    space = SearchSpace((
-        Component(
-            "b", (Categorical("label", ("none", "car")), Real("x", 0, 1), Real("y", 0, 1)),
-            (Dormant("label", "none", members),),
-        ),
-    ))  # fmt: skip
+    space = SearchSpace(
+        (
+            Component(
+                "b",
+                (Categorical("label", ("none", "car")), Real("x", 0, 1), Real("y", 0, 1)),
+                (Dormant("label", "none", members),),
+            ),
+        )
+    )
     with pytest.raises(OddError, match="to have none of them, fix label to none"):
         limited(space, {"b.x": 0, "b.y": 0})
     rng = np.random.default_rng(1)
@@ -294,9 +301,9 @@ def test_a_stored_monitor_knows_its_odd() -> None:
 
 
 def test_a_box_can_be_held_in_a_part_of_the_image() -> None:
-    space = SearchSpace((
-        Component("b", (Integer("l", 0, 100), Integer("r", 0, 100)), (Extent("l", "r", 10.0, 100.0),)),
-    ))  # fmt: skip
+    space = SearchSpace(
+        (Component("b", (Integer("l", 0, 100), Integer("r", 0, 100)), (Extent("l", "r", 10.0, 100.0),)),)
+    )
     right = limited(space, {"b.l": {"min": 60, "max": 95}, "b.r": {"min": 70}})
     rng = np.random.default_rng(1)
     for _ in range(200):

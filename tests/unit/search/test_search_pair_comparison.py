@@ -34,27 +34,46 @@ PAIRS = [
 def counts(distinct: int, *, tried: int = 0, confirmed: int = 0, checked: int = 0) -> PairCounts:
     """Return counts of pairs, of which the first `checked` are checked, and the first `confirmed` confirmed."""
     return PairCounts(
-        distinct=distinct, checked=checked, tried=tried, judged=tried, confirmed=confirmed, refuted=0,
-        checked_judged=min(checked, tried), checked_confirmed=min(checked, confirmed), component=0, scenario=0,
+        distinct=distinct,
+        checked=checked,
+        tried=tried,
+        judged=tried,
+        confirmed=confirmed,
+        refuted=0,
+        checked_judged=min(checked, tried),
+        checked_confirmed=min(checked, confirmed),
+        component=0,
+        scenario=0,
         drives=15 if tried else 0,
-    )  # fmt: skip
+    )
 
 
 def repeats(methods: Mapping[str, list[PairCounts]], *, computed: bool = False) -> list[PairRepeat]:
     """Return the campaigns of methods, one for each of their counts."""
     return [
-        PairRepeat(problem="gap", method=method, seed=seed, campaign=f"{method}{seed}", computed=computed, counts=one)
+        PairRepeat(
+            problem="gap", method=method, seed=seed, campaign=f"{method}{seed}", computed=computed, counts=one
+        )
         for method, ones in methods.items()
         for seed, one in enumerate(ones)
-    ]  # fmt: skip
+    ]
 
 
 def test_pairs_are_counted_by_what_is_known_of_them() -> None:
     found = PairCounts.of(PAIRS, SHARES, {2: False, 4: True, 6: False, 99: True})
     assert found == PairCounts(
-        distinct=5, checked=4, tried=4, judged=3, confirmed=1, refuted=1, checked_judged=2, checked_confirmed=1,
-        component=2, scenario=1, drives=4,
-    )  # fmt: skip
+        distinct=5,
+        checked=4,
+        tried=4,
+        judged=3,
+        confirmed=1,
+        refuted=1,
+        checked_judged=2,
+        checked_confirmed=1,
+        component=2,
+        scenario=1,
+        drives=4,
+    )
     assert not found.is_tried, "the last pair was not"
     assert PairCounts.of([], SHARES, {}).is_tried, "there is none to try"
 

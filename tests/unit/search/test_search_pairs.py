@@ -82,9 +82,14 @@ def test_the_sides_of_a_box_are_one_unit() -> None:
 def test_checked_pairs_come_first_and_then_the_tightest() -> None:
     other = changed(road=1.0)
     archive = archive_of(
-        (BASE, False), (changed(gap=52.0), True), (changed(gap=51.0), True),
-        (other, False), (changed(road=1.0, gap=53.0), True), (other, False), (changed(road=1.0, gap=53.0), True),
-    )  # fmt: skip
+        (BASE, False),
+        (changed(gap=52.0), True),
+        (changed(gap=51.0), True),
+        (other, False),
+        (changed(road=1.0, gap=53.0), True),
+        (other, False),
+        (changed(road=1.0, gap=53.0), True),
+    )
     assert numbers(archive)[:3] == [(13, 14), (10, 12), (10, 11)]
     found = find_pairs(archive, SPACE, eps=0.02, d_th=0.1)
     assert [(p.safe.number, p.checked) for p in found.pairs] == [(13, True), (10, False)]
@@ -113,8 +118,12 @@ def test_a_difference_may_have_had_a_part_in_one_drive_alone() -> None:
     archive = archive_of((BASE, False), (changed(gap=52.0), True))
     part = {0: False, 1: True}
     found = find_pairs(
-        archive, SPACE, eps=0.02, d_th=0.0, had_part=lambda places: np.array([[part[int(at)]] * 5 for at in places])
-    )  # fmt: skip
+        archive,
+        SPACE,
+        eps=0.02,
+        d_th=0.0,
+        had_part=lambda places: np.array([[part[int(at)]] * 5 for at in places]),
+    )
     assert (found.tight, found.without_part) == (1, 0)
 
 

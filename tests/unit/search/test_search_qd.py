@@ -311,8 +311,9 @@ def test_a_solution_counts_once_in_each_of_its_niches() -> None:
     for given in (niches, niches[::-1]):
         found = with_elites((elite("b", 0, 0.0),), [Candidate(number=5, vectors=())], {5: scored(*given)})
         assert {(one.niche.name, one.niche.rank, one.number, one.hits) for one in found} == {
-            (("b",), 0, 0, 2), (("a",), 0, 5, 1),
-        }  # fmt: skip
+            (("b",), 0, 0, 2),
+            (("a",), 0, 5, 1),
+        }
 
 
 def test_solutions_without_niches_lead_to_a_random_search() -> None:
@@ -347,8 +348,10 @@ def test_corrupt_states_are_refused(change: dict[str, Any]) -> None:
     stored = QD.dump(state)
     three = {"niches": stored.header["niches"][:3]}
     stored = replace(
-        stored, header={**stored.header, **three}, arrays={**stored.arrays, "elites": stored.arrays["elites"][:3]}
-    )  # fmt: skip
+        stored,
+        header={**stored.header, **three},
+        arrays={**stored.arrays, "elites": stored.arrays["elites"][:3]},
+    )
     assert len(QD.load(SPACE, SMALL, stored, state.archive).elites) == 3
     broken = replace(stored, header={**stored.header, **change})
     with pytest.raises(DocumentError):

@@ -147,11 +147,17 @@ def test_intervals_of_fifty_trials_contain_a_tenth_for_one_to_nine_unsafe() -> N
 @pytest.mark.parametrize(
     ("unsafe", "times", "expected"),
     [
-        (0, 10, Conclusion.INCONCLUSIVE), (1, 10, Conclusion.INCONCLUSIVE), (0, 35, Conclusion.INCONCLUSIVE),
-        (0, 36, Conclusion.BELOW), (3, 50, Conclusion.NEAR), (100, 1000, Conclusion.NEAR),
-        (10, 10, Conclusion.ABOVE), (60, 1000, Conclusion.BELOW), (0, 0, None),
+        (0, 10, Conclusion.INCONCLUSIVE),
+        (1, 10, Conclusion.INCONCLUSIVE),
+        (0, 35, Conclusion.INCONCLUSIVE),
+        (0, 36, Conclusion.BELOW),
+        (3, 50, Conclusion.NEAR),
+        (100, 1000, Conclusion.NEAR),
+        (10, 10, Conclusion.ABOVE),
+        (60, 1000, Conclusion.BELOW),
+        (0, 0, None),
     ],
-)  # fmt: skip
+)
 def test_an_interval_that_contains_p_th_is_no_evidence_by_itself(
     unsafe: int, times: int, expected: Conclusion | None
 ) -> None:

@@ -7,13 +7,18 @@ from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
 
-SPACE = SearchSpace((
-    Component(
-        "scenario",
-        (Categorical("weather", ("dry", "wet", "fog", "snow", "hail")), Categorical("night", ("no", "yes"))),
-    ),
-    Component("behaviour", (Real("late_s", 0.0, 10.0, "s"), Integer("misses", 0, 9))),
-))  # fmt: skip
+SPACE = SearchSpace(
+    (
+        Component(
+            "scenario",
+            (
+                Categorical("weather", ("dry", "wet", "fog", "snow", "hail")),
+                Categorical("night", ("no", "yes")),
+            ),
+        ),
+        Component("behaviour", (Real("late_s", 0.0, 10.0, "s"), Integer("misses", 0, 9))),
+    )
+)
 NEAR = Neighbourhood(radius=0.3, p_th=0.1, z=1.96)
 
 

@@ -62,8 +62,9 @@ def test_clear_sides_are_decided_soon() -> None:
     assert [verdict_of(0, n) for n in (14, 15)] == [Verdict.UNDECIDED, Verdict.HOLDS]
     assert [verdict_of(1, n) for n in (26, 27)] == [Verdict.UNDECIDED, Verdict.HOLDS]
     assert [verdict_of(*of) for of in ((3, 3), (4, 4), (5, 7), (6, 10))] == [
-        Verdict.UNDECIDED, *[Verdict.REFUTED] * 3,
-    ]  # fmt: skip
+        Verdict.UNDECIDED,
+        *[Verdict.REFUTED] * 3,
+    ]
     assert verdict_of(3, 10) is Verdict.UNDECIDED
     assert verdict_of(0, 0) is Verdict.UNDECIDED
 

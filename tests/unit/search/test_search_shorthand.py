@@ -9,9 +9,11 @@ from brink.search.space import Component, SearchSpace
 
 WRITTEN = {"speed": (5, 30, "m/s"), "share": (0.0, 1.0), "lanes": range(2, 5), "road": ["dry", "wet"]}
 PARAMETERS = (
-    Real("speed", 5.0, 30.0, "m/s"), Real("share", 0.0, 1.0), Integer("lanes", 2, 4),
+    Real("speed", 5.0, 30.0, "m/s"),
+    Real("share", 0.0, 1.0),
+    Integer("lanes", 2, 4),
     Categorical("road", ("dry", "wet")),
-)  # fmt: skip
+)
 
 
 def test_plain_values_stand_for_parameters() -> None:

@@ -201,11 +201,14 @@ def test_search_can_run_in_the_simulator() -> None:
 @pytest.mark.parametrize(
     ("changes", "budget", "field"),
     [
-        ({"interaction": "none"}, 94, "budget"), ({}, 134, "budget"), ({"interaction": "finalists"}, 104, "budget"),
-        ({"parents": 30}, BUDGET, "parents"), ({"finalists": 0}, BUDGET, "finalists"),
+        ({"interaction": "none"}, 94, "budget"),
+        ({}, 134, "budget"),
+        ({"interaction": "finalists"}, 104, "budget"),
+        ({"parents": 30}, BUDGET, "parents"),
+        ({"finalists": 0}, BUDGET, "finalists"),
         ({"interaction": "yes"}, BUDGET, "interaction"),
     ],
-)  # fmt: skip
+)
 def test_inconsistent_settings_are_rejected(changes: dict[str, Any], budget: int, field: str) -> None:
     with pytest.raises(ConfigError) as caught:
         run_to_end(budget=budget, **changes)
@@ -215,11 +218,17 @@ def test_inconsistent_settings_are_rejected(changes: dict[str, Any], budget: int
 @pytest.mark.parametrize(
     "changes",
     [
-        {"propose": "random"}, {"evaluate": "episode"}, {"parents": 5}, {"interaction": "none"},
-        {"interaction": "finalists"}, {"interaction": "finalists", "evaluate": "episode"}, {"alpha": "errors"},
-        {"interaction": "added_harm"}, {"interaction": "added_harm", "alpha": "errors", "propose": "random"},
+        {"propose": "random"},
+        {"evaluate": "episode"},
+        {"parents": 5},
+        {"interaction": "none"},
+        {"interaction": "finalists"},
+        {"interaction": "finalists", "evaluate": "episode"},
+        {"alpha": "errors"},
+        {"interaction": "added_harm"},
+        {"interaction": "added_harm", "alpha": "errors", "propose": "random"},
     ],
-)  # fmt: skip
+)
 def test_every_variant_keeps_the_contract(changes: dict[str, Any]) -> None:
     config = dataclasses.replace(SimoodConfig(), **changes)
     check_algorithm(SIMOOD, SPACE, budget=BUDGET, config=config, ends_itself=True)
@@ -237,11 +246,13 @@ def test_children_of_an_exhausted_space_are_given_up_and_counted(propose: str) -
     genes = Component(
         "perturbation",
         (
-            Categorical("gene_1", ("a", "b")), Real("intensity_1", 0.0, 1.0),
-            Categorical("gene_2", ("a", "b")), Real("intensity_2", 0.0, 1.0),
+            Categorical("gene_1", ("a", "b")),
+            Real("intensity_1", 0.0, 1.0),
+            Categorical("gene_2", ("a", "b")),
+            Real("intensity_2", 0.0, 1.0),
         ),
         (Slots((("gene_1", "intensity_1"), ("gene_2", "intensity_2")), (3, 2)),),
-    )  # fmt: skip
+    )
     space = SearchSpace((SPACE.components[0], genes))
     config = SimoodConfig(propose=propose, population_size=2, finalists=2, repeats=1, interaction="none")
     state = SIMOOD.start(space, config, seed=1, budget=BUDGET)

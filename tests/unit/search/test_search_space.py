@@ -106,11 +106,16 @@ def test_box_repair_matches_the_known_answers(row: dict[str, list[float]]) -> No
 @pytest.mark.parametrize(
     ("given_times", "expected"),
     [
-        ((100.0, 400.0), (100.0, 400.0)), ((400.0, 100.0), (100.0, 400.0)), ((100.0, 120.0), (100.0, 150.0)),
-        ((120.0, 100.0), (100.0, 150.0)), ((880.0, 890.0), (840.0, 890.0)), ((-50.0, 1000.0), (0.0, 900.0)),
-        ((1000.0, 950.0), (850.0, 900.0)), ((33.4, 60.6), (33.0, 83.0)),
+        ((100.0, 400.0), (100.0, 400.0)),
+        ((400.0, 100.0), (100.0, 400.0)),
+        ((100.0, 120.0), (100.0, 150.0)),
+        ((120.0, 100.0), (100.0, 150.0)),
+        ((880.0, 890.0), (840.0, 890.0)),
+        ((-50.0, 1000.0), (0.0, 900.0)),
+        ((1000.0, 950.0), (850.0, 900.0)),
+        ((33.4, 60.6), (33.0, 83.0)),
     ],
-)  # fmt: skip
+)
 def test_repaired_times_are_in_order_inside_the_horizon_and_apart(
     given_times: tuple[float, float], expected: tuple[float, float]
 ) -> None:
@@ -307,13 +312,18 @@ PAIR = (Real("a", 0.0, 10.0), Real("b", 0.0, 10.0))
         (PAIR, (Dormant("a", "x", ("b",)),), "expected the label 'a' to be a categorical"),
         ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "y", ("a",)),), "no choice 'y'"),
         ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "x", ()),), "distinct members"),
-        ((Real("a", 1.0, 2.0), Categorical("c", ("x",))), (Dormant("c", "x", ("a",)),), "0 in the range of a"),
         (
-            (*PAIR, Categorical("c", ("x",))), (Dormant("c", "x", ("a",)), Dormant("c", "x", ("a", "b"))),
+            (Real("a", 1.0, 2.0), Categorical("c", ("x",))),
+            (Dormant("c", "x", ("a",)),),
+            "0 in the range of a",
+        ),
+        (
+            (*PAIR, Categorical("c", ("x",))),
+            (Dormant("c", "x", ("a",)), Dormant("c", "x", ("a", "b"))),
             "more than one dormant block",
         ),
     ],
-)  # fmt: skip
+)
 def test_inconsistent_components_are_rejected(
     parameters: tuple[Parameter, ...], constraints: tuple[Constraint | Dormant, ...], message: str
 ) -> None:
@@ -360,11 +370,13 @@ SLOTS = Slots((("gene_1", "intensity_1"), ("gene_2", "intensity_2")), (3, 6, 11)
 SLOTTED = Component(
     "perturbation",
     (
-        Categorical("gene_1", TECHNIQUES), Real("intensity_1", 0.0, 1.0),
-        Categorical("gene_2", TECHNIQUES), Real("intensity_2", 0.0, 1.0),
+        Categorical("gene_1", TECHNIQUES),
+        Real("intensity_1", 0.0, 1.0),
+        Categorical("gene_2", TECHNIQUES),
+        Real("intensity_2", 0.0, 1.0),
     ),
     (SLOTS,),
-)  # fmt: skip
+)
 
 
 @given(
@@ -413,8 +425,6 @@ def test_invalid_slots_are_named(vector: list[float], problem: str) -> None:
     ],
 )
 def test_slots_that_do_not_fit_their_component_are_rejected(slots: Slots, message: str) -> None:
-    parameters = (
-        *SLOTTED.parameters, Integer("count", 0, 1), Categorical("other", ("a", "b", "c")),
-    )  # fmt: skip
+    parameters = (*SLOTTED.parameters, Integer("count", 0, 1), Categorical("other", ("a", "b", "c")))
     with pytest.raises(SpaceError, match=message):
         Component("perturbation", parameters, (slots,))

@@ -97,10 +97,18 @@ def test_comparison_follows_the_definitions_with_ties(first: list[float], second
 @pytest.mark.parametrize(
     ("effect", "word"),
     [
-        (0.5, "negligible"), (0.559, "negligible"), (0.56, "small"), (0.44, "small"), (0.64, "medium"),
-        (0.36, "medium"), (0.71, "large"), (0.29, "large"), (0.0, "large"), (1.0, "large"),
+        (0.5, "negligible"),
+        (0.559, "negligible"),
+        (0.56, "small"),
+        (0.44, "small"),
+        (0.64, "medium"),
+        (0.36, "medium"),
+        (0.71, "large"),
+        (0.29, "large"),
+        (0.0, "large"),
+        (1.0, "large"),
     ],
-)  # fmt: skip
+)
 def test_effect_sizes_have_the_names_of_vargha_and_delaney(effect: float, word: str) -> None:
     assert effect_size(effect) == word
 

@@ -509,7 +509,11 @@ def test_without_cells_there_is_one_for_each_condition() -> None:
     ("changes", "field", "words"),
     [
         ({"cells": {"typ": ["miss"]}}, "cells", "unknown parameter 'typ'"),
-        ({"cells": {"type": ["miss"]}}, "cells", "may be any of behaviour.error_1.type, behaviour.error_2.type"),
+        (
+            {"cells": {"type": ["miss"]}},
+            "cells",
+            "may be any of behaviour.error_1.type, behaviour.error_2.type",
+        ),
         ({"cells": {"error_1.type": ["misss"]}}, "cells", "did you mean 'miss'"),
         ({"cells": {"error_1.type": []}}, "cells", "one or more distinct choices"),
         ({"cells": {"gap": ["1"]}}, "cells", "a parameter with choices"),
@@ -518,17 +522,29 @@ def test_without_cells_there_is_one_for_each_condition() -> None:
         ({"conditions": [{"weather": "snow"}]}, "conditions", "expected one of dry, wet, fog"),
         ({"conditions": [{"weather": "dry"}, {"weather": ["dry", "fog"]}]}, "conditions", "overlap"),
         ({"conditions": [{"weather": "dry"}, {"people": "0"}]}, "conditions", "overlap"),
-        ({"conditions": [{"name": "a", "weather": "dry"}, {"name": "a", "weather": "wet"}]}, "conditions", "own"),
+        (
+            {"conditions": [{"name": "a", "weather": "dry"}, {"name": "a", "weather": "wet"}]},
+            "conditions",
+            "own",
+        ),
         ({"conditions": [{"target": "lead"}]}, "conditions", "distinguishes the cells"),
-        ({"conditions": [{"people": "0"}]}, "conditions", "pedestrian under 0: expected scenario.people to allow 18"),
+        (
+            {"conditions": [{"people": "0"}]},
+            "conditions",
+            "pedestrian under 0: expected scenario.people to allow 18",
+        ),
         ({"fixed": {"gap": 100.0}}, "fixed", "expected a number in"),
         ({"grossest": {"error_1.type": "gone"}}, "grossest", "expected one of none, miss, late, left"),
         ({"grossest": {"error_1.type": "left"}}, "covers", "the same parameters as in grossest"),
-        ({**SCREENED, "covers": {"error_1.type": ["gone"]}}, "covers", "expected one of none, miss, late, left"),
+        (
+            {**SCREENED, "covers": {"error_1.type": ["gone"]}},
+            "covers",
+            "expected one of none, miss, late, left",
+        ),
         ({"levels": 5}, "levels", "a divisor of 32"),
         ({"design": "clever"}, "design", "expected one of"),
     ],
-)  # fmt: skip
+)
 def test_settings_that_do_not_fit_are_refused(changes: dict[str, Any], field: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words) as refused:
         Tolerance().check(SPACE, ToleranceConfig(**{**SETTINGS, **changes}), budget=10_000)

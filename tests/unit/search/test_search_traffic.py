@@ -244,9 +244,13 @@ def test_pedestrian_on_the_carriageway_walks_to_the_other_side() -> None:
 
 def test_vehicle_from_a_side_street_drives_straight_across() -> None:
     comes = Participant(
-        kind=Kind.VAN, ds_m=31.75, dd_m=-20.0, dyaw_rad=0.5 * math.pi, speed_mps=10.0,
+        kind=Kind.VAN,
+        ds_m=31.75,
+        dd_m=-20.0,
+        dyaw_rad=0.5 * math.pi,
+        speed_mps=10.0,
         genes=(timed(Action.KEEP, 1.0), timed(Action.CHANGE_LEFT, 1.0, 1.0)),
-    )  # fmt: skip
+    )
     assert waypoints(comes, CROSSROAD) == pytest.approx(np.array([[31.75, -10.0], [31.75, 0.0]]))
 
 

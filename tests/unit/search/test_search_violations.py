@@ -29,9 +29,13 @@ from brink.search.analysis.violations import (
 def test_signature_has_six_words() -> None:
     found = signature_of(violation())
     assert found.to_json() == {
-        "requirement": "no-collision@1", "counterpart": "vehicle", "sector": "front", "ego": "driving",
-        "other": "same way, cut in", "place": "straight",
-    }  # fmt: skip
+        "requirement": "no-collision@1",
+        "counterpart": "vehicle",
+        "sector": "front",
+        "ego": "driving",
+        "other": "same way, cut in",
+        "place": "straight",
+    }
     assert str(found) == "collision with a vehicle at the front (same way, cut in), ego driving, straight"
     assert niche_of(violation()) == ("front", "same way, cut in", "driving", "straight")
 
@@ -42,8 +46,10 @@ def test_a_type_is_as_avoidable_as_its_most_avoidable_violation() -> None:
         return FoundViolation(number=number, circumstances=told, signature=signature_of(told), name=None)
 
     assert [avoidable_of(one) for one in ({"avoidable": "ideal"}, {"avoidable": "perhaps"}, {})] == [
-        Avoidable.IDEAL, None, None,
-    ]  # fmt: skip
+        Avoidable.IDEAL,
+        None,
+        None,
+    ]
     (kind,) = by_type([found(1, avoidable="no"), found(2, avoidable="careful"), found(3)])
     assert kind.avoidable is Avoidable.CAREFUL
     (old,) = by_type([found(1), found(2)])

@@ -77,10 +77,11 @@ def known_in(
     scored = [judge(Candidate(number=n, vectors=space.split(row))) for n, row in enumerate(rows)]
     evaluations = [one for one in scored if isinstance(one, Scored)]
     return Known(
-        rows=rows.reshape(-1, space.dimension), unsafe=np.array([one.unsafe for one in evaluations], np.bool_),
+        rows=rows.reshape(-1, space.dimension),
+        unsafe=np.array([one.unsafe for one in evaluations], np.bool_),
         robustness=np.array([one.robustness for one in evaluations]),
         points=random_rows(space, points, seed=200).reshape(-1, space.dimension),
-    )  # fmt: skip
+    )
 
 
 def known_of(archive: Archive) -> Known:
@@ -108,9 +109,13 @@ def test_a_warm_search_keeps_the_contract(name: str, results: int, points: int) 
     algorithm, config = ALGORITHMS[name]
     space = example_spaces()["numeric"]
     check_algorithm(
-        algorithm, space, budget=100, config=config, repeats=name == "edge@1",
+        algorithm,
+        space,
+        budget=100,
+        config=config,
+        repeats=name == "edge@1",
         known=known_in(space, results, points),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.usefixtures("few_trees")
@@ -166,11 +171,12 @@ def test_what_is_known_decides_what_is_asked_for(name: str) -> None:
     space = example_spaces()["numeric"]
     judge = synthetic_verdicts(space, failing=0.0)
     asked = [
-        [space.join(c.vectors).tobytes() for c in play(
-            algorithm, space, config, judge, seed=1, budget=100, known=known
-        ).candidates]
+        [
+            space.join(c.vectors).tobytes()
+            for c in play(algorithm, space, config, judge, seed=1, budget=100, known=known).candidates
+        ]
         for known in (None, known_in(space, 60))
-    ]  # fmt: skip
+    ]
     assert asked[0] != asked[1] or name == "random@1"  # random draws depend on nothing
 
 
@@ -339,13 +345,16 @@ def test_no_pair_is_looked_for_where_known_results_are_one(earlier: EdgeRun) -> 
     known, _ = earlier
     state, _ = run_edge(1, known_of(known.archive), on_mtq)
     before, after = (
-        np.array([
-            midpoints(rows[b.safe][None], rows[b.unsafe][None], MTQ_SPACE)[0]
-            for b in found.brackets if b.status is Status.KEPT
-        ])
+        np.array(
+            [
+                midpoints(rows[b.safe][None], rows[b.unsafe][None], MTQ_SPACE)[0]
+                for b in found.brackets
+                if b.status is Status.KEPT
+            ]
+        )
         for found in (known, state)
         for rows in [dict(zip(found.archive.numbers.tolist(), found.archive.vectors, strict=True))]
-    )  # fmt: skip
+    )
     assert len(after)
     assert (Metric.of_space(MTQ_SPACE).between(after, before) >= ROUND["d_th"] - ROUND["eps"]).all()
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 from support.traces import make_trace
 
+from brink.pictures.reference import avoidable_words
 from brink.search.analysis.avoidable import Avoidable, AvoidedBy, avoidable_of, avoided_by_of
 from brink.sim.encounter.reference import NOBODY, Avoidance, Driver
 from brink.sim.encounter.simulator import AVOIDED_BY
-from brink.sim.replay.reference import avoidable_words
 from brink.sim.trace import AVOIDABLE
 
 

@@ -42,8 +42,12 @@ CART_POLE = GymnasiumProblem(
     GymnasiumParams(perturbations=2, reset={"low": [-0.1, 0.0], "high": [0.0, 0.1]}, reset_seeds=50)
 )
 BIAS: dict[str, Any] = {
-    "type": "bias", "dimension": "pole angle", "magnitude": 0.25, "from_step": 20, "steps": 100,
-}  # fmt: skip
+    "type": "bias",
+    "dimension": "pole angle",
+    "magnitude": 0.25,
+    "from_step": 20,
+    "steps": 100,
+}
 NONE: dict[str, Any] = {**BIAS, "type": NO_PERTURBATION, "magnitude": 0.0, "from_step": 0, "steps": 0}
 SCENARIO: dict[str, Any] = {"reset.low": -0.05, "reset.high": 0.05, "reset_seed": 3}
 
@@ -97,9 +101,14 @@ def test_magnitudes_are_in_the_unit_of_the_observation() -> None:
 
 def test_the_problem_implements_its_protocols() -> None:
     for protocol in (
-        DescribesCandidates, DescribesChanges, NamesRequirements, NeedsExtra, RecordsActivity, ReplacesComponent,
+        DescribesCandidates,
+        DescribesChanges,
+        NamesRequirements,
+        NeedsExtra,
+        RecordsActivity,
+        ReplacesComponent,
         SimulatedProblem,
-    ):  # fmt: skip
+    ):
         assert isinstance(CART_POLE, protocol)
 
 
@@ -219,7 +228,7 @@ def test_a_candidate_has_words() -> None:
             "(in the safe episode, pole angle biased by +0.05 from step 20 on for 100 steps)",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_change_has_words(old: dict[str, Any], new: dict[str, Any], expected: str) -> None:
     assert change(candidate({**BIAS, **old}), candidate({**BIAS, **new})) == expected
 
@@ -272,9 +281,11 @@ def test_functions_that_no_worker_would_call_are_refused_at_submission(
     field: str, given: str, message: str
 ) -> None:
     campaign: dict[str, Any] = {
-        "name": "poles", "problem": {"id": "gymnasium@1", "params": {field: given}},
-        "algorithm": {"id": "random@1"}, "budget": {"simulations": 3},
-    }  # fmt: skip
+        "name": "poles",
+        "problem": {"id": "gymnasium@1", "params": {field: given}},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": 3},
+    }
     with pytest.raises(InvalidInput, match=message) as caught:
         make_checked_plan(parse_body(campaign))
     assert [one.pointer for one in caught.value.errors] == [f"/problem/params/{field}"]

@@ -47,15 +47,27 @@ from brink.worker.wire import Completed
 ROOT = Path(__file__).resolve().parents[3]
 HIGHWAY = HighwayPerception(HighwayPerceptionParams())
 SCENARIO: dict[str, Any] = {
-    "road": "highway", "goal": "straight", "lanes": 3, "density": 1.0, "traffic_speed": 0.8, "ego_speed": 1.0,
+    "road": "highway",
+    "goal": "straight",
+    "lanes": 3,
+    "density": 1.0,
+    "traffic_speed": 0.8,
+    "ego_speed": 1.0,
     "target_speed": 1.2,
-}  # fmt: skip
+}
 MISS: dict[str, Any] = {
-    "type": "miss", "target": "ahead", "onset_s": 4.2, "duration_s": 7.0, "severity": 1.2 / 8.0, "distance_m": 30.0,
-}  # fmt: skip
+    "type": "miss",
+    "target": "ahead",
+    "onset_s": 4.2,
+    "duration_s": 7.0,
+    "severity": 1.2 / 8.0,
+    "distance_m": 30.0,
+}
 NONE: dict[str, Any] = {
-    **dict.fromkeys(("onset_s", "duration_s", "severity", "distance_m"), 0.0), "type": NO_ERROR, "target": "ahead",
-}  # fmt: skip
+    **dict.fromkeys(("onset_s", "duration_s", "severity", "distance_m"), 0.0),
+    "type": NO_ERROR,
+    "target": "ahead",
+}
 WORDS = (
     "Highway with 3 lanes, overtaking where it is faster, traffic 100% as dense and 80% as fast as usual, "
     "starts at 30.0 m/s and aims at 36.0 m/s"
@@ -118,9 +130,16 @@ def test_an_episode_records_both_requirements_and_those_that_decide() -> None:
 
 def test_the_problem_implements_its_protocols() -> None:
     for protocol in (
-        DescribesCandidates, DescribesChanges, ExplainsChanges, NamesRequirements, NeedsExtra, RecordsActivity,
-        ReplacesComponent, ScalesSeverity, SimulatedProblem,
-    ):  # fmt: skip
+        DescribesCandidates,
+        DescribesChanges,
+        ExplainsChanges,
+        NamesRequirements,
+        NeedsExtra,
+        RecordsActivity,
+        ReplacesComponent,
+        ScalesSeverity,
+        SimulatedProblem,
+    ):
         assert isinstance(HIGHWAY, protocol)
 
 
@@ -260,9 +279,17 @@ def test_only_parameters_that_had_a_part_are_active() -> None:
     assert found is not None
     active = {name.partition(".")[2] for name, on in zip(names, found.active, strict=True) if on}
     assert active == {
-        "road", "goal", "density", "traffic_speed", "ego_speed", "target_speed",
-        "error_1.type", "error_1.target", "error_1.onset_s", "error_1.severity",
-    }  # fmt: skip
+        "road",
+        "goal",
+        "density",
+        "traffic_speed",
+        "ego_speed",
+        "target_speed",
+        "error_1.type",
+        "error_1.target",
+        "error_1.onset_s",
+        "error_1.severity",
+    }
     assert found.idle == ()
     assert "lanes" in {
         name.partition(".")[2]

@@ -18,9 +18,11 @@ from brink.server.problems.catalogue import describe_problems, make_problem
 
 WEATHER = {"scenario.weather": ["clear", "hard_rain"]}
 URBAN = {
-    "name": "x", "problem": {"id": "urban-injected@1", "params": {"odd": WEATHER}},
-    "algorithm": {"id": "random@1"}, "budget": {"simulations": 20},
-}  # fmt: skip
+    "name": "x",
+    "problem": {"id": "urban-injected@1", "params": {"odd": WEATHER}},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 20},
+}
 
 
 def error_of(problem: str, odd: object) -> tuple[str, str]:
@@ -107,8 +109,11 @@ def test_wrong_limits_are_refused_where_they_stand() -> None:
 def test_the_option_of_commands_reads_the_forms_of_campaign_files() -> None:
     given = ["scenario.weather=[clear, hard_rain]", "a.speed={min: 5, max: 12}", "a.x=3", "a.label=rain"]
     assert read_odd(given) == {
-        "scenario.weather": ["clear", "hard_rain"], "a.speed": {"min": 5, "max": 12}, "a.x": 3, "a.label": "rain",
-    }  # fmt: skip
+        "scenario.weather": ["clear", "hard_rain"],
+        "a.speed": {"min": 5, "max": 12},
+        "a.x": 3,
+        "a.label": "rain",
+    }
     assert read_odd(None) == {}
     for wrong in (["a.x"], ["=3"], ["a.x="], ["a.x=1", "a.x=2"], ["a.x={"]):
         with pytest.raises(InvalidInput):

@@ -20,11 +20,24 @@ URBAN = UrbanInjected(UrbanInjected.params_type())
 NPC = NpcActions(NpcActions.params_type())
 SPACE = URBAN.space
 SCENARIO = {
-    "time_of_day": "noon", "weather": "clear", "pedestrians": "0", "road_curve": "straight", "road_id": "0",
-    "road_length": "0", "driving_task": "follow_road",
-}  # fmt: skip
-BOX = {"x_min_0_px": 300.0, "x_max_0_px": 400.0, "y_min_0_px": 300.0, "y_max_0_px": 400.0,
-       "x_min_1_px": 100.0, "x_max_1_px": 500.0, "y_min_1_px": 250.0, "y_max_1_px": 500.0}  # fmt: skip
+    "time_of_day": "noon",
+    "weather": "clear",
+    "pedestrians": "0",
+    "road_curve": "straight",
+    "road_id": "0",
+    "road_length": "0",
+    "driving_task": "follow_road",
+}
+BOX = {
+    "x_min_0_px": 300.0,
+    "x_max_0_px": 400.0,
+    "y_min_0_px": 300.0,
+    "y_max_0_px": 400.0,
+    "x_min_1_px": 100.0,
+    "x_max_1_px": 500.0,
+    "y_min_1_px": 250.0,
+    "y_max_1_px": 500.0,
+}
 NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
 
 
@@ -84,9 +97,12 @@ def test_the_numbers_of_a_null_trajectory_are_inactive_but_its_label_is_not() ->
 def shape(values: dict[str, Any]) -> InjectedTrajectory:
     first, last = ([values[f"trajectory_1.{side}_{end}_px"] for side in BOX_SIDES] for end in (0, 1))
     return InjectedTrajectory(
-        label=ObstacleLabel.PERSON, t0_step=20.0, t1_step=float(values["trajectory_1.t1_step"]),
-        first_px=(first[0], first[1], first[2], first[3]), last_px=(last[0], last[1], last[2], last[3]),
-    )  # fmt: skip
+        label=ObstacleLabel.PERSON,
+        t0_step=20.0,
+        t1_step=float(values["trajectory_1.t1_step"]),
+        first_px=(first[0], first[1], first[2], first[3]),
+        last_px=(last[0], last[1], last[2], last[3]),
+    )
 
 
 def test_a_window_that_the_end_cuts_off_ends_there_with_the_box_of_that_time() -> None:

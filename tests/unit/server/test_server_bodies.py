@@ -37,9 +37,11 @@ def test_newer_fields_change_the_hash_only_if_they_are_set() -> None:
 
 def test_a_newer_setting_of_a_language_model_changes_the_hash_only_if_it_is_set() -> None:
     seeded = {
-        "name": "n", "problem": {"id": "npc-actions@1", "params": {}}, "budget": {"simulations": 24},
+        "name": "n",
+        "problem": {"id": "npc-actions@1", "params": {}},
+        "budget": {"simulations": 24},
         "algorithm": {"id": "mumoea@1", "params": {"seeder": "llm"}},
-    }  # fmt: skip
+    }
     llm = {"endpoint": "http://127.0.0.1:8000/v1", "model": "m"}
     first = "a89e8b6a69b9fe695c8b8d13e11eaf973600c149cbd8ad715a9ae31ec7799ff7"
     assert parse_body({**seeded, "llm": llm}).document_hash() == first
@@ -95,15 +97,23 @@ def test_seeds_may_be_a_range() -> None:
         ({"seeds": [1, -1]}, "/seeds/1", "greater than or equal to 0"),
         ({"seeds": [1, 1]}, "", "'1' more than once"),
         ({"algorithms": []}, "/algorithms", "at least 1"),
-        ({"algorithms": [{"id": "ga@1"}, {"id": "ga@1"}]}, "", "'ga@1' more than once; give each a different name"),
-        ({"algorithms": [{"id": "ga@1", "parms": {}}]}, "/algorithms/0/parms", "one of id, llm, name, params"),
+        (
+            {"algorithms": [{"id": "ga@1"}, {"id": "ga@1"}]},
+            "",
+            "'ga@1' more than once; give each a different name",
+        ),
+        (
+            {"algorithms": [{"id": "ga@1", "parms": {}}]},
+            "/algorithms/0/parms",
+            "one of id, llm, name, params",
+        ),
         ({"seeds": {"count": 300}}, "", f"at most {MAX_CAMPAIGNS} campaigns, got 600"),
         ({"budget": {"simulations": 0}}, "/budget/simulations", "greater than or equal to 1"),
         ({"pairs": {"eps": 2}}, "/pairs/eps", "less than or equal to 1"),
         ({"pairs": {"confirm": -1}}, "/pairs/confirm", "greater than or equal to 0"),
         ({"pairs": {"minimise": True}}, "/pairs/minimise", "one of component, confirm, d_th, eps"),
     ],
-)  # fmt: skip
+)
 def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str, message: str) -> None:
     found = pointers(document(**changes))
     assert pointer in found

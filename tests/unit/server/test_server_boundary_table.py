@@ -16,30 +16,55 @@ from brink.server.campaigns.body import parse_body
 from brink.server.states import SolutionVerdict
 
 COLUMNS = {"number": int, "fitness": float, "strict": bool, "scenario.weather": str}
-BODY = parse_body({
-    "name": "x", "problem": {"id": "urban-injected@1"}, "algorithm": {"id": "ga@1"}, "budget": {"simulations": 9},
-    "seed": 4,
-})  # fmt: skip
+BODY = parse_body(
+    {
+        "name": "x",
+        "problem": {"id": "urban-injected@1"},
+        "algorithm": {"id": "ga@1"},
+        "budget": {"simulations": 9},
+        "seed": 4,
+    }
+)
 
 
 def solution(number: int, **changes: Any) -> SolutionView:
     known: dict[str, Any] = {
-        "number": number, "generation": 2, "verdict": SolutionVerdict.SAFE, "robustness": 0.5, "objectives": None,
-        "failure": None, "origin": None, "fitness": 0.05, "neighbours": 40, "unsafe_neighbours": 4,
-        "interval": (0.04, 0.23), "seed": 2**52 + 1, "attempts": 1, "losses": 0, "words": 'fog, "late", 3 s',
+        "number": number,
+        "generation": 2,
+        "verdict": SolutionVerdict.SAFE,
+        "robustness": 0.5,
+        "objectives": None,
+        "failure": None,
+        "origin": None,
+        "fitness": 0.05,
+        "neighbours": 40,
+        "unsafe_neighbours": 4,
+        "interval": (0.04, 0.23),
+        "seed": 2**52 + 1,
+        "attempts": 1,
+        "losses": 0,
+        "words": 'fog, "late", 3 s',
         "outcome": "front gap held",
         "parameters": {"scenario": {"weather": "fog", "lanes": 2}, "behaviour": {"late_s": 3.25}},
         "verdicts": {"front-gap@1": {"robustness": 0.5, "unit": "m", "violated_at_s": None}},
-        "features": {"ended": "goal", "where": [1, 2]}, "provenance": {"brink": "0.1.0", "cpu_s": 0.2}, **changes,
-    }  # fmt: skip
+        "features": {"ended": "goal", "where": [1, 2]},
+        "provenance": {"brink": "0.1.0", "cpu_s": 0.2},
+        **changes,
+    }
     return SolutionView(**known)
 
 
 def boundary(*solutions: SolutionView) -> Boundary:
     return Boundary(
-        t_b=0.1, d_th=0.2, dbs=len(solutions), strict_dbs=1, note="", grid=[], solutions=list(solutions),
+        t_b=0.1,
+        d_th=0.2,
+        dbs=len(solutions),
+        strict_dbs=1,
+        note="",
+        grid=[],
+        solutions=list(solutions),
         strict=[7],
-    )  # fmt: skip
+    )
 
 
 def rows() -> list[dict[str, Any]]:
@@ -51,12 +76,24 @@ def test_a_row_contains_everything_known_about_a_solution() -> None:
     first, second = rows()
     assert list(first) == list(second)
     wanted = {
-        "number": 7, "verdict": "safe", "interval_low": 0.04, "interval_high": 0.23, "strict": True,
-        "seed": 2**52 + 1, "scenario.weather": "fog", "behaviour.late_s": 3.25, "campaign": "c0ffee",
-        "problem": "urban-injected@1", "algorithm": "ga@1", "campaign_seed": 4, "generation": 2,
-        "robustness.front-gap@1": 0.5, "feature.ended": "goal", "feature.where": "[1, 2]",
+        "number": 7,
+        "verdict": "safe",
+        "interval_low": 0.04,
+        "interval_high": 0.23,
+        "strict": True,
+        "seed": 2**52 + 1,
+        "scenario.weather": "fog",
+        "behaviour.late_s": 3.25,
+        "campaign": "c0ffee",
+        "problem": "urban-injected@1",
+        "algorithm": "ga@1",
+        "campaign_seed": 4,
+        "generation": 2,
+        "robustness.front-gap@1": 0.5,
+        "feature.ended": "goal",
+        "feature.where": "[1, 2]",
         "version.brink": "0.1.0",
-    }  # fmt: skip
+    }
     assert {name: first[name] for name in wanted} == wanted
     assert "version.cpu_s" not in first
     assert (second["strict"], second["interval_low"], second["robustness.front-gap@1"]) == (False, None, None)
@@ -64,9 +101,10 @@ def test_a_row_contains_everything_known_about_a_solution() -> None:
 
 def test_parameters_are_as_the_episode_had_them() -> None:
     activity = ActivityView(
-        inactive=["scenario.lanes"], idle=["behaviour"],
+        inactive=["scenario.lanes"],
+        idle=["behaviour"],
         effective={"scenario": {"weather": "fog", "lanes": 0}, "behaviour": {"late_s": 2.0}},
-    )  # fmt: skip
+    )
     unknown, known = boundary_rows(boundary(solution(7), solution(8, activity=activity)), "c0ffee", BODY)
     names = ("scenario.weather", "scenario.lanes", "behaviour.late_s", "idle")
     assert [unknown[name] for name in names] == ["fog", 2, 3.25, ""]
@@ -101,10 +139,12 @@ def test_a_boundary_without_solutions_is_an_empty_table(form: str) -> None:
 
 
 def test_rows_begin_with_the_columns_that_every_table_has() -> None:
-    space = SearchSpace((
-        Component("scenario", (Categorical("weather", ("clear", "fog")), Integer("lanes", 1, 4))),
-        Component("behaviour", (Real("late_s", 0.0, 5.0),)),
-    ))  # fmt: skip
+    space = SearchSpace(
+        (
+            Component("scenario", (Categorical("weather", ("clear", "fog")), Integer("lanes", 1, 4))),
+            Component("behaviour", (Real("late_s", 0.0, 5.0),)),
+        )
+    )
     columns = boundary_columns(space)
     first, _ = rows()
     assert list(first)[: len(columns)] == list(columns)

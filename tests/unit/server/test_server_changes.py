@@ -25,11 +25,24 @@ from brink.server.problems.urban_injected import UrbanInjected
 
 URBAN = UrbanInjected(UrbanInjected.params_type())
 SCENARIO = {
-    "time_of_day": "noon", "weather": "clear", "pedestrians": "0", "road_curve": "straight", "road_id": "0",
-    "road_length": "0", "driving_task": "follow_road",
-}  # fmt: skip
-BOX = {"x_min_0_px": 300.0, "x_max_0_px": 400.0, "y_min_0_px": 250.0, "y_max_0_px": 400.0,
-       "x_min_1_px": 100.0, "x_max_1_px": 500.0, "y_min_1_px": 250.0, "y_max_1_px": 500.0}  # fmt: skip
+    "time_of_day": "noon",
+    "weather": "clear",
+    "pedestrians": "0",
+    "road_curve": "straight",
+    "road_id": "0",
+    "road_length": "0",
+    "driving_task": "follow_road",
+}
+BOX = {
+    "x_min_0_px": 300.0,
+    "x_max_0_px": 400.0,
+    "y_min_0_px": 250.0,
+    "y_max_0_px": 400.0,
+    "x_min_1_px": 100.0,
+    "x_max_1_px": 500.0,
+    "y_min_1_px": 250.0,
+    "y_max_1_px": 500.0,
+}
 ABOVE = {"y_min_1_px": 180.0, "y_max_1_px": 240.0}
 """The upper and lower edge of a box above the horizon, at its end."""
 NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
@@ -142,40 +155,53 @@ def test_of_several_alike_a_description_counts() -> None:
     ("safe", "unsafe", "expected"),
     [
         (
-            report("person", 43, 60), report("person", 41, 60),
+            report("person", 43, 60),
+            report("person", 41, 60),
             "a person is reported from 4.1 s instead of 4.3 s",
         ),
         (
-            report("person", 43, 60), report("person", 43, 65),
+            report("person", 43, 60),
+            report("person", 43, 65),
             "a person is reported until 6.5 s instead of 6.0 s",
         ),
         (
-            report("person", 7, 189), report("person", 80, 249),
+            report("person", 7, 189),
+            report("person", 80, 249),
             "no person is reported; in the safe drive, one is from 0.7 to 18.9 s",
         ),
         (
-            report("person", 7, 189), report("person", 73, 249),
+            report("person", 7, 189),
+            report("person", 73, 249),
             "a person is reported only after the violation, from 7.3 s instead of 0.7 s",
         ),
         (
-            report("person", 100, 200), report("person", 41, 200),
+            report("person", 100, 200),
+            report("person", 41, 200),
             "a person is reported from 4.1 to 20.0 s; in the safe drive, only from 10.0 s",
         ),
-        (NONE, report("person", 41, 60), "a person is reported from 4.1 to 6.0 s; in the safe drive, no person is"),
         (
-            report("person", 41, 200), report("person", 41, 250),
+            NONE,
+            report("person", 41, 60),
+            "a person is reported from 4.1 to 6.0 s; in the safe drive, no person is",
+        ),
+        (
+            report("person", 41, 200),
+            report("person", 41, 250),
             "the reported person moves more slowly through the image",
         ),
         (
-            report("person", 41, 200), report("vehicle", 41, 200),
+            report("person", 41, 200),
+            report("vehicle", 41, 200),
             "a vehicle is reported instead of a person from 4.1 to 20.0 s",
         ),
         (  # (400 - 350) px * 6.8 m / 400 px is 0.85 m, where 6.8 m is the distance of the lower edge
-            report("person", 41, 60), report("person", 41, 60, x_min_0_px=310.0, x_max_0_px=410.0),
+            report("person", 41, 60),
+            report("person", 41, 60, x_min_0_px=310.0, x_max_0_px=410.0),
             "the reported person is 0.7 m left of straight ahead instead of 0.8 m (at 4.1 s)",
         ),
         (
-            report("person", 41, 60), report("person", 41, 60, x_min_0_px=420.0, x_max_0_px=520.0),
+            report("person", 41, 60),
+            report("person", 41, 60, x_min_0_px=420.0, x_max_0_px=520.0),
             "the reported person is 1.2 m right of straight ahead instead of 0.8 m left (at 4.1 s)",
         ),
         (  # by its height: 400 px * 1.7 m / 70 px is 9.7 m
@@ -184,24 +210,29 @@ def test_of_several_alike_a_description_counts() -> None:
             "the reported person is 9.7 m ahead instead of 6.8 m (at 4.1 s), and 1 more difference",
         ),
         (
-            report("person", 41, 60), report("person", 41, 60, x_min_0_px=300.0, x_max_0_px=500.0),
+            report("person", 41, 60),
+            report("person", 41, 60, x_min_0_px=300.0, x_max_0_px=500.0),
             "the reported person spans 1.7 m left to 1.7 m right of straight ahead instead of 0.0 to "
             "1.7 m left (at 4.1 s)",
         ),
         (
-            report("person", 41, 60), report("person", 41, 60, x_min_0_px=304.0, x_max_0_px=396.0),
+            report("person", 41, 60),
+            report("person", 41, 60, x_min_0_px=304.0, x_max_0_px=396.0),
             "the reported person is 1.6 m wide instead of 1.7 m (at 4.1 s)",
         ),
         (  # 400 px * 1.7 m / (400 - 300) px is 6.8 m
-            report("person", 41, 60), report("person", 41, 60, y_max_0_px=470.0),
+            report("person", 41, 60),
+            report("person", 41, 60, y_max_0_px=470.0),
             "the reported person is 4.0 m ahead instead of 6.8 m (at 4.1 s)",
         ),
         (
-            report("person", 41, 60), report("person", 41, 60, y_max_1_px=305.0),
+            report("person", 41, 60),
+            report("person", 41, 60, y_max_1_px=305.0),
             "the reported person is 12.4 m ahead instead of 3.4 m (at 6.0 s)",
         ),
         (  # its lower edge is where it was, 6.8 m ahead; 200 px are as much as 3.4 m there
-            report("person", 41, 60), report("person", 41, 60, y_min_0_px=200.0),
+            report("person", 41, 60),
+            report("person", 41, 60, y_min_0_px=200.0),
             "the reported person is 3.4 m tall instead of 2.5 m (at 4.1 s)",
         ),
         (  # above the horizon, a person of 60 px is 11.3 m away, wherever in the image
@@ -210,12 +241,13 @@ def test_of_several_alike_a_description_counts() -> None:
             "the reported person is higher in the image (at 4.1 s)",
         ),
         (  # At 4.1 s both are 6.8 m away, one by its height (100 px), the other one by its lower edge.
-            report("person", 41, 61, y_min_0_px=180.0, y_max_0_px=280.0), report("person", 41, 61),
+            report("person", 41, 61, y_min_0_px=180.0, y_max_0_px=280.0),
+            report("person", 41, 61),
             "the reported person is 5.9 m ahead instead of 52.3 m (at 4.4 s), and 1 more difference",
         ),
         (report("person", 80, 189), report("person", 90, 189), NOTHING_ACTIVE),
     ],
-)  # fmt: skip
+)
 def test_a_change_is_described_as_what_the_detector_reports(
     safe: dict[str, Any], unsafe: dict[str, Any], expected: str
 ) -> None:
@@ -228,13 +260,20 @@ def test_a_change_is_described_as_what_the_detector_reports(
     ("box", "expected"),
     [
         # The box of the safe drive's report at 7.1 s, 30 of 200 steps after its first one, is 15% on its way.
-        ({"x_min_1_px": 300.0, "x_max_1_px": 700.0}, "0.4 m left of straight ahead instead of 0.8 m (at 7.1 s)"),
-        ({"y_max_0_px": 450.0, "y_min_0_px": 200.0},
-         "4.5 m ahead instead of 6.8 m (at 4.1 s), and 1 more difference"),
-        ({"x_min_0_px": 200.0, "x_max_0_px": 280.0, "y_min_0_px": 270.0, "y_max_0_px": 330.0},
-         "9.1 m left of straight ahead instead of 0.8 m (at 4.1 s), and 2 more differences"),
+        (
+            {"x_min_1_px": 300.0, "x_max_1_px": 700.0},
+            "0.4 m left of straight ahead instead of 0.8 m (at 7.1 s)",
+        ),
+        (
+            {"y_max_0_px": 450.0, "y_min_0_px": 200.0},
+            "4.5 m ahead instead of 6.8 m (at 4.1 s), and 1 more difference",
+        ),
+        (
+            {"x_min_0_px": 200.0, "x_max_0_px": 280.0, "y_min_0_px": 270.0, "y_max_0_px": 330.0},
+            "9.1 m left of straight ahead instead of 0.8 m (at 4.1 s), and 2 more differences",
+        ),
     ],
-)  # fmt: skip
+)
 def test_boxes_are_compared_while_both_drives_run(box: dict[str, float], expected: str) -> None:
     safe, unsafe = report("person", 41, 241), report("person", 41, 241, **box)
     assert words(drive(safe, NONE), unsafe_drive(unsafe, NONE)) == f"the reported person is {expected}"
@@ -311,7 +350,7 @@ def test_of_two_equal_labels_the_earlier_report_is_the_first() -> None:
             "no person is reported; in the safe drive, one is from 6.5 to 25.0 s",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_sentence_about_one_report_is_true_of_both(
     safe: tuple[dict[str, Any], ...], unsafe: tuple[dict[str, Any], ...], expected: str
 ) -> None:
@@ -331,8 +370,9 @@ def test_what_had_no_part_in_either_drive_is_not_active_and_not_described() -> N
     rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
     changes = changes_between(URBAN, safe, unsafe, Steps(URBAN.space).differing(*rows))
     assert [(change.names, change.active) for change in changes] == [
-        (("behaviour.trajectory_1.t0_step",), True), (("behaviour.trajectory_2.t0_step",), False),
-    ]  # fmt: skip
+        (("behaviour.trajectory_1.t0_step",), True),
+        (("behaviour.trajectory_2.t0_step",), False),
+    ]
     assert [(change.safe, change.unsafe) for change in changes] == [((10,), (12,)), ((200,), (210,))]
     assert change_words(URBAN, safe, unsafe, changes) == "a person is reported from 1.2 s instead of 1.0 s"
 
@@ -383,24 +423,31 @@ def test_the_urban_problem_explains_what_reported_means() -> None:
     ("changed", "expected"),
     [
         ({"perturbation": {"intensity_2": 0.2}}, "Perturbation 2 is snow 1/5 instead of none"),
-        ({"perturbation": {"gene_1": "contrast"}}, "The perturbation is contrast 5/10 instead of brightness 5/10"),
+        (
+            {"perturbation": {"gene_1": "contrast"}},
+            "The perturbation is contrast 5/10 instead of brightness 5/10",
+        ),
         (
             {"scenario": {"time_of_day": "night", "crossing_m": 50.25}},
             "At night instead of noon; the pedestrian crosses after 50.2 m instead of 50.1 m",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_perturbed_picture_changes_by_the_level_of_a_perturbation(
     changed: dict[str, dict[str, Any]], expected: str
 ) -> None:
     problem = AebCrossing(AebCrossing.params_type())
     candidate = {
         "scenario": {
-            "time_of_day": "noon", "weather": "clear", "occluder": "van",
-            "crossing_m": 50.125, "arrival_s": 0.0, "oncoming_m": 60.0,
+            "time_of_day": "noon",
+            "weather": "clear",
+            "occluder": "van",
+            "crossing_m": 50.125,
+            "arrival_s": 0.0,
+            "oncoming_m": 60.0,
         },
         "perturbation": {"gene_1": "brightness", "intensity_1": 0.5, "gene_2": "snow", "intensity_2": 0.0},
-    }  # fmt: skip
+    }
     other = {name: {**values, **changed.get(name, {})} for name, values in candidate.items()}
     safe, unsafe = (SimulatedSolution(vectors=problem.space.encode(one)) for one in (candidate, other))
     rows = [problem.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
@@ -418,6 +465,6 @@ def test_a_perturbed_picture_changes_by_the_level_of_a_perturbation(
         ("smoke 8/10; noon, dry", "smoke 8/10, then rain 2/5; noon, wet", "smoke 8/10"),
         ("rain 2/5; noon", "snow 1/5, then rain 2/5; noon", "rain 2/5; noon"),
     ],
-)  # fmt: skip
+)
 def test_what_both_sides_of_a_pair_share_is_told(safe: str, unsafe: str, common: str) -> None:
     assert common_words(safe, unsafe) == common

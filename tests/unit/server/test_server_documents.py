@@ -84,13 +84,34 @@ def test_a_key_given_twice_is_rejected() -> None:
 @pytest.mark.parametrize(
     "scalar",
     [
-        "0x" + "f" * 5_000, "-0x" + "f" * 5_000, "0b" + "1" * 20_000, "0" + "7" * 6_000, ":".join(["1"] * 3_000),
-        "!!float " + ":".join(["1"] * 2_000), "1_" * 4_000, "9" * 4_000,
-        "!!bool abc", "!!bool ''", "!!int abc", "!!int ''", "!!int '-'", "!!int 0x", "!!float ''", "!!float abc",
-        "!!timestamp abc", "2001-99-99", "!!binary 'é'", "!!map x", "!!seq x", "!!set x", "!!omap x", "!!pairs x",
-        "{!!bool x: 1}", "{!!map x: 1}",
+        "0x" + "f" * 5_000,
+        "-0x" + "f" * 5_000,
+        "0b" + "1" * 20_000,
+        "0" + "7" * 6_000,
+        ":".join(["1"] * 3_000),
+        "!!float " + ":".join(["1"] * 2_000),
+        "1_" * 4_000,
+        "9" * 4_000,
+        "!!bool abc",
+        "!!bool ''",
+        "!!int abc",
+        "!!int ''",
+        "!!int '-'",
+        "!!int 0x",
+        "!!float ''",
+        "!!float abc",
+        "!!timestamp abc",
+        "2001-99-99",
+        "!!binary 'é'",
+        "!!map x",
+        "!!seq x",
+        "!!set x",
+        "!!omap x",
+        "!!pairs x",
+        "{!!bool x: 1}",
+        "{!!map x: 1}",
     ],
-)  # fmt: skip
+)
 def test_a_scalar_that_cannot_be_read_is_rejected_with_its_place(scalar: str) -> None:
     for text in (scalar, f"a: {scalar}", f"a: [1, {scalar}]"):
         with pytest.raises(InvalidInput, match=r"line 1, column \d+: ") as found:

@@ -69,14 +69,30 @@ json_values = st.recursive(
         st.lists(inner, max_size=3)
         | st.dictionaries(
             st.sampled_from(
-                ["choices", "message", "content", "text", "usage", "prompt_tokens", "total_tokens", "error", "code",
-                 "detail", "msg", "data", "models", "id", "refusal", "finish_reason"]
+                [
+                    "choices",
+                    "message",
+                    "content",
+                    "text",
+                    "usage",
+                    "prompt_tokens",
+                    "total_tokens",
+                    "error",
+                    "code",
+                    "detail",
+                    "msg",
+                    "data",
+                    "models",
+                    "id",
+                    "refusal",
+                    "finish_reason",
+                ]
             ),
             inner,
         )
     ),
     max_leaves=12,
-)  # fmt: skip
+)
 
 
 def heard(body: Any) -> Reply:
@@ -235,9 +251,12 @@ def using(
 
     async def run() -> R:
         given = {
-            "access": access_to(settings, environ), "transport": unencrypted(), "rng": Random(1),
-            "now": lambda: NOW, **options,
-        }  # fmt: skip
+            "access": access_to(settings, environ),
+            "transport": unencrypted(),
+            "rng": Random(1),
+            "now": lambda: NOW,
+            **options,
+        }
         async with LlmClient(settings, pause=pause, **given) as client:
             return await task(client)
 
@@ -260,9 +279,13 @@ def failing(endpoint: Endpoint, kind: type[LlmError], *steps: Step, **changes: A
 def test_a_request_contains_all_settings(endpoint: Endpoint) -> None:
     endpoint.then(OK)
     changes: dict[str, Any] = {
-        "temperature": 0.3, "top_p": 0.9, "seed": 7, "max_tokens": 512, "token_field": "max_completion_tokens",
+        "temperature": 0.3,
+        "top_p": 0.9,
+        "seed": 7,
+        "max_tokens": 512,
+        "token_field": "max_completion_tokens",
         "api_key_env": "MY_KEY",
-    }  # fmt: skip
+    }
     answer = using(llm_settings(endpoint, **changes), ask, environ={"MY_KEY": KEY})
     [asked] = endpoint.asked
     assert asked.path == "/v1/chat/completions"
@@ -381,8 +404,13 @@ def test_the_last_error_is_reported_after_all_retries(endpoint: Endpoint) -> Non
 
 @pytest.mark.parametrize(
     ("stated", "waited"),
-    [("7", 7.0), ("0.5", 0.5), ("Sun, 01 Mar 2026 12:00:09 GMT", 9.0), ("Sun, 01 Mar 2026 13:00:09 +0100", 9.0)],
-)  # fmt: skip
+    [
+        ("7", 7.0),
+        ("0.5", 0.5),
+        ("Sun, 01 Mar 2026 12:00:09 GMT", 9.0),
+        ("Sun, 01 Mar 2026 13:00:09 +0100", 9.0),
+    ],
+)
 def test_retry_after_is_honoured(endpoint: Endpoint, stated: str, waited: float) -> None:
     pauses: list[float] = []
     endpoint.then(refuses(429, "slow down", Retry_After=stated), OK)
@@ -452,9 +480,13 @@ def test_an_unreachable_endpoint_is_reported() -> None:
         (refuses(404, "model not found", ErrorForm.WORD), ModelUnknown, f"serves the model '{MODEL}'"),
         (refuses(413, "too large", ErrorForm.HTML), RequestRefused, "HTTP 413: <html><body>too large"),
         (refuses(501, "later"), RequestRefused, "HTTP 501: later"),
-        (refuses(307, "over there", Location="http://127.0.0.1:9/"), RequestRefused, "set endpoint to the new"),
+        (
+            refuses(307, "over there", Location="http://127.0.0.1:9/"),
+            RequestRefused,
+            "set endpoint to the new",
+        ),
     ],
-)  # fmt: skip
+)
 def test_final_errors_come_with_advice(
     endpoint: Endpoint, step: Step, kind: type[LlmError], advice: str
 ) -> None:

@@ -68,11 +68,21 @@ def test_endpoints_are_normalised(given: str, kept: str) -> None:
 @pytest.mark.parametrize(
     "endpoint",
     [
-        "", "127.0.0.1:8000/v1", "ftp://host/v1", "http://", "http://a b/v1", "http://host:99999/v1",
-        "http://h\n/v1", "http://host/v1/../admin", "http://host/v1/%2e%2e/admin", "http://host/v1/..%2fadmin",
-        "http://host/./v1", "http://host\\v1", 7,
+        "",
+        "127.0.0.1:8000/v1",
+        "ftp://host/v1",
+        "http://",
+        "http://a b/v1",
+        "http://host:99999/v1",
+        "http://h\n/v1",
+        "http://host/v1/../admin",
+        "http://host/v1/%2e%2e/admin",
+        "http://host/v1/..%2fadmin",
+        "http://host/./v1",
+        "http://host\\v1",
+        7,
     ],
-)  # fmt: skip
+)
 def test_invalid_endpoints_are_rejected(endpoint: object) -> None:
     pointer, _ = refused(endpoint=endpoint)
     assert pointer == "/endpoint"
@@ -113,13 +123,25 @@ def test_a_key_field_is_rejected_and_not_repeated(field: str) -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("temperature", 2.5), ("temperature", float("nan")), ("top_p", 0.0), ("seed", -1), ("seed", 1.5),
-        ("max_tokens", 10), ("token_field", "tokens"), ("timeout_s", 0.0), ("timeout_s", float("inf")),
-        ("retries", -1), ("max_wait_s", -1.0), ("max_calls", 0), ("max_delay_s", 0), ("max_total_tokens", 0),
+        ("temperature", 2.5),
+        ("temperature", float("nan")),
+        ("top_p", 0.0),
+        ("seed", -1),
+        ("seed", 1.5),
+        ("max_tokens", 10),
+        ("token_field", "tokens"),
+        ("timeout_s", 0.0),
+        ("timeout_s", float("inf")),
+        ("retries", -1),
+        ("max_wait_s", -1.0),
+        ("max_calls", 0),
+        ("max_delay_s", 0),
+        ("max_total_tokens", 0),
         ("input_price", -1.0),
-        ("model", ""), ("modell", "m"),
+        ("model", ""),
+        ("modell", "m"),
     ],
-)  # fmt: skip
+)
 def test_each_invalid_value_is_rejected_with_its_pointer(field: str, value: object) -> None:
     pointer, _ = refused(**{field: value})
     assert pointer == f"/{field}"

@@ -45,11 +45,15 @@ def test_every_aeb_candidate_becomes_a_valid_episode(seed: int) -> None:
 def test_genes_keep_their_order_and_intensities_become_levels() -> None:
     values = {
         "scenario": {
-            "time_of_day": "noon", "weather": "clear", "occluder": "van", "crossing_m": 50.0, "arrival_s": 0.0,
+            "time_of_day": "noon",
+            "weather": "clear",
+            "occluder": "van",
+            "crossing_m": 50.0,
+            "arrival_s": 0.0,
             "oncoming_m": 60.0,
         },
         "perturbation": {"gene_1": "smoke", "intensity_1": 0.3, "gene_2": "rain", "intensity_2": 1.0},
-    }  # fmt: skip
+    }
     vectors = AEB.space.encode(values)
     assert AEB.perturbations(vectors) == [{"gene": "smoke", "level": 3}, {"gene": "rain", "level": 5}]
     assert AEB.words(vectors) == (
@@ -100,9 +104,11 @@ def test_the_aeb_problem_implements_its_protocols() -> None:
 
 
 AEB_BODY: dict[str, Any] = {
-    "name": "p", "problem": {"id": "aeb-crossing@1"}, "algorithm": {"id": "simood-ga@1"},
+    "name": "p",
+    "problem": {"id": "aeb-crossing@1"},
+    "algorithm": {"id": "simood-ga@1"},
     "budget": {"simulations": 200},
-}  # fmt: skip
+}
 
 
 def refused(**params: Any) -> dict[str, str]:
@@ -133,8 +139,9 @@ def test_missing_and_broken_files_are_reported_at_submission(tmp_path: Path) -> 
     assert "brink-det@1" in refused(detector="brnk-det@1")["/problem/params/detector"]
     assert "cannot be loaded" in refused(detector=f"onnx:{weights}")["/problem/params/detector"]
     assert set(refused(detector="onnx:no.onnx", dataset="no.json")) == {
-        "/problem/params/detector", "/problem/params/dataset",
-    }  # fmt: skip
+        "/problem/params/detector",
+        "/problem/params/dataset",
+    }
 
 
 def test_a_detector_that_does_not_fit_the_data_is_refused_at_submission(tmp_path: Path) -> None:

@@ -37,9 +37,11 @@ def make_repeats() -> list[Repeat]:
     for seed, (method, level) in itertools.product(range(SEEDS), METHODS.items()):
         grown = np.cumsum(rng.poisson(level / 10, SHAPE), axis=0).astype(float)
         blind = Control(
-            figures=Figures(dbs=grown * 0.8, strict=grown * 0.5), unsafe_share=0.2, spread=np.ones(SHAPE[1:]),
+            figures=Figures(dbs=grown * 0.8, strict=grown * 0.5),
+            unsafe_share=0.2,
+            spread=np.ones(SHAPE[1:]),
             repeats=1.1 if method.startswith("RS") else 6.0,
-        )  # fmt: skip
+        )
         scores = Scores(
             evaluated=1300, unsafe=300, figures=Figures(dbs=grown, strict=grown * 0.7), control=blind
         )
@@ -130,11 +132,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def report(folder: Path) -> str:
     """The report in Markdown, with its pictures in `folder`."""
-    body = parse_experiment({
-        "name": "rq1 <script>", "problems": [{"name": "gap", "id": "mtq@1"}],
-        "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "seeds": {"count": SEEDS + 1},
-        "budget": {"simulations": 1300},
-    })  # fmt: skip
+    body = parse_experiment(
+        {
+            "name": "rq1 <script>",
+            "problems": [{"name": "gap", "id": "mtq@1"}],
+            "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS],
+            "seeds": {"count": SEEDS + 1},
+            "budget": {"simulations": 1300},
+        }
+    )
     pictures = {}
     for place, (kind, draw) in enumerate(EXPERIMENT_FIGURES.items()):
         file = folder / f"{kind}.png"
@@ -144,8 +150,13 @@ def report(folder: Path) -> str:
             shutil.copy(file, folder / name)
             pictures["gap", measure, kind] = name
     return markdown_report(
-        body, REPEATS, pictures, experiment="3f2a", created_at=datetime(2026, 1, 2, tzinfo=UTC), elapsed_s=3700,
-    )  # fmt: skip
+        body,
+        REPEATS,
+        pictures,
+        experiment="3f2a",
+        created_at=datetime(2026, 1, 2, tzinfo=UTC),
+        elapsed_s=3700,
+    )
 
 
 def test_the_report_agrees_with_the_tables(report: str) -> None:
@@ -210,13 +221,22 @@ def test_equal_values_and_methods_that_found_nothing_are_not_tested() -> None:
 
     levels = {"MLCSHE": 3.0, "GA": 3.0, "RS <b>": 0.0}
     text = markdown_report(
-        parse_experiment({
-            "name": "rq1", "problems": [{"name": "gap", "id": "mtq@1"}], "seeds": {"count": SEEDS},
-            "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "budget": {"simulations": 1300},
-        }),
-        [with_level(repeat, levels[repeat.method]) for repeat in REPEATS], {}, experiment="3f2a",
-        created_at=datetime(2026, 1, 2, tzinfo=UTC), elapsed_s=3700, level=0.2,
-    )  # fmt: skip
+        parse_experiment(
+            {
+                "name": "rq1",
+                "problems": [{"name": "gap", "id": "mtq@1"}],
+                "seeds": {"count": SEEDS},
+                "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS],
+                "budget": {"simulations": 1300},
+            }
+        ),
+        [with_level(repeat, levels[repeat.method]) for repeat in REPEATS],
+        {},
+        experiment="3f2a",
+        created_at=datetime(2026, 1, 2, tzinfo=UTC),
+        elapsed_s=3700,
+        level=0.2,
+    )
     [ours, *_] = rows_below(text, "Comparisons")
     assert ours[1:] == ["MLCSHE : GA", *["equal"] * len(PAPER_T_BS)]
     paper = {row[1]: row[2:] for row in rows_below(text, "Comparisons as in the paper")}
@@ -259,10 +279,22 @@ def with_pairs(folder: Path, tried: tuple[bool, ...]) -> str:
     rng = np.random.default_rng(1)
     repeats = [
         PairRepeat(
-            problem="gap", method=method, seed=seed, campaign=f"c{seed}{method[:2]}", computed=False,
+            problem="gap",
+            method=method,
+            seed=seed,
+            campaign=f"c{seed}{method[:2]}",
+            computed=False,
             counts=PairCounts(
-                distinct=distinct, checked=distinct, tried=again, judged=again, confirmed=again - again // 4,
-                refuted=0, checked_judged=again, checked_confirmed=again - again // 4, component=again, scenario=0,
+                distinct=distinct,
+                checked=distinct,
+                tried=again,
+                judged=again,
+                confirmed=again - again // 4,
+                refuted=0,
+                checked_judged=again,
+                checked_confirmed=again - again // 4,
+                component=again,
+                scenario=0,
                 drives=10,
             ),
         )
@@ -270,16 +302,26 @@ def with_pairs(folder: Path, tried: tuple[bool, ...]) -> str:
         for (method, level), follows in zip(METHODS.items(), tried, strict=True)
         for distinct in [1 + int(rng.poisson(level))]
         for again in [distinct if follows else 0]
-    ]  # fmt: skip
+    ]
     figure_pairs(repeats, "gap").savefig(folder / "pairs.png", dpi=30)
-    body = parse_experiment({
-        "name": "rq1", "problems": [{"name": "gap", "id": "mtq@1"}], "seeds": {"count": SEEDS},
-        "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "budget": {"simulations": 1300},
-    })  # fmt: skip
+    body = parse_experiment(
+        {
+            "name": "rq1",
+            "problems": [{"name": "gap", "id": "mtq@1"}],
+            "seeds": {"count": SEEDS},
+            "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS],
+            "budget": {"simulations": 1300},
+        }
+    )
     return markdown_report(
-        body, REPEATS, {}, experiment="3f2a", created_at=datetime(2026, 1, 2, tzinfo=UTC), elapsed_s=3700,
+        body,
+        REPEATS,
+        {},
+        experiment="3f2a",
+        created_at=datetime(2026, 1, 2, tzinfo=UTC),
+        elapsed_s=3700,
         pairs=ReportedPairs(repeats=repeats, eps=0.02, d_th=0.2, pictures={"gap": "pairs.png"}),
-    )  # fmt: skip
+    )
 
 
 def test_pairs_come_first_and_say_what_they_are(tmp_path: Path) -> None:
@@ -359,8 +401,10 @@ def test_every_box_is_written_with_its_time(tmp_path: Path) -> None:
         rows = list(csv.reader(text))
     assert tuple(rows[0]) == COLUMNS
     assert [row[:3] for row in rows[1:]] == [
-        ["0.0", "seen", "vehicle"], ["0.1", "seen", "person"], ["0.1", "said", "vehicle"],
-    ]  # fmt: skip
+        ["0.0", "seen", "vehicle"],
+        ["0.1", "seen", "person"],
+        ["0.1", "said", "vehicle"],
+    ]
 
 
 def test_legend_of_many_methods_has_one_entry_for_all_controls() -> None:

@@ -104,8 +104,12 @@ def test_every_way_into_a_guarded_object_runs_on_a_daemon_thread() -> None:
     brought = guarded(PLUGIN, Brought())
     with serving():
         for thread in (
-            brought.where(), brought.thread, brought.kept_thread, brought.static_thread(), brought.class_thread(),
-        ):  # fmt: skip
+            brought.where(),
+            brought.thread,
+            brought.kept_thread,
+            brought.static_thread(),
+            brought.class_thread(),
+        ):
             assert thread is not threading.current_thread()
             assert thread.daemon
 

@@ -36,5 +36,8 @@ def test_types_say_in_how_many_drives_of_their_solutions_they_were_seen_again() 
     ]
     told = {one.type: one.again for one in _seen_again(types, archive)}
     assert told == {
-        "always": "1 of 1", "once of three": "0 of 2", "not simulated again": "", "two solutions": "1 of 3",
-    }  # fmt: skip
+        "always": "1 of 1",
+        "once of three": "0 of 2",
+        "not simulated again": "",
+        "two solutions": "1 of 3",
+    }

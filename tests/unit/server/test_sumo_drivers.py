@@ -38,13 +38,25 @@ ANYWHERE = SumoDrivers(SumoDriversParams())
 RING = SumoDrivers(SumoDriversParams(network="ring", duration_s=15.0))
 ROADS = Path(__file__).parents[3] / "sim" / "adapters" / "sumo" / "roads"
 TRAFFIC: dict[str, Any] = {
-    "network": "arterial", "demand": 0.8, "trucks": 0.15, "imperfection": 0.5, "signals_s": 12.0, "automated": 0.3,
-    "surface": "dry", "incident": "lead_brakes", "incident_s": 12.0, "incident_mps2": 4.0,
-}  # fmt: skip
+    "network": "arterial",
+    "demand": 0.8,
+    "trucks": 0.15,
+    "imperfection": 0.5,
+    "signals_s": 12.0,
+    "automated": 0.3,
+    "surface": "dry",
+    "incident": "lead_brakes",
+    "incident_s": 12.0,
+    "incident_mps2": 4.0,
+}
 CALM = {**TRAFFIC, "incident": "none", "incident_s": 0.0, "incident_mps2": 0.0}
 FAR: dict[str, Any] = {
-    "type": "too_far", "affected": "ego", "onset_s": 3.0, "duration_s": 20.0, "severity": 0.1,
-}  # fmt: skip
+    "type": "too_far",
+    "affected": "ego",
+    "onset_s": 3.0,
+    "duration_s": 20.0,
+    "severity": 0.1,
+}
 MISS = {**FAR, "type": "miss", "severity": 0.25}
 NONE = {**FAR, "type": NO_ERROR, "onset_s": 0.0, "duration_s": 0.0, "severity": 0.0}
 RAN = {"ended_at_s": 60.0, "incident_at_s": 12.0, "error_acted_at_s": 3.0}
@@ -77,9 +89,16 @@ def test_an_episode_records_all_requirements() -> None:
 
 def test_the_problem_implements_its_protocols() -> None:
     for protocol in (
-        ChecksInputs, DescribesCandidates, DescribesChanges, NamesRequirements, NeedsExtra, RecordsActivity,
-        ReplacesComponent, ScalesSeverity, SimulatedProblem,
-    ):  # fmt: skip
+        ChecksInputs,
+        DescribesCandidates,
+        DescribesChanges,
+        NamesRequirements,
+        NeedsExtra,
+        RecordsActivity,
+        ReplacesComponent,
+        ScalesSeverity,
+        SimulatedProblem,
+    ):
         assert isinstance(ANYWHERE, protocol), protocol
     assert isinstance(make_problem("sumo-drivers@1", {}), SumoDrivers)
     assert (ANYWHERE.extra, ANYWHERE.modules) == ("sumo", ("libsumo",))

@@ -17,17 +17,25 @@ from brink.server.problems.npc_actions import NpcActions
 PROBLEM = NpcActions(NpcActions.params_type(participants=2))
 RULE = participants_of(PROBLEM.space)[1]
 CAR = Participant(
-    kind=Kind.CAR, ds_m=43.0, dd_m=0.0, dyaw_rad=0.0, speed_mps=5.0,
+    kind=Kind.CAR,
+    ds_m=43.0,
+    dd_m=0.0,
+    dyaw_rad=0.0,
+    speed_mps=5.0,
     genes=(
         Gene(action=Action.KEEP, duration_s=1.4, magnitude=0.0),
         Gene(action=Action.CHANGE_LEFT, duration_s=2.0, magnitude=0.5),
         Gene(action=Action.CUT_IN, duration_s=3.0, magnitude=1.0),
     ),
-)  # fmt: skip
+)
 WALKER = Participant(
-    kind=Kind.PEDESTRIAN, ds_m=30.0, dd_m=-3.0, dyaw_rad=0.0, speed_mps=1.0,
+    kind=Kind.PEDESTRIAN,
+    ds_m=30.0,
+    dd_m=-3.0,
+    dyaw_rad=0.0,
+    speed_mps=1.0,
     genes=tuple(Gene(action=Action.CROSS, duration_s=2.0, magnitude=1.0) for _ in range(2)),
-)  # fmt: skip
+)
 
 
 def drive(*participants: Participant, active: np.ndarray[Any, Any] | None = None) -> SimulatedSolution:
@@ -66,17 +74,14 @@ def acting(one: Participant, number: int, **changes: Any) -> Participant:
             (acting(CAR, 1, action=Action.BRAKE, magnitude=4.0, duration_s=2.0),),
             "car 1's 1st action is braking hard instead of keeping its speed",
         ),
-        (
-            (replace(CAR, genes=CAR.genes[:2]),),
-            "car 1's 3rd action (cutting in) is left out",
-        ),
+        ((replace(CAR, genes=CAR.genes[:2]),), "car 1's 3rd action (cutting in) is left out"),
         (
             (replace(acting(CAR, 1, duration_s=2.1), ds_m=55.0),),
             "car 1 starts 55 m ahead instead of 43 m; its 1st action lasts 2.1 s instead of 1.4 s",
         ),
         ((CAR, WALKER), "pedestrian 2 is added"),
     ],
-)  # fmt: skip
+)
 def test_a_change_is_described_by_road_user(unsafe: tuple[Participant, ...], expected: str) -> None:
     assert words(drive(CAR), drive(*unsafe)) == expected
 
@@ -100,9 +105,12 @@ def test_what_had_no_part_is_not_described() -> None:
 
 def test_candidates_far_apart_are_told_by_the_number_of_changes() -> None:
     other = replace(
-        WALKER, ds_m=-20.0, dd_m=-4.0, speed_mps=2.0,
+        WALKER,
+        ds_m=-20.0,
+        dd_m=-4.0,
+        speed_mps=2.0,
         genes=tuple(Gene(action=Action.CROSS, duration_s=4.0, magnitude=2.0) for _ in range(3)),
-    )  # fmt: skip
+    )
     moved = replace(
         CAR, ds_m=-30.0, speed_mps=9.0, genes=tuple(replace(one, duration_s=4.0) for one in CAR.genes)
     )

@@ -44,12 +44,22 @@ from brink.sim.urban.detection_errors import (
 URBAN = UrbanErrors(UrbanErrorsParams())
 SHORT = UrbanErrors(UrbanErrorsParams(errors=3, duration_s=8.0))
 SCENARIO = {
-    "time_of_day": "noon", "weather": "clear", "pedestrians": "0", "road_curve": "straight", "road_id": "0",
-    "road_length": "0", "driving_task": "follow_road",
-}  # fmt: skip
+    "time_of_day": "noon",
+    "weather": "clear",
+    "pedestrians": "0",
+    "road_curve": "straight",
+    "road_id": "0",
+    "road_length": "0",
+    "driving_task": "follow_road",
+}
 MISS: dict[str, Any] = {
-    "type": "miss", "target": "lead", "onset": "time", "onset_s": 4.2, "duration_s": 2.0, "severity": 1.3 / 8.0,
-}  # fmt: skip
+    "type": "miss",
+    "target": "lead",
+    "onset": "time",
+    "onset_s": 4.2,
+    "duration_s": 2.0,
+    "severity": 1.3 / 8.0,
+}
 FAR = {**MISS, "type": "too_far", "severity": 0.2}
 NONE = {**MISS, "type": NO_ERROR, "onset_s": 0.0, "duration_s": 0.0, "severity": 0.0}
 
@@ -105,12 +115,22 @@ def test_an_episode_records_all_requirements() -> None:
 @pytest.mark.parametrize(
     ("kind", "severity", "magnitude"),
     [
-        ("miss", 0.25, 2.0), ("late", 1.0, 8.0), ("flicker", 0.3, 0.3), ("too_far", 0.5, 0.5), ("too_near", 0.5, 0.4),
-        ("left", 0.25, 1.0), ("right", 1.0, 4.0), ("too_large", 0.1, 0.1), ("too_small", 1.0, 0.8),
-        ("wrong_label", 0.5, 4.0), ("short_range", 0.0, 60.0), ("short_range", 0.75, 15.0),
-        ("ghost_on_road", 0.5, 4.0), ("ghost_in_image", 0.0, 0.0),
+        ("miss", 0.25, 2.0),
+        ("late", 1.0, 8.0),
+        ("flicker", 0.3, 0.3),
+        ("too_far", 0.5, 0.5),
+        ("too_near", 0.5, 0.4),
+        ("left", 0.25, 1.0),
+        ("right", 1.0, 4.0),
+        ("too_large", 0.1, 0.1),
+        ("too_small", 1.0, 0.8),
+        ("wrong_label", 0.5, 4.0),
+        ("short_range", 0.0, 60.0),
+        ("short_range", 0.75, 15.0),
+        ("ghost_on_road", 0.5, 4.0),
+        ("ghost_in_image", 0.0, 0.0),
     ],
-)  # fmt: skip
+)
 def test_a_severity_becomes_a_magnitude(kind: str, severity: float, magnitude: float) -> None:
     (one,) = errors_of(URBAN, candidate({**MISS, "type": kind, "severity": severity}))
     assert one.magnitude == pytest.approx(magnitude)
@@ -118,8 +138,13 @@ def test_a_severity_becomes_a_magnitude(kind: str, severity: float, magnitude: f
 
 def test_the_problem_implements_its_protocols() -> None:
     for protocol in (
-        DescribesCandidates, DescribesChanges, RecordsActivity, ReplacesComponent, ScalesSeverity, SimulatedProblem,
-    ):  # fmt: skip
+        DescribesCandidates,
+        DescribesChanges,
+        RecordsActivity,
+        ReplacesComponent,
+        ScalesSeverity,
+        SimulatedProblem,
+    ):
         assert isinstance(URBAN, protocol), protocol
     assert isinstance(make_problem("urban-errors@1", {}), UrbanErrors)
 
@@ -201,9 +226,7 @@ def test_parameters_that_a_type_lacks_are_inactive(kind: ErrorType) -> None:
     lacks: tuple[str, ...] = ()
     if kind in (ErrorType.LATE, ErrorType.SHORT_RANGE):
         lacks = ("onset", "onset_s", "duration_s")
-    elif kind in (
-        ErrorType.MISS, ErrorType.WRONG_LABEL, ErrorType.GHOST_ON_ROAD, ErrorType.GHOST_IN_IMAGE,
-    ):  # fmt: skip
+    elif kind in (ErrorType.MISS, ErrorType.WRONG_LABEL, ErrorType.GHOST_ON_ROAD, ErrorType.GHOST_IN_IMAGE):
         lacks = ("duration_s",)
     expected = {f"behaviour.error_1.{name}" for name in lacks} | members(2, *NUMBERS)
     found = known(vectors, [10, 20])
@@ -335,53 +358,63 @@ LONGER = {**MISS, "severity": 1.5 / 8.0}
         (MISS, LONGER, "the lead is not reported for 1.5 s instead of 1.3 s"),
         (LONGER, MISS, "the lead is not reported for 1.3 s instead of 1.5 s"),
         (
-            {**MISS, "target": "oncoming"}, {**LONGER, "target": "oncoming"},
+            {**MISS, "target": "oncoming"},
+            {**LONGER, "target": "oncoming"},
             "no oncoming vehicle is reported for 1.5 s instead of 1.3 s",
         ),
         (FAR, {**FAR, "severity": 0.25}, "the lead is reported 25% instead of 20% too far away"),
         (
-            {**FAR, "type": "left"}, {**FAR, "type": "left", "severity": 0.25},
+            {**FAR, "type": "left"},
+            {**FAR, "type": "left", "severity": 0.25},
             "the lead is reported 1 m instead of 0.8 m too far left",
         ),
         (
-            {**MISS, "type": "short_range", "severity": 0.5}, {**MISS, "type": "short_range", "severity": 0.75},
+            {**MISS, "type": "short_range", "severity": 0.5},
+            {**MISS, "type": "short_range", "severity": 0.75},
             "every vehicle going the same way is reported only within 15 m instead of 30 m",
         ),
         (
-            {**MISS, "type": "late"}, {**LONGER, "type": "late"},
+            {**MISS, "type": "late"},
+            {**LONGER, "type": "late"},
             "every vehicle going the same way is first reported 1.5 s instead of 1.3 s late",
         ),
         (
-            MISS, {**LONGER, "onset_s": 4.5},
+            MISS,
+            {**LONGER, "onset_s": 4.5},
             "the lead is not reported for 1.5 s instead of 1.3 s, from 4.5 s instead of 4.2 s",
         ),
         (
-            MISS, {**LONGER, "onset": "lead_brakes"},
+            MISS,
+            {**LONGER, "onset": "lead_brakes"},
             "the lead is not reported for 1.5 s instead of 1.3 s, when the lead brakes after 4.2 s instead of from "
             "4.2 s on",
         ),
         (
-            FAR, {**FAR, "severity": 0.25, "duration_s": 2.5},
+            FAR,
+            {**FAR, "severity": 0.25, "duration_s": 2.5},
             "the lead is reported 25% instead of 20% too far away, for 2.5 s instead of 2 s",
         ),
         (
-            MISS, FAR,
+            MISS,
+            FAR,
             "the lead is reported 20% too far away from 4.2 s on (in the safe drive, the lead is not reported for "
             "1.3 s from 4.2 s on)",
         ),
         (
-            MISS, {**MISS, "target": "pedestrian"},
+            MISS,
+            {**MISS, "target": "pedestrian"},
             "the nearest pedestrian is not reported for 1.3 s from 4.2 s on (in the safe drive, the lead is not "
             "reported for 1.3 s from 4.2 s on)",
         ),
         (NONE, MISS, "the lead is not reported for 1.3 s from 4.2 s on"),
         (
-            NONE, {**MISS, "onset": "pedestrian_steps_out"},
+            NONE,
+            {**MISS, "onset": "pedestrian_steps_out"},
             "the lead is not reported for 1.3 s when a pedestrian steps out after 4.2 s",
         ),
         (MISS, NONE, "without the error that the lead is not reported for 1.3 s from 4.2 s on"),
     ],
-)  # fmt: skip
+)
 def test_a_change_of_an_error_is_described(
     safe: dict[str, Any], unsafe: dict[str, Any], expected: str
 ) -> None:
@@ -465,11 +498,12 @@ def test_without_a_type_severities_have_no_scale(choices: dict[str, str]) -> Non
         ("too_far", "oncoming", "reporting every oncoming vehicle 1.3 s too far away"),
         ("ghost_on_road", "pedestrian", "reporting a person who is not there on the road for 1.3 s"),
         (
-            "ghost_in_image", "crossing",
+            "ghost_in_image",
+            "crossing",
             "reporting a crossing vehicle that is not there at a fixed place in the image for 1.3 s",
         ),
     ],
-)  # fmt: skip
+)
 def test_an_error_is_described_as_an_activity(kind: str, target: str | None, expected: str) -> None:
     choices = {"behaviour.error_1.type": kind}
     if target is not None:

@@ -140,8 +140,11 @@ def test_a_package_counts_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (tmp_path / "toy_beside.py").write_text("")
     (tmp_path / "unrelated.py").write_text("")
     assert sorted(source_files("toy_package.inner.core")) == [
-        "toy_beside.py", "toy_package/__init__.py", "toy_package/inner/__init__.py", "toy_package/inner/core.py",
-    ]  # fmt: skip
+        "toy_beside.py",
+        "toy_package/__init__.py",
+        "toy_package/inner/__init__.py",
+        "toy_package/inner/core.py",
+    ]
 
 
 def test_an_installed_distribution_counts_with_its_recorded_files(tmp_path: Path) -> None:
@@ -151,10 +154,12 @@ def test_an_installed_distribution_counts_with_its_recorded_files(tmp_path: Path
 
     def digest(weights: str, script: str = "a") -> str:
         lines = [
-            "toy_dist/__init__.py,sha256=x,1", f"toy_dist/weights.onnx,sha256={weights},1",
-            "toy_dist/__pycache__/a.pyc,,", f"../../bin/toy,sha256={script},1",
+            "toy_dist/__init__.py,sha256=x,1",
+            f"toy_dist/weights.onnx,sha256={weights},1",
+            "toy_dist/__pycache__/a.pyc,,",
+            f"../../bin/toy,sha256={script},1",
             "toy_dist-1.0.dist-info/INSTALLER,sha256=z,1",
-        ]  # fmt: skip
+        ]
         (info / "RECORD").write_text("\n".join(lines))
         return distribution_digest(Distribution.at(info), "toy_dist.detector")
 

@@ -122,5 +122,6 @@ def test_requirements_of_plug_ins_are_named_by_their_id() -> None:
     assert violated_words("keep-left@2") == unsafe_words(["keep-left@2"]) == "violated keep left"
     assert drives_held(["front-gap@1", "keep-left@2"]) == "held the front gap and held keep left"
     assert (drives_held(SIX), unsafe_words(SIX)) == (
-        "held all 6 requirements", "violated at least one of 6 requirements",
-    )  # fmt: skip
+        "held all 6 requirements",
+        "violated at least one of 6 requirements",
+    )

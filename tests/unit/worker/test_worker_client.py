@@ -74,10 +74,15 @@ def test_without_a_token_no_authorization_header_is_sent() -> None:
 @pytest.mark.parametrize(
     "failure",
     [
-        httpx.ConnectError("refused"), httpx.RemoteProtocolError("closed"), httpx.ReadError("reset"),
-        httpx.Response(500), httpx.Response(503), httpx.Response(429), httpx.Response(408),
+        httpx.ConnectError("refused"),
+        httpx.RemoteProtocolError("closed"),
+        httpx.ReadError("reset"),
+        httpx.Response(500),
+        httpx.Response(503),
+        httpx.Response(429),
+        httpx.Response(408),
     ],
-)  # fmt: skip
+)
 def test_a_transient_failure_is_retried_with_growing_pauses(failure: httpx.Response | Exception) -> None:
     pauses: list[float] = []
     with client(Script(failure, failure, httpx.Response(200, json=GRANT)), pauses) as c:

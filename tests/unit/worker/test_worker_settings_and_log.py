@@ -39,9 +39,15 @@ def parsed(made: logging.LogRecord, **always: Any) -> dict[str, Any]:
 
 def test_a_json_line_has_time_level_logger_message_and_all_fields() -> None:
     assert parsed(record(campaign="c0ffee", job=7, attempt=2), worker="w-1") == {
-        "time": "2023-11-14T22:13:20.250Z", "level": "info", "logger": "brink.server.queue",
-        "message": "lease ran out", "worker": "w-1", "campaign": "c0ffee", "job": 7, "attempt": 2,
-    }  # fmt: skip
+        "time": "2023-11-14T22:13:20.250Z",
+        "level": "info",
+        "logger": "brink.server.queue",
+        "message": "lease ran out",
+        "worker": "w-1",
+        "campaign": "c0ffee",
+        "job": 7,
+        "attempt": 2,
+    }
 
 
 def test_a_stack_is_a_field_of_the_json_line() -> None:
@@ -98,18 +104,31 @@ logging.getLogger("httpx").info("a request")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     logged = [line.partition(": ")[2] for line in done.stderr.splitlines()]
     assert logged == [
-        "a detail of brink.worker.loop", "news of brink.worker.loop", "news of httpcore.http11", "news of h11",
-    ]  # fmt: skip
+        "a detail of brink.worker.loop",
+        "news of brink.worker.loop",
+        "news of httpcore.http11",
+        "news of h11",
+    ]
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("server", "127.0.0.1:8700"), ("server", "ftp://host"), ("server", ""), ("worker_id", ""),
-        ("worker_id", "x" * 65), ("max_jobs", 0), ("max_jobs", 129), ("wait_s", 61.0), ("wait_s", -1.0),
-        ("memory_mib", -1), ("grace_s", float("inf")), ("prefetch_s", float("nan")), ("exit_when_idle_s", -0.1),
+        ("server", "127.0.0.1:8700"),
+        ("server", "ftp://host"),
+        ("server", ""),
+        ("worker_id", ""),
+        ("worker_id", "x" * 65),
+        ("max_jobs", 0),
+        ("max_jobs", 129),
+        ("wait_s", 61.0),
+        ("wait_s", -1.0),
+        ("memory_mib", -1),
+        ("grace_s", float("inf")),
+        ("prefetch_s", float("nan")),
+        ("exit_when_idle_s", -0.1),
     ],
-)  # fmt: skip
+)
 def test_an_error_names_the_setting_that_is_out_of_range(field: str, value: Any) -> None:
     with pytest.raises(SettingsError) as caught:
         WorkerSettings(**{"server": "http://127.0.0.1:8700", field: value})
@@ -128,9 +147,15 @@ def test_worker_ids_are_unique_and_short_enough_for_the_wire() -> None:
 
 
 def test_a_text_line_is_one_line_with_its_fields() -> None:
-    record = logging.makeLogRecord({
-        "name": "brink.worker.loop", "levelname": "WARNING", "msg": "two\nlines", "job": 7, "reason": "no luck",
-    })  # fmt: skip
+    record = logging.makeLogRecord(
+        {
+            "name": "brink.worker.loop",
+            "levelname": "WARNING",
+            "msg": "two\nlines",
+            "job": 7,
+            "reason": "no luck",
+        }
+    )
     line = LineFormatter(worker="w-1").format(record)
     assert line.endswith('WARNING brink.worker.loop: two lines worker=w-1 job=7 reason="no luck"')
 

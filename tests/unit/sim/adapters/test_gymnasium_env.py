@@ -106,23 +106,34 @@ def cart_pole(*perturbations: dict[str, Json], seed: int = 1, **options: Json) -
     return EpisodeSpec(
         simulator="gymnasium@1",
         scenario={"environment": "CartPole-v1", "make": {}, "reset": {}, "reset_seed": None},
-        behaviour={"perturbations": list(perturbations)}, requirements=("survival@1",), seed=seed,
+        behaviour={"perturbations": list(perturbations)},
+        requirements=("survival@1",),
+        seed=seed,
         duration_s=6.0,
         options={
-            "policy": f"{POLICIES}:balance_cart_pole", "margin": None, "unit": "s", "survive_steps": 200,
-            "step_s": 0.02, **options,
+            "policy": f"{POLICIES}:balance_cart_pole",
+            "margin": None,
+            "unit": "s",
+            "survive_steps": 200,
+            "step_s": 0.02,
+            **options,
         },
-    )  # fmt: skip
+    )
 
 
 def integrator(*perturbations: dict[str, Json], seed: int = 1, **scenario: Json) -> EpisodeSpec:
     options: dict[str, Json] = {
-        "policy": f"{HERE}:drive", "margin": f"{HERE}:distance_margin", "survive_steps": 1,
-    }  # fmt: skip
+        "policy": f"{HERE}:drive",
+        "margin": f"{HERE}:distance_margin",
+        "survive_steps": 1,
+    }
     spec = cart_pole(*perturbations, seed=seed, **options)
     environment: dict[str, Json] = {
-        **spec.scenario, "environment": "BrinkIntegrator-v0", "reset_seed": 7, **scenario,
-    }  # fmt: skip
+        **spec.scenario,
+        "environment": "BrinkIntegrator-v0",
+        "reset_seed": 7,
+        **scenario,
+    }
     return replace(spec, scenario=environment, requirements=("margin@1",), duration_s=1.0)
 
 
@@ -258,8 +269,11 @@ def test_a_fresh_process_gives_the_same_result(
     result = simulator.run(spec)
     printed = subprocess.run(
         [sys.executable, "-W", "error", "-c", FRESH, spec.canonical_json()],
-        capture_output=True, text=True, check=True, timeout=60,
-    ).stdout.strip()  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout.strip()
     assert printed == f"{result.verdicts} {result.features}"
 
 
@@ -283,12 +297,18 @@ def push(observation: NDArray[np.float32]) -> Any:
 CASES: list[tuple[dict[str, Any], str]] = [
     ({"scenario": {"environment": "CartPole-v9"}}, "scenario.environment: CartPole-v9: VersionNotFound"),
     ({"scenario": {"environment": "os:path"}}, "expected the id of a registered environment, got 'os:path'"),
-    ({"scenario": {"environment": "BrinkWithoutNumbers-v0"}}, r"expected observations in a Box, got Discrete\(4\)"),
+    (
+        {"scenario": {"environment": "BrinkWithoutNumbers-v0"}},
+        r"expected observations in a Box, got Discrete\(4\)",
+    ),
     ({"scenario": {"make": {"wheels": 3}}}, "scenario.environment: CartPole-v1: TypeError"),
     ({"scenario": {"reset": {"low": 1.0, "high": 0.0}}}, "scenario.reset: ValueError"),
     ({"scenario": {"reset_seed": -1}}, "scenario.reset_seed: expected an integer in \\[0, "),
     ({"scenario": {"wind": 1}}, "scenario: unknown field 'wind'"),
-    ({"options": {"policy": "os:abort"}}, "options.policy: expected MODULE:FUNCTION with a module that --plugin"),
+    (
+        {"options": {"policy": "os:abort"}},
+        "options.policy: expected MODULE:FUNCTION with a module that --plugin",
+    ),
     ({"options": {"policy": f"{HERE}:_as_plugin"}}, "has no function '_as_plugin'"),
     ({"options": {"policy": f"{HERE}:nobody"}}, "has no function 'nobody'"),
     ({"options": {"policy": f"{HERE}:replace"}}, "'replace' is from elsewhere"),
@@ -297,13 +317,22 @@ CASES: list[tuple[dict[str, Any], str]] = [
     ({"options": {"margin": f"{HERE}:distance_margin"}}, "requirements: expected margin@1 alone"),
     ({"duration_s": 1e5}, "duration_s: expected 1 to 100000 steps"),
     ({"requirements": ("no-collision@1",)}, "requirements: expected survival@1 alone"),
-    ({"behaviour": {"perturbations": [perturbation(dimension=4)]}}, "dimension: expected a number below 4, got 4"),
+    (
+        {"behaviour": {"perturbations": [perturbation(dimension=4)]}},
+        "dimension: expected a number below 4, got 4",
+    ),
     ({"behaviour": {"perturbations": [perturbation(type="biass")]}}, "did you mean 'bias'"),
-    ({"behaviour": {"perturbations": [perturbation(from_step=-1)]}}, "from_step: expected an integer in \\[0, "),
-    ({"behaviour": {"perturbations": [perturbation(magnitude="much")]}}, "expected a finite number, got 'much'"),
+    (
+        {"behaviour": {"perturbations": [perturbation(from_step=-1)]}},
+        "from_step: expected an integer in \\[0, ",
+    ),
+    (
+        {"behaviour": {"perturbations": [perturbation(magnitude="much")]}},
+        "expected a finite number, got 'much'",
+    ),
     ({"behaviour": {"perturbations": [{}] * 9}}, "expected a list of at most 8"),
     ({"simulator": "gymnasium@2"}, "simulator: expected gymnasium@1"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("changes", "expected"), CASES)

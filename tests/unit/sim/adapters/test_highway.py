@@ -13,6 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.marks import mostly_long
 
+from brink.pictures.frame import FramePainter
+from brink.pictures.scene import closest_points, outline
+from brink.pictures.story import scenario_words
 from brink.sim.adapters.clearance import clearance_m, corners
 from brink.sim.adapters.highway.perception import Body, Perception
 from brink.sim.adapters.highway.simulator import HighwayEnvSimulator
@@ -33,24 +36,29 @@ from brink.sim.adapters.recording import Perceived, Pose
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.replay.frame import FramePainter
-from brink.sim.replay.scene import closest_points, outline
-from brink.sim.replay.story import scenario_words
 from brink.sim.trace import Trace
 
 SCENARIO: dict[str, Json] = {
-    "road": "highway", "goal": "straight", "lanes": 3, "density": 1.5, "traffic_speed": 0.6, "ego_speed": 0.9,
+    "road": "highway",
+    "goal": "straight",
+    "lanes": 3,
+    "density": 1.5,
+    "traffic_speed": 0.6,
+    "ego_speed": 0.9,
     "target_speed": 1.1,
-}  # fmt: skip
+}
 EGO = Pose(x_m=10.0, y_m=0.0, yaw_rad=0.0, speed_mps=20.0)
 
 
 def spec(*errors: dict[str, Json], seed: int = 3, duration_s: float = 8.0, **scenario: Json) -> EpisodeSpec:
     return EpisodeSpec(
-        simulator="highway-env@1", scenario={**SCENARIO, **scenario},
-        behaviour={"mode": "errors", "errors": list(errors)}, requirements=("no-collision@1", "front-gap@1"),
-        seed=seed, duration_s=duration_s,
-    )  # fmt: skip
+        simulator="highway-env@1",
+        scenario={**SCENARIO, **scenario},
+        behaviour={"mode": "errors", "errors": list(errors)},
+        requirements=("no-collision@1", "front-gap@1"),
+        seed=seed,
+        duration_s=duration_s,
+    )
 
 
 def miss(target: str = "all", onset_s: float = 1.0, magnitude: float = 5.0) -> dict[str, Json]:
@@ -178,8 +186,12 @@ def test_an_error_that_the_ego_never_meets_changes_nothing(
 
 def test_a_ghost_makes_the_ego_brake_and_is_drawn_as_one(simulator: HighwayEnvSimulator) -> None:
     ghost: dict[str, Json] = {
-        "type": "ghost", "target": "ahead", "magnitude": 2.0, "onset_s": 1.0, "distance_m": 40.0,
-    }  # fmt: skip
+        "type": "ghost",
+        "target": "ahead",
+        "magnitude": 2.0,
+        "onset_s": 1.0,
+        "distance_m": 40.0,
+    }
     truth, ghosted = (trace_of(simulator, one) for one in (spec(lanes=2), spec(ghost, lanes=2)))
     after = round(2.5 * STEPS_PER_S)
     assert ghosted.ego[after, 3] < truth.ego[after, 3] - 3.0
@@ -210,16 +222,23 @@ def test_a_fresh_process_gives_the_same_trace(simulator: HighwayEnvSimulator) ->
     import hashlib
 
     noise: dict[str, Json] = {
-        "type": "position_noise", "target": "all", "magnitude": 1.0, "onset_s": 0.5, "duration_s": 3.0,
-    }  # fmt: skip
+        "type": "position_noise",
+        "target": "all",
+        "magnitude": 1.0,
+        "onset_s": 0.5,
+        "duration_s": 3.0,
+    }
     wanted = spec(noise, road="roundabout")
     result = simulator.run(wanted, record=True)
     assert result.trace is not None
     robustness = {name: verdict.robustness for name, verdict in result.verdicts.items()}
     printed = subprocess.run(
         [sys.executable, "-W", "error", "-c", FRESH, wanted.canonical_json()],
-        capture_output=True, text=True, check=True, timeout=60,
-    ).stdout.strip()  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout.strip()
     assert printed == f"{hashlib.sha256(result.trace).hexdigest()} {robustness}"
 
 
@@ -233,7 +252,10 @@ def test_a_fresh_process_gives_the_same_trace(simulator: HighwayEnvSimulator) ->
         ({"behaviour": {"mode": "oracle", "errors": []}}, "behaviour.mode: expected errors, got 'oracle'"),
         ({"behaviour": {"mode": "errors", "errors": [{}] * 9}}, "a list of at most 8"),
         ({"behaviour": {"mode": "errors", "errors": [{"type": "mis"}]}}, "did you mean 'miss'"),
-        ({"behaviour": {"mode": "errors", "errors": [{**miss(), "duration_s": 1}]}}, "unknown field 'duration_s'"),
+        (
+            {"behaviour": {"mode": "errors", "errors": [{**miss(), "duration_s": 1}]}},
+            "unknown field 'duration_s'",
+        ),
         ({"behaviour": {"mode": "errors", "errors": [miss(onset_s=99.0)]}}, r"onset_s: expected .* in .0, 8"),
         ({"behaviour": {"mode": "errors", "errors": [miss(target="lead")]}}, "target: expected one of ahead"),
         ({"options": {"fidelity": "wheels"}}, "options: expected none, got 'fidelity'"),
@@ -241,7 +263,7 @@ def test_a_fresh_process_gives_the_same_trace(simulator: HighwayEnvSimulator) ->
         ({"simulator": "highway-env@2"}, "simulator: expected highway-env@1"),
         ({"requirements": ("gap@1",)}, "requirements: unknown id 'gap@1'"),
     ],
-)  # fmt: skip
+)
 def test_invalid_specs_are_refused(
     simulator: HighwayEnvSimulator, changes: dict[str, Any], expected: str
 ) -> None:
@@ -257,9 +279,11 @@ def body(number: int, x_m: float, y_m: float = 0.0, *, yaw_rad: float = 0.0, spe
     """Return a vehicle on a straight road with lanes 4 m wide; the ego is in the middle one."""
     lane = -round(y_m / 4.0)
     return Body(
-        number=number, pose=Pose(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, speed_mps=speed_mps), along_m=x_m - EGO.x_m,
+        number=number,
+        pose=Pose(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, speed_mps=speed_mps),
+        along_m=x_m - EGO.x_m,
         lane=lane if abs(lane) <= 1 else None,
-    )  # fmt: skip
+    )
 
 
 AHEAD, FARTHER, LEFT, RIGHT = body(1, 40.0), body(2, 70.0), body(3, 30.0, 4.0), body(4, 5.0, -4.0)
@@ -281,10 +305,13 @@ def perceived(error: PerceptionError, seconds: float = 3.0, seed: int = 1) -> li
 @pytest.mark.parametrize(
     ("target", "hidden"),
     [
-        (Target.AHEAD, {1}), (Target.LEFT, {3}), (Target.RIGHT, {4}), (Target.CROSSING, {5}),
+        (Target.AHEAD, {1}),
+        (Target.LEFT, {3}),
+        (Target.RIGHT, {4}),
+        (Target.CROSSING, {5}),
         (Target.ALL, IN_RANGE),
     ],
-)  # fmt: skip
+)
 def test_a_miss_hides_its_target_in_its_window(target: Target, hidden: set[int]) -> None:
     error = PerceptionError(type=ErrorType.MISS, target=target, magnitude=1.0, onset_s=1.0, duration_s=1.0)
     steps = [{one.track for one in step} for step in perceived(error)]

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from brink.pictures.scene import front_gap
 from brink.sim.adapters.sumo.specification import MAGNITUDES, ErrorType, Network
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.replay.scene import front_gap
 from brink.sim.trace import WORDS, Trace
 
 pytestmark = pytest.mark.long("needs SUMO")
@@ -56,15 +56,22 @@ def specification(
     return EpisodeSpec(
         simulator="sumo@1",
         scenario={
-            "network": network, "demand": 0.8, "trucks": 0.15, "imperfection": 0.5, "signals_s": 0.0,
-            "automated": 0.3, "surface": "dry", **happens, **scenario,
+            "network": network,
+            "demand": 0.8,
+            "trucks": 0.15,
+            "imperfection": 0.5,
+            "signals_s": 0.0,
+            "automated": 0.3,
+            "surface": "dry",
+            **happens,
+            **scenario,
         },
         behaviour={"mode": "errors", "error": error},
         requirements=REQUIREMENTS,
         seed=seed,
         duration_s=duration_s,
         options={"headway_s": 1.0},
-    )  # fmt: skip
+    )
 
 
 def error_of(
@@ -76,8 +83,11 @@ def error_of(
     duration_s: float = 12.0,
 ) -> dict[str, Json]:
     document: dict[str, Json] = {
-        "type": kind.value, "affected": affected, "magnitude": MAGNITUDES[kind].at(severity), "onset_s": onset_s,
-    }  # fmt: skip
+        "type": kind.value,
+        "affected": affected,
+        "magnitude": MAGNITUDES[kind].at(severity),
+        "onset_s": onset_s,
+    }
     return document | ({"duration_s": duration_s} if MAGNITUDES[kind].has_duration else {})
 
 
@@ -120,9 +130,13 @@ def test_equal_episodes_are_equal_in_a_fresh_process(simulator: Simulator) -> No
     )
     specs = some_episodes()[1:3]
     found = subprocess.run(
-        [sys.executable, "-c", program], input=json.dumps([spec.to_json() for spec in specs]), text=True,
-        capture_output=True, check=True, cwd=Path(__file__).parent,
-    )  # fmt: skip
+        [sys.executable, "-c", program],
+        input=json.dumps([spec.to_json() for spec in specs]),
+        text=True,
+        capture_output=True,
+        check=True,
+        cwd=Path(__file__).parent,
+    )
     assert json.loads(found.stdout) == [content(simulator.run(spec, record=True)) for spec in specs]
 
 
@@ -312,9 +326,14 @@ def with_own_files(
     return replace(
         specification(error=error),
         scenario={
-            "files": dict(files), "demand": 1.0, "automated": 0.5, "surface": "dry", "incident": "none", **scenario,
+            "files": dict(files),
+            "demand": 1.0,
+            "automated": 0.5,
+            "surface": "dry",
+            "incident": "none",
+            **scenario,
         },
-    )  # fmt: skip
+    )
 
 
 def test_a_network_of_ones_own_runs_with_errors_of_the_ego(

@@ -27,9 +27,18 @@ from brink.sim.errors import InvalidEpisode
 
 NETWORKS = Path(__file__).parents[4] / "sim" / "adapters" / "sumo" / "roads"
 TRAFFIC = Traffic(
-    network="motorway", files=None, demand=0.6, trucks=0.2, automated=0.3, imperfection=0.5,
-    surface=RoadSurface.WET, signals_s=0.0, incident=Incident.LEAD_BRAKES, incident_s=4.25, incident_mps2=5.0,
-)  # fmt: skip
+    network="motorway",
+    files=None,
+    demand=0.6,
+    trucks=0.2,
+    automated=0.3,
+    imperfection=0.5,
+    surface=RoadSurface.WET,
+    signals_s=0.0,
+    incident=Incident.LEAD_BRAKES,
+    incident_s=4.25,
+    incident_mps2=5.0,
+)
 DEMAND = """<routes>
   <route id="r" edges="before merge after"/>
   <vehicle id="one" route="r" depart="0"/>
@@ -48,9 +57,12 @@ def drive(network: Network, demand: float = 0.6, trucks: float = 0.2) -> Drive:
 def error_of(kind: ErrorType) -> PerceptionError:
     scale = MAGNITUDES[kind]
     return PerceptionError(
-        type=kind, affected=Affected.FLEET, magnitude=scale.at(0.25), onset_s=4.2,
+        type=kind,
+        affected=Affected.FLEET,
+        magnitude=scale.at(0.25),
+        onset_s=4.2,
         duration_s=7.0 if scale.has_duration else scale.at(0.25),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("kind", ErrorType)

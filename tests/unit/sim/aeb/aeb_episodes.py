@@ -16,10 +16,17 @@ def spec(seed: int, *, mode: str = "oracle", obstacle: str = "none", **options: 
     return EpisodeSpec(
         simulator="brink-aeb@2",
         scenario={
-            "time_of_day": str(rng.choice(TIMES)), "weather": str(rng.choice(WEATHERS)),
-            "occluder": str(rng.choice(list(Occluder))), "crossing_m": float(rng.uniform(*CROSSING_M)),
-            "arrival_s": float(rng.uniform(*ARRIVAL_S)), "oncoming_m": float(rng.uniform(*ONCOMING_M)),
+            "time_of_day": str(rng.choice(TIMES)),
+            "weather": str(rng.choice(WEATHERS)),
+            "occluder": str(rng.choice(list(Occluder))),
+            "crossing_m": float(rng.uniform(*CROSSING_M)),
+            "arrival_s": float(rng.uniform(*ARRIVAL_S)),
+            "oncoming_m": float(rng.uniform(*ONCOMING_M)),
             "obstacle": obstacle,
         },
-        behaviour={"mode": mode}, requirements=REQUIREMENTS, seed=seed, duration_s=15.0, options=options,
-    )  # fmt: skip
+        behaviour={"mode": mode},
+        requirements=REQUIREMENTS,
+        seed=seed,
+        duration_s=15.0,
+        options=options,
+    )

@@ -18,6 +18,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from support.marks import mostly_long
 
+from brink.pictures import ReplayError, render
+from brink.pictures.frame import FramePainter
+from brink.pictures.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
+from brink.pictures.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
 from brink.sim import catalogue
 from brink.sim.aeb import dataset
 from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames, render_frames
@@ -33,10 +37,6 @@ from brink.sim.perception.detector import DETECTORS
 from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
 from brink.sim.rendering.scene import Body, BodyKind, Frame, StreetScene, Viewpoint
-from brink.sim.replay import ReplayError, render
-from brink.sim.replay.frame import FramePainter
-from brink.sim.replay.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
-from brink.sim.replay.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
 from brink.sim.trace import MAX_TRACE_BYTES, Film, Trace
 from brink.sim.world.ego import EGO_CAR
 from brink.worker.wire import Completed
@@ -98,18 +98,23 @@ def test_a_confident_false_positive_causes_a_dangerous_stop(known: Known, score:
 @pytest.mark.parametrize(
     ("box", "label", "brakes"),
     [
-        ((300, 348, 340, 359), 0, False), ((300, 320, 340, 360), 0, True), ((300, 331, 340, 360), 0, False),
-        ((318, 300, 323, 340), 1, False), ((318, 300, 326, 340), 1, True), ((300, 349, 340, 360), 1, False),
+        ((300, 348, 340, 359), 0, False),
+        ((300, 320, 340, 360), 0, True),
+        ((300, 331, 340, 360), 0, False),
+        ((318, 300, 323, 340), 1, False),
+        ((318, 300, 326, 340), 1, True),
+        ((300, 349, 340, 360), 1, False),
     ],
-)  # fmt: skip
+)
 def test_the_brake_gets_no_box_that_is_too_small_or_a_vehicle_too_flat(
     known: Known, box: tuple[int, ...], label: int, brakes: bool
 ) -> None:
     """Boxes of less than 12 x 6 px count nowhere; a vehicle of 29 px at the lower edge would be .27 m high."""
     known.found = Detections(
-        labels=np.array([label], np.int64), boxes=np.array([box], np.float32),
+        labels=np.array([label], np.int64),
+        boxes=np.array([box], np.float32),
         scores=np.array([0.9], np.float32),
-    )  # fmt: skip
+    )
     result = SIMULATOR.run(replace(seen_by(1), duration_s=0.5), record=True)
     assert (result.features["braked_at_s"] is not None) is brakes
     assert result.trace is not None
@@ -220,9 +225,13 @@ def frames() -> list[LabelledFrame]:
 
 def evaluation(**behaviour: Any) -> EpisodeSpec:
     return EpisodeSpec(
-        simulator="brink-dataset@2", scenario={"dataset": "simulator", "frames": FRAMES},
-        behaviour={"detector": "known@1", **behaviour}, requirements=(), seed=0, duration_s=1.0,
-    )  # fmt: skip
+        simulator="brink-dataset@2",
+        scenario={"dataset": "simulator", "frames": FRAMES},
+        behaviour={"detector": "known@1", **behaviour},
+        requirements=(),
+        seed=0,
+        duration_s=1.0,
+    )
 
 
 class Cheating(Known):
@@ -333,8 +342,12 @@ class Half:
 def trace() -> Trace:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(catalogue._registered, DETECTORS, {"half@1": Half})
-        behaviour: dict[str, Json] = {"mode": "detector", "detector": "half@1", "threshold": 0.4,
-                     "perturbations": [{"gene": "snow", "level": 3}]}  # fmt: skip
+        behaviour: dict[str, Json] = {
+            "mode": "detector",
+            "detector": "half@1",
+            "threshold": 0.4,
+            "perturbations": [{"gene": "snow", "level": 3}],
+        }
         result = BrinkAeb().run(replace(spec(3), behaviour=behaviour, duration_s=1.0), record=True)
     assert result.trace is not None
     kept = Trace.from_bytes(result.trace)

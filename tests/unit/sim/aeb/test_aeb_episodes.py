@@ -10,6 +10,7 @@ import pytest
 from aeb_episodes import spec
 from support.marks import mostly_long
 
+from brink.pictures import render_bytes
 from brink.sim.aeb.braking import Detection, EmergencyBrake
 from brink.sim.aeb.episode import Episode, WorldMonitor
 from brink.sim.aeb.sight import Observation, OracleSight
@@ -20,7 +21,6 @@ from brink.sim.bullet.engine import process_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.replay import render_bytes
 from brink.sim.trace import Trace
 from brink.sim.world.ego import EgoCar
 
@@ -92,9 +92,14 @@ def played(seed: int, ghost: Ghost) -> tuple[Episode, dict[str, Json]]:
     ego = EgoCar((0.0, LANE_Y_M, 0.0), CRUISE_MPS, friction=0.9)
     requirements = make_requirements(episode_spec.requirements)
     episode = Episode(
-        street=street, ego=ego, monitor=WorldMonitor(street, ego, engine), sight=ghost,
-        brake=EmergencyBrake.for_picture(640, 360), requirements=requirements, line_m=scenario.crossing_m,
-    )  # fmt: skip
+        street=street,
+        ego=ego,
+        monitor=WorldMonitor(street, ego, engine),
+        sight=ghost,
+        brake=EmergencyBrake.for_picture(640, 360),
+        requirements=requirements,
+        line_m=scenario.crossing_m,
+    )
     episode.run(15.0)
     features = {key: value for r in requirements.values() for key, value in r.features().items()}
     features["violated"] = requirements["no-dangerous-stop@1"].verdict().violated
@@ -179,10 +184,18 @@ def test_a_missing_field_is_named() -> None:
 
 def test_the_brake_gets_only_the_injected_boxes() -> None:
     ghost: dict[str, Json] = {
-        "label": "person", "t0_step": 10, "t1_step": 30,
-        "x_min_0_px": 360, "x_max_0_px": 440, "y_min_0_px": 300, "y_max_0_px": 480,
-        "x_min_1_px": 360, "x_max_1_px": 440, "y_min_1_px": 300, "y_max_1_px": 480,
-    }  # fmt: skip
+        "label": "person",
+        "t0_step": 10,
+        "t1_step": 30,
+        "x_min_0_px": 360,
+        "x_max_0_px": 440,
+        "y_min_0_px": 300,
+        "y_max_0_px": 480,
+        "x_min_1_px": 360,
+        "x_max_1_px": 440,
+        "y_min_1_px": 300,
+        "y_max_1_px": 480,
+    }
     nothing = SIMULATOR.run(replace(spec(2), behaviour={"mode": "injected", "trajectories": []}))
     assert nothing.features["collided_with"] == "pedestrian"
     reported = replace(spec(2), duration_s=5.0, behaviour={"mode": "injected", "trajectories": [ghost]})

@@ -28,9 +28,16 @@ GREY_NOON = Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLOUDY)
 
 def body(number: int, kind: BodyKind, x_m: float, y_m: float, size: tuple[float, float, float]) -> Body:
     return Body(
-        id=number, kind=kind, x_m=x_m, y_m=y_m, yaw_rad=math.pi / 2, length_m=size[0], width_m=size[1],
-        height_m=size[2], look=number,
-    )  # fmt: skip
+        id=number,
+        kind=kind,
+        x_m=x_m,
+        y_m=y_m,
+        yaw_rad=math.pi / 2,
+        length_m=size[0],
+        width_m=size[1],
+        height_m=size[2],
+        look=number,
+    )
 
 
 def person(number: int, x_m: float, y_m: float) -> Body:

@@ -106,9 +106,14 @@ def drive(
             seen = camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies) if oracle else []
             boxes = (*(sight.box for sight in seen), *ghosts(time_s))
         state = EgoState(
-            x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad, speed_mps=ego.speed_mps, accel_mps2=ego.accel_mps2,
-            station_m=near_m, offset_m=offset_m,
-        )  # fmt: skip
+            x_m=ego.x_m,
+            y_m=ego.y_m,
+            yaw_rad=ego.yaw_rad,
+            speed_mps=ego.speed_mps,
+            accel_mps2=ego.accel_mps2,
+            station_m=near_m,
+            offset_m=offset_m,
+        )
         reading = None
         if light is not None:
             ahead = [line for line in route.stop_line_stations_m if line > near_m + 2.25]

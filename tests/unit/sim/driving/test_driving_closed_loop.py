@@ -269,8 +269,14 @@ def test_commands_are_finite_and_bounded_for_arbitrary_boxes(frames: list[list[B
     for step, frame in enumerate(shown):
         x_m, y_m, yaw_rad = route.pose_at(station_m)
         ego = EgoState(
-            x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, speed_mps=6.0, accel_mps2=0.0, station_m=station_m, offset_m=0.0,
-        )  # fmt: skip
+            x_m=x_m,
+            y_m=y_m,
+            yaw_rad=yaw_rad,
+            speed_mps=6.0,
+            accel_mps2=0.0,
+            station_m=station_m,
+            offset_m=0.0,
+        )
         observation = Observation(time_s=0.1 * step, ego=ego, boxes=tuple(frame), light=None)
         command = system.step(observation)
         assert math.isfinite(command.accel_mps2)

@@ -376,9 +376,14 @@ BOX = Box(label=ObstacleLabel.VEHICLE, x_min_px=0.0, x_max_px=1.0, y_min_px=0.0,
 
 def obstacle(right_m: float, left_m: float, across_mps: float) -> RoadObstacle:
     return RoadObstacle(
-        track=1, label=ObstacleLabel.PERSON, near_m=20.0, far_m=20.5, right_m=right_m, left_m=left_m,
+        track=1,
+        label=ObstacleLabel.PERSON,
+        near_m=20.0,
+        far_m=20.5,
+        right_m=right_m,
+        left_m=left_m,
         across_mps=across_mps,
-    )  # fmt: skip
+    )
 
 
 def test_a_crossing_person_is_predicted_in_the_strip_from_entering_to_leaving() -> None:

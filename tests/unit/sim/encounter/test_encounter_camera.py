@@ -89,9 +89,13 @@ def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
     place: dict[str, Json] = {"road_curve": curve.value, "road_id": road_id, "road_length": 0}
     scenario = EncounterScenario.from_json({**spec().scenario, **place})
     eyes = EncounterCamera(
-        make_encounter(scenario, 1), scenario.place, seed=1, detector=find_detector("brink-det@2"),
-        threshold=0.5, camera=Camera(),
-    )  # fmt: skip
+        make_encounter(scenario, 1),
+        scenario.place,
+        seed=1,
+        detector=find_detector("brink-det@2"),
+        threshold=0.5,
+        camera=Camera(),
+    )
     assert all(math.isfinite(number) for box in eyes.boxes(0.0) for number in box[1:])
 
 

@@ -29,9 +29,16 @@ ORACLES = ("no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "sp
 
 def stretch(action: str, from_s: float, lasts_s: float, **changes: float) -> JsonObject:
     base: JsonObject = {
-        "action": action, "from_s": from_s, "lasts_s": lasts_s, "s_m": 0.0, "d_m": 0.0, "heading_rad": 0.0,
-        "speed_mps": 0.0, "accel_mps2": 0.0, "aside_m": 0.0,
-    }  # fmt: skip
+        "action": action,
+        "from_s": from_s,
+        "lasts_s": lasts_s,
+        "s_m": 0.0,
+        "d_m": 0.0,
+        "heading_rad": 0.0,
+        "speed_mps": 0.0,
+        "accel_mps2": 0.0,
+        "aside_m": 0.0,
+    }
     return {**base, **changes}
 
 

@@ -41,9 +41,17 @@ def encounter(*road_users: Any, seed: int = 1) -> EpisodeSpec:
 
 def road_user(kind: str, **motion: float) -> dict[str, Any]:
     stretch = {
-        "action": "keep", "from_s": 0.0, "lasts_s": 60.0, "s_m": 0.0, "d_m": 0.0, "heading_rad": 0.0,
-        "speed_mps": 0.0, "accel_mps2": 0.0, "aside_m": 0.0, **motion,
-    }  # fmt: skip
+        "action": "keep",
+        "from_s": 0.0,
+        "lasts_s": 60.0,
+        "s_m": 0.0,
+        "d_m": 0.0,
+        "heading_rad": 0.0,
+        "speed_mps": 0.0,
+        "accel_mps2": 0.0,
+        "aside_m": 0.0,
+        **motion,
+    }
     return {"kind": kind, "stretches": [stretch]}
 
 
@@ -66,9 +74,15 @@ def test_the_careful_driver_stops_as_the_regulation_says() -> None:
 
 def test_a_vehicle_beside_is_a_risk_once_it_has_left_its_course() -> None:
     beside = ObservedUser(
-        kind=Kind.CAR, gap_m=8.0, length_m=4.5, aside_m=1.5, width_m=1.8, along_mps=8.0, towards_mps=1.0,
+        kind=Kind.CAR,
+        gap_m=8.0,
+        length_m=4.5,
+        aside_m=1.5,
+        width_m=1.8,
+        along_mps=8.0,
+        towards_mps=1.0,
         strayed_m=0.3,
-    )  # fmt: skip
+    )
     assert not is_risk(beside, 12.0, CAR)
     assert is_risk(beside._replace(strayed_m=0.4), 12.0, CAR)
     assert is_risk(beside._replace(kind=Kind.PEDESTRIAN, along_mps=0.0), 12.0, CAR)
@@ -139,8 +153,9 @@ def test_who_steps_out_close_ahead_is_hit_by_the_careful_driver_alone(s_m: float
     person = road_user("pedestrian", s_m=s_m, d_m=-3.5, heading_rad=1.57, speed_mps=1.6)
     results = {driver: simulator.run(with_driver(encounter(person), driver)) for driver in Driver}
     assert {driver: collides(result) for driver, result in results.items()} == {
-        Driver.CAREFUL: hits, Driver.IDEAL: False,
-    }  # fmt: skip
+        Driver.CAREFUL: hits,
+        Driver.IDEAL: False,
+    }
 
 
 LANE_M = 3.5
@@ -203,11 +218,14 @@ def regulation_avoids_cut_in(gap_m: float, speed_mps: float, lasts_s: float, ego
     [
         ((2.0, 6.0, 10.0, 15.0), (1.0, 4.0, 7.0), (1.5,), 1),
         pytest.param(
-            (2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0), (1.0, 2.5, 4.0, 5.5, 7.0), (1.5, 2.5, 4.0), 5,
+            (2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0),
+            (1.0, 2.5, 4.0, 5.5, 7.0),
+            (1.5, 2.5, 4.0),
+            5,
             marks=pytest.mark.long,
         ),
     ],
-)  # fmt: skip
+)
 def test_the_careful_driver_avoids_the_cut_ins_that_the_driver_of_the_regulation_avoids(
     gaps_m: tuple[float, ...], speeds_mps: tuple[float, ...], durations_s: tuple[float, ...], differ: int
 ) -> None:

@@ -41,9 +41,12 @@ CRUISE = PlanState(mode=PlanMode.CRUISE, target_speed_mps=8.0, target_offset_m=0
 
 def straight(*stop_lines_m: float) -> LaneRoute:
     return LaneRoute(
-        line=ReferenceLine(0.0, 0.0, 0.0, (Piece(300.0),)), lane_width_m=3.5, speed_limit_mps=14.0,
-        stop_line_stations_m=stop_lines_m, oncoming=(),
-    )  # fmt: skip
+        line=ReferenceLine(0.0, 0.0, 0.0, (Piece(300.0),)),
+        lane_width_m=3.5,
+        speed_limit_mps=14.0,
+        stop_line_stations_m=stop_lines_m,
+        oncoming=(),
+    )
 
 
 def car_at(deep_m: float, *, lifted_px: float = 0.0, aside_m: float = 0.0) -> Box:
@@ -52,9 +55,12 @@ def car_at(deep_m: float, *, lifted_px: float = 0.0, aside_m: float = 0.0) -> Bo
     middle_px = 400.0 - FOCAL_PX * aside_m / deep_m
     half_px = 0.5 * FOCAL_PX * 1.8 / deep_m
     return Box(
-        label=ObstacleLabel.VEHICLE, x_min_px=middle_px - half_px, x_max_px=middle_px + half_px,
-        y_min_px=base_px - FOCAL_PX * 1.5 / deep_m, y_max_px=base_px,
-    )  # fmt: skip
+        label=ObstacleLabel.VEHICLE,
+        x_min_px=middle_px - half_px,
+        x_max_px=middle_px + half_px,
+        y_min_px=base_px - FOCAL_PX * 1.5 / deep_m,
+        y_max_px=base_px,
+    )
 
 
 def observed(

@@ -48,8 +48,11 @@ def test_a_file_gives_the_same_guard(sensor: Sensor, tmp_path: Path) -> None:
     read = GuardModel.load(file)
     assert read.to_json() == model.to_json()
     assert (read.sensor, read.requirements, read.horizons_s, read.alarm) == (
-        sensor, ("front-gap@1",), (1.0, 2.0, 3.0), model.alarm,
-    )  # fmt: skip
+        sensor,
+        ("front-gap@1",),
+        (1.0, 2.0, 3.0),
+        model.alarm,
+    )
     given = rows(1.0, 5.0, 9.0, sensor=sensor)
     assert (read.probabilities(given) == model.probabilities(given)).all()
 
@@ -153,9 +156,12 @@ def test_the_peak_is_the_highest_threshold_that_raises_an_alarm(confirm_steps: i
 def test_a_fitted_guard_must_know_the_conditions() -> None:
     """It has met no drive in which they were unknown."""
     route = LaneRoute(
-        line=ReferenceLine(0.0, 0.0, 0.0, (Piece(100.0),)), lane_width_m=3.5, speed_limit_mps=14.0,
-        stop_line_stations_m=(), oncoming=(),
-    )  # fmt: skip
+        line=ReferenceLine(0.0, 0.0, 0.0, (Piece(100.0),)),
+        lane_width_m=3.5,
+        speed_limit_mps=14.0,
+        stop_line_stations_m=(),
+        oncoming=(),
+    )
     with pytest.raises(ValueError, match="expected rain, wetness and darkness"):
         ModelGuard(stump_guard(), route, KnownConditions(rain=0.0, wet=0.0))
 
@@ -173,9 +179,12 @@ def test_a_file_is_replaced_only_by_a_whole_guard(tmp_path: Path, monkeypatch: p
 
 def test_a_guard_answers_at_every_step_and_changes_at_perception_steps() -> None:
     route = LaneRoute(
-        line=ReferenceLine(0.0, 0.0, 0.0, (Piece(100.0),)), lane_width_m=3.5, speed_limit_mps=14.0,
-        stop_line_stations_m=(), oncoming=(),
-    )  # fmt: skip
+        line=ReferenceLine(0.0, 0.0, 0.0, (Piece(100.0),)),
+        lane_width_m=3.5,
+        speed_limit_mps=14.0,
+        stop_line_stations_m=(),
+        oncoming=(),
+    )
     guard = ModelGuard(stump_guard(), route, DRY)
     command = Command(accel_mps2=0.0, steer_rad=0.0)
 

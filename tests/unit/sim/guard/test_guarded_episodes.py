@@ -16,25 +16,38 @@ from brink.sim.urban.camera import BrinkDriveCamera
 from brink.sim.urban.simulator import BrinkDrive
 
 GHOST: dict[str, Json] = {
-    "label": "vehicle", "t0_step": 30.0, "t1_step": 60.0,
-    "x_min_0_px": 370.0, "x_max_0_px": 430.0, "y_min_0_px": 290.0, "y_max_0_px": 340.0,
-    "x_min_1_px": 200.0, "x_max_1_px": 600.0, "y_min_1_px": 200.0, "y_max_1_px": 560.0,
-}  # fmt: skip
+    "label": "vehicle",
+    "t0_step": 30.0,
+    "t1_step": 60.0,
+    "x_min_0_px": 370.0,
+    "x_max_0_px": 430.0,
+    "y_min_0_px": 290.0,
+    "y_max_0_px": 340.0,
+    "x_min_1_px": 200.0,
+    "x_max_1_px": 600.0,
+    "y_min_1_px": 200.0,
+    "y_max_1_px": 560.0,
+}
 
 
 def spec(*, options: dict[str, Json] | None = None, seed: int = 5, duration_s: float = 15.0) -> EpisodeSpec:
     return EpisodeSpec(
         simulator="brink-drive@2",
         scenario={
-            "time_of_day": "noon", "weather": "clear", "pedestrians": 0, "road_curve": "straight", "road_id": 0,
-            "road_length": 1, "driving_task": "follow_road",
+            "time_of_day": "noon",
+            "weather": "clear",
+            "pedestrians": 0,
+            "road_curve": "straight",
+            "road_id": 0,
+            "road_length": 1,
+            "driving_task": "follow_road",
         },
         behaviour={"mode": "injected", "trajectories": [GHOST]},
         requirements=("front-gap@1", "no-collision@1"),
         seed=seed,
         duration_s=duration_s,
         options={"fidelity": "bicycle"} if options is None else options,
-    )  # fmt: skip
+    )
 
 
 def guarded(base: EpisodeSpec, guard: str = "ttc@1", **given: object) -> EpisodeSpec:
@@ -54,9 +67,11 @@ def test_an_episode_without_a_guard_keeps_its_hash() -> None:
 def test_the_hash_covers_guard_threshold_fallback_and_every_setting() -> None:
     base = guarded(spec())
     others = [
-        spec(), guarded(spec(), threshold=0.4), guarded(spec(), fallback="slow-down@1"),
+        spec(),
+        guarded(spec(), threshold=0.4),
+        guarded(spec(), fallback="slow-down@1"),
         guarded(spec(), settings={"decel_mps2": 3.0}),
-    ]  # fmt: skip
+    ]
 
     assert len({one.digest() for one in (base, *others)}) == 5
     assert EpisodeSpec.from_json(base.to_json()).digest() == base.digest()
@@ -128,9 +143,11 @@ def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sen
 
 def test_a_drive_with_a_camera_may_have_a_guard() -> None:
     camera = replace(
-        spec(), simulator="brink-drive-camera@2", duration_s=1.5,
+        spec(),
+        simulator="brink-drive-camera@2",
+        duration_s=1.5,
         behaviour={"mode": "detector", "detector": "brink-det@2", "threshold": 0.5},
-    )  # fmt: skip
+    )
     without, watched = (
         BrinkDriveCamera().run(one) for one in (camera, guarded(camera, "range-ttc@1", fallback="none@1"))
     )
@@ -145,13 +162,22 @@ def test_a_drive_with_a_camera_may_have_a_guard() -> None:
         ({"guard": "ttc@1"}, r"options\.guard\.fallback: expected an id"),
         ({"guard": "ttc@9", "fallback": "none@1"}, r"guard: expected one of .*ttc@1, file:FILE; got 'ttc@9'"),
         ({"guard": "ttc@1", "fallback": "none@1", "treshold": 1}, "did you mean 'threshold'"),
-        ({"guard": "ttc@1", "fallback": "none@1", "threshold": 1.5}, r"threshold: expected a number in \[0, 1\]"),
-        ({"guard": "ttc@1", "fallback": "none@1", "threshold": 0}, r"threshold: expected a number in \(0, 1\]"),
+        (
+            {"guard": "ttc@1", "fallback": "none@1", "threshold": 1.5},
+            r"threshold: expected a number in \[0, 1\]",
+        ),
+        (
+            {"guard": "ttc@1", "fallback": "none@1", "threshold": 0},
+            r"threshold: expected a number in \(0, 1\]",
+        ),
         ({"guard": "file:/dev/zero", "fallback": "none@1", "digest": "0"}, "/dev/zero: expected a file"),
-        ({"guard": "ttc@1", "fallback": "slow-down@1", "settings": {"speed_mps": 99}}, r"settings\.speed_mps"),
+        (
+            {"guard": "ttc@1", "fallback": "slow-down@1", "settings": {"speed_mps": 99}},
+            r"settings\.speed_mps",
+        ),
         ({"guard": "file:/nowhere/guard.json", "fallback": "none@1", "digest": "0"}, "No such file"),
     ],
-)  # fmt: skip
+)
 def test_a_malformed_guard_is_refused(option: Json, message: str) -> None:
     with pytest.raises(InvalidEpisode, match=message):
         drive(spec(options={"guard": option}))

@@ -51,7 +51,7 @@ DOCUMENT: dict[str, Any] = {
         {"id": 4, "image_id": 8, "category_id": 3, "bbox": [0, 0, 50, 3]},
     ],
     "categories": [{"id": 1, "name": "person"}, {"id": 3, "name": "car"}, {"id": 9, "name": "kite"}],
-}  # fmt: skip
+}
 
 
 def written(folder: Path, **changes: Any) -> Path:
@@ -79,15 +79,24 @@ def test_boxes_of_known_categories_are_kept_and_cropped_to_the_picture(tmp_path:
         ({"images": []}, "non-empty list of images"),
         ({"annotations": None}, "list of annotations"),
         ({"categories": [{"id": 9, "name": "kite"}]}, "category with one of the names vehicle, car"),
-        ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [1, 2, 3]}]}, "annotation 5: bbox: exp"),
+        (
+            {"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [1, 2, 3]}]},
+            "annotation 5: bbox: exp",
+        ),
         ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [1, 2, 0, 3]}]}, "above 0"),
-        ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [999, 2, 5, 3]}]}, "outside its"),
+        (
+            {"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [999, 2, 5, 3]}]},
+            "outside its",
+        ),
         ({"annotations": [{"id": 5, "image_id": 6, "category_id": 1, "bbox": [1, 2, 5, 3]}]}, "image_id 6"),
         ({"images": [{"id": 7, "file_name": "a.png", "width": "320", "height": 180}]}, "width and height"),
         ({"images": [{"id": 7, "width": 320, "height": 180}]}, "'file_name' is missing"),
-        ({"annotations": [{"id": 3, "image_id": 8, "category_id": 9, "bbox": [0, 0, 5, 5]}]}, "no box belongs"),
+        (
+            {"annotations": [{"id": 3, "image_id": 8, "category_id": 9, "bbox": [0, 0, 5, 5]}]},
+            "no box belongs",
+        ),
     ],
-)  # fmt: skip
+)
 def test_invalid_file_names_its_first_faults(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(DatasetError, match=message):
         read_coco(written(tmp_path, **changes))
@@ -243,14 +252,29 @@ def test_the_size_of_a_network_is_stated_if_it_is_not_fixed(tmp_path: Path, said
         (yolo(2), {"input_px": (320, 192), "needs_px": (640, 384)}, "", "cannot be loaded as an ONNX"),
         (yolo(2), {"input_px": (320, 192)}, '{"input_px": [640, 384]}', "takes images of 320 x 192 px, but"),
         (yolo(2), {}, '{"input_px": [640]}', r"input_px: expected \[width, height\] in px, got \[640\]"),
-        (yolo(2), {}, '{"names": ["person"]}', r"expected an output \(1, 5, n\): .* classes person; got shape"),
+        (
+            yolo(2),
+            {},
+            '{"names": ["person"]}',
+            r"expected an output \(1, 5, n\): .* classes person; got shape",
+        ),
         (yolo(3), {}, "", r"\(1, 6, n\) of vehicle and person or \(1, 84, n\) .*, got shape \(1, 7, 3\)"),
         (np.ones((1, 8400, 84), np.float32), {}, "", r"got shape \(1, 8400, 84\)"),
-        (yolo(2), {"metadata": {"names": "['cat', 'dog']"}}, "", "at least one of the classes .*; got cat, dog"),
-        (np.ones((1, 1000), np.float32), {}, "", r"expected one output .* got outputs of shapes \[\(1, 1000\)\]"),
+        (
+            yolo(2),
+            {"metadata": {"names": "['cat', 'dog']"}},
+            "",
+            "at least one of the classes .*; got cat, dog",
+        ),
+        (
+            np.ones((1, 1000), np.float32),
+            {},
+            "",
+            r"expected one output .* got outputs of shapes \[\(1, 1000\)\]",
+        ),
     ],
     ids=["false size", "other size", "no size", "names", "classes", "transposed", "no class", "classifier"],
-)  # fmt: skip
+)
 def test_networks_of_another_size_or_kind_are_refused(
     tmp_path: Path, output: NDArray[np.float32], options: dict[str, Any], beside: str, message: str
 ) -> None:
@@ -271,10 +295,12 @@ def test_pictures_keep_their_aspect_ratio() -> None:
 @pytest.mark.parametrize(
     "picture",
     [
-        np.zeros((360, 640), np.uint8), np.zeros((360, 640, 4), np.uint8), np.zeros((360, 640, 3), np.float32),
+        np.zeros((360, 640), np.uint8),
+        np.zeros((360, 640, 4), np.uint8),
+        np.zeros((360, 640, 3), np.float32),
         np.zeros((0, 640, 3), np.uint8),
     ],
-)  # fmt: skip
+)
 def test_arrays_other_than_rgb_pictures_are_refused(picture: NDArray[np.uint8]) -> None:
     with pytest.raises(DetectorError, match=r"expected uint8 of shape \(h, w, 3\), got"):
         fit_picture(picture, (320, 192))
@@ -425,17 +451,26 @@ class _Answers:
     ("answer", "message"),
     [
         (detections(scores=np.array([np.nan], np.float32)), "1 of 1 scores and 0 of 4 coordinates of boxes"),
-        (detections(boxes=np.array([[1, np.inf, 3, np.nan]], np.float32)), "0 of 1 scores and 2 of 4 coordinates"),
-        (detections(boxes=np.ones((2, 4), np.float32)), r"boxes \(n, 4\) and scores \(n,\), got arrays of shapes"),
+        (
+            detections(boxes=np.array([[1, np.inf, 3, np.nan]], np.float32)),
+            "0 of 1 scores and 2 of 4 coordinates",
+        ),
+        (
+            detections(boxes=np.ones((2, 4), np.float32)),
+            r"boxes \(n, 4\) and scores \(n,\), got arrays of shapes",
+        ),
         (detections(labels=np.array([2])), r"expected labels 0 \(vehicle\) and 1 \(person\), got \[2\]"),
         (None, "expected Detections, got NoneType"),
         (detections(scores=np.array([7.0], np.float32)), "expected scores from 0 to 1, got 7 to 7"),
         (detections(scores=np.array([-3.0], np.float32)), "expected scores from 0 to 1, got -3 to -3"),
         (detections(scores=np.array(["high"])), "expected boxes and scores to be arrays of numbers"),
-        (detections(boxes=np.array([[3.0, 2.0, 1.0, 4.0]], np.float32)), r"expected boxes \(x_min, .* got \[3\.0"),
+        (
+            detections(boxes=np.array([[3.0, 2.0, 1.0, 4.0]], np.float32)),
+            r"expected boxes \(x_min, .* got \[3\.0",
+        ),
     ],
     ids=["score", "box", "shape", "label", "nothing", "logit", "negative", "text", "turned"],
-)  # fmt: skip
+)
 def test_answers_of_plug_ins_are_checked(answer: Any, message: str) -> None:
     assert CheckedDetector(_Answers(detections()), "mine@1").detect(BRIGHT).labels.tolist() == [1]
     with pytest.raises(InvalidDetections, match=rf"^mine@1: .*{message}"):

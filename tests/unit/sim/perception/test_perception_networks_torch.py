@@ -238,9 +238,14 @@ def exported(network: nn.Module, file: Path, *, outputs: list[str] | None = None
     picture = torch.zeros(1, 3, 96, 160)
     if file.suffix == ".onnx":
         torch.onnx.export(
-            network, (picture,), str(file), dynamo=False, opset_version=17, input_names=["images"],
+            network,
+            (picture,),
+            str(file),
+            dynamo=False,
+            opset_version=17,
+            input_names=["images"],
             output_names=outputs or ["output0"],
-        )  # fmt: skip
+        )
         return f"onnx:{file}"
     torch.jit.trace(network, picture).save(str(file))  # type: ignore[no-untyped-call]
     return f"torchscript:{file}"

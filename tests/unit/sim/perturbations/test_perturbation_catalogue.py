@@ -34,10 +34,22 @@ from brink.sim.perturbations.transforms import TRANSFORMS
 
 # Ferreira et al. 2022, table I: level 0 included.
 PUBLISHED = {
-    "shifted_pixels": 11, "gaussian_noise": 8, "gaussian_blur": 24, "grid_dropout": 9, "coarse_dropout": 31,
-    "channel_dropout": 3, "snow": 6, "broken_lens": 11, "dirty": 11, "condensation": 11, "sun_flare": 11,
-    "brightness": 11, "contrast": 11, "rain": 6, "smoke": 11,
-}  # fmt: skip
+    "shifted_pixels": 11,
+    "gaussian_noise": 8,
+    "gaussian_blur": 24,
+    "grid_dropout": 9,
+    "coarse_dropout": 31,
+    "channel_dropout": 3,
+    "snow": 6,
+    "broken_lens": 11,
+    "dirty": 11,
+    "condensation": 11,
+    "sun_flare": 11,
+    "brightness": 11,
+    "contrast": 11,
+    "rain": 6,
+    "smoke": 11,
+}
 
 
 def test_there_are_15_genes_with_the_published_175_levels_of_which_160_have_an_effect() -> None:
@@ -55,9 +67,13 @@ def test_values_match_the_published_table() -> None:
     assert list(values["coarse_dropout"]) == [*range(10, 39), 40]
     assert values["smoke"] == tuple(round(0.03 * i, 2) for i in range(1, 11))
     for name, ends in {
-        "broken_lens": (0.3, 0.8), "dirty": (0.3, 0.8), "condensation": (0.1, 0.6), "sun_flare": (400, 900),
-        "brightness": (0.3, 0.8), "contrast": (0.2, 0.7),
-    }.items():  # fmt: skip
+        "broken_lens": (0.3, 0.8),
+        "dirty": (0.3, 0.8),
+        "condensation": (0.1, 0.6),
+        "sun_flare": (400, 900),
+        "brightness": (0.3, 0.8),
+        "contrast": (0.2, 0.7),
+    }.items():
         assert values[name] == pytest.approx(np.linspace(*ends, 10), abs=0.5 if name == "sun_flare" else 1e-4)
 
 

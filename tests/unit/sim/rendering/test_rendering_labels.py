@@ -35,13 +35,28 @@ CAR_M = (4.4, 1.8, 1.5)
 
 
 def body(
-    number: int, kind: BodyKind, x_m: float, y_m: float, size: tuple[float, float, float], yaw_rad: float = 0.0,
-    *, braking: bool = False, look: int | None = None,
-) -> Body:  # fmt: skip
+    number: int,
+    kind: BodyKind,
+    x_m: float,
+    y_m: float,
+    size: tuple[float, float, float],
+    yaw_rad: float = 0.0,
+    *,
+    braking: bool = False,
+    look: int | None = None,
+) -> Body:
     return Body(
-        id=number, kind=kind, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, length_m=size[0], width_m=size[1],
-        height_m=size[2], look=number if look is None else look, braking=braking,
-    )  # fmt: skip
+        id=number,
+        kind=kind,
+        x_m=x_m,
+        y_m=y_m,
+        yaw_rad=yaw_rad,
+        length_m=size[0],
+        width_m=size[1],
+        height_m=size[2],
+        look=number if look is None else look,
+        braking=braking,
+    )
 
 
 def car(
@@ -101,9 +116,17 @@ def test_people_of_all_looks_are_as_tall_as_they_should_be_and_stand_on_the_grou
     look: int, yaw_rad: float, phase: float, height_m: float, x_m: float
 ) -> None:
     walker = Body(
-        id=7, kind=BodyKind.PERSON, x_m=x_m, y_m=0.0, yaw_rad=yaw_rad, length_m=0.45, width_m=0.55,
-        height_m=height_m, look=look, phase=phase,
-    )  # fmt: skip
+        id=7,
+        kind=BodyKind.PERSON,
+        x_m=x_m,
+        y_m=0.0,
+        yaw_rad=yaw_rad,
+        length_m=0.45,
+        width_m=0.55,
+        height_m=height_m,
+        look=look,
+        phase=phase,
+    )
     box = only(EMPTY, walker).whole_box
     depth_m = x_m - 1.3
     assert abs(box.y_min_px - (180 - 320 * (height_m - 1.7) / depth_m)) <= 2.5

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.marks import mostly_long
 
-from brink.bench.urban import draw_candidate
+from benchmarks.urban import draw_candidate
 from brink.sim.catalogue import make_simulator, requirement_ids
 from brink.sim.driving.camera import Body, Camera
 from brink.sim.driving.interface import ObstacleLabel
@@ -33,9 +33,14 @@ from brink.sim.world.vehicle import CAR, VAN
 CAMERA = Camera()
 DURATION_S = 8.0
 SCENARIO: JsonObject = {
-    "time_of_day": "noon", "weather": "clear", "pedestrians": 18, "road_curve": "straight", "road_id": 0,
-    "road_length": 0, "driving_task": "follow_road",
-}  # fmt: skip
+    "time_of_day": "noon",
+    "weather": "clear",
+    "pedestrians": 18,
+    "road_curve": "straight",
+    "road_id": 0,
+    "road_length": 0,
+    "driving_task": "follow_road",
+}
 STRAIGHT = EpisodeSpec(
     simulator="brink-drive-errors@1",
     scenario=SCENARIO,
@@ -227,9 +232,11 @@ def test_the_catalogue_makes_the_simulator() -> None:
 
 def test_an_episode_is_bit_identical_regardless_of_earlier_ones(simulator: BrinkDriveErrors) -> None:
     errors = [
-        error("flicker", 0.4, "everybody"), error("late", 1.0, "oncoming"), error("ghost_on_road", 2.0, "pedestrian"),
+        error("flicker", 0.4, "everybody"),
+        error("late", 1.0, "oncoming"),
+        error("ghost_on_road", 2.0, "pedestrian"),
         error("miss", 3.0, onset="lead_brakes"),
-    ]  # fmt: skip
+    ]
     spec = with_errors(STRAIGHT, *errors)
     first = simulator.run(spec, record=True)
     simulator.run(with_errors(RAIN, error("miss", 8.0, "everybody", onset_s=0.0)), record=True)
@@ -550,9 +557,10 @@ def test_a_window_waits_until_there_is_a_pedestrian_near_the_lane(drive: Callabl
 def test_without_a_target_a_window_never_opens(drive: Callable[..., Drive]) -> None:
     empty = replace(STRAIGHT, scenario={**SCENARIO, "pedestrians": 0})
     errors = [
-        error("miss", 8.0, "pedestrian"), error("left", 4.0, "pedestrian", onset="pedestrian_steps_out"),
+        error("miss", 8.0, "pedestrian"),
+        error("left", 4.0, "pedestrian", onset="pedestrian_steps_out"),
         error("ghost_on_road", 2.0, onset="pedestrian_steps_out"),
-    ]  # fmt: skip
+    ]
     found = drive(*errors, spec=empty)
     assert found.changed == []
     assert found.result.features["error_steps"] == [None, None, None]
@@ -626,7 +634,10 @@ KINDS = ", ".join(kind.value for kind in ErrorType)
     [
         (replaced(MISS, magnitude=8.5), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got 8\.5"),
         (replaced(MISS, magnitude=-0.1), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got -0\.1"),
-        (replaced(MISS, magnitude=math.nan), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got nan"),
+        (
+            replaced(MISS, magnitude=math.nan),
+            rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got nan",
+        ),
         (replaced(MISS, magnitude=True), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got True"),
         (replaced(MISS, magnitude="1"), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got '1'"),
         (replaced(LATE, magnitude=9.0), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got 9"),
@@ -641,12 +652,21 @@ KINDS = ", ".join(kind.value for kind in ErrorType)
         (error("wrong_label", 9.0), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got 9"),
         (error("ghost_on_road", 9.0), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got 9"),
         (error("ghost_in_image", math.inf), rf"{WHERE}\.magnitude: expected a number in \[0, 8\] s, got inf"),
-        (replaced(MISS, type="mis"), rf"{WHERE}\.type: expected one of {KINDS}; got 'mis' \(did you mean 'miss'"),
+        (
+            replaced(MISS, type="mis"),
+            rf"{WHERE}\.type: expected one of {KINDS}; got 'mis' \(did you mean 'miss'",
+        ),
         (replaced(MISS, type=None), rf"{WHERE}\.type: expected one of {KINDS}; got None"),
         (replaced(MISS, type=["miss"]), rf"{WHERE}\.type: expected one of {KINDS}; got \['miss'\]"),
-        (replaced(MISS, target="leed"), rf"{WHERE}\.target: expected one of lead, oncoming.* \(did you mean 'lead'"),
+        (
+            replaced(MISS, target="leed"),
+            rf"{WHERE}\.target: expected one of lead, oncoming.* \(did you mean 'lead'",
+        ),
         (replaced(MISS, target=1), rf"{WHERE}\.target: expected one of lead, oncoming, crossing.*; got 1"),
-        (replaced(MISS, onset="never"), rf"{WHERE}\.onset: expected one of time, lead_brakes, .*; got 'never'"),
+        (
+            replaced(MISS, onset="never"),
+            rf"{WHERE}\.onset: expected one of time, lead_brakes, .*; got 'never'",
+        ),
         (replaced(MISS, onset_s=8.1), rf"{WHERE}\.onset_s: expected a number in \[0, 8\] s, got 8\.1"),
         (replaced(MISS, onset_s=-1), rf"{WHERE}\.onset_s: expected a number in \[0, 8\] s, got -1"),
         (replaced(FAR, duration_s=9.0), rf"{WHERE}\.duration_s: expected a number in \[0, 8\] s, got 9"),
@@ -656,13 +676,19 @@ KINDS = ", ".join(kind.value for kind in ErrorType)
         (replaced(MISS, onset=None), rf"{WHERE}\.onset: missing"),
         (replaced(MISS, onset_s=None), rf"{WHERE}\.onset_s: missing"),
         (replaced(FAR, duration_s=None), rf"{WHERE}\.duration_s: missing; expected .*onset_s, duration_s"),
-        (replaced(MISS, duration_s=1.0), rf"{WHERE}: unknown field 'duration_s'.*expected type, .*, onset_s$"),
-        (replaced(LATE, onset_s=1.0), rf"{WHERE}: unknown field 'onset_s'.*; expected type, target, magnitude$"),
+        (
+            replaced(MISS, duration_s=1.0),
+            rf"{WHERE}: unknown field 'duration_s'.*expected type, .*, onset_s$",
+        ),
+        (
+            replaced(LATE, onset_s=1.0),
+            rf"{WHERE}: unknown field 'onset_s'.*; expected type, target, magnitude$",
+        ),
         (replaced(MISS, magnitud=1.0), rf"{WHERE}: unknown field 'magnitud' \(did you mean 'magnitude'"),
         ("miss", rf"{WHERE}: expected an object, got 'miss'"),
         (None, rf"{WHERE}: expected an object, got None"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_error_is_refused_with_its_field(document: Json, expected: str) -> None:
     with pytest.raises(InvalidEpisode, match=expected):
         errors_from_json({"mode": "errors", "errors": [document]}, DURATION_S)
@@ -671,15 +697,27 @@ def test_a_bad_error_is_refused_with_its_field(document: Json, expected: str) ->
 @pytest.mark.parametrize(
     ("behaviour", "expected"),
     [
-        ({"mode": "errors", "errors": [MISS] * (MAX_ERRORS + 1)}, r"behaviour\.errors: expected a list of at most 8"),
-        ({"mode": "errors", "errors": MISS}, r"behaviour\.errors: expected a list of at most 8 errors, got \{"),
-        ({"mode": "errors", "errors": [LATE, replaced(MISS, onset_s=9)]}, r"behaviour\.errors\[1\]\.onset_s: "),
+        (
+            {"mode": "errors", "errors": [MISS] * (MAX_ERRORS + 1)},
+            r"behaviour\.errors: expected a list of at most 8",
+        ),
+        (
+            {"mode": "errors", "errors": MISS},
+            r"behaviour\.errors: expected a list of at most 8 errors, got \{",
+        ),
+        (
+            {"mode": "errors", "errors": [LATE, replaced(MISS, onset_s=9)]},
+            r"behaviour\.errors\[1\]\.onset_s: ",
+        ),
         ({"mode": "errors"}, r"behaviour\.errors: missing"),
-        ({"mode": "errors", "errors": [], "error": []}, r"behaviour: unknown field 'error' \(did you mean 'errors'"),
+        (
+            {"mode": "errors", "errors": [], "error": []},
+            r"behaviour: unknown field 'error' \(did you mean 'errors'",
+        ),
         ({"mode": "oracle", "errors": []}, r"behaviour\.mode: expected errors, got 'oracle'"),
         ({"errors": []}, r"behaviour\.mode: missing"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_behaviour_is_refused_by_the_simulator(
     simulator: BrinkDriveErrors, behaviour: JsonObject, expected: str
 ) -> None:
@@ -697,14 +735,23 @@ def test_each_simulator_takes_only_its_own_behaviours(simulator: BrinkDriveError
 def test_late_withholds_nobody_who_was_reported_before() -> None:
     # A car that joins from a side street turns into the ego's direction long after it was first visible.
     scenario: JsonObject = {
-        "time_of_day": "noon", "weather": "clear", "pedestrians": 0, "road_curve": "right", "road_id": 1,
-        "road_length": 0, "driving_task": "follow_road",
-    }  # fmt: skip
+        "time_of_day": "noon",
+        "weather": "clear",
+        "pedestrians": 0,
+        "road_curve": "right",
+        "road_id": 1,
+        "road_length": 0,
+        "driving_task": "follow_road",
+    }
     spec = EpisodeSpec(
-        simulator="brink-drive-errors@1", scenario=scenario, requirements=("front-gap@1",), seed=3,
+        simulator="brink-drive-errors@1",
+        scenario=scenario,
+        requirements=("front-gap@1",),
+        seed=3,
         behaviour={"mode": "errors", "errors": [{"type": "late", "target": "lead", "magnitude": 1.5}]},
-        duration_s=12.0, options={"fidelity": "bicycle"},
-    )  # fmt: skip
+        duration_s=12.0,
+        options={"fidelity": "bicycle"},
+    )
     recorded = BrinkDriveErrors().run(spec, record=True).trace
     assert recorded is not None
     trace = Trace.from_bytes(recorded)

@@ -63,10 +63,11 @@ def test_a_true_report_has_no_error() -> None:
         (lambda step, box: standing(15.0, -0.5), ErrorType.RIGHT, 0.5),
         (
             lambda step, box: box._replace(label=ObstacleLabel.PERSON) if 20 <= step < 33 else box,
-            ErrorType.WRONG_LABEL, 1.3,
+            ErrorType.WRONG_LABEL,
+            1.3,
         ),
     ],
-)  # fmt: skip
+)
 def test_each_error_is_measured_in_its_unit(report: Report, kind: ErrorType, expected: float) -> None:
     errors = measured(report)[Target.LEAD]
     assert errors[kind] == pytest.approx(expected, abs=1e-6)
@@ -78,9 +79,11 @@ def test_sizes_are_measured_about_the_centre() -> None:
     def larger(step: int, box: Box) -> Box:
         wide, high = box.x_max_px - box.x_min_px, box.y_max_px - box.y_min_px
         return box._replace(
-            x_min_px=box.x_min_px - 0.1 * wide, x_max_px=box.x_max_px + 0.1 * wide,
-            y_min_px=box.y_min_px - 0.1 * high, y_max_px=box.y_max_px + 0.1 * high,
-        )  # fmt: skip
+            x_min_px=box.x_min_px - 0.1 * wide,
+            x_max_px=box.x_max_px + 0.1 * wide,
+            y_min_px=box.y_min_px - 0.1 * high,
+            y_max_px=box.y_max_px + 0.1 * high,
+        )
 
     assert measured(larger)[Target.LEAD][ErrorType.TOO_LARGE] == pytest.approx(0.2)
 
@@ -278,12 +281,20 @@ def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
     spec = EpisodeSpec(
         simulator="brink-drive-camera@2",
         scenario={
-            "time_of_day": "noon", "weather": "clear", "pedestrians": 0, "road_curve": "straight", "road_id": 0,
-            "road_length": 0, "driving_task": "follow_road",
+            "time_of_day": "noon",
+            "weather": "clear",
+            "pedestrians": 0,
+            "road_curve": "straight",
+            "road_id": 0,
+            "road_length": 0,
+            "driving_task": "follow_road",
         },
         behaviour={"mode": "detector", "detector": "brink-det@2", "threshold": 0.5},
-        requirements=("front-gap@1",), seed=1, duration_s=5.0, options={"fidelity": "bicycle"},
-    )  # fmt: skip
+        requirements=("front-gap@1",),
+        seed=1,
+        duration_s=5.0,
+        options={"fidelity": "bicycle"},
+    )
     found = BrinkDriveCamera().run(spec).features[MEASURES]
     assert isinstance(found, dict)
     lead = found["lead"]

@@ -14,9 +14,14 @@ from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanSce
 from brink.sim.world.world import UrbanWorld, make_world
 
 SCENARIO = UrbanScenario(
-    time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR, pedestrians=18, road_curve=RoadCurve.STRAIGHT, road_id=1,
-    road_length=1, driving_task=DrivingTask.FOLLOW_ROAD,
-)  # fmt: skip
+    time_of_day=TimeOfDay.NOON,
+    weather=Weather.CLEAR,
+    pedestrians=18,
+    road_curve=RoadCurve.STRAIGHT,
+    road_id=1,
+    road_length=1,
+    driving_task=DrivingTask.FOLLOW_ROAD,
+)
 
 
 @pytest.fixture(name="engine")

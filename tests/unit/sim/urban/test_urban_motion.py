@@ -27,9 +27,14 @@ FASTER_TO_CROSS = 1.1
 """People cross the road a tenth faster than they walk."""
 ROUNDING_M = 1e-3
 SCENARIO: JsonObject = {
-    "time_of_day": "noon", "weather": "clear", "pedestrians": 18, "road_curve": "straight", "road_id": 0,
-    "road_length": 2, "driving_task": "follow_road",
-}  # fmt: skip
+    "time_of_day": "noon",
+    "weather": "clear",
+    "pedestrians": 18,
+    "road_curve": "straight",
+    "road_id": 0,
+    "road_length": 2,
+    "driving_task": "follow_road",
+}
 
 
 @dataclass
@@ -87,10 +92,18 @@ def watch(number: int) -> Motion:
     motion = Motion(world)
     camera = Camera()
     run_loop(
-        world, ModularDriving(world.route, camera=camera), DetectorBehaviour.from_json(spec.behaviour), {},
-        engine=engine, camera=camera, seed=number, duration_s=spec.duration_s, recorder=None, witness=motion,
+        world,
+        ModularDriving(world.route, camera=camera),
+        DetectorBehaviour.from_json(spec.behaviour),
+        {},
+        engine=engine,
+        camera=camera,
+        seed=number,
+        duration_s=spec.duration_s,
+        recorder=None,
+        witness=motion,
         to_the_end=True,
-    )  # fmt: skip
+    )
     return motion
 
 

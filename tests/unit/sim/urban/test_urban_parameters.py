@@ -152,7 +152,7 @@ def test_ranges_follow_the_order_of_the_genome() -> None:
 
 def test_parameters_can_be_read_without_loading_the_physics() -> None:
     code = (
-        "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, brink.bench.urban;"
+        "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, benchmarks.urban;"
         "sys.exit('pybullet' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from brink.bench.urban import draw_candidate
+from benchmarks.urban import draw_candidate
 from brink.sim.bullet.engine import process_engine
 from brink.sim.catalogue import make_simulator, requirement_ids
 from brink.sim.episode import EpisodeResult, EpisodeSpec, JsonObject
@@ -17,9 +17,14 @@ from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
 
 SCENARIO: JsonObject = {
-    "time_of_day": "night", "weather": "medium_rain", "pedestrians": 18, "road_curve": "crossroad", "road_id": 1,
-    "road_length": 1, "driving_task": "second_exit",
-}  # fmt: skip
+    "time_of_day": "night",
+    "weather": "medium_rain",
+    "pedestrians": 18,
+    "road_curve": "crossroad",
+    "road_id": 1,
+    "road_length": 1,
+    "driving_task": "second_exit",
+}
 ORACLE = EpisodeSpec(
     simulator="brink-drive@2",
     scenario=SCENARIO,

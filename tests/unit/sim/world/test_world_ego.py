@@ -95,14 +95,19 @@ FIDELITIES = ("bicycle", "wheels")
 SPEC = EpisodeSpec(
     simulator="brink-drive@2",
     scenario={
-        "time_of_day": "noon", "weather": "wet", "pedestrians": 0, "road_curve": "left", "road_id": 1,
-        "road_length": 0, "driving_task": "follow_road",
+        "time_of_day": "noon",
+        "weather": "wet",
+        "pedestrians": 0,
+        "road_curve": "left",
+        "road_id": 1,
+        "road_length": 0,
+        "driving_task": "follow_road",
     },
     behaviour={"mode": "injected", "trajectories": []},
     requirements=("front-gap@1", "lane-keeping@1"),
     seed=3,
     duration_s=8.0,
-)  # fmt: skip
+)
 
 
 def car(fidelity: str, speed_mps: float, friction: float) -> EgoMotion:

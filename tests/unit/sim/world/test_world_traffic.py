@@ -17,16 +17,26 @@ from brink.sim.world.world import STEP_S, UrbanWorld, make_world
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
 STYLE = DrivingStyle(speed_mps=8.0, headway_s=1.2, braking_mps2=2.8, friction=0.9)
 SCENARIO = UrbanScenario(
-    time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR, pedestrians=18, road_curve=RoadCurve.STRAIGHT, road_id=1,
-    road_length=2, driving_task=DrivingTask.FOLLOW_ROAD,
-)  # fmt: skip
+    time_of_day=TimeOfDay.NOON,
+    weather=Weather.CLEAR,
+    pedestrians=18,
+    road_curve=RoadCurve.STRAIGHT,
+    road_id=1,
+    road_length=2,
+    driving_task=DrivingTask.FOLLOW_ROAD,
+)
 
 
 def vehicle(station_m: float, *, speed_mps: float = 8.0, stops: tuple[StopPoint, ...] = ()) -> Vehicle:
     return Vehicle(
-        name=f"at-{station_m}", size=CAR, path=ROAD, station_m=station_m, speed_mps=speed_mps, style=STYLE,
+        name=f"at-{station_m}",
+        size=CAR,
+        path=ROAD,
+        station_m=station_m,
+        speed_mps=speed_mps,
+        style=STYLE,
         stops=stops,
-    )  # fmt: skip
+    )
 
 
 def drive(vehicles: list[Vehicle], seconds: float, others: tuple[Mover, ...] = ()) -> None:
@@ -40,9 +50,17 @@ def drive(vehicles: list[Vehicle], seconds: float, others: tuple[Mover, ...] = (
 
 def walker(crosses_at_m: float | None, *, patience_s: float = 1.0, on_zebra: bool = False) -> Walker:
     return Walker(
-        name="walker", centre=ROAD, station_m=40.0, offset_m=5.0, speed_mps=1.3, ahead=True,
-        crosses_at_m=crosses_at_m, kerb_m=3.5, patience_s=patience_s, on_zebra=on_zebra,
-    )  # fmt: skip
+        name="walker",
+        centre=ROAD,
+        station_m=40.0,
+        offset_m=5.0,
+        speed_mps=1.3,
+        ahead=True,
+        crosses_at_m=crosses_at_m,
+        kerb_m=3.5,
+        patience_s=patience_s,
+        on_zebra=on_zebra,
+    )
 
 
 def test_a_vehicle_stops_behind_a_standing_one() -> None:
@@ -113,9 +131,16 @@ def test_a_walker_walks_to_the_kerb_before_it_waits() -> None:
 def test_a_walker_keeps_its_speed_on_the_pavement_of_a_bend() -> None:
     bend = ReferenceLine(0.0, 0.0, 0.0, [Piece(10.0), Piece(20.0, -1 / 22), Piece(60.0)])
     outside = Walker(
-        name="walker", centre=bend, station_m=5.0, offset_m=6.5, speed_mps=1.3, ahead=True, crosses_at_m=None,
-        kerb_m=5.0, patience_s=1.0,
-    )  # fmt: skip
+        name="walker",
+        centre=bend,
+        station_m=5.0,
+        offset_m=6.5,
+        speed_mps=1.3,
+        ahead=True,
+        crosses_at_m=None,
+        kerb_m=5.0,
+        patience_s=1.0,
+    )
     for _ in range(280):
         before = outside.x_m, outside.y_m
         outside.look(0.0, [])

@@ -1,0 +1,66 @@
+"""`python -m benchmarks coverage`: how often intervals and tests are right where the truth is known."""
+
+from typing import Annotated
+
+import typer
+
+from benchmarks.cli.output import conclude, met_text, show_progress, value_table
+from brink.cli.options import AsJson
+
+
+def coverage(
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="Run only the studies whose names begin with this; may be given several times."),
+    ] = None,
+    repetitions: Annotated[int, typer.Option(min=1, help="Repetitions of each study.")] = 1_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the synthetic data.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how often intervals cover a known truth, and how often tests err, on synthetic data.
+
+    A study misses its target if the nominal rate is outside the 99% interval of the found one, on the wrong side: an
+    interval may cover more often than it promises, and a test may err less often.
+
+    Example: python -m benchmarks coverage
+
+    Example: python -m benchmarks coverage --only tolerance --repetitions 200
+    """
+    from benchmarks.coverage import measure, studies
+
+    known = studies()
+    chosen = [study for study in known if study.name.startswith(tuple(only or [""]))]
+    if not chosen:
+        names = ", ".join(dict.fromkeys(study.name.partition(":")[0] for study in known))
+        raise typer.BadParameter(
+            f"expected the beginning of a study's name ({names}), got {', '.join(only or [])}"
+        )
+    with show_progress() as progress:
+        found = list(measure(chosen, repetitions, seed, progress))
+    table = value_table(
+        ("study", "nominal", "found", "99% interval", ""),
+        (
+            (
+                one.name,
+                f"{one.claim} {one.nominal:.1%}".strip() if one.claim else "",
+                f"{one.found:.1%}",
+                "{:.1%} to {:.1%}".format(*one.interval),
+                met_text(one.met),
+            )
+            for one in found
+        ),
+    )
+    document = [
+        {
+            "study": one.name,
+            "claim": str(one.claim),
+            "nominal": one.nominal,
+            "found": one.found,
+            "hits": one.hits,
+            "repetitions": one.repetitions,
+            "interval": list(one.interval),
+            "met": one.met,
+        }
+        for one in found
+    ]
+    conclude(document, table, as_json=as_json, missed=any(one.met is False for one in found))

@@ -1,0 +1,5 @@
+"""Coverage by simulation: how often intervals and tests are right where the truth is known."""
+
+from benchmarks.coverage.study import Claim, Coverage, Study, measure, studies
+
+__all__ = ["Claim", "Coverage", "Study", "measure", "studies"]

@@ -1,0 +1,175 @@
+"""Whether drives with errors that were fitted to a detector violate as often as drives with the detector itself.
+
+Drives with a camera are recorded, with the comparison of each image with the truth, and the errors fitted to them.
+Drives of other seeds are driven with the fitted errors, with the truth, and, unless a campaign has done so, with the
+detector itself. Recorded drives are kept in a folder and not driven again.
+"""
+
+import gzip
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks.measurement import Progress
+from brink.recordings.fit_errors import fit_errors
+from brink.report.errors import Violations
+from brink.search.analysis.intervals import replicated_interval
+from brink.search.streams import Stream, episode_seed, generator
+from brink.server.problems.urban_camera import UrbanCamera, UrbanCameraParams, UrbanScenarios
+from brink.server.problems.urban_fitted import UrbanFitted, UrbanFittedParams
+from brink.sim.catalogue import Simulator, make_simulator
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.episode import EpisodeSpec
+from brink.sim.urban.camera import BrinkDriveCamera, InTheLoop
+from brink.sim.urban.detection_errors import Target
+from brink.sim.urban.error_meter import ErrorMeter, Sample
+from brink.sim.urban.error_process import FittedErrors
+from brink.worker.pool import process_pool, single_threaded
+
+RECORDED_SEED: Final = 77
+"""Seed of the recorded drives."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitMeasurement:
+    """The fit, and how often each kind of drive violates."""
+
+    fitted: FittedErrors
+    violations: tuple[Violations, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorsBench:
+    """The measurement.
+
+    Attributes:
+        folder: Keeps recorded drives.
+        recorded: Drives with the camera to fit to.
+        drives: Drives with the fitted errors, and with the truth.
+        camera: Drives with the camera to compare with.
+        detector: Id of the detector.
+        seed: Of the drives that are compared.
+        processes: Number of processes.
+        progress: Progress callback.
+    """
+
+    folder: Path
+    recorded: int
+    drives: int
+    camera: int
+    detector: str
+    seed: int
+    processes: int
+    progress: Progress
+
+    def measure(self) -> FitMeasurement:
+        """Record, fit, drive and count."""
+        camera = UrbanCamera(UrbanCameraParams(detector=self.detector))
+        folder = self.folder / f"{self.detector}-{RECORDED_SEED}".replace(":", "-").replace("/", "-")
+        folder.mkdir(parents=True, exist_ok=True)
+        tasks = [
+            (spec.to_json(), str(folder / f"{number:05d}.json.gz"))
+            for number, spec in enumerate(random_specs(camera, self.recorded, RECORDED_SEED))
+        ]
+        paths = self._mapped("recorded drives", record_drive, tasks)
+        fitted = fit_errors([read_drive(path) for path in paths], self.detector)
+        problem = UrbanFitted(UrbanFittedParams(errors=fitted.to_document()))
+        found = [self._violations(problem, self.drives, "fitted errors")]
+        if self.camera:
+            found.append(self._violations(camera, self.camera, "the detector"))
+        true = problem.with_truth()
+        assert true is not None
+        found.append(self._violations(true, self.drives, "the truth"))
+        return FitMeasurement(fitted=fitted, violations=tuple(found))
+
+    def _violations(self, problem: UrbanScenarios, drives: int, name: str) -> Violations:
+        specs = random_specs(problem, drives, self.seed)
+        tasks = [(spec.to_json(), problem.requirements) for spec in specs]
+        unsafe = np.array(self._mapped(f"drives with {name}", is_unsafe, tasks))
+        number = [int(str(spec.behaviour.get("replicate", 0))) for spec in specs]
+        of = np.bincount(number)
+        low, high = replicated_interval(np.bincount(number, unsafe).round().astype(np.int64), of)
+        return Violations(
+            campaign="",
+            name=name,
+            problem=problem.id,
+            unsafe=int(unsafe.sum()),
+            drives=drives,
+            replicates=int((of > 0).sum()),
+            low=low,
+            high=high,
+        )
+
+    def _mapped(self, part: str, run: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
+        with single_threaded(), process_pool(self.processes) as pool:
+            return list(self._counted(part, len(tasks), pool.map(run, tasks)))
+
+    def _counted(self, part: str, total: int, results: Iterator[Any]) -> Iterator[Any]:
+        for done, result in enumerate(results, 1):
+            self.progress(part, done, total)
+            yield result
+
+
+def random_specs(problem: UrbanScenarios, count: int, seed: int) -> list[EpisodeSpec]:
+    """Return episodes of random scenarios."""
+    rng = generator(seed, Stream.START, 0)
+    return [problem.episode(problem.space.sample(rng), episode_seed(seed, number)) for number in range(count)]
+
+
+@cache
+def _simulator(name: str) -> Simulator:
+    return make_simulator(name)
+
+
+def is_unsafe(task: tuple[Any, Sequence[str]]) -> bool:
+    """Drive an episode and return whether it violates one of some requirements."""
+    spec = EpisodeSpec.from_json(task[0])
+    verdicts = _simulator(spec.simulator).run(spec).verdicts
+    return any(verdicts[name].violated for name in task[1])
+
+
+class _Recorded(BrinkDriveCamera):
+    """Drives with a camera, and keeps what was measured."""
+
+    def _detector(self, spec: EpisodeSpec) -> InTheLoop:
+        self.eyes = InTheLoop(spec)
+        return self.eyes
+
+
+def record_drive(task: tuple[Any, str]) -> str:
+    """Drive an episode with a camera, unless its file is there, and return the file with what was measured."""
+    path = Path(task[1])
+    if path.exists():
+        return task[1]
+    simulator = _Recorded()
+    simulator.run(EpisodeSpec.from_json(task[0]))
+    meter = simulator.eyes.meter
+    assert meter is not None
+    document = {
+        "samples": [list(sample) for sample in meter.samples],
+        "ghosts": [[time_s, sorted(labels)] for time_s, labels in meter.ghosts],
+    }
+    partial = path.with_suffix(".partial")
+    with gzip.open(partial, "wt", encoding="utf-8") as file:
+        json.dump(document, file)
+    partial.replace(path)
+    return task[1]
+
+
+def read_drive(path: str) -> ErrorMeter:
+    """Return what was measured in a recorded drive."""
+    with gzip.open(path, "rt", encoding="utf-8") as file:
+        document = json.load(file)
+    meter = ErrorMeter(Camera())
+    for time_s, track, kind, is_target, is_visible, label, *rest in document["samples"]:
+        meter.samples.append(
+            Sample(time_s, track, Target(kind), is_target, is_visible, ObstacleLabel(label), *rest)
+        )
+    meter.ghosts = [(time_s, frozenset(map(ObstacleLabel, labels))) for time_s, labels in document["ghosts"]]
+    return meter

@@ -1,5 +1,0 @@
-"""Coverage by simulation: how often intervals and tests are right where the truth is known."""
-
-from brink.bench.coverage.study import Claim, Coverage, Study, measure, studies
-
-__all__ = ["Claim", "Coverage", "Study", "measure", "studies"]

@@ -1,0 +1,91 @@
+"""The comparison of searches on traffic: violations that reference drivers avoid, and searches for them."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.circumstances import violation
+
+from benchmarks import mumoea
+from benchmarks.mumoea import AVOIDABLE, MAP_ELITES, METHODS, Found, Measures, SearchRun, Task, run_search
+from brink.server.problems.npc_actions import NpcActionsParams
+
+PARAMS = NpcActionsParams(participants=2, duration_s=5.0)
+
+
+def found(number: int, *violations: dict[str, Any]) -> Found:
+    points = [[[0.0, 0.0]] * 2]
+    return Found(
+        number=number, violations=list(violations), waypoints=points, positions=points, cpu_s=float(number)
+    )
+
+
+def search(*solutions: Found) -> SearchRun:
+    return SearchRun(
+        method=MAP_ELITES, seed=1, simulations=100, failed=0, origins={}, found=list(solutions), cpu_s=20.0
+    )
+
+
+def judged(avoidable: str, *, ego: dict[str, Any] | None = None, **other: Any) -> dict[str, Any]:
+    return violation(ego=ego, other=other) | {"avoidable": avoidable}
+
+
+def test_a_type_counts_as_avoidable_if_one_of_its_violations_is() -> None:
+    measures = Measures.of(
+        search(
+            found(1, judged("no")),
+            found(2, judged("careful")),
+            found(3, judged("ideal", bearing_rad=1.6)),
+            found(4, judged("no", bearing_rad=3.1)),
+        )
+    )
+    assert (measures.types, measures.careful_types, measures.ideal_types) == (3, 1, 2)
+
+
+def test_types_that_a_careful_driver_avoids_by_braking_are_counted_apart() -> None:
+    braking, driving_on = ({"avoided_by": how} for how in ("braking", "driving on"))
+    measures = Measures.of(
+        search(
+            found(1, judged("careful") | driving_on, judged("careful") | braking),
+            found(2, judged("careful", bearing_rad=1.6) | driving_on),
+            found(3, judged("ideal", bearing_rad=3.1) | braking),
+        )
+    )
+    assert (measures.careful_types, measures.braking_types) == (2, 1)
+
+
+def test_violations_with_a_standing_ego_are_a_share_of_all() -> None:
+    stands = judged("no", ego={"speed_mps": 0.2})
+    rolls_back = judged("no", ego={"speed_mps": -0.4})
+    measures = Measures.of(
+        search(found(1, stands, judged("careful")), found(2, rolls_back), found(3, stands))
+    )
+    assert measures.standing_share == 0.5
+    assert math.isnan(Measures.of(search()).standing_share)
+
+
+@pytest.mark.parametrize(("method", "seed", "simulations"), [(MAP_ELITES, 4, 20), ("random search", 3, 40)])
+def test_a_search_counts_origins_and_the_time_of_reference_drivers(
+    method: str, seed: int, simulations: int, tmp_path: Path
+) -> None:
+    task = Task(method=method, seed=seed, simulations=simulations, params=PARAMS, folder=tmp_path)
+    run = run_search(task)
+    assert run.simulations == simulations
+    assert run.origins == ({"random": simulations} if method == MAP_ELITES else {})
+    assert run.failed == 0
+    assert run.found
+    assert 0.0 < run.reference_cpu_s < run.simulations_cpu_s < run.cpu_s
+
+
+def test_searches_for_avoidable_violations_differ_in_the_problem_alone(tmp_path: Path) -> None:
+    counts = {
+        method: mumoea._problem(
+            Task(method=method, seed=1, simulations=20, params=PARAMS, folder=tmp_path)
+        ).params.count
+        for method in METHODS
+    }
+    assert {method for method, count in counts.items() if count == "avoidable"} == set(AVOIDABLE)
+    for method in ("muMOEA", "MOSAT", "NSGA-II"):
+        (algorithm, config), (other, its) = METHODS[method], METHODS[f"{method}, avoidable"]
+        assert (algorithm.id, config) == (other.id, its)

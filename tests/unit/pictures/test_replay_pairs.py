@@ -1,0 +1,327 @@
+"""Pictures and films of a pair: the same moment in both drives, what differs, and what happened."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+from PIL import ImageDraw
+from support.traces import filmed, make_trace, ragged
+
+from brink.pictures import DrivePair, ReplayError, Side, render_pair
+from brink.pictures.pair import middles, outcome_words, pair_story, reality_words, state_words
+from brink.pictures.pair_view import STILL_WIDTH_PX, PairPainter, chip_words, pair_still
+from brink.pictures.scene import gap_words
+from brink.pictures.style import OTHER_VIOLATED, SAFE_DRIVE, UNSAFE_DRIVE, VIOLATION
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Trace
+
+
+def reporting_from(trace: Trace, from_s: float, to_s: float = 9.0) -> Trace:
+    box = (1.0, 400.0, 480.0, 280.0, 400.0)
+    rows: list[list[tuple[float, ...]]] = [
+        [box] if from_s <= time_s < to_s else [] for time_s in trace.time_s.tolist()
+    ]
+    return replace(trace, given_boxes=ragged(BOX_COLUMNS, rows))
+
+
+def until(trace: Trace, samples: int) -> Trace:
+    """Return a drive that ended early, as after a collision."""
+    cut = make_trace(samples=samples)
+    return replace(
+        cut,
+        time_s=trace.time_s[:samples],
+        ego=trace.ego[:samples],
+        robustness={name: series[:samples] for name, series in trace.robustness.items()},
+        actors=tuple(replace(actor, motion=actor.motion[:samples]) for actor in trace.actors),
+    )
+
+
+def a_pair(**changes: object) -> DrivePair:
+    safe = reporting_from(make_trace(violated=False), 4.05)
+    unsafe = reporting_from(make_trace(violated=True), 4.45)
+    pair = DrivePair(
+        safe=Side(number=7, trace=safe),
+        unsafe=Side(number=9, trace=unsafe),
+        change="the person is reported from 4.5 s instead of 4.1 s",
+        requirement="front-gap@1",
+    )
+    return replace(pair, **changes)  # type: ignore[arg-type]
+
+
+@cache
+def still() -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """Return the still image of `a_pair`."""
+    return np.asarray(pair_still(a_pair()))
+
+
+@pytest.mark.parametrize("again", ["", "unsafe in 1 of 10 simulations with other seeds"])
+def test_a_still_says_of_other_seeds_only_what_it_is_told(
+    again: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    draw_text = ImageDraw.ImageDraw.text
+
+    def record(self: ImageDraw.ImageDraw, xy: Any, text: Any, *args: Any, **options: Any) -> None:
+        written.append(str(text))
+        draw_text(self, xy, text, *args, **options)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", record)
+    fact = "Checked: the search simulated each side again, and both verdicts held."
+    pair = a_pair(facts=(fact,))
+    pair_still(replace(pair, safe=replace(pair.safe, again=again)))
+    words = " ".join(written)
+    assert "both verdicts held" in words
+    assert words.count("simulat") == 1 + bool(again)
+    assert ("Unsafe in 1 of 10 simulations" in words) is bool(again)
+
+
+def test_the_moment_is_the_unsafe_drives_violation_and_reports_differ_where_the_boxes_do() -> None:
+    story = pair_story(a_pair())
+    series = np.asarray(story.pair.unsafe.trace.robustness["front-gap@1"])
+    assert story.moment_s == pytest.approx(0.1 * int(np.flatnonzero(series < 0)[0]), abs=1e-3)
+    assert [(span.start_s, span.end_s) for span in story.differing] == [pytest.approx((4.1, 4.5), abs=1e-3)]
+    window = story.window()
+    assert window.start_s < 4.1 < story.moment_s < window.end_s <= story.end_s
+
+
+def test_without_a_change_of_the_reports_the_window_shows_what_leads_to_the_moment() -> None:
+    pair = a_pair()
+    story = pair_story(
+        replace(pair, safe=replace(pair.safe, trace=reporting_from(make_trace(violated=False), 4.45)))
+    )
+    assert story.differing == ()
+    assert story.report_moment_s() is None
+    window = story.window()
+    assert window.end_s - window.start_s >= 11.9
+    assert window.start_s < story.moment_s < window.end_s
+
+
+def test_reports_that_differ_in_position_alone_differ() -> None:
+    trace = make_trace(violated=False)
+    moved = replace(trace.given_boxes, rows=trace.given_boxes.rows + np.array([0, 3, 3, 0, 0], np.float32))
+    pair = a_pair(
+        safe=Side(number=7, trace=replace(trace, given_boxes=moved)),
+        unsafe=Side(number=9, trace=make_trace()),
+    )
+    assert pair_story(pair).differing[0].start_s == pytest.approx(3.1, abs=0.05)
+
+
+def test_the_outcome_names_every_violated_requirement() -> None:
+    trace = make_trace(violated=False)
+    hit = np.where(trace.time_s > 8, -0.5, 5.0).astype(np.float32)
+    trace = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
+    story = pair_story(a_pair(safe=Side(number=7, trace=trace)))
+    words = outcome_words(story.pair.safe, story.safe)
+    assert words == "front gap held; had a collision at 8.1 s"
+    assert (
+        outcome_words(Side(number=7, trace=trace, outcome="hit a pedestrian"), story.safe)
+        == "hit a pedestrian"
+    )
+
+
+def test_a_drive_that_ended_says_so() -> None:
+    pair = a_pair()
+    story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=until(pair.unsafe.trace, 190))))
+    assert state_words(story.pair.unsafe, story.unsafe, 18.9).endswith(
+        "front gap 0.9 m, 0.6 m short of 1.5 m"
+    )
+    assert state_words(story.pair.unsafe, story.unsafe, 19.5) == "recorded until 18.9 s"
+    assert story.end_s == pytest.approx(19.9, abs=1e-3)
+
+
+def test_the_picture_says_what_of_the_reports_is_true() -> None:
+    pair = a_pair()
+    ghost, true = perceiving(pair.unsafe.trace, 1.0, 9.5, 25.0), perceiving(pair.unsafe.trace, 0.0, 0.0, 0.0)
+    both = replace(pair, safe=Side(number=7, trace=ghost), unsafe=Side(number=9, trace=ghost))
+    assert reality_words(pair_story(both)) == (
+        "In both drives, the vehicle ahead is never reported. No person is where one is reported."
+    )
+    one = replace(pair, safe=Side(number=7, trace=true), unsafe=Side(number=9, trace=ghost))
+    assert reality_words(pair_story(one)) == (
+        "The vehicle ahead is always reported in the safe drive, never reported in the unsafe one. A vehicle is "
+        "where one is reported. No person is where one is reported."
+    )
+
+
+def test_both_maps_show_the_same_place_until_the_cars_are_far_apart() -> None:
+    story = pair_story(a_pair())
+    safe, unsafe = middles(story, story.moment_s, 0.0)
+    assert np.allclose(safe, unsafe)
+    shifted = story.pair.unsafe.trace
+    far = replace(shifted, ego=shifted.ego - np.array([60, 0, 0, 0, 0], np.float32))
+    story = pair_story(a_pair(unsafe=Side(number=9, trace=far)))
+    safe, unsafe = middles(story, story.moment_s, 0.0)
+    assert safe[0] - unsafe[0] > 30
+
+
+def perceiving(trace: Trace, label: float, dx_m: float, dy_m: float) -> Trace:
+    """Return a drive that perceives nothing but one obstacle, so far from the centre of the vehicle ahead."""
+    lead = trace.actors[0].motion
+    rows: list[list[tuple[float, ...]]] = [
+        [(1.0, label, float(x_m) + dx_m, float(y_m) + dy_m, 0.0, 0.0, 4.5, 1.8)] for x_m, y_m in lead[:, :2]
+    ]
+    return replace(trace, perceived=ragged(PERCEIVED_COLUMNS, rows))
+
+
+@pytest.mark.parametrize(
+    ("label", "dx_m", "dy_m", "words"),
+    [
+        (0.0, 0.0, 0.0, "reported"),
+        (1.0, 1.0, 0.5, "reported as a person"),
+        (0.0, 0.0, 2.2, "not reported"),  # beside it, though close
+        (0.0, 20.0, 0.0, "not reported"),
+    ],
+)
+def test_the_vehicle_ahead_is_reported_only_if_a_perceived_obstacle_lies_on_it(
+    label: float, dx_m: float, dy_m: float, words: str
+) -> None:
+    pair = a_pair()
+    unsafe = perceiving(pair.unsafe.trace, label, dx_m, dy_m)
+    story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=unsafe)))
+    assert story.target is not None
+    assert unsafe.actors[story.target.actor].name == "lead"
+    assert story.target.words == words
+    assert story.target.gap is not None
+    assert story.target.gap.too_short
+
+
+def test_the_vehicle_that_was_hit_is_marked_too() -> None:
+    pair = a_pair()
+    trace = pair.unsafe.trace
+    hit = np.where(trace.time_s > 18.0, -0.5, 5.0).astype(np.float32)
+    struck = replace(
+        trace,
+        robustness={"no-collision@1": hit, "front-gap@1": trace.robustness["front-gap@1"]},
+        events=(Event(time_s=18.05, kind="collision", text="hits pedestrian-1"),),
+    )
+    safe = replace(trace, robustness={"no-collision@1": np.full_like(hit, 5.0)})
+    story = pair_story(
+        replace(
+            pair,
+            safe=replace(pair.safe, trace=safe),
+            unsafe=replace(pair.unsafe, trace=struck),
+            requirement="no-collision@1",
+        )
+    )
+    assert story.target is not None
+    assert (story.target.words, story.target.vehicle) == ("not reported", False)
+    assert pair_still(story.pair).width == STILL_WIDTH_PX
+
+
+def test_the_moment_between_two_samples_is_shown_by_the_later_one() -> None:
+    pair = a_pair()
+    trace = pair.unsafe.trace
+    sample = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
+    exact_s = float(trace.time_s[sample]) + 0.06
+    timed = replace(trace, about={**trace.about, "violated_at_s": {"front-gap@1": exact_s}})
+    story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=timed)))
+    assert story.moment_s == pytest.approx(exact_s)
+    assert story.shown_s == pytest.approx(float(trace.time_s[sample + 1]))
+    assert story.sample_s == pytest.approx(float(trace.time_s[sample]))
+    assert story.target is not None
+    assert story.target.gap is not None
+    recorded_m = float(trace.robustness["front-gap@1"][sample]) + 1.5
+    assert story.target.gap.gap_m == pytest.approx(recorded_m)
+
+
+def test_the_camera_shows_when_the_boxes_differ_most_but_not_after_the_violation() -> None:
+    pair = a_pair()
+
+    def growing(trace: Trace, px_per_s: float) -> Trace:
+        rows: list[list[tuple[float, ...]]] = [
+            [(1.0, 400.0, 480.0 + px_per_s * t, 280.0, 400.0)] for t in trace.time_s.tolist()
+        ]
+        return replace(trace, given_boxes=ragged(BOX_COLUMNS, rows))
+
+    safe = replace(pair.safe, trace=growing(pair.safe.trace, 0.0))
+    story = pair_story(
+        replace(pair, safe=safe, unsafe=replace(pair.unsafe, trace=growing(pair.unsafe.trace, 5.0)))
+    )
+    assert story.report_moment_s() == pytest.approx(story.moment_s, abs=0.11)
+    assert pair_story(pair).report_moment_s() == pytest.approx(4.1, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "words"), [(1.4, "1.4 m"), (1.496, "1.496 m"), (1.5, "1.5 m"), (38.61, "38.6 m")]
+)
+def test_a_gap_that_is_too_short_never_looks_long_enough(gap_m: float, words: str) -> None:
+    assert gap_words(gap_m) == words
+
+
+def test_a_safe_drive_that_violated_another_requirement_is_not_called_held() -> None:
+    trace = make_trace(violated=False)
+    late = np.where(trace.time_s > 15, -0.5, 5.0).astype(np.float32)
+    slow = replace(trace, robustness={**trace.robustness, "progress@1": late})
+    pair = a_pair(safe=Side(number=7, trace=slow))
+    story = pair_story(pair)
+    assert chip_words(story.parts[0]) == ("HELD, BUT", "stood still too long at 15.1 s (front gap held)")
+    assert chip_words(pair_story(a_pair()).parts[0]) == ("HELD", "front gap held")
+    purple = (np.asarray(pair_still(pair)) == OTHER_VIOLATED).all(axis=2).sum()
+    assert purple > 1000
+    assert not (still() == OTHER_VIOLATED).all(axis=2).any()
+
+
+def test_the_still_image_frames_the_unsafe_drive_in_crimson_and_shows_each_car_in_the_other_map() -> None:
+    image = still()
+    assert image.shape[1] == STILL_WIDTH_PX
+    left, right = image[:, : STILL_WIDTH_PX // 2], image[:, STILL_WIDTH_PX // 2 :]
+    row = int(np.flatnonzero((right == VIOLATION).all(axis=2).sum(axis=1) > 500)[0])
+    assert (left[row] == SAFE_DRIVE).all(axis=1).sum() > 500
+    maps = slice(row + 6, row + 380)
+    outlines, cars = (left, UNSAFE_DRIVE), (right, UNSAFE_DRIVE)
+    outline, car = ((half[maps, 40:-40] == colour).all(axis=2).sum() for half, colour in (outlines, cars))
+    assert outline > 50
+    assert car > outline + 200, "the car of a drive is filled with the colour of the drive"
+    assert (left[maps, 40:-40] == SAFE_DRIVE).all(axis=2).sum() > (right[maps, 40:-40] == SAFE_DRIVE).all(
+        axis=2
+    ).sum()
+
+
+def test_a_frame_of_the_film_shows_both_drives_at_one_time() -> None:
+    painter = PairPainter(a_pair())
+    moment = painter.key_samples[1]
+    assert painter.time_s[moment] == pytest.approx(painter.story.moment_s, abs=0.01)
+
+    def crimson(sample: int) -> int:
+        frame = np.asarray(painter.frame(sample))
+        assert frame.shape == (720, 1280, 3)
+        return int((frame[110:450] == VIOLATION).all(axis=2).sum())
+
+    assert crimson(moment) > crimson(moment - 30) + 2000
+
+
+@pytest.mark.parametrize("extension", [".mp4", ".gif"])
+def test_the_film_has_a_frame_for_each_tenth_of_a_second(tmp_path: Path, extension: str) -> None:
+    pair = a_pair(
+        safe=Side(number=7, trace=make_trace(samples=8, violated=False)),
+        unsafe=Side(number=9, trace=make_trace(samples=6)),
+    )
+    path = render_pair(pair, tmp_path / f"pair{extension}")
+    with av.open(str(path)) as film:
+        frames = list(film.decode(video=0))
+    assert len(frames) == (8 + 10 if extension == ".mp4" else 8)  # a GIF joins the last one's equal frames
+    assert (frames[0].width, frames[0].height) == ((1280, 720) if extension == ".mp4" else (960, 540))
+
+
+def test_drives_with_recorded_camera_images_show_both() -> None:
+    pair = a_pair(
+        safe=Side(number=7, trace=filmed(make_trace(violated=False))),
+        unsafe=Side(number=9, trace=filmed(make_trace())),
+    )
+    assert pair_still(pair).width == STILL_WIDTH_PX
+
+
+def test_drives_without_reports_and_with_scripts_are_drawn_too() -> None:
+    pair = a_pair(
+        safe=Side(number=7, trace=reporting_from(make_trace(violated=False), 99)),
+        unsafe=Side(number=9, trace=reporting_from(make_trace(), 99)),
+    )
+    assert pair_still(pair).width == STILL_WIDTH_PX
+
+
+def test_a_requirement_that_the_traces_do_not_record_is_named() -> None:
+    with pytest.raises(ReplayError, match=r"front-gap@1.*got 'red-light@1'"):
+        pair_still(a_pair(requirement="red-light@1"))

@@ -1,0 +1,434 @@
+"""The scene model and the story of an episode: ghosts, braking, gaps; the decisive moment, its lead-up, captions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.traces import filmed, make_trace, ragged
+
+from brink.pictures import ReplayError
+from brink.pictures.frame import FramePainter
+from brink.pictures.scene import (
+    EpisodeScene,
+    closest_points,
+    found_at,
+    front_gap,
+    is_there,
+    map_centres,
+    outline,
+    pictures_shown,
+    surface_style,
+)
+from brink.pictures.sheets import still
+from brink.pictures.story import event_caption, measured_words, scenario_words, story_of, with_unit
+from brink.pictures.style import EDGES, FILLS, VIOLATION, dashes
+from brink.sim.episode import Json
+from brink.sim.requirements import REQUIRED_GAP_M
+from brink.sim.trace import ACTION, PERCEIVED_COLUMNS, VIOLATED_AT_S, Event, Surface, Trace
+
+metres = st.floats(-50, 50)
+sides = st.floats(0.5, 10)
+angles = st.floats(-7, 7)
+
+
+def perceiving(trace: Trace, *rows: tuple[float, ...]) -> Trace:
+    """Return an episode in which these obstacles are perceived at sample 10, and none at any other."""
+    samples = [list(rows) if sample == 10 else [] for sample in range(len(trace.time_s))]
+    return replace(trace, perceived=ragged(PERCEIVED_COLUMNS, samples))
+
+
+def test_perceived_obstacle_is_a_ghost_unless_a_road_user_of_its_kind_is_near() -> None:
+    trace = make_trace()
+    x_m, y_m, _, _ = trace.actors[0].motion[10].tolist()
+    person_x_m, person_y_m, _, _ = trace.actors[2].motion[10].tolist()
+    size = (0.0, 0.0, 4.5, 1.8)
+    rows = [
+        (1.0, 0.0, x_m + 2.4, y_m, *size),
+        (2.0, 0.0, x_m + 2.6, y_m, *size),
+        (3.0, 1.0, x_m, y_m, *size),
+        (4.0, 1.0, person_x_m, person_y_m, *size),
+        (5.0, 7.0, x_m, y_m, *size),
+    ]
+    ghosts = EpisodeScene.of(perceiving(trace, *rows)).obstacles.ghost
+    assert ghosts.tolist() == [False, True, True, False, False], "an unknown label counts as a vehicle"
+
+
+def test_a_reported_person_is_not_there_where_a_parked_car_is() -> None:
+    trace = make_trace()
+    size = (0.0, 0.0, 0.6, 0.6)
+    parked = Surface(
+        kind="parked-car",
+        points=np.array([(30, 30), (34, 30), (34, 32), (30, 32)], np.float32),
+        closed=True,
+        width_m=0.0,
+    )
+    there = replace(
+        perceiving(trace, (1.0, 1.0, 31.0, 31.0, *size), (2.0, 1.0, 60.0, 60.0, *size)), scene=(parked,)
+    )
+    scene = EpisodeScene.of(there)
+    rows = range(there.perceived.first[10], there.perceived.first[11])
+    assert [found_at(scene, 10, row) for row in rows] == [("parked-car",), ()]
+    assert (is_there(0, ("parked-car",)), is_there(1, ("parked-car",))) == (True, False)
+    assert (is_there(0, ("pedestrian",)), is_there(1, ("pedestrian",))) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("requirement", "robustness", "expected"),
+    [
+        ("front-gap@1", -0.31, ("1.2 m", "0.3 m short of 1.5 m")),
+        ("front-gap@1", -0.02, ("1.48 m", "0.02 m short of 1.5 m")),
+        ("front-gap", 13.2, ("14.7 m", "1.5 m required")),
+        ("front-gap", 48.5, ("no vehicle ahead", "")),
+        ("lane-keeping@1", -0.31, ("−0.3 m", "violated")),
+        ("lane-keeping@1", 0.5, ("+0.5 m", "to spare")),
+        ("no-dangerous-stop@1", -0.5, ("−0.5 m/s", "violated")),
+        ("no-dangerous-stop@1", 0.5, ("+0.5 m/s", "to spare")),
+        ("no-dangerous-stop@1", 8.0, ("no needless braking", "at this moment")),
+    ],
+)
+def test_the_front_gap_is_a_distance_and_everything_else_a_margin(
+    requirement: str, robustness: float, expected: tuple[str, str]
+) -> None:
+    assert measured_words(requirement, robustness) == expected
+
+
+@pytest.mark.parametrize(("after_s", "shown"), [(0.0, 0), (0.02, 0), (0.08, 1)])
+def test_a_violation_is_shown_at_the_sample_whose_time_reads_the_same(after_s: float, shown: int) -> None:
+    trace = make_trace()
+    sample = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
+    exact_s = float(trace.time_s[sample]) + after_s
+    timed = replace(trace, about={**trace.about, "violated_at_s": {"front-gap@1": exact_s}})
+    story = story_of(timed)
+    assert (story.decisive, story.shown) == (sample, sample + shown)
+    assert f"{float(trace.time_s[story.shown]):.1f}" == f"{exact_s:.1f}"
+    [moment] = [one for one in story.moments if one.reason == "violation"]
+    assert (moment.sample, moment.time_s) == (story.shown, exact_s)
+
+
+def test_absent_road_user_makes_no_obstacle_real() -> None:
+    trace = make_trace()
+    absent = trace.actors[0].motion.copy()
+    x_m, y_m = absent[10, :2].tolist()
+    absent[10] = np.nan
+    there = replace(trace, actors=(replace(trace.actors[0], motion=absent),))
+    scene = EpisodeScene.of(perceiving(there, (1.0, 0.0, x_m, y_m, 0.0, 0.0, 4.5, 1.8)))
+    assert scene.obstacles.ghost.tolist() == [True]
+
+
+def test_obstacle_points_where_it_moves_or_as_the_ego_and_is_never_too_small_to_see() -> None:
+    trace = make_trace()
+    rows = [(1.0, 0.0, 5.0, 5.0, 0.0, 2.0, 4.5, 1.8), (2.0, 1.0, 9.0, 9.0, 0.0, 0.5, 0.3, 0.2)]
+    obstacles = EpisodeScene.of(perceiving(trace, *rows)).obstacles
+    np.testing.assert_allclose(obstacles.yaw_rad, [np.pi / 2, trace.ego[10, 2]])
+    np.testing.assert_allclose(obstacles.length_m, [4.5, 0.8])
+    np.testing.assert_allclose(obstacles.width_m, [1.8, 0.8], rtol=1e-6)
+
+
+def test_brake_lights_are_on_beyond_one_metre_per_second_squared() -> None:
+    trace = make_trace(samples=4)
+    lead = trace.actors[0].motion.copy()
+    lead[:, 3] = [5.0, 4.95, 4.8, 4.8]
+    ego = trace.ego.copy()
+    ego[:, 4] = [-0.9, -1.1, 0.0, -3.0]
+    changed = replace(trace, ego=ego, actors=(replace(trace.actors[0], motion=lead),))
+    scene = EpisodeScene.of(changed)
+    assert scene.ego_brakes.tolist() == [False, True, False, True]
+    assert scene.actors_brake[0].tolist() == [False, False, True, False]
+
+
+def test_route_lies_on_the_road_and_below_whatever_stands() -> None:
+    trace = make_trace()
+    kinds = [surface.kind for surface in trace.scene]
+    assert EpisodeScene.of(trace).route_layer == kinds.index("building")
+    flat = replace(trace, scene=trace.scene[:4])
+    assert EpisodeScene.of(flat).route_layer == 4
+
+
+def test_every_paint_has_a_colour_and_every_outline_too() -> None:
+    kinds = ("road", "pavement", "marking", "crossing", "stop-line", "building", "parked-car", "tree", "?")
+    for style in map(surface_style, kinds):
+        assert style.paint in FILLS
+        assert (style.paint in EDGES) == style.outlined
+        assert style.outlined or style.height_m == 0
+
+
+def test_map_stays_where_the_ego_was_last_known() -> None:
+    trace = make_trace()
+    whole = map_centres(trace, 9.0)
+    assert whole.shape == (200, 2)
+    lost = trace.ego.copy()
+    lost[150:] = np.nan
+    centres = map_centres(replace(trace, ego=lost), 9.0)
+    assert np.isfinite(centres).all()
+    np.testing.assert_array_equal(centres[:140], whole[:140])
+    np.testing.assert_allclose(centres[-1], centres[170])
+    assert (
+        map_centres(replace(trace, ego=np.full((200, 5), np.nan, np.float32)), 9.0).tolist() == [[0, 0]] * 200
+    )
+
+
+def test_sample_shows_the_latest_picture_of_the_film() -> None:
+    film = filmed(make_trace(samples=10)).film
+    assert film is not None
+    later = replace(film, samples=film.samples + 1)
+    assert pictures_shown(film, 6).tolist() == [0, 0, 1, 1, 2, 2]
+    assert pictures_shown(later, 6).tolist() == [0, 0, 0, 1, 1, 2]
+
+
+def test_action_is_captioned_with_its_road_user() -> None:
+    assert event_caption(Event(time_s=1.0, kind=ACTION, text="car-1:change_lane")) == "car-1: change lane"
+    assert event_caption(Event(time_s=1.0, kind="nudge", text="nudges: a_b")) == "nudges: a_b"
+
+
+def test_first_violation_is_the_decisive_moment() -> None:
+    trace = make_trace()
+    story = story_of(trace)
+    series = trace.robustness["front-gap@1"]
+    assert story.requirement == "front-gap@1"
+    assert story.violated
+    assert series[story.decisive] < 0
+    assert (series[: story.decisive] >= 0).all()
+    assert story.least == pytest.approx(series.min())
+
+
+def test_closest_approach_is_the_decisive_moment_if_nothing_is_violated() -> None:
+    trace = make_trace(violated=False)
+    story = story_of(trace)
+    assert not story.violated
+    assert story.decisive == trace.robustness["front-gap@1"].argmin()
+
+
+def test_moments_ascend_and_include_the_decisive_one_and_its_lead_up() -> None:
+    story = story_of(make_trace())
+    samples = [moment.sample for moment in story.moments]
+    assert samples == sorted(set(samples))
+    assert 4 <= len(samples) <= 6
+    reasons = {moment.sample: moment.reason for moment in story.moments}
+    assert reasons[story.decisive] == "violation"
+    assert "injected vehicle" in reasons.values()
+    assert "1 s before" in reasons.values()
+
+
+@pytest.mark.parametrize("violated", [True, False])
+def test_every_injected_detection_has_a_moment_while_it_is_reported(violated: bool) -> None:
+    trace = make_trace(violated=violated)
+    injected = [moment for moment in story_of(trace).moments if moment.reason.startswith("injected ")]
+    assert injected
+    for moment in injected:
+        labels = trace.given_boxes.at(moment.sample)[:, 0].astype(int)
+        assert ("vehicle", "person").index(moment.reason.removeprefix("injected ")) in labels
+
+
+def hits_a_pedestrian(trace: Trace, at_s: float) -> Trace:
+    """Return the trace with a collision with its first pedestrian from a time on."""
+    walker = next(actor.name for actor in trace.actors if actor.kind == "pedestrian")
+    clearance = np.where(trace.time_s >= at_s - 1e-4, -0.5, 3.0).astype(np.float32)
+    hit = Event(time_s=at_s, kind="collision", text=f"the ego hits {walker} at 5.0 m/s")
+    robustness = {**trace.robustness, "no-collision@1": clearance}
+    return replace(trace, robustness=robustness, events=(*trace.events, hit))
+
+
+def test_violations_of_other_requirements_are_part_of_the_story() -> None:
+    trace = hits_a_pedestrian(make_trace(violated=False), 12.8)
+    story = story_of(trace, "front-gap@1")
+    assert (story.violated, story.words) == (False, "front gap held; hit a pedestrian at 12.8 s")
+    [other] = story.violations
+    assert trace.time_s[other.sample] == pytest.approx(12.8)
+    assert {m.reason: m.sample for m in story.moments}["hit a pedestrian"] == other.sample
+    painter = FramePainter(trace, requirement="front-gap@1")
+    assert painter.verdict().startswith("front gap held (")
+    assert painter.verdict().endswith(" s); hit a pedestrian at 12.8 s")
+    assert (np.asarray(painter.map(other.sample)) == VIOLATION).all(axis=2).sum() > 2000
+    assert not (np.asarray(painter.map(other.sample - 1)) == VIOLATION).all(axis=2).any()
+
+
+def test_of_several_requirements_the_first_violated_one_is_the_story() -> None:
+    trace = hits_a_pedestrian(make_trace(), 12.8)
+    both = story_of(trace, ("front-gap@1", "no-collision@1"))
+    assert both.requirement == "no-collision@1"
+    assert both.words == "hit a pedestrian at 12.8 s; violated the front gap at 17.5 s"
+    calm = story_of(make_trace(violated=False), ("progress@1", "front-gap@1"))
+    assert (calm.requirement, calm.words) == ("front-gap@1", "front gap held")
+    with pytest.raises(ReplayError, match=r"expected some that the trace records .* got red-light@1"):
+        story_of(make_trace(), ("red-light@1",))
+
+
+def test_without_a_named_requirement_the_story_is_about_the_violated_one() -> None:
+    trace = hits_a_pedestrian(make_trace(violated=False), 12.8)
+    story = story_of(trace)
+    assert (story.requirement, story.words) == ("no-collision@1", "hit a pedestrian at 12.8 s")
+    assert story_of(make_trace(violated=False)).requirement == "front-gap@1"
+
+
+def test_of_two_violations_in_one_sample_the_earlier_one_is_the_story() -> None:
+    trace = hits_a_pedestrian(make_trace(), 17.5)
+    moments: dict[str, Json] = {"front-gap@1": 17.54, "no-collision@1": 17.52}
+    exact = replace(trace, about={**trace.about, VIOLATED_AT_S: moments})
+    assert story_of(exact).requirement == "no-collision@1"
+
+
+def test_a_former_version_of_a_requirement_stands_for_the_present_one() -> None:
+    trace = make_trace()
+    assert story_of(trace, ("no-collision@1", "front-gap@2")).requirement == "front-gap@1"
+    both = replace(trace, robustness={**trace.robustness, "front-gap@2": np.full_like(trace.time_s, 2.0)})
+    assert not story_of(both, ("front-gap@2",)).violated
+
+
+def test_a_standing_ego_has_no_front_gap_that_is_too_short() -> None:
+    trace = make_trace()
+    sample = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[-1])
+    stands = np.maximum(trace.robustness["front-gap@1"], 0)
+    gap = front_gap(replace(trace, robustness={"front-gap@2": stands}), sample)
+    assert gap is not None
+    assert gap.gap_m < REQUIRED_GAP_M
+    assert not gap.too_short
+    assert measured_words("front-gap@2", 0.0) == ("the ego stands", "")
+
+
+@pytest.mark.parametrize("name", ["progress", "progress@1"])
+def test_requirement_is_found_with_or_without_version(name: str) -> None:
+    assert story_of(make_trace(), name).requirement == "progress@1"
+
+
+def test_unknown_requirement_is_rejected_with_the_known_ones() -> None:
+    with pytest.raises(ReplayError, match=r"front-gap@1, progress@1.*got 'speed'"):
+        story_of(make_trace(), "speed")
+
+
+def test_trace_without_samples_or_requirements_is_rejected() -> None:
+    trace = make_trace()
+    with pytest.raises(ReplayError, match="no samples"):
+        story_of(replace(trace, time_s=np.empty(0, np.float32)))
+    with pytest.raises(ReplayError, match="no requirement"):
+        story_of(replace(trace, robustness={}))
+
+
+def test_requirement_that_never_applies_is_not_violated() -> None:
+    trace = make_trace()
+    never = replace(trace, robustness={"front-gap@1": np.full(200, np.inf, np.float32)})
+    assert not story_of(never).violated
+    assert np.isinf(story_of(never).least)
+    assert FramePainter(never).verdict() == "front gap never applied"
+    assert still(never).width == 1280
+
+
+def test_scenario_is_described_in_words() -> None:
+    assert scenario_words(make_trace()) == (
+        "Medium straight road (road 1), sunset, wet cloudy, 18 pedestrians, task: follow the road"
+    )
+    assert scenario_words(replace(make_trace(), about={})) == ""
+    unknown: dict[str, object] = {"spec": {"scenario": {"fog_density": 0.5, "pedestrians": 0}}}
+    assert scenario_words(replace(make_trace(), about=unknown)) == "no pedestrians, fog density 0.5"  # type: ignore[arg-type]
+
+
+def test_no_moment_lies_before_the_start_of_the_episode() -> None:
+    trace = make_trace()
+    early = np.ones(len(trace.time_s), np.float32)
+    early[int(np.searchsorted(trace.time_s, 1.5))] = -1.0
+    reasons = [m.reason for m in story_of(replace(trace, robustness={"front-gap@1": early})).moments]
+    assert "1 s before" in reasons
+    assert "2.5 s before" not in reasons
+    assert "5 s before" not in reasons
+
+
+def test_robustness_is_written_with_sign_and_unit() -> None:
+    assert with_unit(-0.84, "front-gap@1") == "−0.8 m"
+    assert with_unit(-0.021, "front-gap@1") == "−0.02 m"
+    assert with_unit(3.0, "speed-limit@1") == "+3.0 m/s"
+    assert with_unit(3.0, "mine@2") == "+3.0"
+
+
+def test_gap_line_ends_at_the_vehicle_ahead_and_has_the_recorded_length() -> None:
+    trace = make_trace()
+    found = front_gap(trace, story_of(trace).decisive)
+    assert found is not None
+    assert trace.actors[found.actor].name == "lead"
+    assert np.hypot(*(found.ends[0] - found.ends[1])) == pytest.approx(found.gap_m, abs=0.05)
+
+
+def test_gap_line_is_not_drawn_to_an_oncoming_vehicle_at_the_same_distance() -> None:
+    trace = make_trace()
+    sample = 10
+    lead, oncoming = trace.actors[0].motion.copy(), trace.actors[1].motion.copy()
+    oncoming[sample, :2] = lead[sample, 0], 1.75
+    actors = (replace(trace.actors[1], motion=oncoming), replace(trace.actors[0], motion=lead))
+    found = front_gap(replace(trace, actors=actors), sample)
+    assert found is not None
+    assert found.actor == 1
+
+
+def test_no_gap_is_drawn_to_a_vehicle_that_was_hit() -> None:
+    trace = make_trace()
+    sample = story_of(trace).decisive
+    hit = np.ones(len(trace.time_s), np.float32)
+    touching = trace.actors[0].motion.copy()
+    touching[sample - 1 : sample + 1, 0] -= 1.2
+    actors = (replace(trace.actors[0], motion=touching), *trace.actors[1:])
+    judged = replace(trace, actors=actors, robustness={"no-collision@1": hit})
+    near = front_gap(judged, sample)
+    assert near is not None
+    assert near.gap_m < 1.0
+    hit[sample] = -0.4
+    assert front_gap(judged, sample) is None
+    assert front_gap(judged, sample - 1) is not None
+
+
+def test_gap_ahead_is_drawn_while_another_road_user_is_hit() -> None:
+    trace = make_trace()
+    hit = np.full(len(trace.time_s), -0.4, np.float32)
+    judged = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
+    found = front_gap(judged, 10)
+    assert found is not None
+    assert found.gap_m > 1.0
+
+
+def test_unrecorded_gap_ends_at_the_nearest_vehicle_in_the_corridor() -> None:
+    trace = replace(make_trace(), robustness={"progress@1": np.zeros(200, np.float32)})
+    found = front_gap(trace, 50)
+    assert found is not None
+    assert trace.actors[found.actor].name == "lead"
+
+
+def test_no_gap_is_drawn_if_no_vehicle_is_ahead() -> None:
+    trace = make_trace()
+    far = {"front-gap@1": np.full(200, 48.5, np.float32)}
+    assert front_gap(replace(trace, robustness=far), 50) is None
+    assert front_gap(replace(trace, actors=()), 50) is None
+
+
+def test_outline_starts_at_the_front_left_corner() -> None:
+    np.testing.assert_allclose(outline(10, 5, np.pi / 2, 4, 2)[0], (9, 7), atol=1e-12)
+
+
+def test_facing_bumpers_are_measured_in_the_middle() -> None:
+    start, end, gap_m = closest_points(outline(0, 0, 0, 4, 2), outline(10, 0, 0, 4, 2))
+    assert gap_m == pytest.approx(6)
+    np.testing.assert_allclose(start, (2, 0))
+    np.testing.assert_allclose(end, (8, 0))
+
+
+@given(metres, metres, angles, sides, sides, metres, metres, angles, sides, sides)
+def test_shortest_line_is_symmetric_and_no_longer_than_between_corners(
+    x: float, y: float, yaw: float, a: float, b: float, u: float, v: float, turn: float, c: float, d: float
+) -> None:
+    one, other = outline(x, y, yaw, a, b), outline(u, v, turn, c, d)
+    start, end, gap_m = closest_points(one, other)
+    assert gap_m == pytest.approx(closest_points(other, one)[2], abs=1e-9)
+    assert gap_m <= np.hypot(*(one[:, None] - other).T).min() + 1e-9
+    # The ends are averages of points whose distances differ by at most two centimetres.
+    assert np.hypot(*(start - end)) <= gap_m + 0.03 or gap_m == 0
+
+
+@given(metres, metres, angles)
+def test_overlapping_outlines_have_no_gap(x: float, y: float, yaw: float) -> None:
+    assert closest_points(outline(x, y, yaw, 4, 2), outline(x + 0.5, y, yaw + 1, 3, 1))[2] == 0
+
+
+def test_dashes_cover_a_closed_line_and_stay_on_it() -> None:
+    square = np.array([(0.0, 0), (10, 0), (10, 10), (0, 10)])
+    pieces = dashes(square, 2, 3, closed=True)
+    assert len(pieces) == 8
+    assert sum(float(np.hypot(*(piece[1] - piece[0]))) for piece in pieces) == pytest.approx(16)
+    assert dashes(np.zeros((2, 2)), 1, 1) == []
