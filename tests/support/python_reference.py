@@ -3,30 +3,27 @@
 Run as ``make reference``.
 """
 
-from functools import cache
-from importlib import import_module
+import dataclasses
+import inspect
+from collections.abc import Callable, Iterator
+from enum import Enum
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from griffe import Attribute, Class, Docstring, DocstringSectionKind, Function, Module, Object, load
+from griffe import Docstring, DocstringSectionKind
 
-from brink.server.campaigns import body
+import brink
+import brink.guard
+from brink.python.client import Submitted
+from brink.python.function import search
+from brink.python.picture import Picture
 
-_PACKAGE: Final = Path(__file__).parents[2] / "brink"
 PAGE: Final = Path(__file__).parents[2] / "docs" / "reference" / "python.md"
 GROUPS: Final = {
     "Running campaigns": ["run", "connect", "Campaign"],
     "Results": ["Result", "Picture"],
     "A coordinator's campaigns": ["Client", "Submitted"],
     "Functions and loops of your own": ["search", "Study", "Trial", "Real", "Integer", "Categorical"],
-    "Asynchronous twins": [
-        "run_async",
-        "search_async",
-        "connect_async",
-        "AsyncClient",
-        "AsyncSubmitted",
-        "AsyncResult",
-    ],
     "Guards": [
         "guard.random_specs",
         "guard.solution_specs",
@@ -38,176 +35,147 @@ GROUPS: Final = {
         "guard.GuardEvaluation",
         "guard.GuardedLoop",
     ],
+    "Asynchronous counterparts": ["run_async", "search_async", "connect_async", "AsyncClient", "AsyncResult"],
 }
-"""Names by heading, in the order of the page."""
-_HOMES: Final = {
-    "run": "python/local",
-    "run_async": "python/local",
-    "connect": "python/client",
-    "connect_async": "python/client",
-    "Client": "python/client",
-    "AsyncClient": "python/client",
-    "Submitted": "python/client",
-    "AsyncSubmitted": "python/client",
-    "Campaign": "python/campaign",
-    "Result": "python/result",
-    "AsyncResult": "python/result",
-    "Picture": "python/picture",
-    "search": "python/function",
-    "search_async": "python/function",
-    "Study": "python/study",
-    "Trial": "python/study",
-    "guard.random_specs": "guard/drives",
-    "guard.solution_specs": "guard/drives",
-    "guard.record": "guard/drives",
-    "guard.fit": "guard/fitting",
-    "guard.evaluate": "guard/evaluation",
-    "guard.drive_with_guard": "guard/loop",
-    "guard.Drive": "guard/drives",
-    "guard.GuardEvaluation": "guard/evaluation",
-    "guard.GuardedLoop": "guard/loop",
-}
-_BRIEF: Final = frozenset({"AsyncClient", "AsyncSubmitted", "AsyncResult"})
-"""Classes whose methods are those of another class."""
-_NOT_EXPORTED: Final = frozenset({"Picture", "Submitted", "AsyncSubmitted"})
+"""Names by heading, in the order of the page; the last group is a list."""
+_NOT_EXPORTED: Final[dict[str, type]] = {"Picture": Picture, "Submitted": Submitted}
 """Classes of what functions return, which users do not import."""
+_RETURNED: Final = frozenset(
+    {
+        *("Client", "Submitted", "Result", "Picture", "Trial"),
+        *("guard.Drive", "guard.GuardEvaluation", "guard.GuardedLoop"),
+    }
+)
+"""Classes that users do not construct, so that their signature does not matter."""
+_VALUES: Final = frozenset({"Trial", "Real", "Integer", "Categorical"})
+"""Classes of which users need the fields alone."""
+_EXPLAINED: Final = frozenset({"check_pairs", "plot", "tell", "guard.fit", "guard.drive_with_guard"})
+"""Methods, and functions of guards, whose arguments are described, because their names do not say enough."""
 _INTRODUCTION: Final = """# Python
 
-This page is written from the docstrings: `make reference` writes it again. [Use Brink from
+`make reference` writes this page from the docstrings. `help(brink.run)` and the like show them in full, with all
+arguments, errors and examples; here, an argument that means the same everywhere is described once. [Use Brink from
 Python](../how-to/use-brink-from-python.md) shows how the parts go together.
 
-`import brink` imports nothing else until a name is first used; guards need `import brink.guard`. Errors are
+`import brink` imports nothing else until a name is first used. Guards need `import brink.guard`. All errors are
 subclasses of `brink.server.errors.ServerError`, `brink.search.errors.SearchError` or, for guards,
-`brink.sim.errors.SimulatorError`, and their messages say what was expected.
+`brink.sim.errors.SimulatorError`.
 """
+_LISTS: Final = (DocstringSectionKind.parameters, DocstringSectionKind.attributes)
 
 
 def page() -> str:
     """Return the content of the page."""
+    *groups, last = GROUPS.items()
     parts = [_INTRODUCTION]
-    for heading, names in GROUPS.items():
+    described: set[str] = set()
+    for heading, names in groups:
         parts.append(f"## {heading}\n")
-        for name in names:
-            home = _module(_HOMES.get(name, "search/parameters"))
-            shown = name if name in _NOT_EXPORTED else f"brink.{name}"
-            parts.append(_entry(home[name.removeprefix("guard.")], shown))
+        parts += [_entry(name, described) for name in names]
+    heading, names = last
+    parts.append(f"## {heading}\n")
+    parts += [f"- `brink.{name}`: {_summary(_object(name))}" for name in names]
     return "\n".join(parts).rstrip() + "\n"
 
 
-@cache
-def _module(path: str) -> Module:
-    """Return a module of the package, without loading any other."""
-    folder, name = path.split("/")
-    found = load(name, search_paths=[_PACKAGE / folder], docstring_parser="google", resolve_aliases=False)
-    assert isinstance(found, Module)
-    return found
+def _object(name: str) -> Any:
+    if name in _NOT_EXPORTED:
+        return _NOT_EXPORTED[name]
+    if name == "search":  # `brink.search` is the package, which can be called like the function
+        return search
+    if name.startswith("guard."):
+        return getattr(brink.guard, name.removeprefix("guard."))
+    return getattr(brink, name)
 
 
-def _entry(of: Object, name: str) -> str:
-    if isinstance(of, Class):
-        return _class(of, name)
-    assert isinstance(of, Function)
-    return f"### `{name}`\n\n```python\n{_signature(of, name)}\n```\n\n{_words(of.docstring)}"
+def _entry(name: str, described: set[str]) -> str:
+    """Return the section of a function or a class; arguments that are in `described` are left out."""
+    of = _object(name)
+    parts = [f"### `{name if name in _NOT_EXPORTED else f'brink.{name}'}`\n"]
+    if name not in _RETURNED:
+        parts.append(f"```python\n{_signature(of, f'brink.{name}')}\n```\n")
+    parts.append(_opening(of) + "\n")
+    rows = _described(of)
+    if name.startswith("guard.") and not isinstance(of, type) and name not in _EXPLAINED:
+        rows = []
+    if name not in _RETURNED:
+        rows = [row for row in rows if row not in described]
+        described.update(rows)
+    if isinstance(of, type) and name not in _VALUES:
+        rows += [row for base in _bases(of) for row in _described(base)]
+        rows += [f"- `.{member}`: {_summary(value)}" for member, value in _members(of, property)]
+        rows += [row for member, value in _members(of, Callable) for row in _method(member, value)]
+    if rows:
+        parts.append("\n".join(rows) + "\n")
+    return "\n".join(parts)
 
 
-def _class(of: Class, name: str) -> str:
-    parts = [f"### `{name}`\n"]
-    init = of.members.get("__init__")
-    if isinstance(init, Function) and not of.name.endswith(("Client", "Submitted", "Result")):
-        parts.append(f"```python\n{_signature(init, name)}\n```\n")
-    parts.append(_words(of.docstring))
-    base = _base(of)
-    members = [*(base.members.values() if base is not None else ()), *of.members.values()]
-    if base is not None and base.docstring is not None:
-        parts += [
-            f"- `.{attribute.name}`: {attribute.description}"
-            for section in base.docstring.parsed
-            if section.kind is DocstringSectionKind.attributes
-            for attribute in section.value
-        ]
-    public = [member for member in members if not member.name.startswith("_")]
-    parts += [
-        f"- `.{member.name}`: {_first(member.docstring)}"
-        for member in public
-        if isinstance(member, Attribute) and "property" in member.labels
-    ]
-    parts += [_method(member, brief=of.name in _BRIEF) for member in public if isinstance(member, Function)]
-    return "\n".join(parts) + "\n"
+def _bases(of: type) -> list[type]:
+    """Return the base classes from this package, the most general first."""
+    return [base for base in reversed(of.__mro__[1:]) if base.__module__.startswith("brink.")]
 
 
-def _base(of: Class) -> Class | None:
-    """Return the base class whose members a class is shown with; None if there is no such class."""
-    if not isinstance(of.parent, Module) or "CampaignResult" not in map(str, of.bases):
-        return None
-    found = of.parent["CampaignResult"]
-    assert isinstance(found, Class)
-    return found
+def _members(of: type, kind: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the public members of one kind, those of base classes first."""
+    for base in [*_bases(of), of]:
+        for name, member in vars(base).items():
+            value = getattr(base, name) if isinstance(member, classmethod | staticmethod) else member
+            if not name.startswith("_") and isinstance(value, kind):
+                yield name, value
 
 
-def _method(of: Function, *, brief: bool) -> str:
-    if brief:
-        return f"- `await .{of.name}(…)`: {_first(of.docstring)}"
-    return f"\n#### `.{_signature(of, of.name)}`\n\n{_words(of.docstring)}"
+def _method(name: str, method: Any) -> Iterator[str]:
+    returns = "".join(f" Returns: {text}" for text in _returns(method))
+    yield f"- `.{_signature(method, name)}`: {_summary(method)}{returns}"
+    if name in _EXPLAINED:
+        yield from (f"  {row}" for row in _described(method))
 
 
-def _signature(of: Function, name: str) -> str:
+def _signature(of: Any, name: str) -> str:
     shown = []
-    star = False
-    for parameter in of.parameters:
-        if parameter.name in ("self", "cls"):
-            continue
-        if parameter.kind is not None and parameter.kind.name == "keyword_only" and not star:
+    parameters = [one for one in inspect.signature(of).parameters.values() if one.name not in ("self", "cls")]
+    for parameter in parameters:
+        if parameter.kind is parameter.KEYWORD_ONLY and "*" not in shown:
             shown.append("*")
-            star = True
-        default = "" if parameter.default is None else f"={_value(str(parameter.default), of)}"
-        shown.append(f"{parameter.name}{default}")
+        shown.append(parameter.name + _default(of, parameter))
     return f"{name}({', '.join(shown)})"
 
 
-def _value(default: str, of: Function) -> str:
-    """Return a default value as people read it, where it is a constant or a factory."""
-    if default.endswith("()") and default != "()":
-        return {"dict()": "{}"}[default]
-    if not default.isupper():
-        return default
-    path = Path(str(of.filepath)).relative_to(_PACKAGE).with_suffix("")
-    home = import_module(".".join(("brink", *path.parts)))
-    return str(getattr(home, default, getattr(body, default, default)))
+def _default(of: Any, parameter: inspect.Parameter) -> str:
+    if parameter.default is parameter.empty:
+        return ""
+    if dataclasses.is_dataclass(of):
+        factory = of.__dataclass_fields__[parameter.name].default_factory
+        if factory is not dataclasses.MISSING:
+            return f"={factory()!r}"
+    if isinstance(parameter.default, Enum):
+        return f"={parameter.default.value!r}"
+    return f"={parameter.default!r}"
 
 
-def _first(docstring: Docstring | None) -> str:
-    assert docstring is not None
-    return docstring.value.strip().splitlines()[0]
+def _sections(of: Any) -> Iterator[tuple[DocstringSectionKind, Any]]:
+    for section in Docstring(inspect.getdoc(of) or "").parse("google", warnings=False):
+        yield section.kind, section.value
 
 
-def _words(docstring: Docstring | None) -> str:
-    """Return a docstring as Markdown."""
-    assert docstring is not None
-    lines = []
-    for section in docstring.parse("google"):
-        match section.kind:
-            case DocstringSectionKind.text:
-                lines.append(f"{section.value}\n")
-            case DocstringSectionKind.parameters | DocstringSectionKind.attributes:
-                rows = [f"- `{one.name}`: {_one_line(one.description)}" for one in section.value]
-                lines.append("\n".join(rows) + "\n")
-            case DocstringSectionKind.raises:
-                rows = [f"- `{one.annotation}`: {_one_line(one.description)}" for one in section.value]
-                lines.append("Raises:\n\n" + "\n".join(rows) + "\n")
-            case DocstringSectionKind.returns:
-                lines.append(
-                    "Returns: " + " ".join(_one_line(one.description) for one in section.value) + "\n"
-                )
-            case DocstringSectionKind.examples:
-                code = "\n".join(text for _, text in section.value)
-                lines.append("```python\n" + code + "\n```\n")
-            case _:
-                lines.append(_example(section.value.contents))
-    return "\n".join(lines)
+def _opening(of: Any) -> str:
+    """Return the docstring up to its first section."""
+    return next(str(text) for kind, text in _sections(of) if kind is DocstringSectionKind.text)
 
 
-def _example(text: str) -> str:
-    return "```python\n" + text + "\n```\n"
+def _summary(of: Any) -> str:
+    return _one_line(_opening(of).split("\n\n")[0])
+
+
+def _described(of: Any) -> list[str]:
+    """Return a row for each argument or attribute that a docstring describes."""
+    values = [value for kind, value in _sections(of) if kind in _LISTS]
+    return [f"- `{one.name}`: {_one_line(one.description)}" for value in values for one in value]
+
+
+def _returns(of: Any) -> list[str]:
+    values = [value for kind, value in _sections(of) if kind is DocstringSectionKind.returns]
+    return [_one_line(one.description) for value in values for one in value]
 
 
 def _one_line(text: str) -> str:
