@@ -11,6 +11,8 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+from brink.worker.printable import printable
+
 FORMULA_STARTS: Final = ("=", "+", "-", "@", "\t", "\n", "＝", "＋", "－", "＠")
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?%?|[+-](inf|nan)")
 
@@ -26,6 +28,7 @@ def as_text(cell: object) -> object:
     """Return a cell that no spreadsheet takes for a formula."""
     if cell is None or isinstance(cell, bool | int | float):
         return cell
-    words = str(cell).replace("\r\n", "\n").replace("\r", "\n")  # the csv module would not quote a return
+    # The csv module would not quote a return.
+    words = printable(str(cell).replace("\r\n", "\n").replace("\r", "\n"))
     is_formula = words.startswith(FORMULA_STARTS) and not _NUMBER.fullmatch(words)
     return f"'{words}" if is_formula else words

@@ -45,8 +45,8 @@ from brink.sim.urban.error_process import (
     FloatArray,
 )
 
-LATER: Final = 10
-"""Images after which errors of one road user are alike because of what is constant in them."""
+LATER_S: Final = 1.0
+"""Time after which errors of one road user are alike because of what is constant in them."""
 _ITERATIONS: Final = 20
 _MOST_KEPT: Final = 0.999
 PRIOR: Final = 10.0
@@ -91,7 +91,7 @@ class _Values:
         group: Number of the group, shape ``(n,)``.
         row: Number of the bin of distance, shape ``(n,)``.
         errors: `ERRORS`, shape ``(n, 3)``.
-        back: How many values before is that of the same sighting one image before and `LATER` images before, shape
+        back: How many values before is that of the same sighting one image before and `LATER_S` before, shape
             ``(n, 2)``; 0 if it was not reported then.
     """
 
@@ -190,7 +190,7 @@ def _sightings(life: Sequence[tuple[int, Sample]]) -> Iterator[list[tuple[int, S
 
 def _count(sighting: Sequence[tuple[int, Sample]], drive: _Drive) -> None:
     """Add one sighting."""
-    counts = drive.counts
+    counts, later = drive.counts, _images_later(drive.step_s)
     begins_with_drive = sighting[0][0] == 0
     was_found, since = begins_with_drive, -LONG_AGO if begins_with_drive else sighting[0][0]
     before: Sample | None = None
@@ -203,7 +203,7 @@ def _count(sighting: Sequence[tuple[int, Sample]], drive: _Drive) -> None:
             if not begins_with_drive:
                 counts.add(group, row, AT_ONCE, happens=seen)
         else:
-            age = age_class(number - since)
+            age = age_class(round((number - since) * drive.step_s / PERCEPTION_STEP_S))
             if before.is_seen:
                 counts.add(group, row, LOST + age, happens=not seen)
             else:
@@ -215,10 +215,15 @@ def _count(sighting: Sequence[tuple[int, Sample]], drive: _Drive) -> None:
             if before is not None and before.is_wrong:
                 counts.labels[group] += (sample.is_wrong, 1.0)
             places[number] = here = len(drive.values)
-            back = (here - places.get(number - images, here) for images in (1, LATER))
+            back = (here - places.get(number - images, here) for images in (1, later))
             drive.values.append((group, row, sample.far, sample.right_m, sample.size, *back))
             was_found = True
         before = sample
+
+
+def _images_later(step_s: float) -> int:
+    """Return how many images, each a step after the other, are taken in `LATER_S`."""
+    return max(round(LATER_S / step_s), 2)
 
 
 def _durations(meter: ErrorMeter, times: Sequence[float], label: ObstacleLabel, step_s: float) -> list[float]:
@@ -238,7 +243,8 @@ class _Fit:
         self._labels = np.array([one.counts.labels for one in drives])
         self._hours = np.array([one.hours for one in drives])
         # Images are as far apart in all drives of a recording, or nearly so.
-        self._power = PERCEPTION_STEP_S / float(np.median([one.step_s for one in drives]))
+        step_s = float(np.median([one.step_s for one in drives]))
+        self._power, self._later = PERCEPTION_STEP_S / step_s, _images_later(step_s)
         rows = [(number, *row) for number, one in enumerate(drives) for row in one.values]
         table = np.array(rows, np.float64).reshape(-1, 8)
         whole = table[:, :3].astype(np.int64)
@@ -310,12 +316,13 @@ class _Fit:
         for group in range(len(GROUPS)):
             soon, late = (self._correlation(weights, group, column) for column in (0, 1))
             constant = np.zeros(len(ERRORS))
-            # late = constant + (1 - constant) * keep ** LATER, and soon likewise
+            # late = constant + (1 - constant) * keep ** later, and soon likewise
             for _ in range(_ITERATIONS):
                 keep = np.clip((soon - constant) / (1.0 - constant), 0.0, _MOST_KEPT)
-                constant = np.clip((late - keep**LATER) / (1.0 - keep**LATER), 0.0, _MOST_KEPT)
+                far = keep**self._later
+                constant = np.clip((late - far) / (1.0 - far), 0.0, _MOST_KEPT)
             stays = wrong[group] / of[group] if of[group] else 0.0
-            kept[group] = [*keep**self._power, stays, *constant]
+            kept[group] = [*keep**self._power, stays**self._power, *constant]
         return kept
 
     def _correlation(self, weights: FloatArray, group: int, column: int) -> FloatArray:

@@ -2,7 +2,7 @@
 
 import importlib
 import pkgutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -76,7 +76,26 @@ def read_recording(
         raise RecordingError(f"{detections}: expected at most {MAX_BOXES} boxes, found {boxes}")
     if not any(drive.images for drive in recording.drives.values()):
         raise RecordingError(f"{truth or detections}: expected boxes, found none")
+    _note_copies(recording)
     return recording
+
+
+def _note_copies(recording: Recording) -> None:
+    """Note drives that have the same truth as another, such as a drive under two names."""
+    names: dict[Hashable, list[str]] = {}
+    for name, drive in recording.drives.items():
+        truth = tuple(
+            (time_s, tuple((user.label, tuple(user.sides)) for user in image.road_users))
+            for time_s, image in sorted(drive.images.items())
+        )
+        names.setdefault(truth, []).append(name)
+    copies = [same for same in names.values() if len(same) > 1]
+    if copies:
+        recording.notes.append(
+            f"{sum(map(len, copies)) - len(copies)} drives have exactly the true boxes of another "
+            f"({copies[0][1]} those of {copies[0][0]}, for one): if they are copies, one drive counts several times, "
+            "and intervals are narrower than they should be"
+        )
 
 
 def _named(name: str) -> Format:

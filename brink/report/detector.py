@@ -7,7 +7,7 @@ from typing import Final
 
 from brink import __version__
 from brink.report.episode_strips import Strip
-from brink.report.text import page_template, table_row
+from brink.report.text import markdown_text, page_template, table_row
 from brink.server.api.tolerance import DetectorCell, DetectorView
 from brink.server.campaigns.detector_check import CheckResult
 from brink.server.csv_text import csv_text
@@ -162,7 +162,7 @@ def detector_markdown(view: DetectorView, about: Sequence[str], picture: str | N
         picture: File name of the picture, to show it.
     """
     lines = [
-        f"# {view.detector}: does it meet the requirement?",
+        f"# {markdown_text(view.detector)}: does it meet the requirement?",
         "",
         f"**{view.note}.**",
         "",
@@ -172,12 +172,12 @@ def detector_markdown(view: DetectorView, about: Sequence[str], picture: str | N
     if picture is not None:
         lines += [f"![Shares of drives that violate, with intervals, against the limit]({picture})", ""]
     if view.next:
-        lines += ["## What to record next", "", *(f"- {words}." for words in view.next), ""]
+        lines += ["## What to record next", "", *(f"- {markdown_text(words)}." for words in view.next), ""]
     lines += ["## Results", "", table_row(COLUMNS), table_row(["---"] * len(COLUMNS))]
     lines += [table_row(row_of(cell)) for cell in evidence(view)]
     lines += ["", *small_print(view)]
     if about:
-        lines += ["", "## What was measured", "", *(f"- {words}" for words in about)]
+        lines += ["", "## What was measured", "", *(f"- {markdown_text(words)}" for words in about)]
     return "\n".join(lines) + "\n"
 
 

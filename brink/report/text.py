@@ -1,11 +1,16 @@
 """Numbers and tables as text, and the templates of pages, for reports."""
 
+import re
 from collections.abc import Sequence
 from functools import cache
+from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from brink.search.analysis.statistics import MeanInterval
+from brink.worker.printable import printable
+
+_TAG: Final = re.compile("<(?=[A-Za-z/!?])")
 
 
 def interval_text(value: MeanInterval) -> str:
@@ -24,7 +29,16 @@ def p_text(value: float | None) -> str:
 
 def table_row(cells: Sequence[str]) -> str:
     """Return a row of a Markdown table."""
-    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+    return f"| {' | '.join(markdown_text(cell).replace('|', '/') for cell in cells)} |"
+
+
+def markdown_text(text: str) -> str:
+    """Return a text, of others perhaps, that no Markdown reader takes for HTML, and without control characters."""
+    return _TAG.sub(r"\\<", printable(text).replace("\n", " "))
+
+
+def _without_controls(value: Any) -> Any:
+    return printable(value) if type(value) is str else value  # markup is no plain text
 
 
 @cache
@@ -37,6 +51,7 @@ def page_template(name: str) -> Template:
     environment = Environment(
         loader=PackageLoader("brink.report"),
         autoescape=True,
+        finalize=_without_controls,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

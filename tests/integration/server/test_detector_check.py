@@ -245,12 +245,17 @@ def test_the_worst_episodes_are_shown_on_pictures_of_the_recording(check: Checke
 def test_names_are_text_on_the_page(check: Checked, tmp_path: Path) -> None:
     file = recording(tmp_path)
     hostile = tmp_path / "<img src=x onerror=alert(1)>.csv"
-    hostile.write_text(file.read_text().replace("d0,", "<script>0,"))
+    hostile.write_text(file.read_text().replace("d0,", "<script>\x1b0,"))
     page = tmp_path / "check.html"
     check("--detections", hostile, "--out", page)
     found = Page(page.read_text())
     assert not {"img", "script"} & set(found.tags)
-    assert "&lt;script&gt;0" in page.read_text()
+    assert r"&lt;script&gt;\u001b0" in page.read_text()
+    text = check("--detections", hostile, "--format", "md").stdout
+    assert r"\<script>\u001b0" in text
+    table = check("--detections", hostile, "--format", "csv").stdout
+    assert r"<script>\u001b0" in table
+    assert "\x1b" not in page.read_text() + text + table
 
 
 def test_the_report_of_the_search_checks_the_detector_of_a_campaign(check: Checked, tmp_path: Path) -> None:

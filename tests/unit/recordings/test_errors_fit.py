@@ -116,6 +116,24 @@ def test_a_fit_to_draws_of_a_known_process_gives_it_back() -> None:
     assert found.ghosts[1] == pytest.approx([240.0, 0.5, 0.5, 0.5, 0.5, 0.5])
 
 
+def test_images_at_half_the_rate_are_fitted_by_time_and_not_by_number() -> None:
+    meters = [recorded(known(), seed) for seed in range(60)]
+    for meter in meters:
+        times = [time_s for time_s, _ in meter.ghosts][::2]
+        meter.ghosts = meter.ghosts[::2]
+        kept = set(times)
+        meter.samples = [sample for sample in meter.samples if sample.time_s in kept]
+    found, true = fit_errors(meters, "mine", replicates=0).process, known()
+    for group in range(len(GROUPS)):
+        for row in (bin_of(NEAR), bin_of(FAR)):
+            # A miss that begins and ends between two images is not seen, so that rates are lower, but not by age.
+            ratio = found.shares[group, row, LOST + 1] / found.shares[group, row, LOST + 2]
+            assert ratio == pytest.approx(
+                true.shares[group, row, LOST + 1] / true.shares[group, row, LOST + 2], rel=0.2
+            )
+        assert found.kept[group] == pytest.approx(true.kept[group], abs=0.12)
+
+
 def test_images_at_twice_the_rate_are_fitted_alike() -> None:
     once = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]
     twice = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]

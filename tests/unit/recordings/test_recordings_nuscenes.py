@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.recordings.camera import CameraModel
+from brink.recordings.fit_errors import FEWEST_DRIVES
 from brink.recordings.formats import nuscenes
 from brink.recordings.measure import observe
 from brink.recordings.reading import read_recording
@@ -190,6 +194,24 @@ def test_lead_that_is_lost_for_two_seconds_is_missed_for_two_seconds(tmp_path: P
     assert (detection.label, detection.score) == (ObstacleLabel.VEHICLE, 0.8)
     assert detection.distance_m == drive.images[0.0].road_users[0].distance_m
     assert detection.left_m == drive.images[0.0].road_users[0].left_m
+
+
+def test_errors_are_fitted_to_a_folder_of_scenes_by_one_command(tmp_path: Path) -> None:
+    tables: dict[str, list[dict[str, Any]]] = {}
+    for scene in range(FEWEST_DRIVES):
+        for table, rows in _tables(OBJECTS).items():
+            for row in rows:
+                tokens = {key: f"{scene}-{value}" for key, value in row.items() if key.endswith("token")}
+                tokens |= {key: row[key] for key in ("visibility_token",) if key in row}
+                tables.setdefault(table, []).append(row | tokens)
+        tables["scene"][-1]["name"] = f"scene-{scene:04d}"
+    names = {f"{scene}-{one}": "car" for scene in range(FEWEST_DRIVES) for one in ("lead", "behind")}
+    detections, truth = _write(tmp_path, tables, _results(tables, names))
+    command = ["errors", "fit", str(detections), "--truth", str(truth), "--threshold", "0.5"]
+    done = CliRunner().invoke(app, [*command, "--out", str(tmp_path / "errors.yaml")])
+    assert done.exit_code == 0, (done.output, done.exception)
+    fitted = yaml.safe_load((tmp_path / "errors.yaml").read_text())
+    assert (fitted["drives"], fitted["detector"]) == (FEWEST_DRIVES, "results")
 
 
 def _users(recording: Recording, time_s: float = 0.0) -> dict[str, RoadUser]:

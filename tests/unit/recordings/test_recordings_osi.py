@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from mcap.writer import CompressionType, Writer
+from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.recordings import osi_traces
 from brink.recordings.camera import CameraModel
+from brink.recordings.fit_errors import FEWEST_DRIVES
 from brink.recordings.formats import osi
 from brink.recordings.measure import observe
 from brink.recordings.reading import read_recording
@@ -283,6 +287,19 @@ def test_folders_are_paired_by_name(tmp_path: Path) -> None:
         read_recording(
             _write(tmp_path / "b" / "b_sd.osi", _reports()).parent, _write(tmp_path / "other_gt.osi", [])
         )
+
+
+def test_errors_are_fitted_to_a_folder_of_traces_by_one_command(tmp_path: Path) -> None:
+    for name in range(FEWEST_DRIVES):
+        _write(tmp_path / f"{name}_sd.osi", _reports())
+        _write(tmp_path / f"{name}_sv.osi", _views())
+    out = tmp_path / "errors.yaml"
+    done = CliRunner().invoke(app, ["errors", "fit", str(tmp_path), "--format", "osi", "--out", str(out)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert "4 drives have exactly the true boxes of another (1 those of 0, for one)" in " ".join(
+        done.output.split()
+    )
+    assert yaml.safe_load(out.read_text())["drives"] == FEWEST_DRIVES
 
 
 def test_lane_is_the_hosts_by_assignment_or_straight_ahead(tmp_path: Path) -> None:
