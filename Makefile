@@ -3,7 +3,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 PYTEST  = $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
 # Without PyTorch, the modules that train a network with it cannot be type-checked.
-WITHOUT_TORCH := --follow-imports=silent --exclude 'perception/(network|training)[.]py$$|_torch[.]py$$'
+WITHOUT_TORCH := --follow-imports=silent --exclude 'training/(network|trainer)[.]py$$|_torch[.]py$$'
 # Many tests wait for processes, sockets and disks, so one process more than there are cores keeps them all busy.
 PROCESSES = $(shell $(BIN)/python -c 'import os; print(min(4, 1 + (os.cpu_count() or 1)))')
 PIP    := $(BIN)/python -m pip --disable-pip-version-check

@@ -11,11 +11,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.sample_street import EGO, sample_street, sample_traffic
 from brink.sim.aeb.dataset import example_picture
 from brink.sim.perturbations import CATALOGUE, Frame, Gene, Perturbation, apply, generator
 from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.sample import EGO, sample_street, sample_traffic
 from brink.sim.rendering.scene import Light, PictureCamera, Viewpoint
 from brink.sim.world.scenario import TimeOfDay, Weather
 

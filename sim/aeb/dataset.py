@@ -3,7 +3,7 @@
 The images show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
 disjoint `look` values: the same shapes and textures occur in all three, in other combinations. People stand and
 walk where the emergency-braking episode places them, and elsewhere at all distances. Unusual bodies and
-perturbations never occur, so that both remain unknown to the detector; see `brink.sim.perception.augmentation` for
+perturbations never occur, so that both remain unknown to the detector; see `benchmarks/training/augmentation.py` for
 what training does to the images.
 
 The evaluator measures a detector on a data set seen through perturbations. It has the interface of a simulator, so
@@ -14,11 +14,10 @@ specification gives the same result.
 import math
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from dataclasses import replace
 from enum import IntEnum
 from functools import lru_cache
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -55,8 +54,6 @@ from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10
-SMALL_SHARE: Final = 4
-"""`render_frames` renders one image in this many at half the size, for cameras with fewer pixels."""
 CLEAR_M: Final = 0.5
 """No body stands nearer to the body of the ego car: at such a gap an image shows a crash, not a street."""
 _MAX_YAW_RAD: Final = 0.05
@@ -97,30 +94,6 @@ def example_picture() -> Picture:
     """Return an image of a street at noon with vehicles and people, shape ``(720, 1280, 3)``."""
     *_, frame = labelled_frames(Split.TEST, 6, seed=8, width_px=1280)
     return frame.picture
-
-
-def render_frames(pool: Executor, split: Split, count: int) -> Iterator[LabelledFrame]:
-    """Yield labelled images rendered by several processes, first those of full size, then some of half the size.
-
-    Args:
-        pool: Processes, or threads.
-        split: One of the three disjoint sets.
-        count: Number of images.
-    """
-    small = count // SMALL_SHARE
-    jobs = [
-        (split, min(FRAMES_A_STREET, part - start), seed, width_px, start // FRAMES_A_STREET)
-        for part, seed, width_px in ((count - small, 0, SIZE_PX[0]), (small, 1, SIZE_PX[0] // 2))
-        for start in range(0, part, FRAMES_A_STREET)
-    ]
-    return chain.from_iterable(pool.map(_render_street, jobs))
-
-
-def _render_street(job: tuple[Split, int, int, int, int]) -> list[LabelledFrame]:
-    """Return the images of one street, given split, number of images, seed, width in px and number of the street."""
-    split, count, seed, width_px, street = job
-    cv2.setNumThreads(1)
-    return list(labelled_frames(split, count, seed, width_px=width_px, first_street=street))
 
 
 def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Iterator[LabelledFrame]:

@@ -284,7 +284,7 @@ class NetworkDetector:
 
     Args:
         session: A network with one input of shape ``(1, 3, h, w)``, h and w divisible by `SIDE_PX`, and the outputs
-            described in `brink.sim.perception.network`.
+            that `decode` takes.
         source: Its file, named in messages.
 
     Raises:

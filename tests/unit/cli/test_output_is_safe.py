@@ -99,8 +99,6 @@ def test_nobody_writes_csv_or_to_the_terminal_by_another_way() -> None:
         ("worker/run.py", "terminal"),  # a wrong setting, before the log is set up
         ("scenarios/replay_in_carla.py", "terminal"),  # copied beside an exported drive, to run without Brink
         ("sim/perception/detector.py", "terminal"),  # read by the process that started it
-        ("sim/aeb/__main__.py", "terminal"),  # programs that train detectors
-        ("sim/perception/training.py", "terminal"),
     }
 
 

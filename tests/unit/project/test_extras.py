@@ -51,12 +51,7 @@ def test_a_large_extra_is_needed_by_nothing_but_what_it_is_for() -> None:
     command = [sys.executable, "-c", IMPORT_ALL, ",".join(LARGE)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=240)
     failed = {name for name in done.stdout.split() if not name.startswith("brink.sim.adapters.sumo.")}
-    assert failed == {
-        "brink.sim.perception.network",
-        "brink.sim.perception.quantisation",
-        "brink.sim.perception.training",
-        "brink.worker.ray_pool",
-    }
+    assert failed == {"brink.worker.ray_pool"}
 
 
 def test_tests_outside_files_for_torch_import_no_large_extra_when_they_are_collected() -> None:

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from support.marks import mostly_long
 
+from benchmarks.training.images import render_frames
 from brink.pictures import ReplayError, render
 from brink.pictures.frame import FramePainter
 from brink.pictures.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
 from brink.pictures.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
 from brink.sim import catalogue
 from brink.sim.aeb import dataset
-from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames, render_frames
+from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
 from brink.sim.aeb.recorder import MAX_PICTURE_BYTES, _FilmRecorder
 from brink.sim.aeb.scores import rescore
 from brink.sim.aeb.sight import CameraShot

@@ -14,13 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from brink.sim.errors import InvalidEpisode
-from brink.sim.perception import training
-from brink.sim.perception.boxes import GroundTruth, mean_average_precision
-from brink.sim.perception.detector import NetworkDetector, decode, find_detector, load_file_detector
-from brink.sim.perception.network import Network, detection_loss, make_target
-from brink.sim.perception.quantisation import quantise
-from brink.sim.perception.training import (
+from benchmarks.training import trainer
+from benchmarks.training.network import Network, detection_loss, make_target
+from benchmarks.training.quantisation import quantise
+from benchmarks.training.trainer import (
     INPUT_PX,
     Settings,
     TrainingSet,
@@ -30,6 +27,9 @@ from brink.sim.perception.training import (
     to_tensor,
     train,
 )
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.boxes import GroundTruth, mean_average_precision
+from brink.sim.perception.detector import NetworkDetector, decode, find_detector, load_file_detector
 from brink.sim.perception.user_files import DetectorError, check_loads, weights_digest
 
 pytestmark = pytest.mark.long("needs torch")
@@ -313,9 +313,9 @@ class TestNetworks:
 @pytest.fixture(scope="module", autouse=True)
 def small_batches() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(training, "BATCH", 8)
-        patched.setattr(training, "VALIDATION_EVERY", 2)
-        patched.setattr(training, "find_device", lambda: torch.device("cpu"))
+        patched.setattr(trainer, "BATCH", 8)
+        patched.setattr(trainer, "VALIDATION_EVERY", 2)
+        patched.setattr(trainer, "find_device", lambda: torch.device("cpu"))
         yield
 
 
@@ -374,9 +374,9 @@ def test_an_interrupted_training_goes_on_with_the_same_result(
         trained += 1
         return train_epoch(*given)
 
-    train_epoch = training._train_epoch
+    train_epoch = trainer._train_epoch
     with monkeypatch.context() as patched:
-        patched.setattr(training, "_train_epoch", counted)
+        patched.setattr(trainer, "_train_epoch", counted)
         with pytest.raises(KeyboardInterrupt):
             weights_after(tmp_path, street_images)
         assert torch.load(tmp_path / "training.pt")["epoch"] == complete

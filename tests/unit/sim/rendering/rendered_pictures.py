@@ -3,8 +3,8 @@
 import hashlib
 from functools import cache
 
+from benchmarks.sample_street import EGO, fallen_tree, sample_street, sample_traffic, vehicle
 from brink.sim.rendering import BodyKind, Light, PictureCamera, Renderer
-from brink.sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
 from brink.sim.world.scenario import TimeOfDay, Weather
 
 CAMERA = PictureCamera(width_px=320, height_px=192)

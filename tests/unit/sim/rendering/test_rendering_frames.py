@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rendered_pictures import CAMERA, NIGHT_RAIN, STREET, UNUSUAL, digest, night
 
+from benchmarks.sample_street import EGO, sample_traffic, vehicle
 from brink.sim.rendering import (
     Body,
     BodyKind,
@@ -28,7 +29,6 @@ from brink.sim.rendering import (
     Viewpoint,
     visible_bodies,
 )
-from brink.sim.rendering.sample import EGO, sample_traffic, vehicle
 from brink.sim.rendering.street import FIRST_PARKED_ID, street_from_road
 from brink.sim.world.road import Road, build_road
 from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.sample_street import fallen_tree, sample_street, sample_traffic
 from brink.sim.rendering import (
     Body,
     BodyKind,
@@ -22,7 +23,6 @@ from brink.sim.rendering import (
     visible_bodies,
 )
 from brink.sim.rendering.canvas import seen_bodies
-from brink.sim.rendering.sample import fallen_tree, sample_street, sample_traffic
 from brink.sim.rendering.scene import footprint
 from brink.sim.rendering.view import clip_near, make_view
 from brink.sim.world.scenario import TimeOfDay, Weather

@@ -1,8 +1,9 @@
 """Train and quantise `brink-det@2` on images of the emergency-braking street.
 
-python -m brink.sim.aeb train --out FOLDER              writes brink-det-2.onnx, brink-det-2-float.onnx in floating
-                                                        point, and brink-det-2.json about the training
-python -m brink.sim.aeb quantise FLOAT.onnx --out FOLDER  writes brink-det-2.onnx from the network in floating point
+python -m benchmarks.training train --out FOLDER
+    writes brink-det-2.onnx, brink-det-2-float.onnx in floating point, and brink-det-2.json about the training
+python -m benchmarks.training quantise FLOAT.onnx --out FOLDER
+    writes brink-det-2.onnx from the network in floating point
 
 A run that was interrupted goes on from its last complete epoch when it is started again. `python -m benchmarks
 detector` measures the result.
@@ -17,7 +18,8 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.aeb.dataset import Split, labelled_frames, render_frames
+from benchmarks.training.images import render_frames
+from brink.sim.aeb.dataset import Split, labelled_frames
 from brink.sim.perception.boxes import mean_average_precision
 from brink.sim.perception.detector import NetworkDetector, fit_picture
 
@@ -40,23 +42,23 @@ def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
     Raises:
         ValueError: A number is too small, or the output folder has the state of another training.
     """
-    from brink.sim.perception import training  # loads torch
+    from benchmarks.training import trainer  # loads torch
 
-    settings = training.Settings(frames=frames, epochs=epochs, seed=seed)
-    training.make_deterministic()
+    settings = trainer.Settings(frames=frames, epochs=epochs, seed=seed)
+    trainer.make_deterministic()
     out.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         validation, test, pictures = (
-            training.collect(render_frames(pool, split, count), count, split.name.lower())
+            trainer.collect(render_frames(pool, split, count), count, split.name.lower())
             for split, count in (
                 (Split.VALIDATION, HELD_OUT_FRAMES),
                 (Split.TEST, HELD_OUT_FRAMES),
                 (Split.TRAIN, frames),
             )
         )
-    network, record = training.train(pictures, validation, settings, out)
+    network, record = trainer.train(pictures, validation, settings, out)
     calibration = pictures.planes[:CALIBRATION_FRAMES]
-    training.write_results(network, test, calibration, out, record=record)
+    trainer.write_results(network, test, calibration, out, record=record)
 
 
 def quantise_weights(weights: Path, out: Path) -> None:
@@ -66,7 +68,7 @@ def quantise_weights(weights: Path, out: Path) -> None:
         weights: ONNX file of the network in floating point.
         out: Output folder.
     """
-    from brink.sim.perception.quantisation import quantise  # loads onnx
+    from benchmarks.training.quantisation import quantise  # loads onnx
 
     out.mkdir(parents=True, exist_ok=True)
     size_px = NetworkDetector.from_file(weights).input_px
@@ -84,7 +86,7 @@ def quantise_weights(weights: Path, out: Path) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Parse the arguments and train."""
     parser = argparse.ArgumentParser(
-        prog="python -m brink.sim.aeb",
+        prog="python -m benchmarks.training",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,7 +1,7 @@
-"""Builds the road networks that `sumo@1` ships with: ``python -m brink.sim.adapters.sumo.build NETCONVERT``.
+"""Builds the road networks that `sumo@1` ships with: ``python -m benchmarks.sumo_roads NETCONVERT``.
 
 NETCONVERT is the program of that name from SUMO 1.28, for example from the package ``eclipse-sumo``. It turns the
-nodes and edges below into the files in ``roads/``, which are committed: nobody else needs the program.
+nodes and edges below into the committed files in ``sim/adapters/sumo/roads/``: nobody else needs the program.
 """
 
 import gzip
@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-ROADS: Final = Path(__file__).parent / "roads"
+from brink.sim.adapters import sumo
+
+ROADS: Final = Path(sumo.__file__).parent / "roads"
 _OPTIONS: Final = (
     "--no-turnarounds",
     "--offset.disable-normalization",
@@ -241,7 +243,7 @@ def _write(path: Path, root: str, items: "Iterator[str] | Sequence[str]") -> Non
 def main() -> None:
     """Write every network."""
     if len(sys.argv) != 2:
-        sys.exit(f"usage: python -m brink.sim.adapters.sumo.build NETCONVERT\n\n{__doc__}")
+        sys.exit(f"usage: python -m benchmarks.sumo_roads NETCONVERT\n\n{__doc__}")
     for name in PLANS:
         # No time of compression: equal networks are equal files.
         (ROADS / f"{name}.net.xml.gz").write_bytes(gzip.compress(build(name, sys.argv[1]), mtime=0))

@@ -1,4 +1,4 @@
-"""Render sample images and contact sheets: ``python -m brink.sim.rendering --out FOLDER``."""
+"""Render sample images and contact sheets: ``python -m benchmarks.contact_sheet --out FOLDER``."""
 
 import argparse
 import math
@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.sample_street import EGO, fallen_tree, person, sample_street, sample_traffic, vehicle
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.sample import EGO, fallen_tree, person, sample_street, sample_traffic, vehicle
 from brink.sim.rendering.scene import Body, BodyKind, Light, Picture, PictureCamera, StreetScene
 from brink.sim.rendering.street import street_from_road
 from brink.sim.world.road import build_road
@@ -21,7 +21,7 @@ _COLUMNS = 3
 
 def main() -> None:
     """Write all images, and contact sheets that show them side by side."""
-    parser = argparse.ArgumentParser(prog="python -m brink.sim.rendering", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.contact_sheet", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="output folder, created if missing")
     parser.add_argument("--seed", type=int, default=3, help="seed of textures, clouds and the sun's position")
     arguments = parser.parse_args()

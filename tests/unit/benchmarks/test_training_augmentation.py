@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from brink.sim.perception import augmentation
-from brink.sim.perception.augmentation import augment, collage, mirror, zoom
+from benchmarks.training import augmentation
+from benchmarks.training.augmentation import augment, collage, mirror, zoom
 from brink.sim.perception.boxes import GroundTruth
 from brink.sim.perturbations.catalogue import CATALOGUE
 

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torch.utils.data import DataLoader, Dataset
 
-from brink.sim.perception.augmentation import augment
+from benchmarks.training.augmentation import augment
+from benchmarks.training.network import HEAD_WIDTH, WIDTHS, Network, Target, detection_loss, make_target
+from benchmarks.training.quantisation import quantise
 from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame, curves, mean_average_precision
 from brink.sim.perception.detector import LABELS, NetworkDetector, Picture, decode, fit_picture
-from brink.sim.perception.network import HEAD_WIDTH, WIDTHS, Network, Target, detection_loss, make_target
-from brink.sim.perception.quantisation import quantise
 
 INPUT_PX: Final = (448, 256)
 """Width and height of the network's input."""
