@@ -1,7 +1,7 @@
 """The problem `sumo-drivers@1`: traffic in SUMO in which automated vehicles perceive what is ahead with an error.
 
 The scenario is the traffic, the behaviour is one error; without it, automated vehicles perceive the truth. Source:
-ours; see docs/how-to/use-sumo.md.
+ours; see docs/how-to/use-other-simulators.md.
 """
 
 from collections.abc import Collection, Mapping
