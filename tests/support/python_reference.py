@@ -125,8 +125,7 @@ def _members(of: type, kind: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _method(name: str, method: Any) -> Iterator[str]:
-    returns = "".join(f" Returns: {text}" for text in _returns(method))
-    yield f"- `.{_signature(method, name)}`: {_summary(method)}{returns}"
+    yield f"- `.{_signature(method, name)}`: {_summary(method)}{_returns(method)}"
     if name in _EXPLAINED:
         yield from (f"  {row}" for row in _described(method))
 
@@ -173,9 +172,11 @@ def _described(of: Any) -> list[str]:
     return [f"- `{one.name}`: {_one_line(one.description)}" for value in values for one in value]
 
 
-def _returns(of: Any) -> list[str]:
+def _returns(of: Any) -> str:
+    """Return what a docstring says of the result, if that is more than its summary."""
     values = [value for kind, value in _sections(of) if kind is DocstringSectionKind.returns]
-    return [_one_line(one.description) for value in values for one in value]
+    lines = [one.description for value in values for one in value]  # the parser takes each line for a value
+    return f" Returns: {_one_line(' '.join(lines))}" if lines else ""
 
 
 def _one_line(text: str) -> str:
