@@ -8,7 +8,7 @@ import typer
 from benchmarks.cli.errors import errors
 from benchmarks.cli.monitors import guard, monitor, monitor_accuracy
 from benchmarks.cli.perception import detector, perturbations, rendering, simood
-from benchmarks.cli.searches import heredity, mumoea, paper, search
+from benchmarks.cli.searches import mumoea, paper, search
 from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns
 from benchmarks.cli.statistics import coverage
 from benchmarks.cli.urban import control, difficulty, drivers, sim
@@ -35,7 +35,6 @@ for _command in (
     perturbations,
     search,
     paper,
-    heredity,
     mumoea,
     monitor,
     monitor_accuracy,

@@ -1,4 +1,4 @@
-"""`python -m benchmarks search | paper | heredity | mumoea`: the cost of a search, and what its methods find."""
+"""`python -m benchmarks search | paper | mumoea`: the cost of a search, and what its methods find."""
 
 import asyncio
 from pathlib import Path
@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import httpx
 import typer
-import yaml
-from rich.console import RenderableType
 
 from benchmarks.cli.output import (
     Processes,
@@ -21,28 +19,15 @@ from benchmarks.cli.output import (
 from brink.api.client import TIMEOUT, Api
 from brink.cli.campaigns import follow
 from brink.cli.compare import compared, print_rows, rows_json
-from brink.cli.local import RunOptions
-from brink.cli.options import (
-    RESULTS,
-    AsJson,
-    Database,
-    New,
-    Resume,
-    Workers,
-    about_file,
-    console,
-    file_name,
-    write_json,
-)
+from brink.cli.options import RESULTS, AsJson, console
 from brink.search.analysis.comparison import Row as ComparisonRow
 from brink.server.api.schemas import CampaignView
 from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.errors import InvalidInput
-from brink.server.experiments.body import read_experiment_file
 
 if TYPE_CHECKING:
-    from benchmarks.heredity import Heredity
+    pass
 
 HEREDITY_FILE = Path("examples") / "heredity.yaml"
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
@@ -111,78 +96,6 @@ async def _paper(
             await follow(api, campaign, as_json=False, quiet=quiet)
             times[body.name] = (await api.read(CampaignProgress, f"/campaigns/{campaign}/progress")).elapsed_s
         return times, await compared(api, ids, control=control)
-
-
-def heredity(
-    file: Annotated[
-        Path, typer.Argument(metavar="[FILE]", help="Experiment file of the study.")
-    ] = HEREDITY_FILE,
-    seeds: Annotated[
-        int | None, typer.Option(min=1, max=100, help="Number of seeds (default: those of the file, 10).")
-    ] = None,
-    simulations: Annotated[
-        int | None, typer.Option(min=100, help="Simulations a campaign (default: those of the file, 1,300).")
-    ] = None,
-    workers: Workers = 2,
-    database: Database = None,
-    resume: Resume = False,
-    new: New = False,
-    out: Annotated[Path, typer.Option(help="Folder for the experiment file, report and figures.")] = RESULTS,
-    as_json: AsJson = False,
-) -> None:
-    """Measure what selection contributes to MLCSHE at several mutation rates: DBS at t_b .05, .10 and .15.
-
-    Every search of the file runs with and without selection, and each has its behaviour-blind control. Ctrl-C stops
-    cleanly; the same command with --resume continues.
-
-    Example: python -m benchmarks heredity
-
-    Example: python -m benchmarks heredity --seeds 2 --simulations 200
-    """
-    from benchmarks.heredity import heredity_of, sized, twins_of
-    from brink.cli.experiment_run import repeats_of, run_experiment
-
-    with about_file(file):
-        body = sized(read_experiment_file(file), seeds=seeds, simulations=simulations)
-        twins = twins_of(body)
-    out.mkdir(parents=True, exist_ok=True)
-    copy = out / f"{file_name(body.name)}.yaml"  # of the chosen size: what --resume looks for
-    copy.write_text(yaml.safe_dump(body.document(), sort_keys=False), encoding="utf-8")
-    options = RunOptions(
-        file=copy, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database
-    )
-    if (
-        run_experiment(
-            body,
-            options,
-            show=lambda results, files: _show_heredity(
-                heredity_of(repeats_of(results), twins), results.name, files[0].parent, as_json=as_json
-            ),
-        )
-        is None
-    ):
-        raise typer.Exit(1)
-
-
-def _show_heredity(study: "Heredity", name: str, folder: Path, *, as_json: bool) -> None:
-    """Print the study of heredity, and write it and its figures to the folder of the report."""
-    from benchmarks.heredity import T_BS, figure_heredity
-    from brink.plots.style import DPI
-    from brink.report.experiment import NAMES
-
-    columns = [f"t_b {t_b:g}" for t_b in T_BS]
-    shown: list[RenderableType] = []
-    write_json(folder / "heredity.json", study.document())
-    for measure, words in NAMES.items():
-        picture = figure_heredity(study, measure, f"{name}: what selection contributes")
-        picture.savefig(folder / f"heredity-{measure}.png", dpi=DPI, metadata={"Software": None})
-        shown += [
-            value_table((words, *columns), study.rows(measure)),
-            value_table((f"{words}: A12, corrected p", *columns), study.effect_rows(measure)),
-            value_table((f"{words}, controls: A12, corrected p", *columns), study.control_rows(measure)),
-            "",
-        ]
-    conclude(study.document(), *shown, *study.conclusions(), f"report and figures: {folder}", as_json=as_json)
 
 
 def mumoea(

@@ -65,6 +65,12 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
     port: Port = None,
     alpha: Alpha = LEVEL,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Number of seeds, instead of those of the file.")
+    ] = None,
+    simulations: Annotated[
+        int | None, typer.Option(min=1, help="Simulations of each campaign, instead of those of the file.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Run every algorithm on every problem with every seed, and write a report that compares them.
@@ -72,6 +78,8 @@ def run(
     Ctrl-C stops cleanly; the same command with --resume continues.
 
     Example: brink experiment run examples/paper-rq1.yaml --workers 2
+
+    Example: brink experiment run examples/heredity.yaml --seeds 2 --simulations 300
     """
     # Imported here, and below: the other commands need neither a coordinator nor the search.
     from brink.cli.experiment_run import run_experiment
@@ -86,9 +94,15 @@ def run(
         json=as_json,
         database=database,
         port=port,
+        sizes=tuple(
+            f"{option} {number}"
+            for option, number in (("--seeds", seeds), ("--simulations", simulations))
+            if number is not None
+        ),
     )
     with about_file(file):
-        found = run_experiment(read_experiment_file(file), options, alpha=alpha)
+        body = read_experiment_file(file).sized(seeds, simulations)
+        found = run_experiment(body, options, alpha=alpha)
     raise typer.Exit(int(found is None))
 
 

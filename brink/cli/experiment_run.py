@@ -1,11 +1,9 @@
 """Running an experiment to its end on this machine, and its results as tables, figures and a report."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
-from typing import TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -61,11 +59,8 @@ class FinishedExperiment:
     folder: Path
 
 
-Show: TypeAlias = Callable[[Results, Sequence[Path]], None]
-
-
 def run_experiment(
-    body: ExperimentBody, options: RunOptions, *, alpha: float = LEVEL, show: Show | None = None
+    body: ExperimentBody, options: RunOptions, *, alpha: float = LEVEL
 ) -> FinishedExperiment | None:
     """Run an experiment to its end on this machine and write its report.
 
@@ -73,7 +68,6 @@ def run_experiment(
         body: The experiment.
         options: How to run it.
         alpha: Corrected p-value up to which a difference is significant, in (0, 1).
-        show: Shows the results and names the files of the report; None for tables and sentences, or JSON.
 
     Returns:
         The results; None if the experiment was stopped or ended unfinished, or follow-ups of its pairs did.
@@ -100,15 +94,13 @@ def run_experiment(
             )
             if session.stop.is_set():
                 screen.print("stopped; nothing is lost")
-                session.hint("continue with", f"experiment run {quote(str(options.file))} --resume")
+                session.hint("continue with", f"experiment {options.resume_command}")
                 return None
         results = await fetch_results(session.api, progress.id, screen, alpha=alpha)
         folder = options.out / f"{file_name(body.name)}-{progress.id}"
         with Steps(screen, "drawing the report"):
             files = await asyncio.to_thread(write_report, results, progress.elapsed_s, body, folder)
-        if show is not None:
-            show(results, files)
-        elif options.json:
+        if options.json:
             print_json({**results.model_dump(mode="json"), "files": [str(path) for path in files]})
         else:
             print_results(screen, results)

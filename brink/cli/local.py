@@ -116,6 +116,7 @@ class RunOptions:
         json: Whether to print the results as JSON.
         database: Database URL; None takes the default one.
         port: Port of the coordinator; 0 picks a free port, None the usual one unless it is in use.
+        sizes: Options that change what the file says.
     """
 
     file: Path
@@ -126,6 +127,12 @@ class RunOptions:
     json: bool
     database: str | None = None
     port: int | None = None
+    sizes: tuple[str, ...] = ()
+
+    @property
+    def resume_command(self) -> str:
+        """The command that continues the run, without the command group."""
+        return " ".join(["run", quote(str(self.file)), *self.sizes, "--resume"])
 
 
 class Workload(Protocol[ProgressT]):
@@ -267,7 +274,7 @@ def run_to_end(
                 screen.print(
                     f"stopped at {progress.simulations:,} of {progress.budget:,} simulations; nothing is lost"
                 )
-                session.hint("continue with", f"{workload.command}run {quote(str(options.file))} --resume")
+                session.hint("continue with", f"{workload.command}{options.resume_command}")
                 return None
             if progress.status is not CampaignStatus.FINISHED:
                 screen.print(f"{workload.noun} {name} is {progress.status}")

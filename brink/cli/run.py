@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -185,7 +184,7 @@ async def _finish(
         _print_summary(session.screen, options.file, body, progress, report, summary, session.database)
     if session.stop.is_set():
         session.screen.print("interrupted: some figures are missing", style="yellow")
-        session.hint("draw them with", f"run {quote(str(options.file))} --resume")
+        session.hint("draw them with", options.resume_command)
         return False
     return repeated is None or repeated.status is CampaignStatus.FINISHED
 

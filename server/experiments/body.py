@@ -168,6 +168,23 @@ class ExperimentBody(Body):
             del document["pairs"]  # the hashes of older submissions stay valid
         return document
 
+    def sized(self, seeds: int | None, simulations: int | None) -> "ExperimentBody":
+        """Return the experiment at another size.
+
+        Args:
+            seeds: Number of seeds, counted from the first; None for those of the experiment.
+            simulations: Budget of each campaign; None for that of the experiment.
+
+        Raises:
+            InvalidInput: The size is not possible.
+        """
+        document = self.document()
+        if seeds is not None:
+            document["seeds"] = {"first": self.seeds[0], "count": seeds}
+        if simulations is not None:
+            document["budget"] = {**document["budget"], "simulations": simulations}
+        return parse_experiment(document)
+
     def cells(self) -> list["Cell"]:
         """Return the campaigns ordered by seed, so that each seed's comparison is complete before the next begins."""
         return [

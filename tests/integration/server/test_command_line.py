@@ -23,7 +23,6 @@ from support.databases import Databases, on_sqlite
 from support.queue import Queue
 from typer.testing import CliRunner
 
-from benchmarks.cli import bench
 from brink.cli import campaigns, commands, perturbations
 from brink.cli.commands import app
 from brink.cli.main import main
@@ -575,36 +574,37 @@ def test_searches_with_other_settings_become_an_experiment(databases: Databases,
 
 @on_sqlite
 @pytest.mark.long("runs an experiment")
-def test_study_of_heredity_runs_at_the_chosen_size(databases: Databases, tmp_path: Path) -> None:
+def test_an_experiment_runs_at_the_chosen_size(databases: Databases, tmp_path: Path) -> None:
     file, out = tmp_path / "study.yaml", tmp_path / "out"
-    params = {"population_size": 5, "archive_size": 2}
     study = {
         "name": "study",
         "problems": [{"id": "mtq@1"}],
         "seeds": {"count": 9},
         "budget": {"simulations": 1300},
-        "algorithms": [
-            {"name": "one", "id": "mlcshe@1", "params": params},
-            {"name": "other", "id": "mlcshe@1", "params": {**params, "selection": "none"}},
-        ],
+        "algorithms": [{"name": "one", "id": "random@1"}, {"name": "other", "id": "random@1"}],
     }
     file.write_text(yaml.safe_dump(study))
     size = ["--seeds", "2", "--simulations", "100"]
     with databases.database() as url:
-        command = ["heredity", str(file), *size, "--workers", "1", "--database", url, "--out", str(out)]
-        said = CliRunner().invoke(bench, command)
-        assert said.exit_code == 0, said.output
-        again = CliRunner().invoke(bench, [*command, "--resume", "--json"])
+        command = [
+            "experiment",
+            "run",
+            str(file),
+            *size,
+            "--workers",
+            "1",
+            "--database",
+            url,
+            "--out",
+            str(out),
+        ]
+        first = CliRunner().invoke(app, [*command, "--json"])
+        assert first.exit_code == 0, first.output
+        again = CliRunner().invoke(app, [*command, "--resume", "--json"])
         assert again.exit_code == 0, again.output
-    assert "strict DBS, selection: no difference is significant" in said.output
-    [folder] = [path for path in out.iterdir() if path.is_dir()]
-    found = json.loads((folder / "heredity.json").read_text())
-    assert {one["method"] for one in found["values"]} == {"one", "other"}
-    assert all(len(one["values"]) == 2 for one in found["values"])
-    assert len(found["effects"]) == 2 * 3, "measures, t_b"
-    for measure in ("dbs", "strict"):
-        with Image.open(folder / f"heredity-{measure}.png") as drawn:
-            assert drawn.width == 1600
+    found, same = (json.loads(one.stdout) for one in (first, again))
+    assert [one["evaluated"] for one in found["repeats"]] == [100] * 4
+    assert same["id"] == found["id"]
 
 
 @pytest.mark.parametrize(
