@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 from support.api import ball, undisturbed_digest
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import BRINK, TOY, Program, brink, site
 from typer.testing import CliRunner
 
@@ -82,20 +82,6 @@ def test_a_run_beside_a_coordinator_on_the_same_file_changes_neither(tmp_path: P
         assert [one["status"] for one in listed] == ["finished", "finished"]
     checked = brink("doctor", "--thorough", "--database", database, cwd=tmp_path, env=TOY)
     assert checked.returncode == 0, checked.stdout
-
-
-@on_sqlite
-@pytest.mark.long("runs a campaign twice")
-def test_a_second_run_is_a_campaign_with_the_same_digest(databases: Databases, tmp_path: Path) -> None:
-    file = written(tmp_path, KNOWN_BOUNDARY)
-    command = ("run", file, "--workers", "1", "--no-pictures", "--json", "--database")
-    with databases.database(migrated=False) as url:
-        first, second = (json.loads(brink(*command, url, cwd=tmp_path).stdout) for _ in range(2))
-    assert first["digest"] == second["digest"]
-    assert first["evaluated"] >= 120
-    for name in (*first["files"], *second["files"]):
-        assert (tmp_path / name).stat().st_size > 0
-    assert len(list((tmp_path / "brink-results").glob("known-boundary-*"))) == 2
 
 
 @pytest.mark.long("runs a campaign twice")

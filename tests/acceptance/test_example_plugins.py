@@ -96,21 +96,6 @@ def test_an_edited_plugin_is_simulated_again_under_the_same_id(tmp_path: Path) -
     assert again["digest"] == before["digest"]
 
 
-@pytest.mark.long("runs two campaigns, each in a process of its own")
-def test_a_campaign_starts_from_an_earlier_one_with_real_workers(tmp_path: Path) -> None:
-    lines = [
-        "name: brakes",
-        "problem: {id: brake-assist@1}",
-        "algorithm: {id: edge@1}",
-        "budget: {simulations: 60}",
-    ]
-    earlier = run_campaign("brake_assist", [*lines, "seed: 1"], tmp_path)
-    start = f"start_from: {{campaign: '{earlier['campaign']}'}}"
-    warm = run_campaign("brake_assist", [*lines, "seed: 2", start], tmp_path)
-    assert (warm["evaluated"], warm["failed"]) == (60, 0)
-    assert warm["digest"] != earlier["digest"]
-
-
 def test_every_example_passes_the_checks_that_the_documentation_recommends() -> None:
     modules = [file.stem for file in sorted(PLUGINS.glob("*.py"))]
     assert len(modules) >= 4

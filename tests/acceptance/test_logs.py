@@ -129,22 +129,3 @@ def test_no_secret_is_logged_at_any_level(database: str, tmp_path: Path, environ
         for secret in (password, token, guess, key, "Bearer"):
             assert secret not in output, f"the {program} logged it"
     assert "***" in said["coordinator"], "the address of the database is shown without its password"
-
-
-@pytest.mark.long("test_long_polling.py watches this in one process")
-def test_a_worker_that_is_gone_and_its_leases_are_logged(database: str, tmp_path: Path) -> None:
-    settings = {**JSON_LOGS, "BRINK_LEASE_S": "0.5", "BRINK_WORKER_SEEN_S": "0.5"}
-    with site(tmp_path, database, settings) as running:
-        campaign = running.submit(ball())
-        identity = {"id": "gone", "host": "elsewhere", "pid": 1}
-        body = {"worker": identity, "capabilities": ["faulty@1"], "max_jobs": 1, "wait_s": 5}
-        [job] = httpx.post(f"{running.url}/api/v1/jobs/lease", json=body).json()["jobs"]
-        assert job["campaign"] == campaign
-        assert running.coordinator is not None
-        running.coordinator.await_line('"lease ran out"')
-        running.coordinator.await_line('"worker gone"')
-        coordinator = records(running.coordinator)
-    [lost] = about(coordinator, "lease ran out")
-    assert (lost["campaign"], lost["job"], lost["worker"]) == (campaign, job["job"], "gone")
-    [gone] = about(coordinator, "worker gone")
-    assert (gone["worker"], gone["host"]) == ("gone", "elsewhere")

@@ -148,13 +148,6 @@ def test_workers_that_are_refused_end_the_pool(running: Site) -> None:
     assert "token rejected" in started.output, "what the workers said is shown"
 
 
-def test_a_cluster_that_is_not_there_is_told_in_a_line(running: Site) -> None:
-    started = pool(running, "--ray", "auto")
-    assert started.wait() == 1
-    assert "brink: --ray auto: " in started.output
-    assert "Traceback" not in started.output
-
-
 def test_a_pool_follows_its_cluster(running: Site) -> None:
     with node(running, *HEAD) as head:
         address = address_of(head)

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Locator, Page, Route
+from playwright.sync_api import Locator, Page
 from playwright.sync_api import expect as shown
 from support.api import ball, expect, progress, submit
 
 from browser.canvas import becomes, changes, picture
 from browser.served import API, LOOSE, NOBODYS, Served, loose
-from browser.visits import Browse, Visits
+from browser.visits import Browse
 
 
 @pytest.fixture
@@ -223,30 +223,6 @@ def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, browse: Browse
     shown(state).to_have_text("cancelled")
     assert progress(site.client, campaign)["status"] == "cancelled"
     shown(page.get_by_role("button", name="Resume steered")).to_have_count(0)
-
-
-def test_many_types_of_violations_are_folded(site: Served, traffic: str, visit: Visits) -> None:
-    page = visit(site.url, "#/nowhere")
-
-    def multiplied(route: Route) -> None:
-        found = route.fetch().json()
-        found["types"] = [
-            {**kind, "type": f"{kind['type']}, {copy}"} for copy in range(40) for kind in found["types"]
-        ][:40]
-        route.fulfill(json=found)
-
-    page.route("**/violations?*", multiplied)
-    page.goto(f"{site.url}/#/campaigns/{traffic}")
-    table = page.get_by_role("table", name=re.compile("40 types by the rules.*; the first 20"))
-    shown(table.locator("tbody tr")).to_have_count(20)
-    page.get_by_role("button", name="Show all 40 types").click()
-    rows = page.locator("table.types tbody tr")
-    shown(rows).to_have_count(40)
-    shown(rows.first.get_by_text(re.compile(r"^\d+ of \d+$"))).to_be_visible()
-    heights = {
-        cell.evaluate("cell => cell.getClientRects().length") for cell in rows.first.get_by_role("link").all()
-    }
-    assert heights == {1}, "the link to the example is on one line"
 
 
 def test_a_campaign_is_deleted_only_when_that_is_confirmed(site: Served, browse: Browse) -> None:

@@ -9,13 +9,10 @@ from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, expect, finish, submit
 
-from brink.server.states import Scope
 from browser.console import Console
 from browser.served import API, NOBODYS, origin
 from browser.test_browser_accessibility import RULES, faults
-from browser.test_browser_layout import OVERHANGING, PHONE_PX
-from browser.test_browser_tokens import token_of
-from browser.visits import Theme, Visits
+from browser.visits import Visits
 
 LONGEST_TAG = "x" * 40
 
@@ -110,40 +107,6 @@ def test_tags_that_are_refused_say_why_and_what_was_written_stays(
     assert labels_of(own, three["gamma"]) == ([], "")
 
 
-def test_a_read_only_token_shows_tags_and_notes_without_a_button(
-    guarded: httpx.Client, own_database: str, visit: Visits
-) -> None:
-    campaign = expect(guarded.get(f"{API}/campaigns"))["campaigns"][0]["id"]
-    page = visit(origin(guarded), f"#/campaigns/{campaign}", token=token_of(own_database, Scope.READ))
-    shown(page.get_by_role("region", name="Finding")).to_be_visible()
-    shown(page.get_by_role("region", name="Tags and notes")).to_have_count(0)
-    expect(guarded.patch(f"{API}/campaigns/{campaign}", json={"tags": ["night"], "notes": "A note."}))
-    labels = page.get_by_role("region", name="Tags and notes")
-    shown(labels).to_contain_text("A note.")
-    shown(labels.get_by_role("button")).to_have_count(0)
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_tags_and_notes_fit_a_phone_and_have_no_serious_fault(
-    own: httpx.Client, three: dict[str, str], visit: Visits, theme: Theme
-) -> None:
-    page = visit(origin(own), "#/campaigns?tag=night", width=PHONE_PX, height=844, theme=theme)
-    shown(page.get_by_role("link", name="beta")).to_be_visible()
-    assert page.evaluate("document.scrollingElement.scrollWidth") == PHONE_PX, page.evaluate(
-        OVERHANGING, PHONE_PX
-    )
-    assert faults(page, RULES[theme]) == []
-    page.goto(f"{origin(own)}/#/campaigns/{three['beta']}")
-    labels = page.get_by_role("region", name="Tags and notes")
-    shown(labels.get_by_role("listitem")).to_have_count(2)
-    for _ in range(2):  # shown, then edited
-        assert page.evaluate("document.scrollingElement.scrollWidth") == PHONE_PX, page.evaluate(
-            OVERHANGING, PHONE_PX
-        )
-        assert faults(page, RULES[theme]) == []
-        labels.get_by_role("button").last.click()
-
-
 def test_follow_ups_are_folded_below_their_campaign(own: httpx.Client, visit: Visits) -> None:
     campaign = finish(own, ball(name="searched"))
     numbers = [one["number"] for one in expect(own.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"]]
@@ -174,12 +137,3 @@ def test_follow_ups_are_folded_below_their_campaign(own: httpx.Client, visit: Vi
     FakeWorker(own).work(twice)
     page.get_by_role("button", name=re.compile("^−2 follow-ups$")).click()
     shown(nested).to_have_count(0)
-
-
-def test_a_campaign_compares_with_campaigns_not_with_follow_ups(own: httpx.Client, visit: Visits) -> None:
-    campaign, other = finish(own, ball(name="ball")), finish(own, ball(name="other", seed=2))
-    number = expect(own.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"][0]["number"]
-    expect(own.post(f"{API}/campaigns/{campaign}/repeats", json={"numbers": [number]}), 201)
-    page = visit(origin(own), f"#/compare?ids={other}")
-    shown(page.get_by_role("checkbox", name=re.compile("^ball "))).to_be_visible()
-    shown(page.get_by_role("checkbox", name=re.compile("again "))).to_have_count(0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import Locator, Page, Route
+from playwright.sync_api import Locator
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, submit
 from support.problems import small_problems
@@ -17,7 +17,6 @@ from support.urban_pairs import SAFE, UNSAFE, judged
 
 from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
-from browser.canvas import picture
 from browser.console import Console
 from browser.served import API, NOBODYS, origin
 from browser.visits import Visits
@@ -34,13 +33,6 @@ def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tup
     file = Path(shutil.copy(sqlite_file, tmp_path_factory.mktemp("searched") / "brink.db"))
     with small_problems(), coordinator(f"sqlite:///{file}") as client:
         return file, finish(client, PAIRS)
-
-
-@pytest.fixture
-def own_database(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Path) -> str:
-    """The URL of a database of the test's own, with a finished search for pairs if the test uses `edge`."""
-    made = request.getfixturevalue("searched")[0] if "edge" in request.fixturenames else sqlite_file
-    return f"sqlite:///{shutil.copyfile(made, tmp_path / 'own.db')}"
 
 
 @pytest.fixture
@@ -76,24 +68,6 @@ def test_the_finding_comes_first_then_what_to_do_then_the_map_and_delete_last(
     )
 
 
-def test_the_map_of_a_search_for_pairs_speaks_of_pairs_and_not_of_the_boundary(
-    own: httpx.Client, edge: str, visit: Visits
-) -> None:
-    page = visit(origin(own), f"#/campaigns/{edge}")
-    card = page.get_by_role("region", name="Map")
-    shown(card.get_by_role("list", name="Colours")).to_contain_text("distinct pairs")
-    shown(card.locator(".tints")).to_have_text(
-        "Ground, unsafe drives nearby: fewmanytoo few simulations nearby to tell"
-    )
-    colours = card.get_by_label("Colour").locator("option").all_inner_texts()
-    assert colours[:3] == ["verdict", "robustness", "generation"]
-    boundary = submit(own, ball(simulations=40))
-    FakeWorker(own).work(boundary)
-    page.goto(f"{origin(own)}/#/campaigns/{boundary}")
-    shown(card.locator(".tints")).to_contain_text("in its middle the boundary, 0.1")
-    shown(card.get_by_label("Colour").locator("option[value=fitness]")).to_have_count(1)
-
-
 def test_a_step_is_taken_by_its_button_and_followed_until_it_is_answered(
     own: httpx.Client, edge: str, visit: Visits
 ) -> None:
@@ -111,32 +85,6 @@ def test_a_step_is_taken_by_its_button_and_followed_until_it_is_answered(
     FakeWorker(own).work(asked["campaign"])
     shown(confirm).to_have_count(0, timeout=20_000)
     shown(page.get_by_role("region", name="Finding")).to_contain_text("simulated again with other seeds")
-
-
-def test_a_follow_up_leads_to_the_campaign_that_it_is_about(
-    own: httpx.Client, edge: str, visit: Visits
-) -> None:
-    asked = expect(own.post(f"{API}/campaigns/{edge}/pairs/follow-ups", json={"kind": "confirm"}), 201)
-    FakeWorker(own).work(asked["campaign"])
-    page = visit(origin(own), f"#/campaigns/{asked['campaign']}")
-    about = page.get_by_role("region", name="Finding")
-    shown(about.get_by_role("link", name="edge")).to_have_attribute("href", f"#/campaigns/{edge}")
-
-
-def test_on_a_phone_the_number_of_pairs_and_the_first_step_need_no_scrolling(
-    own: httpx.Client, edge: str, visit: Visits
-) -> None:
-    page = visit(origin(own), f"#/campaigns/{edge}", width=PHONE_WIDTH, height=PHONE_HEIGHT)
-    count = page.get_by_role("region", name="Finding").get_by_role("definition").first
-    shown(count).to_have_text(str(finding_of(own, edge)["pairs"]))
-    for wanted in (
-        count,
-        page.get_by_role("button", name="Confirm the pairs"),
-        page.get_by_role("link", name="Compare").last,
-    ):
-        box = wanted.bounding_box()
-        assert box is not None
-        assert box["y"] + box["height"] <= PHONE_HEIGHT
 
 
 def test_once_everything_is_answered_a_next_step_opens_the_form_for_another_campaign(
@@ -264,60 +212,3 @@ def test_what_nobody_can_simulate_shows_no_empty_map(own: httpx.Client, visit: V
     shown(page.get_by_text("a worker with the plug-in that provides nobody-has-it@1")).to_be_visible()
     shown(page.get_by_role("region", name="Map")).to_be_hidden()
     shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()
-
-
-def test_the_map_has_a_ground_that_tells_the_boundary_from_the_unknown(
-    own: httpx.Client, edge: str, visit: Visits
-) -> None:
-    with_ground = visit(origin(own), f"#/campaigns/{edge}")
-    shown(with_ground.get_by_text("too few simulations nearby to tell")).to_be_visible()
-    without = visit(origin(own), "#/nowhere")
-
-    def strip(route: Route) -> None:
-        answer = route.fetch()
-        route.fulfill(response=answer, json={**answer.json(), "ground": None})
-
-    without.route("**/map?*", strip)
-    without.goto(f"{origin(own)}/#/campaigns/{edge}")
-    shown(without.locator("canvas.map")).to_be_visible()
-    shown(without.get_by_text("too few simulations nearby to tell")).to_be_hidden()
-    assert picture(drawn(with_ground)) != picture(drawn(without))
-
-
-def drawn(page: Page) -> Locator:
-    """Return the map, once its rings are drawn."""
-    shown(page.get_by_role("list", name="Colours")).to_contain_text("distinct pairs")
-    chart = page.locator("canvas.map")
-    page.wait_for_function("canvas => canvas.frames.length > 1", arg=chart.element_handle())
-    return chart
-
-
-def test_the_ring_of_a_pair_leads_to_it(own: httpx.Client, edge: str, visit: Visits) -> None:
-    page = visit(origin(own), f"#/campaigns/{edge}")
-    chart = drawn(page)
-    chart.scroll_into_view_if_needed()
-    told = expect(own.get(f"{API}/campaigns/{edge}/map"))
-    safe, unsafe = finding_of(own, edge)["rings"][0]
-    at = place_of(told, chart, [safe, unsafe])
-    chart.hover(position=at)
-    shown(page.get_by_text(f"pair 1: solutions {safe} and {unsafe}")).to_be_visible()
-    chart.click(position=at)
-    panel = page.get_by_role("complementary", name="Selection on the map")
-    shown(panel.get_by_role("heading", name="Pair 1")).to_be_visible()
-    shown(panel.get_by_role("link", name="Open the pair")).to_have_attribute(
-        "href", f"#/campaigns/{edge}/pairs/{safe}-{unsafe}"
-    )
-
-
-def place_of(told: Any, chart: Locator, numbers: list[int]) -> Any:
-    """Return where the middle of some solutions lies on a map that shows all."""
-    box = chart.bounding_box()
-    assert box is not None
-    x, y = told["x"], told["y"]
-    scale = min((box["width"] - 48) / (max(x) - min(x)), (box["height"] - 48) / (max(y) - min(y)))
-    places = [told["number"].index(number) for number in numbers]
-    across, up = (sum(axis[place] for place in places) / len(places) for axis in (x, y))
-    return {
-        "x": box["width"] / 2 + (across - (max(x) + min(x)) / 2) * scale,
-        "y": box["height"] / 2 - (up - (max(y) + min(y)) / 2) * scale,
-    }

@@ -61,12 +61,6 @@ def test_quarantined_jobs_are_retried_together(
     assert (progress(own, unlucky[0])["status"], progress(own, unlucky[0])["quarantined"]) == ("finished", 0)
 
 
-def test_a_job_that_nobody_can_run_says_what_it_needs(site: Served, browse: Browse) -> None:
-    page = browse("#/jobs?status=queued")
-    shown(page.get_by_text("with the plug-in that provides nobody-has-it@1").first).to_be_visible()
-    shown(page.locator("table.jobs tbody tr").first).to_contain_text("nobody-has-it@1")
-
-
 def test_jobs_are_chosen_by_state_and_campaign_and_the_address_keeps_it(site: Served, browse: Browse) -> None:
     page = browse("#/jobs?status=quarantined")
     many = progress(site.client, site.broken)["quarantined"]
@@ -79,17 +73,6 @@ def test_jobs_are_chosen_by_state_and_campaign_and_the_address_keeps_it(site: Se
     page.reload()
     shown(page.get_by_role("button", name="Queued 20")).to_have_attribute("aria-pressed", "true")
     shown(campaign).to_have_value(site.stuck)
-
-
-def test_the_workers_page_says_who_is_there_and_what_it_can_run(site: Served, browse: Browse) -> None:
-    [told] = [one for one in expect(site.client.get(f"{API}/workers")) if one["live"]]
-    page = browse("#/workers")
-    row = page.locator("table.workers tbody tr")
-    shown(row).to_have_count(1)
-    shown(row).to_contain_text(told["id"])
-    shown(row).to_contain_text("brink-drive@2")
-    shown(row.locator(".badge")).to_have_text("live")
-    shown(page.get_by_role("region", name="All workers")).to_contain_text("Live workers")
 
 
 def test_a_worker_is_drained_from_the_page_once_that_is_confirmed(own: httpx.Client, visit: Visits) -> None:

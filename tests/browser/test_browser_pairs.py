@@ -10,7 +10,7 @@ from support.api import FakeWorker, ball, eventually, progress, submit
 
 from browser.canvas import changes, picture
 from browser.console import Console
-from browser.served import ANY_PAIR, NOBODYS, PATIENCE_S, URBAN, Served, a_pair, origin
+from browser.served import ANY_PAIR, PATIENCE_S, URBAN, Served, a_pair, origin
 from browser.visits import Browse, Visits
 
 NEAREST = "?eps=1&d_th=1"
@@ -73,13 +73,6 @@ def test_settings_with_too_many_pairs_are_refused_and_can_be_changed(
     shown(page.get_by_text("No pair within eps 0: the nearest solutions")).to_be_visible()
 
 
-def test_a_campaign_that_has_simulated_nothing_yet_says_so(own: httpx.Client, visit: Visits) -> None:
-    campaign = submit(own, ball(name="waiting", problem=NOBODYS))
-    page = visit(origin(own), f"#/campaigns/{campaign}/pairs")
-    shown(page.get_by_text("no solution has been evaluated: no pair")).to_be_visible()
-    assert progress(own, campaign)["status"] == "running"
-
-
 def test_the_page_of_a_pair_shows_the_change_both_sides_and_links_to_each(site: Served, pair: Page) -> None:
     found, _ = a_pair(site.client, site.urban)
     shown(pair.get_by_role("region", name="The change", exact=True)).to_contain_text(found["change"][1:])
@@ -117,13 +110,6 @@ def test_a_pair_opens_at_the_violation_and_jumps_back_to_it(pair: Page) -> None:
     assert clock(pair) > opened
     jump.click()
     assert clock(pair) == pytest.approx(opened, abs=0.05)
-
-
-def test_a_pair_that_is_none_leads_to_the_list_and_the_solutions(site: Served, browse: Browse) -> None:
-    page = browse(f"#/campaigns/{site.urban}/pairs/1-1")
-    shown(page.get_by_role("heading", name="No such pair")).to_be_visible()
-    page.get_by_role("link", name="All pairs").click()
-    shown(page.get_by_role("heading", name="Pairs", exact=True)).to_be_visible()
 
 
 def test_a_pair_is_followed_up_from_the_list_and_the_answer_appears_on_its_page(
@@ -169,9 +155,3 @@ def test_what_cannot_be_asked_is_disabled_with_the_reason(own: httpx.Client, vis
     assert int(cost.inner_text().split()[2].replace(",", "")) == 2 * int(before.split()[2].replace(",", ""))
     shown(page.get_by_role("button", name="Ask")).to_be_disabled()
     shown(page.get_by_text("Ball@1 has no component that ground truth can replace.")).to_be_visible()
-
-
-def test_the_page_of_a_campaign_shows_its_pairs(site: Served, browse: Browse) -> None:
-    page = browse(f"#/campaigns/{site.urban}")
-    card = page.get_by_role("region", name="Pairs across the boundary", exact=True)
-    shown(card).to_contain_text(re.compile("pair"))

@@ -15,8 +15,6 @@ from browser.test_browser_accessibility import COLOURS, EVERYTHING, faults
 from browser.test_browser_layout import OVERHANGING, PHONE_PX
 from browser.visits import WIDTH, Theme
 
-A4_PX = 688
-"""Width of an A4 page within its margins."""
 Open = Callable[..., Page]
 
 
@@ -74,14 +72,3 @@ def test_the_page_needs_nothing_else_and_does_not_scroll_sideways(open_report: O
 def test_the_page_has_no_serious_fault(open_report: Open, theme: Theme) -> None:
     rules = EVERYTHING if theme == "light" else COLOURS
     assert faults(open_report(theme=theme, bypass_csp=True), rules) == []
-
-
-def test_the_theme_is_that_of_the_system_and_paper_is_white(open_report: Open) -> None:
-    page = open_report(theme="dark")
-    ground = "getComputedStyle(document.body).backgroundColor"
-    assert page.evaluate(ground) != "rgb(255, 255, 255)"
-    page.emulate_media(media="print")
-    assert page.evaluate(ground) == "rgb(255, 255, 255)"
-    page.set_viewport_size({"width": A4_PX, "height": 900})
-    assert page.evaluate("document.scrollingElement.scrollWidth") == A4_PX
-    assert page.pdf(prefer_css_page_size=True).startswith(b"%PDF")

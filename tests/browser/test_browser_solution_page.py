@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Locator, Page
 from playwright.sync_api import expect as shown
 from sqlalchemy import update
-from support.api import FakeWorker, ball, completes, expect, progress, submit
+from support.api import FakeWorker, ball, completes, expect, submit
 from support.traces import guarded, make_trace
 
 from brink.server.db.engine import open_engines
@@ -146,18 +146,6 @@ def test_a_car_with_a_guard_shows_its_alarms_on_the_time_bar_and_in_a_chart(
     shown(page.locator(".replay-state")).to_contain_text("fallback")
 
 
-@pytest.mark.long("simulates with real workers")
-def test_solution_can_be_simulated_again_after_its_campaign_ended(own: httpx.Client, visit: Visits) -> None:
-    campaign, worker = submit(own, ball()), FakeWorker(own, judge=with_trace)
-    while not progress(own, campaign)["generations"]:
-        worker.report(worker.lease(4))
-    page = visit(origin(own), f"#/campaigns/{campaign}/solutions/0")
-    again = page.get_by_role("region", name="Repeats with other seeds")
-    shown(again).to_contain_text("the campaign is running")
-    worker.work(campaign)
-    shown(again.get_by_role("button", name="Simulate")).to_be_visible()
-
-
 def with_trace(job: LeasedJob) -> Completed | JobFailed:
     outcome = completes(job)
     return outcome.model_copy(update={"trace": TRACE}) if job.record else outcome
@@ -175,21 +163,6 @@ def _forget_workers(database: str) -> None:
             connection.execute(update(WorkerRow).values(last_seen_at=datetime(2020, 1, 1, tzinfo=UTC)))
     finally:
         engines.dispose()
-
-
-def test_the_nearest_solution_with_the_other_verdict_comes_first_with_what_differs(
-    site: Served, solution: Page
-) -> None:
-    number = unsafe_one(site)["number"]
-    told = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{number}/neighbours"))["opposite"]
-    assert not told["unsafe"]
-    card = solution.get_by_role("region").first
-    shown(card.get_by_role("heading", name="Nearest safe solution")).to_be_visible()
-    shown(card).to_contain_text(f"What differs here: {told['change'][0].upper()}{told['change'][1:]}")
-    card.get_by_role("link", name=f"Solution {told['number']}").click()
-    shown(solution.get_by_role("heading", name=f"Solution {told['number']}", exact=True)).to_be_visible()
-    shown(solution.get_by_role("heading", name="Nearest unsafe solution")).to_be_visible()
-    shown(solution.get_by_text("What differs there: ")).to_be_visible()
 
 
 def violating(site: Served, campaign: str, avoidable: str) -> dict[str, Any]:
@@ -228,27 +201,3 @@ def test_a_careful_drivers_drive_is_beside_that_which_it_would_have_avoided(
         changes(maps.nth(index), before[index])
     page.get_by_role("region", name="Events in chronological order").get_by_role("button").last.click()
     assert clock(page) > 0, "both drives go where the system's events lead"
-
-
-def test_a_violation_that_nobody_avoids_says_so_and_shows_the_system_alone(
-    site: Served, traffic: str, browse: Browse
-) -> None:
-    page = browse(f"#/campaigns/{traffic}/solutions/{violating(site, traffic, 'no')['number']}")
-    card = page.get_by_role("region", name="Replay")
-    shown(card).to_contain_text("not avoidable by braking", timeout=60_000)
-    shown(card.get_by_role("img", name="The episode from above")).to_have_count(1)
-
-
-def test_a_campaign_in_traffic_begins_with_what_a_careful_driver_would_have_avoided(
-    site: Served, traffic: str, browse: Browse
-) -> None:
-    told = expect(site.client.get(f"{API}/campaigns/{traffic}/finding"))
-    page = browse(f"#/campaigns/{traffic}")
-    shown(page.get_by_role("region", name="Finding")).to_contain_text("A careful driver would have avoided")
-    card = page.get_by_role("region", name="What a careful driver would have avoided")
-    shown(card).to_be_visible(timeout=60_000)
-    for example in told["avoidable"]:
-        shown(card.get_by_role("link", name=f"Solution {example['number']}")).to_be_visible()
-        shown(card).to_contain_text(example["words"][1:])
-    row = page.get_by_role("region", name="Types of violations").last.get_by_role("row").nth(1)
-    shown(row).to_contain_text("careful driver")

@@ -141,22 +141,6 @@ def test_invalid_file_is_kept_beside_the_form(site: Served, browse: Browse, cons
     shown(name).to_have_value("from a file")
 
 
-def test_a_problem_with_defaults_of_its_own_says_them_in_the_form(site: Served, browse: Browse) -> None:
-    page = browse("#/new")
-    problem, radius = (
-        page.get_by_label("Problem", exact=True),
-        page.get_by_label("Neighbourhood radius", exact=True),
-    )
-    shown(radius).to_have_attribute("placeholder", "0.3")
-    problem.select_option("ball@1")
-    shown(radius).to_have_attribute("placeholder", "0.2")
-    page.get_by_text("Parameters of the algorithm").click()
-    radius.fill("0.25")
-    problem.select_option("urban-injected@1")
-    shown(radius).to_have_attribute("placeholder", "0.3")
-    shown(radius).to_have_value("0.25")
-
-
 def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, browse: Browse) -> None:
     page = browse()
     page.get_by_role("button", name="Clone night rain").click()
@@ -166,55 +150,6 @@ def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, browse: B
     original = expect(site.client.get(f"{API}/campaigns/{site.urban}"))["body"]
     assert body_of(page, site.client) == {**original, "name": "clone", "seed": original["seed"] + 1}
     expect(site.client.post(f"{API}/campaigns/{page.url.rpartition('/')[2]}/cancel"))  # it simulates for real
-
-
-def test_a_requirement_is_chosen_by_its_meaning_and_parameters_are_named_in_words(
-    site: Served, browse: Browse
-) -> None:
-    page = browse("#/new")
-    page.get_by_label("Problem", exact=True).select_option("urban-injected@1")
-    requirement = page.get_by_label("Requirement", exact=True)
-    shown(requirement).to_have_accessible_description(
-        re.compile("keeps at least 1.5 m to the nearest vehicle")
-    )
-    requirement.select_option("no-collision@1")
-    shown(requirement).to_have_accessible_description(
-        re.compile("hits no vehicle, no pedestrian and no object")
-    )
-    shown(page.get_by_label("Threshold probability p_th", exact=True)).to_be_visible()
-    duration = page.get_by_label("Duration", exact=True)
-    shown(duration).to_be_hidden()
-    page.get_by_text("Parameters of the problem").click()
-    shown(duration).to_be_visible()
-    shown(page.get_by_label("Priority", exact=True)).to_be_hidden()
-    page.get_by_label("Name", exact=True).fill("no collision")
-    page.get_by_label("Simulations", exact=True).fill("20")
-    page.get_by_role("button", name="Campaign file").click()
-    written = page.get_by_label("Campaign file").input_value()
-    assert json.loads(written.partition("\n")[2])["problem"]["params"] == {"requirement": "no-collision@1"}
-
-
-def test_a_campaign_is_cloned_with_several_requirements_and_a_larger_budget(
-    site: Served, browse: Browse
-) -> None:
-    body = {
-        "name": "several",
-        "problem": {"id": "urban-injected@1", "params": {"requirement": ["front-gap@1", "no-collision@1"]}},
-        "algorithm": {"id": "random@1"},
-        "budget": {"simulations": 20},
-    }
-    campaign = expect(site.client.post(f"{API}/campaigns", json=body), 201)["id"]
-    expect(site.client.post(f"{API}/campaigns/{campaign}/cancel"))
-    page = browse(f"#/new?from={campaign}&simulations=80")
-    shown(page.get_by_label("Simulations", exact=True)).to_have_value("80")
-    shown(page.get_by_label("Requirement", exact=True)).to_have_value('["front-gap@1","no-collision@1"]')
-    shown(page.get_by_label("Requirement", exact=True)).to_have_accessible_description(
-        re.compile("1.5 m to the nearest vehicle.*; .*hits no vehicle")
-    )
-    page.get_by_role("button", name="Submit campaign").click()
-    submitted = body_of(page, site.client)
-    assert submitted["problem"]["params"]["requirement"] == ["front-gap@1", "no-collision@1"]
-    expect(site.client.post(f"{API}/campaigns/{page.url.rpartition('/')[2]}/cancel"))
 
 
 def test_the_form_begins_with_a_search_for_pairs_and_offers_what_it_can_submit(
@@ -234,17 +169,6 @@ def test_the_form_begins_with_a_search_for_pairs_and_offers_what_it_can_submit(
     shown(algorithm).to_have_value("random@1")
     page.get_by_role("button", name="Campaign file").click()
     assert '"id": "random@1"' in page.get_by_label("Campaign file").input_value()
-
-
-def test_any_requirement_is_offered_with_its_meaning(site: Served, browse: Browse) -> None:
-    page = browse("#/new")
-    requirement = page.get_by_label("Requirement", exact=True)
-    requirement.select_option("any")
-    shown(requirement).to_have_accessible_description(
-        re.compile("^A violation of any of these counts: front gap, no collision, ")
-    )
-    page.goto(f"{site.url}/#/new?from={site.urban}&requirement=any")
-    shown(requirement).to_have_value("any")
 
 
 def test_a_campaign_goes_on_from_another_one(site: Served, browse: Browse) -> None:

@@ -13,7 +13,7 @@ from support.api import eventually, expect, progress, submit
 
 from browser.served import API, PATIENCE_S, Served
 from browser.test_browser_accessibility import RULES, faults
-from browser.visits import Browse, Theme, Visits
+from browser.visits import Browse, Theme
 
 PHONE_PX = 390
 
@@ -111,28 +111,6 @@ def test_the_card_shows_a_curve_for_each_error_and_says_each_requirement(
     )
 
 
-def test_what_a_search_for_tolerances_does_not_look_for_is_hidden(page: Page) -> None:
-    shown(page.get_by_role("heading", name="Unsafe share")).to_be_visible()
-    for name in (
-        "Fitness by generation",
-        "Criticality by generation",
-        "Distinct boundary solutions",
-        "Boundary solutions",
-    ):
-        shown(page.get_by_role("heading", name=name, exact=True)).to_be_hidden()
-
-
-def test_other_campaigns_have_no_tolerances(site: Served, visit: Visits) -> None:
-    asked: list[str] = []
-    page = visit(site.url)
-    page.on("request", lambda request: asked.append(request.url))
-    page.goto(f"{site.url}/#/campaigns/{site.ball}")
-    shown(page.get_by_role("heading", name="Fitness by generation")).to_be_visible()
-    shown(page.get_by_role("heading", name="Parameter dependence")).to_be_visible()
-    shown(card_of(page)).to_be_hidden()
-    assert not [url for url in asked if url.endswith("/tolerance")]
-
-
 def test_tolerances_are_saved_as_csv(page: Page, campaign: str, told: Any) -> None:
     with page.expect_download() as saved:
         card_of(page).get_by_role("button", name="CSV").click()
@@ -192,15 +170,3 @@ def test_the_check_of_a_detector_is_accessible(page: Page, camera: str, theme: T
     eventually(  # the charts follow it later
         lambda: page.evaluate("document.scrollingElement.scrollWidth") <= PHONE_PX, "it fits", PATIENCE_S
     )
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_tolerances_are_accessible(page: Page, theme: Theme) -> None:
-    page.emulate_media(color_scheme=theme)
-    assert faults(page, RULES[theme]) == []
-
-
-def test_the_page_does_not_scroll_sideways_on_a_phone(page: Page) -> None:
-    page.set_viewport_size({"width": PHONE_PX, "height": 844})
-    shown(card_of(page)).to_be_visible()
-    assert page.evaluate("document.scrollingElement.scrollWidth") <= PHONE_PX

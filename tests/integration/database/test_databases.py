@@ -24,7 +24,6 @@ from brink.server.campaigns.body import search_text
 from brink.server.db import upgrade as upgrading
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import Base, CampaignRow, JobRow, SolutionRow, TraceRow
-from brink.server.db.sql import database_now
 from brink.server.db.upgrade import alembic_config, current_revision, head_revision, upgrade
 from brink.server.errors import DatabaseError
 
@@ -116,10 +115,6 @@ def test_upgrading_twice_changes_nothing(empty: Engines) -> None:
     upgrade(empty)
     assert upgrade(empty) == (head_revision(), head_revision())
     assert current_revision(empty) == head_revision()
-
-
-def test_an_empty_database_has_no_revision(empty: Engines) -> None:
-    assert current_revision(empty) is None
 
 
 def failing_migrations(folder: Path) -> Config:
@@ -242,13 +237,6 @@ def test_moments_come_back_as_they_went_in(engines: Engines) -> None:
 def test_a_moment_without_a_zone_is_refused(engines: Engines) -> None:
     with pytest.raises(Exception, match="aware"), engines.writer.begin() as connection:
         connection.execute(insert(TraceRow).values(spec_hash="a", data=b"", created_at=datetime(2026, 1, 1)))
-
-
-def test_the_database_clock_goes_forward(engines: Engines) -> None:
-    with engines.reader.connect() as connection:
-        first, second = database_now(connection), database_now(connection)
-    assert first.tzinfo is UTC
-    assert first <= second
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,7 @@ from support.api import (
 )
 from support.databases import on_postgres, on_sqlite
 from support.queue import TERMS, Queue
-from typer.testing import CliRunner
 
-from brink.cli.commands import app as commands
 from brink.server.db.engine import Engines
 from brink.server.db.sql import database_now
 from brink.server.db.writer import Writer
@@ -268,28 +266,6 @@ def test_results_of_live_workers_outlive_a_coordinator_that_is_away_longer_than_
         eventually(lambda: progress(client, campaign)["leased"] == 0, "the leases run out")
         assert set(worker.report(jobs[4:])) == {"accepted"}
         assert worker.work(campaign)["digest"] == undisturbed_digest(document)
-
-
-def test_losses_are_shown_where_attempts_are(database_url: str, small_problems: None, queue: Queue) -> None:
-    with coordinator(database_url, sweep_s=0.05) as client:
-        campaign = submit(client, ball(execution={"max_losses": 2, "max_failed_share": 1.0}))
-        for worker in ("first", "second"):
-            (job,) = FakeWorker(client, id=worker).lease(max_jobs=1)
-            queue.end_leases(job)
-            eventually(lambda: progress(client, campaign)["leased"] == 0, "the lease runs out")
-        (lost,) = expect(client.get("/api/v1/jobs", params={"status": "quarantined"}))["jobs"]
-        counts = ("attempt", "counted_attempts", "max_attempts", "losses", "max_losses")
-        assert [lost[name] for name in counts] == [2, 0, 3, 2, 2]
-        solution = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/{lost['number']}"))
-        assert (solution["attempts"], solution["losses"]) == (2, 2)
-        shown = CliRunner().invoke(commands, ["status", campaign, "--database", database_url]).output
-        expected = (
-            f"job {lost['id']}, solution {lost['number']}, 0 attempts and 2 lost workers: lease expired"
-        )
-        assert expected in " ".join(shown.split())
-        expect(client.post(f"/api/v1/jobs/{lost['id']}/retry"), 204)
-        (again,) = expect(client.get("/api/v1/jobs", params={"status": "queued", "limit": 1}))["jobs"]
-        assert [again[name] for name in counts] == [2, 0, 3, 2, 4]
 
 
 @pytest.mark.usefixtures("small_problems", "few_trees")

@@ -284,13 +284,6 @@ def test_a_campaign_with_too_much_in_flight_is_refused_with_both_numbers(client:
     assert "got up to 100,000 in one generation" in refused["message"]
 
 
-def test_a_thousand_workers_are_far_below_the_limit(client: httpx.Client) -> None:
-    params = {"generation_size": 256, "in_flight": 8}
-    text = str(ball(simulations=100_000, algorithm={"id": "random@1", "params": params}))
-    answer = client.post(f"{API}/check", content=text, headers={"content-type": "application/yaml"})
-    assert answer.status_code == httpx.codes.OK
-
-
 def test_an_experiment_is_stored_in_pieces(
     client: httpx.Client, engines: Engines, small_pieces: None, inserted: list[int]
 ) -> None:

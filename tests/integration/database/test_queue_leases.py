@@ -45,11 +45,6 @@ def test_a_lease_has_a_token_of_its_own_and_ends_by_the_database_clock(queue: Qu
     assert before + timedelta(seconds=7) <= row.lease_expires_at <= after + timedelta(seconds=7)
 
 
-def test_a_worker_gets_at_most_what_it_asks_for(queue: Queue) -> None:
-    queue.campaign(50)
-    assert len(queue.lease(max_jobs=3)) == 3
-
-
 def test_the_end_of_the_queue_is_shared_out_in_small_grants(queue: Queue) -> None:
     queue.campaign(32)
     sizes = []
@@ -180,12 +175,6 @@ def test_backoffs_double(queue: Queue) -> None:
         waits.append((queue.job(job.job).not_before - queue.run(database_now)).total_seconds())
         queue.end_backoffs()
     assert waits == pytest.approx([10.0, 20.0, 40.0], abs=5.0)
-
-
-def test_a_lease_that_holds_is_not_taken_back(queue: Queue) -> None:
-    queue.campaign(2)
-    queue.lease_all()
-    assert queue.expire() == ((), 0)
 
 
 def test_a_job_that_was_tried_before_is_granted_alone(queue: Queue) -> None:

@@ -15,7 +15,6 @@ from support.queue import Queue
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.store import CAMPAIGNS, labelled
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignTagRow
@@ -45,11 +44,6 @@ def test_tags_and_notes_are_submitted_and_shown_wherever_a_campaign_is(client: h
     told = progress(client, campaign)
     assert (told["tags"], told["notes"]) == (found["tags"], found["notes"])
     assert expect(client.get("/api/v1/overview"))["tags"] == [["night", "release-4"]]
-
-
-def test_tags_and_notes_do_not_tell_submissions_apart() -> None:
-    labels: dict[str, Any] = {"tags": ["night"], "notes": "dark"}
-    assert parse_body(ball(**labels)).document_hash() == parse_body(ball()).document_hash()
 
 
 def test_a_change_keeps_what_it_does_not_name_and_what_was_simulated(client: httpx.Client) -> None:
@@ -139,25 +133,6 @@ def test_neither_case_nor_the_encoding_of_accents_matters(client: httpx.Client) 
         assert listed(client, search=words) == [f"{e_acute}clair"]
     for tag in (f"{i_dotted}STANBUL", "οδοσ", "οδος", "हिन्दी"):
         assert listed(client, tag=tag) == [f"{e_acute}clair"], tag
-
-
-def test_a_changed_campaign_is_found_by_what_it_says_now(client: httpx.Client) -> None:
-    campaign = submit(client, ball(name="ball", tags=["old"], notes="before"))
-    change(client, campaign, tags=["new"], notes="after")
-    assert listed(client, search="old") == listed(client, search="before") == listed(client, tag="old") == []
-    assert listed(client, search="new after") == listed(client, tag="new") == ["ball"]
-
-
-def test_repeats_have_tags_of_their_own(client: httpx.Client) -> None:
-    campaign = submit(client, ball(tags=["night"]))
-    FakeWorker(client).work(campaign)
-    again = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [0], "repeats": 2}), 201)
-    change(client, again["campaign"], tags=["again"])
-    assert expect(client.get(f"{API}/{again['campaign']}"))["tags"] == ["again"]
-    expect(client.post(f"{API}/{campaign}/cancel"), 409)
-    FakeWorker(client).work(again["campaign"])
-    assert client.delete(f"{API}/{campaign}").status_code == 204
-    assert listed(client, tag=["again"]) == []
 
 
 @pytest.mark.usefixtures("small_problems")

@@ -4,7 +4,6 @@ import math
 import os
 import secrets
 import signal
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -94,39 +93,6 @@ def test_every_kind_of_worker_is_reported_even_without_jobs(client: httpx.Client
     for kind in WORKER_KINDS:
         assert evaluate(f'max(brink_open_jobs{{worker="{kind}"}})', exposition) == 0
     assert evaluate('max(brink_open_jobs{worker="none"})', exposition) is None, "KEDA then keeps the number"
-
-
-def test_each_simulator_belongs_to_one_kind_of_worker() -> None:
-    kinds = Counter(worker_kind(one) for one in simulator_ids() if not one.startswith(("ball", "faulty")))
-    assert kinds["plain"] == 4
-    assert kinds["vision"] == 4
-    assert set(kinds) <= set(WORKER_KINDS)
-    assert worker_kind("brink-drive-camera@2") == "vision"
-    assert worker_kind("brink-drive@2") == "plain"
-    assert worker_kind("brink-drive@1") == "other", (
-        "of an earlier version: no worker of this version can run it"
-    )
-    assert worker_kind("function-1f3a") == "function"
-
-
-def test_queries_are_evaluated_as_prometheus_does() -> None:
-    exposition = "\n".join(
-        [
-            "# TYPE a gauge",
-            'a{worker="x",pod="1"} 3',
-            'a{worker="x",pod="2"} 4',
-            'a{worker="y",pod="1"} 5',
-            'b{worker="x"} 9',
-            "",
-        ]
-    )
-    assert evaluate('max(a{worker="x"})', exposition) == 4
-    assert evaluate("max(a)", exposition) == 5
-    assert evaluate('sum(max by (worker) (a{worker=~"x|y"}))', exposition) == 9
-    assert evaluate('max(a{worker=~"x.", pod="1"})', exposition) is None
-    for query in ("sum(a)", "max(a) or vector(0)", 'max(a{worker!="x"})'):
-        with pytest.raises(ValueError, match="cannot evaluate"):
-            evaluate(query, exposition)
 
 
 def _start(running: Site, deployment: str, folder: Path) -> Program:

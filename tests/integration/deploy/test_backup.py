@@ -120,12 +120,3 @@ def test_a_backup_is_not_restored_over_data(databases: Databases, tmp_path: Path
         done = run(RESTORE, "restore", tmp_path, BRINK_DATABASE=database, FILE="")
         assert done.returncode != 0
         assert "already exists" in done.stderr
-
-
-def test_a_named_backup_is_restored(databases: Databases, tmp_path: Path) -> None:
-    with databases.database() as database, databases.database(migrated=False) as restored:
-        file = dump(database, tmp_path)
-        (tmp_path / "brink-99990101T000000Z.dump").write_text("not this one")
-        done = run(RESTORE, "restore", tmp_path, BRINK_DATABASE=restored, FILE=file.name)
-        assert done.returncode == 0, done.stderr
-        assert file.name in done.stdout

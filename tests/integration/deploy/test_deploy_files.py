@@ -7,21 +7,7 @@ from typing import Any
 import httpx
 import pytest
 import typer
-import yaml
-from support.manifests import (
-    KUBERNETES,
-    ROOT,
-    MissingVariable,
-    all_manifests,
-    compose,
-    container,
-    extras_of_images,
-    manifests,
-    pod,
-    pod_specs,
-    resource,
-    with_data,
-)
+from support.manifests import ROOT, compose, container, extras_of_images, manifests, pod, pod_specs, resource
 
 from brink.cli.commands import app
 from brink.server.settings import Settings
@@ -111,10 +97,6 @@ def test_probes_of_workers_look_at_the_file_that_they_touch(where: str) -> None:
     assert TOUCH_S * 4 <= int(found[2]) * 60 <= STUCK_S
 
 
-def test_compose_can_run_any_number_of_workers() -> None:
-    assert not {"container_name", "ports", "hostname"} & set(service("worker")), "these must be unique"
-
-
 @pytest.mark.parametrize("where", COORDINATORS)
 def test_the_coordinator_listens_on_the_published_port(where: str) -> None:
     used = options(COORDINATORS[where])
@@ -161,35 +143,6 @@ def test_language_models_are_configured_for_the_coordinator_only() -> None:
         assert f"api_key_env: {KEY_VARIABLE}" in PAGES[page]
 
 
-def test_every_secret_is_documented() -> None:
-    texts = [path.read_text() for path in KUBERNETES.glob("*.yaml")]
-    secrets = {pair for text in texts for pair in re.findall(r"\{name: (brink-\w+), key: (\w+)", text)}
-    assert secrets == {
-        ("brink-database", "url"),
-        ("brink-tokens", "admin"),
-        ("brink-tokens", "worker"),
-        ("brink-tokens", "read"),
-        ("brink-llm", "endpoints"),
-        ("brink-llm", "key"),
-    }
-    page = PAGES["run-on-kubernetes"]
-    for name, key in secrets:
-        assert name in page
-        assert f"--from-literal={key}=" in page or rf"\"{key}\"" in page, f"{name} {key}"
-
-
-def test_all_files_are_applied_or_documented_as_optional() -> None:
-    text = (KUBERNETES / "kustomization.yaml").read_text()
-    applied = set(yaml.safe_load(text)["resources"])
-    optional = set(re.findall(r"^  # - (\S+)", text, re.MULTILINE))
-    files = {path.name for path in KUBERNETES.glob("*.yaml")} - {"kustomization.yaml", "restore.yaml"}
-    assert optional == {"ingress.yaml"}
-    assert applied | optional == files
-    assert re.search(r"^components: \[\] +# \[(\w+)\]", text, re.MULTILINE)[1] == "data"  # type: ignore[index]
-    for name in ("ingress.yaml", "restore.yaml", "components: [data]"):
-        assert name in PAGES["run-on-kubernetes"]
-
-
 def test_containers_use_images_that_are_built() -> None:
     built = extras_of_images()
     declared = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
@@ -219,15 +172,6 @@ def test_pods_have_few_rights() -> None:
             user = own.get("runAsUser", context["runAsUser"])
             assert user == (999 if one["image"].startswith("postgres:") else 1000), f"{name} {one['name']}"
             assert {"requests", "limits"} <= set(one["resources"]), f"{name} {one['name']}"
-
-
-def test_pods_run_where_there_is_a_simulator() -> None:
-    """PyBullet has wheels for x86-64 only."""
-    for name, spec in pod_specs().items():
-        images = {one["image"] for one in (*spec.get("initContainers", ()), *spec["containers"])}
-        if any(image.startswith("brink") for image in images):
-            assert spec["nodeSelector"] == {"kubernetes.io/arch": "amd64"}, name
-    assert {service(name)["platform"] for name in ("coordinator", "worker")} == {"linux/amd64"}
 
 
 def test_only_workers_and_prometheus_reach_the_coordinator() -> None:
@@ -260,72 +204,6 @@ def test_disruption_budgets_cover_all_deployments_and_let_nodes_be_drained() -> 
     for name in ("brink-coordinator", *WORKERS):
         [budget] = [b for b in budgets if b["selector"]["matchLabels"].items() <= _labels(name).items()]
         assert "minAvailable" not in budget, "one replica that must not go away would block its node"
-
-
-def test_the_ingress_is_encrypted_and_leads_to_the_coordinator() -> None:
-    spec = resource("Ingress", "brink")["spec"]
-    [rule] = spec["rules"]
-    assert spec["tls"][0]["hosts"] == [rule["host"]]
-    [path] = rule["http"]["paths"]
-    found = resource("Service", path["backend"]["service"]["name"])
-    assert path["backend"]["service"]["port"]["name"] == found["spec"]["ports"][0]["name"]
-    assert "brink.example.org" in PAGES["run-on-kubernetes"]
-
-
-def test_data_is_at_the_same_path_everywhere() -> None:
-    assert "/data" in (ROOT / "Dockerfile").read_text()
-    for name in ("coordinator", "worker"):
-        [volume] = service(name)["volumes"]
-        assert volume.endswith(":/data:ro")
-    mounted = {}
-    for document in with_data():
-        if document["kind"] == "Deployment":
-            spec = document["spec"]["template"]["spec"]
-            mounts = spec["containers"][0].get("volumeMounts", [])
-            assert {mount["name"] for mount in mounts} == {
-                volume["name"] for volume in spec.get("volumes", [])
-            }
-            mounted[document["metadata"]["name"]] = {mount["mountPath"] for mount in mounts}
-    assert mounted == {
-        "brink-coordinator": {"/data"},
-        "brink-worker-vision": {"/data"},
-        "brink-worker": set(),
-    }
-
-
-def test_compose_says_which_variable_is_missing() -> None:
-    for name in SECRETS:
-        with pytest.raises(MissingVariable, match=f"{name}: set {name} to a secret"):
-            compose({key: value for key, value in SECRETS.items() if key != name})
-
-
-def test_the_services_of_compose_refer_to_each_other() -> None:
-    document = compose(SECRETS)
-    for one in document["services"].values():
-        assert set(one.get("depends_on", {})) <= set(document["services"])
-        for other, condition in one.get("depends_on", {}).items():
-            assert condition == {"condition": "service_healthy"}
-            assert "healthcheck" in document["services"][other]
-        for volume in one.get("volumes", ()):
-            source = volume.partition(":")[0]
-            assert source.startswith((".", "/")) or source in document["volumes"]
-
-
-def test_variables_of_compose_are_documented() -> None:
-    used = set(re.findall(r"\$\{(\w+)", (ROOT / "docker-compose.yml").read_text()))
-    assert {name for name in used if name not in PAGES["run-with-docker"]} == set()
-
-
-def test_the_guides_use_existing_worker_options() -> None:
-    known = {option for parameter in COMMANDS["worker"].params for option in parameter.opts}
-    lines = [line for page in PAGES.values() for line in re.findall(r"brink worker([^`\n]*)", page)]
-    used = [set(re.findall(r"(?<!\S)--[a-z-]+", line)) for line in lines]
-    assert {"--server", "--ray"} <= set().union(*used) <= known
-
-
-def test_a_resource_is_declared_once() -> None:
-    names = [(d["kind"], d["metadata"].get("name")) for _, d in all_manifests()]
-    assert len(names) == len(set(names))
 
 
 def _labels(deployment: str) -> dict[str, str]:

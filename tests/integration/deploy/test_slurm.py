@@ -57,19 +57,6 @@ def leased(running: Site) -> list[str]:
     return [line for line in lines if line.startswith("brink_jobs{") and 'status="leased"' in line]
 
 
-def test_the_script_is_valid_bash() -> None:
-    subprocess.run(["bash", "-n", str(SCRIPT)], check=True)
-
-
-def test_slurm_signals_the_worker_before_the_time_limit() -> None:
-    directives = [
-        line.split(maxsplit=1)[1] for line in SCRIPT.read_text().splitlines() if line.startswith("#SBATCH ")
-    ]
-    assert "--signal=B:TERM@90" in directives, "sent to the batch shell, which the worker replaces"
-    assert "--cpus-per-task=1" in directives
-    assert any(option.startswith("--array=") for option in directives)
-
-
 @on_sqlite
 @pytest.mark.long("runs a campaign")
 def test_task_runs_a_campaign_and_exits_cleanly(
@@ -107,11 +94,3 @@ def test_a_token_file_that_others_can_read_is_rejected(tmp_path: Path, mode: int
     assert done.returncode == 2
     assert words in done.stderr
     assert TOKEN not in done.stderr
-
-
-def test_a_missing_coordinator_address_is_reported() -> None:
-    done = subprocess.run(
-        ["bash", str(SCRIPT)], env=environment(TASK), capture_output=True, text=True, check=False
-    )
-    assert done.returncode != 0
-    assert "BRINK_SERVER: set it to the URL" in done.stderr

@@ -16,8 +16,6 @@ from support.databases import on_sqlite
 
 import brink
 from brink.api.client import CoordinatorError
-from brink.python.connection import wait_for
-from brink.python.picture import Picture
 from brink.python.result import CampaignUnfinished
 from brink.search import surrogate
 from brink.search.errors import SpaceError
@@ -48,15 +46,6 @@ def circle(folder: Path) -> brink.Result:
         return brink.search(inside, SPACE, simulations=300, progress=False)
 
 
-def test_a_report_to_hand_on_is_one_file(circle: brink.Result, tmp_path: Path) -> None:
-    file = circle.report(tmp_path / "circle.html", pairs=1)
-    page = file.read_text()
-    assert page.startswith("<!DOCTYPE html>")
-    assert page.count("<article>") == 1
-    assert f"{len(circle.pairs())} distinct pairs across the boundary" in page
-    assert str(circle.digest) in page
-
-
 def test_a_search_finds_the_known_boundary_of_a_function(circle: brink.Result) -> None:
     assert (circle.evaluated, circle.failed, circle.status) == (300, 0, CampaignStatus.FINISHED)
     pairs = circle.pairs()
@@ -70,17 +59,6 @@ def test_a_search_finds_the_known_boundary_of_a_function(circle: brink.Result) -
     assert "instead of" in pairs["words"][0]
     assert pairs["words"][0][:40] in str(pairs), "print() shows what changed"
     assert circle.finding.startswith(f"{len(pairs)} distinct pairs across the boundary")
-
-
-def test_no_film_is_offered_of_calls_of_a_function(circle: brink.Result) -> None:
-    async def steps() -> list[dict[str, Any]]:
-        async with circle._async._connection.open() as api:
-            found: list[dict[str, Any]] = (await api.get(f"/campaigns/{circle.id}/finding"))["steps"]
-            return found
-
-    commands = [step["command"] for step in wait_for(steps)]
-    assert f"brink pairs {circle.id}" in commands
-    assert not [command for command in commands if "--film" in command or "replay" in command]
 
 
 def test_a_data_frame_has_a_column_for_each_parameter(circle: brink.Result) -> None:
@@ -178,12 +156,6 @@ def test_a_function_with_chance_gets_the_seed_of_the_episode(folder: Path) -> No
     assert 0.003 < noise.std() < 0.03
 
 
-def test_without_a_pair_there_is_none_to_draw(folder: Path) -> None:
-    flat = brink.search(lambda x: 1.0, {"x": (0.0, 1.0)}, simulations=20, workers=1, progress=False)
-    with pytest.raises(InvalidInput, match=r"expected a campaign with pairs; .*no pair"):
-        flat.pair()
-
-
 def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> None:
     def noisy(x: float, y: float, seed: int) -> float:
         return x - y + np.random.default_rng(seed).normal(0, 0.02)
@@ -254,18 +226,6 @@ def test_a_space_that_does_not_fit_the_function_is_refused(function: Any, space:
         brink.search(function, space)
 
 
-def test_a_bool_is_no_robustness(folder: Path) -> None:
-    with pytest.raises(CampaignUnfinished, match="expected a finite number, negative if"):
-        brink.search(
-            lambda x: x > 0.5,
-            {"x": (0.0, 1.0)},
-            algorithm="random@1",
-            simulations=20,
-            workers=1,
-            progress=False,
-        )
-
-
 def test_a_finished_campaign_is_returned_and_not_run_again(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -327,13 +287,6 @@ def test_asynchronous_twins_do_the_same(folder: Path) -> None:
     assert asyncio.run(work()) == 120
 
 
-def test_results_work_inside_a_running_event_loop(folder: Path) -> None:
-    async def cell() -> int:
-        return len(brink.run(HILLS, progress=False).to_pandas())
-
-    assert asyncio.run(cell()) == 120
-
-
 @pytest.mark.parametrize(
     ("first", "second"), [(brink.Result, brink.AsyncResult), (brink.Client, brink.AsyncClient)]
 )
@@ -352,14 +305,6 @@ def test_twins_have_the_same_methods_with_the_same_parameters(first: type, secon
         assert list(signature.parameters) == list(twins[name].parameters), name
 
 
-def test_a_picture_is_saved_under_a_name_of_its_kind(tmp_path: Path) -> None:
-    picture = Picture(content=b"film", suffix=".mp4", words="a drive")
-    with pytest.raises(InvalidInput, match=r"ends in \.mp4"):
-        picture.save(tmp_path / "drive.png")
-    assert picture.save(tmp_path / "drive.mp4").read_bytes() == b"film"
-    assert "<video" in picture._repr_mimebundle_()["text/html"]
-
-
 def test_a_search_starts_from_an_earlier_one(circle: brink.Result) -> None:
     options: dict[str, Any] = {
         "algorithm": "random@1",
@@ -376,22 +321,3 @@ def test_a_search_starts_from_an_earlier_one(circle: brink.Result) -> None:
     known = circle.to_pandas()[["x", "y", "side"]].apply(tuple, axis=1)
     for found in (by_result, by_frame):
         assert found.to_pandas()[["x", "y", "side"]].apply(tuple, axis=1).isin(known).sum() == 0
-
-
-def test_a_campaign_starts_from_a_data_frame(folder: Path) -> None:
-    known = brink.run(HILLS, progress=False).to_pandas()
-    campaign = brink.Campaign(
-        problem="mtq@1", algorithm="random@1", simulations=40, seed=3, start_from=known.head(30)
-    )
-    result = brink.run(campaign, progress=False)
-    assert result.evaluated == 40
-    with pytest.raises(InvalidInput, match="expected the id of a campaign, a result, a data frame"):
-        brink.run(brink.Campaign(problem="mtq@1", simulations=40, start_from=7))  # type: ignore[arg-type]
-
-
-def test_a_search_of_which_all_few_calls_fail_shows_the_exception(folder: Path) -> None:
-    def broken(x: float) -> float:
-        raise RuntimeError(f"no road at {x:.0f}")
-
-    with pytest.raises(CampaignUnfinished, match=r"3 of 3 calls failed.*RuntimeError: no road"):
-        brink.search(broken, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=3, progress=False)

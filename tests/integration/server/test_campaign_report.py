@@ -13,13 +13,11 @@ from typing import Any, Final
 import pytest
 import yaml
 from PIL import Image
-from support.api import FakeWorker, ball, coordinator, expect, finish, progress, submit
+from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import on_sqlite
-from support.problems import REQUIREMENT
 from support.tolerance import body as tolerance_body
 from support.tolerance import finished as tolerance_finished
 from support.traffic import traffic_worker
-from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -27,8 +25,6 @@ from brink.cli.options import with_api
 from brink.report.campaign import campaign_report
 from brink.search import curves, surrogate
 from brink.server.campaigns.body import parse_body
-from brink.server.problems.urban_injected import SIMULATOR
-from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 API = "/api/v1/campaigns"
 VOID: Final = {"meta", "img", "br", "link", "input"}
@@ -196,20 +192,6 @@ def test_names_tags_and_notes_are_text_and_never_markup(database_url: str) -> No
     assert found.text.count(hostile) >= 3, "title, heading and notes"
 
 
-def test_random_search_on_the_same_problem_is_found_and_compared(disc: tuple[str, str]) -> None:
-    database_url, campaign = disc
-    baseline = computed(
-        database_url, {**MTQ, "algorithm": {"id": "random@1"}, "budget": {"simulations": 200}}
-    )
-    found = read(database_url, campaign)
-    told = re.search(
-        rf"Campaign {baseline} drew at random on the same problem: \d+ of 200 evaluated", found.text
-    )
-    assert told
-    assert re.search(r"it found (no|\d+) distinct pairs? with the same settings", found.text)
-    assert "This campaign is random search itself" in read(database_url, baseline).text
-
-
 @on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_an_unfinished_campaign_says_so(database_url: str) -> None:
@@ -239,67 +221,6 @@ def test_an_unfinished_campaign_says_so(database_url: str) -> None:
     found = read(database_url, cancelled)
     assert "The campaign was cancelled after 0 of 60 simulations" in found.text
     assert "No drive has a verdict, so" in found.text
-
-
-def failing_in_the_east(job: LeasedJob) -> Completed | JobFailed:
-    x, y = job.spec["scenario"]["x"], job.spec["behaviour"]["y"]
-    if x > 1.5:
-        return JobFailed(reason="invalid", message="no such place")
-    verdict = WireVerdict(robustness=abs(x) + abs(y) - 1.0, unit="m", violated_at_s=None)
-    return Completed(verdicts={REQUIREMENT: verdict})
-
-
-@on_sqlite
-@pytest.mark.usefixtures("small_problems")
-def test_failures_repeats_and_results_of_the_cache_are_told(database_url: str) -> None:
-    tolerant: dict[str, Any] = {"execution": {"max_attempts": 1, "max_failed_share": 1.0}}
-    with coordinator(database_url) as client:
-        campaign = finish(client, ball(**tolerant), failing_in_the_east)
-        failed = progress(client, campaign)["failed"]
-        assert failed
-        doubtful: dict[str, Any] = {"t_b": 1.0, "repeats": 3}
-        again = expect(client.post(f"{API}/{campaign}/repeats", json=doubtful), 201)["campaign"]
-        FakeWorker(client, judge=failing_in_the_east).work(again)
-        other = finish(client, ball(name="other", **tolerant), failing_in_the_east)
-    found = read(database_url, campaign)
-    assert f"{failed} simulations failed; they count as neither safe nor unsafe." in found.text
-    assert f"{failed} of 70 simulations failed and have no verdict" in found.text
-    assert "simulations were unsafe" in found.text, "the repeats of the boundary"
-    assert "No result was taken over from another campaign" in found.text
-    assert "distinct boundary solution" in found.text
-    assert re.search(r"\d+ of \d+ results were taken over from identical", read(database_url, other).text)
-    follow_up = read(database_url, again)
-    assert f"Brink simulated drives of campaign {campaign} (ball) again" in follow_up.text
-
-
-@on_sqlite
-def test_confirmation_and_blame_of_pairs_are_told(database_url: str) -> None:
-    given: dict[str, Any] = {
-        "name": "given",
-        "problem": {"id": "urban-injected@1"},
-        "seed": 4,
-        "budget": {"simulations": 4},
-        "algorithm": {
-            "id": "repeat@1",
-            "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE], "seed_numbers": [0, 0, 2, 2]},
-        },
-    }
-    with coordinator(database_url) as client:
-        worker = FakeWorker(client, capabilities=(SIMULATOR,), judge=judged)
-        campaign = submit(client, given)
-        worker.work(campaign)
-        before = read(database_url, campaign)
-        for kind in ("confirm", "component"):
-            asked = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json={"kind": kind}), 201)
-            assert worker.work(asked["campaign"])["status"] == "finished"
-    assert "No pair has been simulated again with other seeds after the search." in before.text
-    assert "It was not asked whether the component or the scenario is to blame" in before.text
-    found = read(database_url, campaign)
-    assert "What safe means here" in found.text
-    assert "The ego keeps at least 1.5 m to the nearest vehicle ahead" in found.text
-    assert "Simulated again with other seeds: 1 of 1 pair. 1 confirmed" in found.text
-    assert "Confirmed with 15 other seeds each side." in found.text
-    assert re.search(r"the (component|scenario) is to blame", found.text)
 
 
 @on_sqlite
@@ -344,29 +265,6 @@ def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
     assert limited
     assert all(sentence in found.text for sentence in limited)
     assert "No pair has been simulated again" not in found.text
-
-
-def strong_is_unsafe(job: LeasedJob) -> Completed | JobFailed:
-    robustness = 0.5 - float(job.spec["behaviour"]["strong"])
-    verdict = WireVerdict(robustness=robustness, unit="m", violated_at_s=None)
-    return Completed(verdicts={REQUIREMENT: verdict}, objectives={"distance": robustness})
-
-
-@on_sqlite
-@pytest.mark.usefixtures("small_problems")
-def test_chains_of_changes_to_the_image_are_shown(database_url: str) -> None:
-    slots: dict[str, Any] = {
-        "name": "slots",
-        "problem": {"id": "slotted@1"},
-        "budget": {"simulations": 40},
-        "algorithm": {"id": "random@1", "params": {"generation_size": 40}},
-    }
-    with coordinator(database_url) as client:
-        campaign = submit(client, slots)
-        assert FakeWorker(client, judge=strong_is_unsafe).work(campaign)["status"] == "finished"
-    found = read(database_url, campaign)
-    assert "Changes to the camera image" in found.headings
-    assert "chains was simulated in 3 scenarios, so none counts as hazardous" in found.text
 
 
 def test_the_command_writes_the_file_whole_or_says_what_is_wrong(

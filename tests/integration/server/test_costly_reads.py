@@ -15,7 +15,6 @@ from support.problems import small_problems
 from brink.search import metric
 from brink.search.analysis import boundary, neighbours
 from brink.search.analysis.folds import kinds_of_solutions
-from brink.search.analysis.monitor import Monitor
 from brink.search.metric import Metric
 from brink.server import app as server_app
 from brink.server.api import analysis, finding, outcomes, pairs, repeats, solutions
@@ -202,21 +201,6 @@ def endless_fit(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     monkeypatch.setattr(neighbours, "kinds_of_solutions", begun)
     monkeypatch.setattr(neighbours, "LEVELS", neighbours.LEVELS * 10**6)
     return began
-
-
-def test_monitors_are_fitted_on_threads_of_their_own(
-    client: httpx.Client, campaign: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fitted_by: list[str] = []
-    fit = Monitor.fitted
-
-    def noted(*args: Any, **kwargs: Any) -> Monitor:
-        fitted_by.append(threading.current_thread().name)
-        return fit(*args, **kwargs)
-
-    monkeypatch.setattr(Monitor, "fitted", noted)
-    expect(scored(client, campaign))
-    assert [name.startswith("brink-fits") for name in fitted_by] == [True]
 
 
 def test_a_fit_that_takes_too_long_is_ended_and_says_what_to_do_instead(

@@ -140,25 +140,6 @@ def test_the_table_says_what_is_met_what_is_not_and_what_to_record(check: Checke
     assert "should be reported while it is visible: at least 25% of it in sight" in done.stderr
 
 
-def test_each_cell_is_a_sentence(check: Checked, tmp_path: Path) -> None:
-    lines = check("--detections", recording(tmp_path), "--format", "sentences").stdout.splitlines()
-    assert re.match(
-        r"By night: not reporting the lead for …: not met: in 20 drives the worst such error has a median of 4\.0 s; "
-        r"\d+\.\d% \[\d+\.\d, \d+\.\d\] "
-        r"of drives with such errors violate the front gap or collide, 5% are allowed\.$",
-        lines[0],
-    )
-    assert lines[-1].startswith("Without data. By night: not reporting the nearest pedestrian")
-    assert lines[-1].endswith(" By day: everything.")
-
-
-def test_lower_bounds_are_marked(check: Checked) -> None:
-    done = check("--detections", RECORDINGS / "gap.csv")
-    assert "≥ 3.0 s" in done.stdout
-    assert "≥ 5.0 s" in done.stdout
-    assert "the recording cut the error off" in done.stdout
-
-
 @pytest.mark.parametrize("by", ["recording", "episodes"])
 def test_a_check_is_written_in_each_format_and_drawn(check: Checked, tmp_path: Path, by: str) -> None:
     given = ("--detections", recording(tmp_path)) if by == "recording" else ("--episodes", check.camera)
@@ -199,23 +180,6 @@ class Page(HTMLParser):
         self.tags.append(tag)
         self.external += [value or "" for name, value in attrs if name in ("src", "href", "srcset")]
         self.classes += [value or "" for name, value in attrs if name == "class"]
-
-
-def test_the_page_shows_the_worst_episodes_as_strips_of_frames(check: Checked, tmp_path: Path) -> None:
-    page = tmp_path / "check.html"
-    check("--detections", recording(tmp_path), "--out", page)
-    text = page.read_text()
-    found = Page(text)
-    assert found.external == []
-    assert found.classes.count("strip") == 5  # the worst drives that a cell names
-    assert text.count("<figcaption>") == 5 * 8
-    assert "Drive d0: not reporting the lead for 4.0 s" in text
-    assert "from 3.0 to 7.0 s, road user 7" in text
-    assert "15 m, missed" in text
-    assert "15 m, reported" in text
-    # The key, then the true box of each frame; reported boxes in those before and after the miss.
-    assert found.classes.count("true subject") == 1 + 5 * 8
-    assert 1 < found.classes.count("reported") < 5 * 8
 
 
 def test_the_worst_episodes_are_shown_on_pictures_of_the_recording(check: Checked, tmp_path: Path) -> None:
@@ -329,43 +293,6 @@ def test_thresholds_are_compared(check: Checked, tmp_path: Path) -> None:
     assert "expected detections with scores, got none that differ" in check.refused(
         "--detections", file, "--thresholds", "auto"
     )
-
-
-def test_conditions_classes_and_visibility_are_said_on_the_command_line(
-    check: Checked, tmp_path: Path
-) -> None:
-    rows = ["drive,time_s,source,id,label,x_min_px,x_max_px,y_min_px,y_max_px,visible_share"]
-    rows += [f"a,{step / 10},truth,7,tram,380,420,310,345,{0.3 if step < 40 else 1.0}" for step in range(81)]
-    file = tmp_path / "tram.csv"
-    file.write_text("\n".join(rows) + "\n")
-    assert "--classes tram=vehicle" in check.refused("--detections", file)
-    given = ("--detections", file, "--classes", "tram=vehicle", "--condition", "by day")
-    assert check.cells(*given)["miss", "lead", "by day"]["typical"] == pytest.approx(8.1)
-    assert check.cells(*given, "--min-visible", "0.5")["miss", "lead", "by day"]["typical"] == pytest.approx(
-        4.1
-    )
-    assert "expected one of the conditions by day; by night; got 'fog'" in check.refused(
-        *given, "--condition", "fog"
-    )
-
-
-def test_coco_is_short_for_truth_and_detections(check: Checked, tmp_path: Path) -> None:
-    truth, results = tmp_path / "truth.json", tmp_path / "results.json"
-    images = [
-        {"id": step, "width": 800, "height": 600, "video_id": 1, "frame_id": step} for step in range(81)
-    ]
-    boxes = [
-        {"id": step, "image_id": step, "category_id": 1, "bbox": [380, 310, 40, 35], "track_id": 7}
-        for step in range(81)
-    ]
-    truth.write_text(
-        json.dumps({"images": images, "annotations": boxes, "categories": [{"id": 1, "name": "car"}]})
-    )
-    results.write_text(json.dumps([{**box, "score": 0.9} for box in boxes if box["id"] not in range(30, 45)]))
-    by_coco = check.cells("--coco", truth, results, "--frames-per-s", "10", "--condition", "by night")
-    assert by_coco["miss", "lead", "by night"]["typical"] == pytest.approx(1.5)
-    files = ("--detections", results, "--truth", truth, "--frames-per-s", "10", "--condition", "by night")
-    assert check.cells(*files, "--format", "coco") == by_coco
 
 
 # Refusals.

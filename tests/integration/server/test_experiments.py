@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 import yaml
-from support.api import FakeWorker, await_erasure, ball, coordinator, eventually, expect, row_counts
+from support.api import FakeWorker, await_erasure, ball, eventually, expect, row_counts
 from support.databases import on_sqlite
 from typer.testing import CliRunner
 
@@ -173,24 +173,6 @@ def test_an_experiment_runs_to_its_end_and_says_what_it_found(client: httpx.Clie
     assert mean["repeats"] == 3
 
 
-def test_the_level_of_significance_is_chosen_by_request(client: httpx.Client) -> None:
-    found = submit(client)
-    work_through(client, found["id"])
-    by_alpha = {
-        alpha: expect(client.get(f"{API}/{found['id']}/results", params={"wait_s": 30, "alpha": alpha}))
-        for alpha in (0.01, 0.99)
-    }
-    for alpha, results in by_alpha.items():
-        assert results["alpha"] == alpha
-        for duel in results["duels"]:
-            assert (duel["p"] is None) == (duel["p_holm"] is None)
-            assert duel["differs"] == (duel["p_holm"] is not None and duel["p_holm"] <= alpha)
-    assert sum(duel["differs"] for duel in by_alpha[0.01]["duels"]) == 0, "three seeds are too few for .01"
-    nothing = [duel for duel in by_alpha[0.01]["duels"] if duel["found_nothing"]]
-    assert all(duel["p"] is not None or "all values are equal" in duel["says"] for duel in nothing)
-    expect(client.get(f"{API}/{found['id']}/results", params={"alpha": 0}), 422)
-
-
 def test_experiment_is_paused_resumed_cancelled_and_deleted(client: httpx.Client, engines: Engines) -> None:
     name = submit(client)["id"]
     assert expect(client.post(f"{API}/{name}/pause"))["status"] == "paused"
@@ -227,23 +209,6 @@ def test_experiments_are_listed_newest_first_and_page_by_page(client: httpx.Clie
     rest = expect(client.get(API, params={"limit": 2, "cursor": page["next"]}))
     assert ([one["id"] for one in rest["experiments"]], rest["next"]) == ([names[0]], None)
     expect(client.get(API, params={"cursor": "nonsense"}), 422)
-
-
-def test_results_wait_no_longer_than_asked(database_url: str) -> None:
-    mtq = experiment(
-        problems=[{"id": "mtq@1"}],
-        algorithms=[{"id": "mlcshe@1"}],
-        seeds={"count": 2},
-        budget={"simulations": 200},
-    )
-    with coordinator(database_url) as client:
-        name = expect(client.post(API, json=mtq), 201)["id"]
-        work_through(client, name)
-        answer = client.get(f"{API}/{name}/results", params={"wait_s": 0})
-        if answer.status_code == 202:
-            assert "of 2 finished campaigns" in json.loads(answer.content)["detail"]
-            assert answer.headers["Retry-After"]
-        assert expect(client.get(f"{API}/{name}/results", params={"wait_s": 60}))["scored"] == 2
 
 
 @on_sqlite

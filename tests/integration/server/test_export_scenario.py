@@ -154,16 +154,6 @@ def test_a_coordinators_worker_simulates_the_drive(driven: Driven, tmp_path: Pat
     assert scenario.trajectories("lead")
 
 
-def test_a_campaign_is_still_exported_without_naming_the_command(driven: Driven, tmp_path: Path) -> None:
-    for words in ([driven.campaign], ["campaign", driven.campaign]):
-        file = tmp_path / f"{len(words)}.brink"
-        told = export(*words, "--database", driven.database, "--out", str(file))
-        assert told.exit_code == 0, told.output
-        assert file.stat().st_size > 0
-    first = export("--out", str(tmp_path / "0.brink"), driven.campaign, "--database", driven.database)
-    assert first.exit_code == 0, first.output
-
-
 def test_a_problem_without_roads_is_refused_with_those_that_have_some(
     sqlite_file: Path, tmp_path: Path
 ) -> None:
@@ -174,14 +164,6 @@ def test_a_problem_without_roads_is_refused_with_those_that_have_some(
         with pytest.raises(NotExportable, match=r"no roads that can be exported.*urban-injected@1"):
             export("scenario", campaign, "1", "--database", url, "--out", str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
-
-
-def test_a_file_in_the_way_of_the_folder_is_refused(driven: Driven, tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("here")
-    with pytest.raises(InvalidInput, match="expected a folder"):
-        export(
-            "scenario", driven.campaign, "1", "--database", driven.database, "--out", str(tmp_path / "taken")
-        )
 
 
 def test_files_of_others_are_not_replaced(driven: Driven, tmp_path: Path) -> None:
@@ -231,9 +213,3 @@ def test_a_missing_extra_is_named(driven: Driven, tmp_path: Path, module: str) -
     assert file.exists()
     assert not folder.exists()
     assert f"needs {module}, which is not installed: {install_command('exchange')}" in ended.stderr
-
-
-def test_an_unknown_format_is_wrong_usage(tmp_path: Path) -> None:
-    told = export("scenario", "3f2a", "1", "--out", str(tmp_path), "--format", "lanelet")
-    assert told.exit_code == 2
-    assert "openscenario" in told.output

@@ -5,7 +5,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -15,10 +14,8 @@ from support.databases import on_sqlite
 from support.llm_endpoint import Endpoint, Step, gives, item, refuses, reply_text, says
 from support.marks import mostly_long
 from support.traffic import POPULATION, calls, origins, seeded, traffic_worker
-from typer.testing import CliRunner
 
 import brink.server.llm.calls
-from brink.cli.commands import app
 from brink.server.llm.settings import LlmSettings
 
 # Calls of a model are stored on both databases by test_language_models.py.
@@ -209,18 +206,3 @@ def test_a_trial_closes_the_circuit_breaker_when_the_endpoint_is_back(
         ("ok", 1),
     ]
     assert "circuit_open" not in {call["outcome"] for call in stored}
-
-
-def test_the_log_command_says_what_happened(
-    listening_client: httpx.Client, endpoint: Endpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    endpoint.always = refuses(500, "no")
-    campaign = submit(listening_client, asking_often(endpoint, {"max_wait_s": 0.05}))
-    traffic_worker(listening_client).work(campaign)
-    command = ["llm", "log", campaign, "--server", str(listening_client.base_url), "--out", str(tmp_path)]
-    shown = CliRunner().invoke(app, command)
-    assert shown.exit_code == 0, shown.output
-    assert f"request 0, turn 0: {endpoint.url}: HTTP 500 (2 tries): no\n" in shown.stdout
-    assert "turn 0: the circuit breaker is open: 2 failed calls in a row; no call for " in shown.stdout
-    assert "4 HTTP requests of at most 50 (max_calls), 0 tokens" in shown.stdout

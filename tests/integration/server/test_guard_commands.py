@@ -148,19 +148,6 @@ def test_a_guard_is_fitted_to_a_campaign_and_judged_on_fresh_drives(driven: Driv
         raise_from(brink("judge", file, driven.campaign, *place))
 
 
-def test_random_drives_alone_are_enough_and_the_output_is_readable(tmp_path: Path, driven: Driven) -> None:
-    file = tmp_path / "guard.json"
-    file.write_text(stump_guard().to_json())
-    document = json.loads(file.read_text())
-    document["requirements"] = ["front-gap@1", "progress@1"]
-    file.write_text(json.dumps(document))
-    text = output(brink("judge", file, driven.campaign, "--database", driven.database))
-    assert f"{DRIVES} drives, " in text
-    assert "violate front-gap@1 or progress@1" in text
-    assert "time to collision on boxes" in text
-    assert "with its own threshold (0.500)" in text
-
-
 def raise_from(result: Result) -> None:
     assert result.exception is not None, result.output
     raise result.exception

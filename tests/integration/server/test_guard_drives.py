@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 from support.guards import drive_with, stump_guard
 from typer.testing import CliRunner
 
@@ -16,19 +15,9 @@ from brink.cli.commands import app
 from brink.cli.guard_drive import _choice, _params
 from brink.cli.options import read_odd
 from brink.guard import loop as loop_module
-from brink.guard import sight as sight_module
 from brink.guard.drives import check_problem, random_specs
-from brink.guard.loop import (
-    Condition,
-    GuardedLoop,
-    Outcome,
-    drive_with_guard,
-    record_drive_trace,
-    run_drive,
-    thresholds_around,
-)
+from brink.guard.loop import Condition, GuardedLoop, Outcome, drive_with_guard, run_drive
 from brink.guard.seen import SeenDrives
-from brink.guard.sight import Reported, sight_of
 from brink.server.problems.catalogue import make_problem
 from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.option import GuardOption
@@ -73,24 +62,6 @@ def test_the_same_drives_run_without_and_with_the_guard(driven: tuple[dict[str, 
     assert json.loads((out / "drives.json").read_text(encoding="utf-8")) == document
 
 
-def test_it_draws_the_trade_off_and_a_prevented_violation(driven: tuple[dict[str, Any], Path]) -> None:
-    document, out = driven
-
-    assert any(condition["worth"]["prevented"] for condition in document["conditions"])
-    for name in ("trade-off.png", "prevented-1.png"):
-        with Image.open(out / name) as picture:
-            assert picture.width >= 1600
-
-
-def test_it_prints_a_line_for_each_threshold_and_what_was_reported() -> None:
-    text = called("ttc@1", *SMALL)
-
-    assert "8 drives of 2 seeds" in text
-    assert all(f"{threshold} " in text for threshold in ("0.400", "0.600"))
-    assert "reported in the 3 s before" in text
-    assert "drives, violate" in text
-
-
 def test_a_fallback_that_does_nothing_prevents_and_causes_nothing() -> None:
     problem = make_problem("urban-injected@1", {})
     option = GuardOption.of("range-ttc@1", fallback="none@1")
@@ -102,44 +73,6 @@ def test_a_fallback_that_does_nothing_prevents_and_causes_nothing() -> None:
     assert worth.distance_lost.value == 0.0
     assert [one.way_m for one in loop.without] == [one.way_m for one in loop.conditions[0].outcomes]
     assert any(one.alarms_s for one in loop.conditions[0].outcomes)
-
-
-def test_two_processes_give_what_one_gives() -> None:
-    problem, option = make_problem("urban-injected@1", {}), GuardOption.of("ttc@1")
-
-    alone, shared = (
-        drive_with_guard(problem, option, [0.5], drives=5, seeds=[4], processes=processes)
-        for processes in (1, 2)
-    )
-
-    assert list(alone.without) == list(shared.without)
-    assert list(alone.conditions[0].outcomes) == list(shared.conditions[0].outcomes)
-    assert list(alone.sights) == list(shared.sights)
-
-
-def test_a_violation_by_a_detector_that_reports_nothing_is_one_of_nothing_reported(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    problem, option = make_problem("urban-injected@1", {}), GuardOption.of("ttc@1", fallback="none@1")
-    loop = drive_with_guard(problem, option, [0.5], drives=30, seeds=[5])
-
-    silent = [
-        sight
-        for spec, sight in zip(loop.specs, loop.sights, strict=True)
-        if sight is not None and not spec.behaviour["trajectories"]
-    ]
-    assert silent
-    assert {sight.reported for sight in silent} <= {Reported.NOTHING, Reported.NO_ROAD_USER}
-    assert not any(sight.ever for sight in silent)
-    assert any(sight.in_range for sight in silent)
-
-    place = next(i for i, sight in enumerate(loop.sights) if sight is not None and sight.in_range)
-    trace = record_drive_trace(loop.specs[place])
-    assert (sight_of(trace, loop.requirements) or silent[0]).in_range
-    monkeypatch.setattr(sight_module, "LEAD_S", 60.0)
-    early = sight_of(trace, loop.requirements)
-    assert early is not None
-    assert not early.in_range, "nothing was in range before the drive began"
 
 
 def test_drives_are_told_apart_by_whether_the_guard_has_met_their_scenario_and_behaviour() -> None:
@@ -322,24 +255,6 @@ def test_the_loss_limit_is_about_drives_that_are_safe_without_the_guard() -> Non
     assert (loop.worth(loop.conditions[0]).distance_lost.value or 0.0) < 0.0
     assert loop.recommended() is loop.conditions[1]
     assert loop.recommended(0.5) is loop.conditions[0]
-
-
-def test_no_threshold_is_recommended_that_prevents_nothing() -> None:
-    loop = made_up([(0, 0, 4, 4)], [0.0])
-
-    assert loop.recommended() is None
-    best, counts = loop.shown()
-    assert best is loop.conditions[0]
-    assert counts.all()
-
-
-def test_thresholds_lie_around_a_guards_own() -> None:
-    around = thresholds_around(0.2)
-
-    assert around == tuple(sorted(around))
-    assert around[4] == pytest.approx(0.2)
-    assert around[0] / (1 - around[0]) == pytest.approx(0.25 / 64)
-    assert all(0.0 < one < 1.0 for one in (*thresholds_around(1.0), *thresholds_around(0.0)))
 
 
 @pytest.mark.parametrize(

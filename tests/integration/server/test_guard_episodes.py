@@ -175,18 +175,3 @@ def test_what_cannot_be_fitted_is_refused_before_any_drive_runs(
     folder = brink("fit", searched.campaign, "--out", tmp_path, *place)
     assert isinstance(folder.exception, InvalidInput)
     assert "is a folder" in str(folder.exception.errors[0])
-
-
-def test_random_drives_are_judged_by_the_requirement_that_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[EpisodeSpec] = []
-
-    def noted(spec: EpisodeSpec) -> Drive:
-        asked.append(spec)
-        return record_one(spec)
-
-    monkeypatch.setattr(guard_drives, "record_one", noted)
-    brink("fit", "--random", 3, "--requirement", "front-gap@2", "--out", tmp_path / "guard.json")
-    assert asked
-    assert all("front-gap@2" in spec.requirements for spec in asked)

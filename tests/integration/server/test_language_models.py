@@ -84,39 +84,6 @@ def test_model_provides_the_first_population(client: httpx.Client, endpoint: End
     assert len(endpoint.asked) == 1
 
 
-def test_missing_seeds_come_from_repair_and_from_patterns(client: httpx.Client, endpoint: Endpoint) -> None:
-    wrong = item(speed_mps=900.0)
-    endpoint.then(says(reply_text([*items(4), wrong, wrong])), says(reply_text(items(2, first=10))))
-    campaign = submit(client, seeded(endpoint, differential="never"))
-    traffic_worker(client).work(campaign)
-    found = origins(client, campaign)
-    assert found[:POPULATION] == ["llm"] * 4 + ["llm_repair"] * 2 + ["heuristic"] * 2
-    assert progress(client, campaign)["origins"] == {origin: found.count(origin) for origin in set(found)}
-    assert [call["turn"] for call in calls(client, campaign)["calls"]] == [0, 1]
-
-
-@pytest.mark.parametrize(
-    "fault", mostly_long(["refused", "away", "rubbish", "stalled"], ["rubbish", "stalled"], "runs a campaign")
-)
-def test_failing_endpoint_fails_no_campaign(client: httpx.Client, endpoint: Endpoint, fault: str) -> None:
-    llm: dict[str, Any] = {}
-    if fault == "refused":
-        endpoint.then(refuses(401))
-    elif fault == "away":
-        endpoint.then(*[refuses(503)] * 2)
-    elif fault == "rubbish":
-        endpoint.then(says("I'd rather not."), says("Still not."))
-    else:
-        endpoint.then(*[endpoint.stalls()] * 2)
-        llm = {"timeout_s": 0.2}
-    campaign = submit(client, seeded(endpoint, llm, differential="never"))
-    current = traffic_worker(client).work(campaign)
-    assert (current["status"], current["failed"]) == ("finished", 0)
-    assert origins(client, campaign)[:POPULATION] == ["heuristic"] * POPULATION
-    outcome = {"refused": "refused", "away": "unavailable", "rubbish": "invalid", "stalled": "unavailable"}
-    assert calls(client, campaign)["calls"][0]["outcome"] == outcome[fault]
-
-
 def test_stuck_search_requests_new_seeds_within_budget(client: httpx.Client, endpoint: Endpoint) -> None:
     endpoint.then(*[scripted] * 40)
     campaign = submit(client, seeded(endpoint, {"max_calls": 3}, differential="always"))

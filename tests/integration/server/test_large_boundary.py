@@ -2,25 +2,21 @@
 
 import csv
 import io
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, ball, eventually, expect, listening_coordinator, progress, submit
+from support.api import ball, eventually, expect, listening_coordinator, progress, submit
 from support.databases import Databases, module_on_sqlite
-from support.problems import REQUIREMENT, small_problems
+from support.problems import small_problems
 from typer.testing import CliRunner
 
 import brink
 from brink.cli.commands import app
 from brink.search.analysis import boundary
-from brink.server.api import finding
-from brink.server.api import repeats as api_repeats
-from brink.server.campaigns import plan, repeats
-from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+from brink.server.campaigns import plan
 
 pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
@@ -50,12 +46,6 @@ def large(client: httpx.Client) -> str:
     return campaign
 
 
-def by_chance(job: LeasedJob) -> Completed | JobFailed:
-    """Return an outcome that depends on the seed alone: a third of all seeds is unsafe."""
-    robustness = -1.0 if job.spec["seed"] % 3 == 0 else 1.0
-    return Completed(verdicts={REQUIREMENT: WireVerdict(robustness=robustness, unit="m", violated_at_s=None)})
-
-
 def read(client: httpx.Client, campaign: str, status: int = 200, **params: Any) -> dict[str, Any]:
     found: dict[str, Any] = expect(client.get(f"{API}/{campaign}/boundary", params=params), status)
     return found
@@ -76,13 +66,6 @@ def test_the_best_thousand_are_listed_and_all_are_counted(client: httpx.Client, 
     table = client.get(f"{API}/{large}/boundary", params={**EVERY, "limit": 5, "format": "csv"}).text
     assert [int(row["number"]) for row in csv.DictReader(io.StringIO(table))] == listed[:5]
     assert read(client, large, 422, limit=1_001)["errors"][0]["pointer"] == "/query/limit"
-
-
-def test_a_boundary_that_is_listed_whole_says_so(client: httpx.Client, large: str) -> None:
-    found = read(client, large, t_b=1.0, d_th=0.5)
-    count = found["dbs"]
-    assert count == len(found["solutions"]) < 10
-    assert found["words"] == f"{count} distinct boundary solution{'' if count == 1 else 's'}"
 
 
 def test_commands_and_data_frames_say_of_how_many(client: httpx.Client, large: str, tmp_path: Path) -> None:
@@ -119,52 +102,3 @@ def test_thresholds_that_take_too_long_are_refused_with_a_hint(
     assert error["message"].endswith("choose a larger d_th or a smaller t_b")
     assert read(client, large, t_b=1.0, d_th=0.0, limit=1)["dbs"] == SOLUTIONS, "nothing is compared"
     assert "dbs" in read(client, large, t_b=0.1, d_th=0.2), "it is counted with each generation anyway"
-
-
-def test_repeats_of_the_best_of_a_boundary_are_called_that(
-    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    params = {"generation_size": 60, "p_th": 0.35, "radius": 1.0}
-    campaign = submit(client, ball(algorithm={"id": "random@1", "params": params}))
-    FakeWorker(client, judge=by_chance).work(campaign)
-    whole = expect(
-        client.post(f"{API}/{campaign}/repeats", json={"repeats": 2, "t_b": 0.5, "d_th": 0.05}), 201
-    )
-    count = len(whole["solutions"])
-    assert count > 3
-    assert whole["distinct"] == count
-    for module in (repeats, api_repeats, finding):
-        monkeypatch.setattr(module, "MOST", 3)
-    some = expect(
-        client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, "t_b": 0.5, "d_th": 0.05}), 201
-    )
-    assert [one["number"] for one in some["solutions"]] == [one["number"] for one in whole["solutions"]][:3]
-    assert (some["distinct"], some["budget"]) == (count, 9)
-    assert some["words"].startswith(f"the best 3 of {count} boundary solutions, none simulated again yet")
-    FakeWorker(client, judge=by_chance).work(some["campaign"])
-    view = expect(client.get(f"{API}/{campaign}/repeats"))[-1]
-    assert view["words"].startswith(
-        f"the best 3 of {count} boundary solutions (fitness at most 0.5, 0.05 apart)"
-    )
-    asked = ["repeats", campaign, "--repeats", "3", "--t-b", "0.5", "--d-th", "0.05", "--json"]
-    shown = CliRunner().invoke(app, [*asked, "--server", str(client.base_url)], catch_exceptions=False)
-    assert json.loads(shown.stdout)["words"] == view["words"]
-    named = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 2, "numbers": [1, 2, 3]}), 201)
-    assert named["distinct"] is None
-
-
-def test_the_next_step_says_how_many_would_be_repeated(
-    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    params = {"generation_size": 240, "p_th": 0.35, "radius": 1.0}
-    campaign = submit(client, ball(algorithm={"id": "random@1", "params": params}, simulations=240))
-    FakeWorker(client, judge=by_chance).work(campaign)
-    count = read(client, campaign)["dbs"]
-    assert count > 2
-    monkeypatch.setattr(finding, "MOST", 2)
-    steps = expect(client.get(f"{API}/{campaign}/finding"))["steps"]
-    [words] = [one["words"] for one in steps if one["kind"] == "repeat"]
-    assert words.startswith(
-        f"Simulates the best 2 of {count} distinct boundary solutions with 50 other seeds."
-    )
-    assert words.endswith("100 simulations.")

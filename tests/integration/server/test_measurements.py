@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,20 +14,16 @@ import pytest
 from support.api import FakeWorker, coordinator, expect, finish, listening_coordinator, progress, submit
 from support.databases import Databases
 from support.problems import Slotted, small_problems
-from typer.testing import CliRunner
 
 import brink
-from brink.cli.commands import app
 from brink.cli.findings import CombinationFindings
-from brink.report.combinations import added_harm_words
 from brink.search.algorithm import Candidate, Evaluation, Question
 from brink.search.algorithms.simood import SimoodConfig
 from brink.search.archive import Archive, Neighbourhood, archive_digest
 from brink.search.slots import ChainGenome, Step
 from brink.search.space import Categorical
-from brink.server.api.finding import example_of
 from brink.server.api.findings import combinations_view
-from brink.server.api.schemas import Combinations, CombinationView
+from brink.server.api.schemas import Combinations
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
 from brink.server.problems.base import NoParams
@@ -159,15 +154,6 @@ def test_measured_solutions_are_listed_but_not_archived(finished: Finished) -> N
     assert "no simulated solution" in refused["detail"]
 
 
-def test_identical_measurements_run_once(client: httpx.Client) -> None:
-    worker = FakeWorker(client, judge=simulate)
-    first = worker.work(submit(client, SMALL))
-    ran = len(worker.statuses)
-    again = worker.work(submit(client, SMALL))
-    assert again["digest"] == first["digest"]
-    assert len(worker.statuses) == ran
-
-
 def test_search_on_data_continues_after_a_restart(database_url: str, small_problems: None) -> None:
     with coordinator(database_url) as client:
         campaign = submit(client, SIMOOD)
@@ -177,19 +163,6 @@ def test_search_on_data_continues_after_a_restart(database_url: str, small_probl
     assert done["digest"] == search_without_coordinator()[0]
 
 
-def test_measurement_without_its_value_is_a_failure(client: httpx.Client) -> None:
-    def omit_some_measurements(job: LeasedJob) -> Completed | JobFailed:
-        if not job.spec["requirements"] and job.spec["behaviour"]["first"] == 2:
-            return Completed(verdicts={}, objectives={})
-        return outcome_of(job.spec)
-
-    relaxed = {**SMALL, "execution": {"max_failed_share": 1.0}}
-    done = FakeWorker(client, judge=omit_some_measurements).work(submit(client, relaxed))
-    assert done["status"] == "finished"
-    assert done["failed"] > 0
-    assert done["evaluated"] >= 12
-
-
 def test_search_on_data_is_rejected_for_a_problem_without_a_data_set(client: httpx.Client) -> None:
     body = {**SIMOOD, "problem": {"id": "slotted-blind@1"}}
     (error,) = expect(client.post("/api/v1/campaigns", json=body), 422)["errors"]
@@ -197,20 +170,6 @@ def test_search_on_data_is_rejected_for_a_problem_without_a_data_set(client: htt
     assert "data set" in error["message"]
     simulated = {**body, "algorithm": {"id": "simood-ga@1", "params": {"evaluate": "episode"}}}
     assert submit(client, simulated)
-
-
-@pytest.mark.parametrize("algorithm", ["mlcshe@1", "ga@1", "random@1"])
-def test_every_algorithm_searches_perturbations(client: httpx.Client, algorithm: str) -> None:
-    body = {**SMALL, "algorithm": {"id": algorithm}}
-    done = progress(client, submit(client, body))
-    assert done["status"] == "running"
-    assert FakeWorker(client, judge=simulate).work(done["id"])["evaluated"] >= 100
-
-
-def test_new_campaign_has_measured_nothing(client: httpx.Client) -> None:
-    campaign = submit(client, SIMOOD)
-    listed = expect(client.get(f"/api/v1/campaigns/{campaign}"))
-    assert listed["measured"] == 0
 
 
 def test_every_simulated_chain_is_listed_with_its_parts(finished: Finished) -> None:
@@ -276,25 +235,6 @@ def test_chains_are_a_data_frame_and_a_table(finished: Finished, tmp_path: Path)
     assert [row["added_harm"] for row in rows] == added_harms
 
 
-@pytest.mark.parametrize(
-    ("harm", "interacts", "words"),
-    [
-        (0.0462, False, "+0.046"),
-        (0.05, True, "+0.050 (interacts)"),
-        (-0.12, False, "-0.120"),
-        (-0.0004, None, "0.000"),
-        (None, None, ""),
-    ],
-)
-def test_added_harm_is_shown_with_three_decimals(
-    harm: float | None, interacts: bool | None, words: str
-) -> None:
-    chain: dict[str, Any] = {"chain": [], "words": "", "unsafe": 0, "trials": 1, "parts": [], "orders": []}
-    claims = dict.fromkeys(("hazardous", "minimal", "only_together", "order_matters"), False)
-    one = CombinationView(**chain, **claims, together=[], turned=[], added_harm=harm, interacts=interacts)
-    assert added_harm_words(one) == words
-
-
 def test_errors_count_as_added_harm() -> None:
     space = Slotted(NoParams()).space
     alphas = {(Step(0, 4),): 0.3, (Step(1, 12),): 0.2, (Step(0, 4), Step(1, 12)): 0.9}
@@ -317,25 +257,6 @@ def test_errors_count_as_added_harm() -> None:
     assert (found.margin, found.combinations[0].interacts) == (None, None), "not a search for interaction"
     found = combinations_view(space, archive, {}, SimoodConfig())
     assert (found.combinations[0].interacts, found.explanation) == (None, "")
-
-
-def test_a_drive_that_is_unsafe_only_together_is_the_one_to_look_at() -> None:
-    space = Slotted(NoParams()).space
-    genome = ChainGenome.of(space)
-    place = space.sample(np.random.default_rng(0))
-    steps = (Step(0, 4), Step(1, 12))
-    chains = [(), (steps[0],), (steps[1],), steps]
-    rows = np.stack([space.join([place[0], genome.row(chain)]) for chain in chains])
-    empty = Archive.empty(space, Neighbourhood(radius=0.3, p_th=0.1, z=1.96))
-
-    def example(*unsafe: bool) -> int | None:
-        archive = empty.grown(np.arange(4), rows, np.array(unsafe), np.where(unsafe, -1.0, 1.0))
-        return example_of(combinations_view(space, archive))
-
-    assert example(False, False, False, True) == 3
-    assert example(False, True, False, True) is None, "one part is unsafe alone"
-    assert example(False, False, False, False) is None
-    assert example_of(None) is None
 
 
 def test_variants_of_a_solution_end_with_the_solution(finished: Finished) -> None:
@@ -366,19 +287,3 @@ def test_problem_without_ordered_techniques_has_no_combinations(client: httpx.Cl
     for path in ("combinations", "solutions/0/variants"):
         detail = expect(client.get(f"/api/v1/campaigns/{campaign}/{path}"), 404)["detail"]
         assert "mtq@1 has no ordered techniques" in detail
-
-
-def test_command_prints_combinations_and_a_sentence(
-    finished: Finished, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    command = ["combinations", finished.id, "--server", str(finished.client.base_url)]
-    printed = CliRunner().invoke(app, command)
-    assert printed.exit_code == 0, printed.output
-    found = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
-    assert found == finished.get("/combinations")
-    assert found["combinations"][0]["words"] in printed.stdout
-    assert "chains are hazardous" in printed.stdout
-    assert "added harm" in printed.stdout
-    assert "From 0.05, a chain interacts." in " ".join(printed.stdout.split())
-    assert "3 of 3" in printed.stdout

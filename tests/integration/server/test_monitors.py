@@ -125,18 +125,6 @@ def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Cl
     assert "evaluated on 400 others" in both.stdout
 
 
-@on_sqlite
-def test_model_is_chosen_at_the_command_line(listening_client: httpx.Client, tmp_path: Path) -> None:
-    campaign = finish(listening_client, ball(simulations=40, algorithm=RANDOM))
-    file, server = tmp_path / "monitor.json", ["--server", str(listening_client.base_url)]
-    made = CliRunner().invoke(
-        app, ["monitor", "fit", campaign, "--out", str(file), "--model", "neighbours", "--json", *server]
-    )
-    assert made.exit_code == 0, made.output
-    assert json.loads(made.stdout)["model"] == "neighbours"
-    assert Monitor.load(file).model == "neighbours"
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

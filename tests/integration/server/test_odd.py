@@ -15,10 +15,7 @@ from support.api import FakeWorker, coordinator, expect, progress, submit
 from support.standards import schema_errors
 from typer.testing import CliRunner
 
-from brink.api.client import Api
 from brink.cli.commands import app
-from brink.cli.options import with_api
-from brink.report.campaign import campaign_report
 from brink.search import surrogate
 from brink.search.odd import odd_words
 from brink.server.campaigns.body import parse_body
@@ -138,15 +135,6 @@ def test_everything_that_was_simulated_is_within_the_odd(searched: Searched) -> 
     assert not all(space.contains(space.split(row)) for row in drawn)
 
 
-def test_the_same_campaign_gives_the_same_archive(
-    searched: Searched, sqlite_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(surrogate, "TREES", 15)
-    url = f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'again.db')}"
-    with coordinator(url) as client:
-        assert progress(client, drive(client, SEARCH))["digest"] == searched.digest
-
-
 def test_pairs_are_within_the_odd_and_say_so(searched: Searched) -> None:
     space = make_problem("urban-injected@1", PROBLEM["params"]).space  # type: ignore[arg-type]
     assert searched.pairs["distinct"] > 0
@@ -186,18 +174,6 @@ def test_a_drive_with_three_trajectories_is_replayed_and_exported(searched: Sear
     stated = json.loads((scenario / "verdicts.json").read_text())["odd"]
     assert stated["scenario.driving_task"] == "follow_road"
     assert 'scenario.weather: ["clear", "hard_rain"]' in (scenario / "README.txt").read_text()
-
-
-def test_the_report_says_of_what_it_speaks(searched: Searched) -> None:
-    async def written(api: Api) -> str:
-        return await campaign_report(api, searched.campaign, pictures={})
-
-    page = with_api(None, searched.database, written)
-    assert "The result: within the ODD: " in page
-    assert "safe within the ODD with regard to" in page
-    assert "scenario: weather is clear or hard rain" in page
-    assert "behaviour: trajectory label (each) is null or vehicle" in page
-    assert "The operational design domain, to which the search was limited." in page
 
 
 def test_a_warm_start_leaves_out_what_is_outside_the_odd_and_counts_it(searched: Searched) -> None:

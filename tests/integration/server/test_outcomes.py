@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from support.api import FakeWorker, ball, coordinator, expect, submit
+from support.api import FakeWorker, coordinator, expect, submit
 from support.databases import Databases, on_sqlite
 from support.problems import small_problems
 
@@ -104,19 +104,6 @@ def test_outcomes_are_counted(driven: tuple[httpx.Client, str]) -> None:
         assert full["groups"][group]["kind"] == shown[number]["kind"]
 
 
-def test_map_and_neighbours_say_it_too(driven: tuple[httpx.Client, str]) -> None:
-    client, campaign = driven
-    shown = {one["number"]: one for one in solutions(client, campaign)}
-    drawn = expect(client.get(f"{API}/{campaign}/map"))
-    for number, outcome in zip(drawn["number"], drawn["outcome"], strict=True):
-        assert drawn["outcome_kinds"][outcome] == shown[number]["kind"]
-        assert shown[number]["outcome"].startswith(drawn["outcomes"][outcome])
-    near = expect(client.get(f"{API}/{campaign}/solutions/0/neighbours"))["nearest"]
-    assert {one["number"]: one["kind"] for one in near} == {
-        one["number"]: shown[one["number"]]["kind"] for one in near
-    }
-
-
 def test_boundary_table_has_the_outcome_and_the_moments(driven: tuple[httpx.Client, str]) -> None:
     client, campaign = driven
     thresholds = {"t_b": 1, "d_th": 0}
@@ -151,17 +138,6 @@ def test_a_campaign_may_be_about_several_requirements(
             assert one["outcome"] == held
         else:
             assert one["kind"] == ("violated" if one["seed"] % 3 in unsafe else "other")
-
-
-@on_sqlite
-def test_a_computed_problem_has_no_requirements_to_name(client: httpx.Client) -> None:
-    campaign = submit(client, ball(problem={"id": "mtq@1"}, simulations=60))
-    expect(client.get(f"{API}/{campaign}/progress"))
-    while expect(client.get(f"{API}/{campaign}/progress"))["status"] == "running":
-        pass
-    view = expect(client.get(f"{API}/{campaign}/outcomes"))
-    assert (view["requirements"], view["recorded"], view["words"]) == ([], 0, "")
-    assert {one["outcome"] for one in solutions(client, campaign)} <= {"safe", "unsafe"}
 
 
 @on_sqlite

@@ -23,27 +23,6 @@ def test_results_from_the_cache_are_counted_apart(client: httpx.Client) -> None:
     assert found["rate_per_s"] is None, "nothing was simulated"
 
 
-def test_results_from_the_cache_are_no_rate_of_an_experiment(client: httpx.Client) -> None:
-    body = {
-        "name": "small",
-        "problems": [{"name": "ball", "id": "ball@1"}],
-        "algorithms": [{"name": "GA", **ball()["algorithm"]}],
-        "seeds": [1],
-        "budget": {"simulations": 60},
-    }
-    found = []
-    for name in ("first", "again"):
-        experiment = expect(client.post("/api/v1/experiments", json={**body, "name": name}), 201)
-        worker, path = FakeWorker(client), f"/api/v1/experiments/{experiment['id']}/progress"
-        [member] = experiment["members"]
-        worker.work(member["campaign"])
-        found.append(expect(client.get(path)))
-    assert found[0]["cached"] == 0
-    assert found[0]["rate_per_s"] > 0
-    assert found[1]["cached"] == found[1]["simulations"]
-    assert found[1]["rate_per_s"] is None
-
-
 def test_a_paused_campaign_has_no_time_left(client: httpx.Client) -> None:
     campaign, worker = submit(client, ball()), FakeWorker(client)
     worker.report(worker.lease(max_jobs=8))
@@ -72,17 +51,6 @@ def test_waiting_for_a_worker_has_no_time_left(database_url: str, small_problems
         found = expect(client.get(path))
         assert (found["leased"], found["remaining_s"]) == (0, None)
         assert found["queued"] > 0
-
-
-def test_time_before_the_first_worker_is_no_part_of_the_rate(client: httpx.Client) -> None:
-    campaign = submit(client, ball())
-    waited = progress(client, campaign)["elapsed_s"]
-    worker = FakeWorker(client)
-    worker.report(worker.lease(max_jobs=1))
-    worker.report(worker.lease(max_jobs=8))
-    found = progress(client, campaign)
-    assert waited > 0
-    assert found["rate_per_s"] > (found["simulations"] - 1) / (found["elapsed_s"] - waited)
 
 
 @pytest.mark.parametrize(("since_s", "rate"), [([], None), ([60.0], None), ([60.0, 40.0, 20.0, 0.0], 0.05)])

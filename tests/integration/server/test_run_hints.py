@@ -11,9 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.cli.findings import CombinationFindings
 from brink.search import surrogate
-from brink.server.api.schemas import Combinations
 
 TRAFFIC = {
     "name": "n",
@@ -86,7 +84,3 @@ def test_a_search_for_violations_writes_no_empty_boundary(database: str) -> None
         if not command.startswith("replay"):
             followed = CliRunner().invoke(app, shlex.split(command))
             assert followed.exit_code == 0, (command, followed.output)
-
-
-def test_combinations_suggest_nothing_where_there_are_none() -> None:
-    assert CombinationFindings(Combinations(words="none", combinations=[], steps=[])).hints("3f2a", "") == []

@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any, TypeVar
 
 import httpx
@@ -28,13 +27,10 @@ from support.api import (
 from support.databases import Databases, module_on_sqlite, on_sqlite
 from support.problems import small_problems
 from support.traces import filmed, grey_jpeg, make_trace
-from typer.testing import CliRunner
 
 import brink.server.campaigns.plan
-from brink.api.client import Api, CoordinatorError
-from brink.cli.commands import app
+from brink.api.client import Api
 from brink.cli.run import CampaignRun
-from brink.pictures.scene import EpisodeScene, map_centres
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.checks import PLUGIN_CHECKS_AT_ONCE, SLOW_AT_ONCE
@@ -46,7 +42,7 @@ from brink.server.queue.wakeups import Wakeups
 from brink.server.states import CampaignStatus, JobKind
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.trace import ACTION, BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Ragged, Trace
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Ragged, Trace
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 R = TypeVar("R")
@@ -163,31 +159,6 @@ def test_trace_no_worker_can_make_is_refused(client: httpx.Client, engines: Engi
     assert client.post(path).status_code == 202
 
 
-@on_sqlite
-def test_responses_for_a_missing_trace_are_documented(client: httpx.Client) -> None:
-    paths = expect(client.get("/openapi.json"))["paths"]
-    for what in ("trace", "replay.{extension}"):
-        answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
-        assert set(answers["202"]["content"]) == {"application/json"}, what
-        assert set(answers["503"]["content"]) == {"application/problem+json"}, what
-
-
-def test_replay_fails_at_once_if_no_worker_can_trace(listening_client: httpx.Client, tmp_path: Path) -> None:
-    campaign = submit(listening_client, ball())
-    given = [
-        "replay",
-        campaign,
-        "3",
-        "--out",
-        str(tmp_path / "x.png"),
-        "--server",
-        str(listening_client.base_url),
-    ]
-    said = CliRunner().invoke(app, given)
-    assert isinstance(said.exception, CoordinatorError)
-    assert "no live worker can run faulty@1" in str(said.exception)
-
-
 def test_trace_wait_ends_when_workers_leave(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:
@@ -233,31 +204,6 @@ def test_failed_trace_reports_its_error_until_it_is_retried(client: httpx.Client
     worker.judge = traces(b"the trace")
     worker.report(worker.lease())
     assert client.get(path, params={"wait_s": 5}).content == b"the trace"
-
-
-def test_simulator_that_records_no_traces_is_a_conflict(client: httpx.Client) -> None:
-    worker = FakeWorker(client, judge=traces(None))
-    campaign = finish(client, UNTRACED, worker.judge)
-    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    assert client.post(path).status_code == 202
-    worker.report(worker.lease())
-    document = expect(client.get(path, params={"wait_s": 5}), 409)
-    assert "records no trace" in document["detail"]
-
-
-def test_trace_that_cannot_be_drawn_is_a_conflict(client: httpx.Client) -> None:
-    worker = FakeWorker(client, judge=traces(b"the trace"))
-    campaign = finish(client, UNTRACED, worker.judge)
-    client.post(f"/api/v1/campaigns/{campaign}/solutions/3/trace")
-    worker.report(worker.lease())
-    document = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.png"), 409)
-    assert "cannot be drawn" in document["detail"]
-    expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.exe"), 422)
-
-
-def test_unknown_solution_has_no_trace(client: httpx.Client) -> None:
-    campaign = finish(client, UNTRACED)
-    expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/9999/trace"), 404)
 
 
 @pytest.mark.parametrize("garbage", ["no base64!", "AAA", "\u00fc"])
@@ -424,38 +370,6 @@ def test_boxes_and_obstacles_are_grouped_by_sample(ended: Ended) -> None:
     assert (camera["width_px"], camera["focal_px"], camera["horizon_px"]) == (800, 400, 300)
 
 
-def test_episode_has_the_scene_model_of_replays(ended: Ended) -> None:
-    trace = make_trace()
-    found = ended.episode(trace)
-    scene = EpisodeScene.of(trace)
-    assert found["ego"]["brakes"] == scene.ego_brakes.tolist()
-    assert [actor["brakes"] for actor in found["actors"]] == [
-        brakes.tolist() for brakes in scene.actors_brake
-    ]
-    assert [actor["shape"] for actor in found["actors"]] == ["car", "car", "person", "person"]
-    assert found["perceived"]["columns"]["ghost"] == scene.obstacles.ghost.astype(int).tolist()
-    assert 1 in found["perceived"]["columns"]["ghost"]
-    kinds = [surface["kind"] for surface in found["scene"]]
-    assert found["route_layer"] == kinds.index("building")
-    building = found["scene"][kinds.index("building")]
-    assert (building["paint"], building["outlined"], building["height_m"]) == ("building", True, 6)
-    crossing = found["scene"][kinds.index("crossing")]
-    assert (crossing["paint"], crossing["outlined"], crossing["height_m"]) == ("marking", False, 0)
-    np.testing.assert_allclose(found["centre"]["x_m"], map_centres(trace, 12.0)[:, 0], atol=6e-4)
-    assert len(found["shapes"]["car_body"]) == 12
-    assert found["words"]["ghosts"] == ["ghost vehicle", "ghost person", "ghost obstacle"]
-    assert (found["camera"]["from_m"], found["camera"]["to_m"]) == (0.4, 90)
-
-
-def test_action_is_captioned_and_not_marked(ended: Ended) -> None:
-    trace = make_trace(samples=40)
-    action = Event(time_s=1.0, kind=ACTION, text="car-1:change_lane")
-    first, *others = ended.episode(replace(trace, events=(action, *trace.events)))["events"]
-    assert (first["caption"], first["marked"]) == ("car-1: change lane", False)
-    assert [event["caption"] for event in others] == ["nudges around vehicle", "front gap under 1.5 m"]
-    assert all(event["marked"] for event in others)
-
-
 def test_unbounded_robustness_is_null(ended: Ended) -> None:
     trace = make_trace(samples=40)
     unbounded = np.full(40, np.inf, np.float32)
@@ -564,18 +478,6 @@ def test_document_that_is_no_trace_is_a_conflict(ended: Ended) -> None:
     path = ended.kept(b"the trace")
     assert "cannot be drawn" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]
     expect(ended.client.get(f"{path}/pictures/0.jpg"), 404)
-
-
-@module_on_sqlite
-def test_story_is_the_violated_requirement_if_the_campaign_judges_none(ended: Ended) -> None:
-    far = np.full(40, 9.0, np.float32)
-    fast = np.where(np.arange(40) < 25, 1.0, -0.5).astype(np.float32)
-    found = ended.episode(
-        replace(make_trace(samples=40), robustness={"front-gap@1": far, "speed-limit@1": fast})
-    )
-    story = found["story"]
-    assert (story["requirement"], story["violated"], story["decisive"]) == ("speed-limit@1", True, 25)
-    assert story["words"] == "exceeded the speed limit at 2.5 s"
 
 
 @module_on_sqlite

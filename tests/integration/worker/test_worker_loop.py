@@ -1,7 +1,6 @@
 """A worker against a coordinator over real HTTP that fails in every way a coordinator can."""
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Iterator
@@ -12,14 +11,7 @@ from support.api import eventually
 from worker_harness import TIMEOUT_S, FakeCoordinator, Fault, running_worker, use_faulty_simulator
 
 from brink.worker.backoff import Backoff
-from brink.worker.wire import (
-    Completed,
-    HeartbeatRequest,
-    JobFailed,
-    LeaseRequest,
-    ResultsRequest,
-    machine_name,
-)
+from brink.worker.wire import Completed, HeartbeatRequest, JobFailed, LeaseRequest, ResultsRequest
 
 
 @pytest.fixture(autouse=True)
@@ -43,14 +35,6 @@ def test_every_job_is_run_once_and_accepted(coordinator: FakeCoordinator) -> Non
         assert job.attempt == 1
         assert isinstance(job.outcome, Completed)
         assert job.outcome.objectives["distance"] == pytest.approx(job.spec["behaviour"]["x"])
-
-
-def test_a_worker_identifies_its_process_and_machine(coordinator: FakeCoordinator) -> None:
-    coordinator.add()
-    with running_worker(coordinator.url):
-        coordinator.wait_for_all()
-    identities = {request.worker for request in coordinator.served(LeaseRequest)}
-    assert [(who.pid, who.machine) for who in identities] == [(os.getpid(), machine_name())]
 
 
 def test_a_worker_touches_its_alive_file_while_it_simulates_and_while_it_is_idle(
@@ -136,17 +120,6 @@ def test_an_idle_worker_that_is_drained_exits(coordinator: FakeCoordinator) -> N
         coordinator.draining = True
         coordinator.add()
         assert running.join() == 0
-
-
-def test_a_hanging_job_is_reported_as_a_timeout(coordinator: FakeCoordinator) -> None:
-    hanging = coordinator.add({"fault": "hang"}, timeout_s=0.3)
-    after = coordinator.add()
-    with running_worker(coordinator.url):
-        coordinator.wait_for_all()
-    outcome = coordinator.jobs[hanging].outcome
-    assert isinstance(outcome, JobFailed)
-    assert outcome.reason == "timeout"
-    assert isinstance(coordinator.jobs[after].outcome, Completed)
 
 
 def test_results_survive_a_coordinator_that_vanishes_and_returns(

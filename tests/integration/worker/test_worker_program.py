@@ -70,13 +70,6 @@ def test_a_program_says_which_simulators_it_cannot_run(
         assert program.wait(TIMEOUT_S) == 0
 
 
-def test_an_idle_program_exits_with_0_at_once(coordinator: FakeCoordinator) -> None:
-    with worker_program(coordinator.url, "--wait", "60") as program:
-        coordinator.wait_for_outcome(coordinator.add())
-        program.terminate()
-        assert program.wait(TIMEOUT_S) == 0
-
-
 def test_a_second_signal_ends_the_program_at_once(coordinator: FakeCoordinator) -> None:
     job = coordinator.add({"fault": "hang"}, timeout_s=3600.0)
     with worker_program(coordinator.url, "--grace", "3600") as program:
@@ -119,15 +112,6 @@ def test_a_failed_job_is_logged_on_one_line_with_worker_job_and_reason(coordinat
     [line] = [line for line in log.splitlines() if "job failed" in line]
     for field in ("WARNING", "worker=w-17", f"job={job}", "attempt=1", "reason=crashed", "status 3"):
         assert field in line
-
-
-def test_the_program_runs_all_jobs_and_exits_when_idle(coordinator: FakeCoordinator) -> None:
-    for _ in range(5):
-        coordinator.add()
-    with worker_program(coordinator.url, "--exit-when-idle", "0") as program:
-        assert program.wait(TIMEOUT_S) == 0
-    assert coordinator.queued() == []
-    assert coordinator.served(LeaseRequest)
 
 
 def test_a_bad_setting_is_a_usage_error() -> None:
