@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from brink.api.client import Api, CoordinatorError
-from brink.server.api.pair_views import FollowUpView
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.findings.follow_ups import FollowUpView
 from brink.server.states import CampaignStatus
 
 OPEN: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)

@@ -12,13 +12,14 @@ from brink.search.archive import ARRAYS, Archive
 from brink.search.errors import TooManyPairs
 from brink.search.space import BoolArray, IntArray
 from brink.server.api.outcomes import OutcomesView
-from brink.server.api.pair_views import MOST_PAIRS, PairsView, PairView
-from brink.server.api.schemas import CampaignView, SolutionView
+from brink.server.api.schemas import CampaignView
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import ServerError
+from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.problems.base import records_traces
+from brink.server.views import SolutionView
 from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result
 from brink.worker.wire import JobFailed

@@ -39,17 +39,10 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.server.api.schemas import (
-    Boundary,
-    CampaignView,
-    DbsCell,
-    JobList,
-    JobViewModel,
-    Progress,
-    WorkerView,
-)
+from brink.server.api.schemas import CampaignView, JobList, JobViewModel, Progress, WorkerView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, read_campaign_file
 from brink.server.errors import InvalidInput
+from brink.server.findings.boundary.views import Boundary, DbsCell
 from brink.server.states import CampaignStatus
 from brink.sim.catalogue import start_words
 

@@ -27,10 +27,10 @@ from brink.search.analysis.comparison import Row, control_summaries
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
 from brink.search.errors import TooManyPairs
-from brink.server.api.pair_views import PairsView
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput
+from brink.server.findings.pairs.views import PairsView
 
 
 def compare(

@@ -31,11 +31,12 @@ from brink.report.detector import (
     tally,
 )
 from brink.report.episode_strips import worst_strips
-from brink.server.api.tolerance import DetectorBody, DetectorView
+from brink.server.api.tolerance import DetectorBody
 from brink.server.campaigns.detector_check import CheckResult
 from brink.server.csv_text import csv_text
 from brink.server.documents import parse_document
 from brink.server.errors import InvalidInput
+from brink.server.findings.tolerances.views import DetectorView
 
 MOST_THRESHOLDS: Final = 50
 AUTOMATIC: Final = "auto"

@@ -33,10 +33,10 @@ from brink.cli.options import (
 from brink.pictures import render
 from brink.report.figures import draw_figures
 from brink.search.errors import TooManyPairs
-from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.errors import InvalidInput
+from brink.server.findings.boundary.views import Boundary
 
 
 def plot(

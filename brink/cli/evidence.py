@@ -38,19 +38,12 @@ from brink.pictures import render
 from brink.report.component import DetectionCounts, count_detections, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, TooManyPairs
-from brink.server.api.boundary_table import (
-    FORMATS,
-    MEANINGS,
-    Row,
-    boundary_columns,
-    boundary_rows,
-    has_parquet,
-    table_bytes,
-)
-from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.errors import InvalidInput
+from brink.server.findings.boundary.table import MEANINGS, boundary_columns, boundary_rows
+from brink.server.findings.boundary.views import Boundary
+from brink.server.findings.table import FORMATS, Row, has_parquet, table_bytes
 from brink.sim.errors import SimulatorError
 from brink.sim.trace import Trace
 from brink.worker.errors import WorkerError

@@ -10,8 +10,8 @@ from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
 from brink.report.pair_pictures import findings, write_pair
 from brink.report.pair_words import common_words, evidence_words, legend
 from brink.search.errors import TooManyPairs
-from brink.server.api.boundary_table import FORMATS, has_parquet
-from brink.server.api.pair_views import MOST_PAIRS, PairsView, PairView
+from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
+from brink.server.findings.table import FORMATS, has_parquet
 from brink.server.problems.changes import as_sentence
 from brink.sim.errors import SimulatorError
 from brink.worker.errors import WorkerError

@@ -29,10 +29,10 @@ from brink.report.experiment_pairs import (
 )
 from brink.search.analysis.pair_comparison import PairCounts, PairRepeat, pair_standings, problems_of
 from brink.server.api.experiment_pairs import ExperimentPairs, PairRepeatView
-from brink.server.api.pair_views import FollowUpView
 from brink.server.api.schemas import ExperimentProgress, ExperimentView
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.findings.follow_ups import FollowUpView
 from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 

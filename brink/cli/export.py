@@ -18,8 +18,9 @@ from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, 
 from brink.extras import install_command
 from brink.scenarios.exportable import EXPORTED, MODULES, EgoControl, check_exportable
 from brink.search.errors import MissingExtra
-from brink.server.api.schemas import CampaignView, SolutionView
+from brink.server.api.schemas import CampaignView
 from brink.server.errors import InvalidInput
+from brink.server.views import SolutionView
 from brink.sim.trace import Trace
 
 CAMPAIGN = "campaign"

@@ -45,20 +45,16 @@ from brink.search.analysis.avoidable import Avoidable
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
-from brink.server.api.schemas import (
-    Combinations,
-    SolutionPage,
-    SolutionView,
-    StepTally,
-    Violations,
-    ViolationView,
-)
+from brink.server.api.schemas import SolutionPage
 from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
+from brink.server.findings.combinations.views import Combinations, StepTally
+from brink.server.findings.violations.views import Violations, ViolationView
 from brink.server.problems.base import ReportsViolations
 from brink.server.problems.npc_actions import UNAVOIDABLE_M, NpcActions
 from brink.server.states import SolutionVerdict
+from brink.server.views import SolutionView
 from brink.sim.verdict import clock_words
 
 CHAINS_SHOWN: Final = 10

@@ -15,11 +15,17 @@ from brink.report.figures import Drawing
 from brink.report.pair_pictures import write_pair
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
-from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView, PairView
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
 from brink.server.campaigns.pairs import PairSettings, searches_for_pairs
 from brink.server.campaigns.plan import with_truth
 from brink.server.errors import InvalidInput
+from brink.server.findings.pairs.views import (
+    DEFAULT_CONFIRMATIONS,
+    MOST_PAIRS,
+    ComponentPart,
+    PairsView,
+    PairView,
+)
 from brink.server.problems.base import NamesRequirements
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.requirements import ANY

@@ -8,8 +8,8 @@ from brink.api.live import Steps
 from brink.api.results import find_pair
 from brink.cli.options import console
 from brink.report.pair_pictures import write_pair
-from brink.server.api.pair_views import PairsView, PairView
 from brink.server.errors import InvalidInput
+from brink.server.findings.pairs.views import PairsView, PairView
 
 PICTURES: Final = (".png",)
 

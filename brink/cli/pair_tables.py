@@ -6,7 +6,7 @@ from rich.text import Text
 
 from brink.cli.options import plain_table, print_sentence
 from brink.report.pair_words import common_words, evidence_words, extent_words, legend
-from brink.server.api.pair_views import MOST_PAIRS, PairsView
+from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
 from brink.server.problems.changes import as_sentence
 
 

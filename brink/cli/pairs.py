@@ -37,12 +37,13 @@ from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
 from brink.cli.pair_tables import print_pairs
 from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
-from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, Minimality, PairsView
 from brink.server.api.schemas import CampaignView
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.errors import InvalidInput
+from brink.server.findings.follow_ups import FollowUpView
+from brink.server.findings.pairs.views import MOST_PAIRS, Minimality, PairsView
 from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 

@@ -29,11 +29,12 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS
-from brink.server.api.repeats import DEFAULT_REPEATS, RepeatedSolution, RepeatsView
 from brink.server.api.schemas import CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_plan
+from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
+from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
+from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS
 from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 

@@ -42,11 +42,12 @@ from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
-from brink.server.api.repeats import RepeatsView
-from brink.server.api.schemas import Boundary, CampaignView, Progress
-from brink.server.api.solutions import boundary_words
+from brink.server.api.schemas import CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import check_submission
+from brink.server.findings.boundary.analysis import boundary_words
+from brink.server.findings.boundary.repeat_views import RepeatsView
+from brink.server.findings.boundary.views import Boundary
 from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 

@@ -44,8 +44,8 @@ from brink.cli.recording_options import (
 from brink.recordings.reading import formats_by_name
 from brink.report.figures import Drawing
 from brink.report.tolerance import KEY, requirement_document, tolerated_words
-from brink.server.api.tolerance import AgreementView, CellView, ToleranceView
 from brink.server.errors import InvalidInput
+from brink.server.findings.tolerances.views import AgreementView, CellView, ToleranceView
 
 ROWS_SHOWN: Final = 30
 """Most rows of the table at the end of a run."""

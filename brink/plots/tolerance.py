@@ -22,7 +22,7 @@ from brink.plots.style import (
     show_percent,
     style_axes,
 )
-from brink.server.api.tolerance import CellView, ToleranceView
+from brink.server.findings.tolerances.views import CellView, ToleranceView
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f4f24", "#68727b")
 MOST_CONDITIONS: Final = len(COLOURS)

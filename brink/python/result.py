@@ -40,13 +40,18 @@ from brink.report.figures import VIOLATION_TYPES, campaign_figure
 from brink.report.pair_pictures import headline, write_pair
 from brink.report.violations import figure_types
 from brink.search.errors import TooManyPairs
-from brink.server.api.boundary_table import boundary_columns, boundary_rows
-from brink.server.api.pair_table import pair_columns, pair_rows
-from brink.server.api.pair_views import MOST_PAIRS, FollowUpView, PairsView
-from brink.server.api.schemas import Boundary, CampaignView, Combinations, Progress, SolutionView, Violations
+from brink.server.api.schemas import CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.errors import InvalidInput, ServerError
+from brink.server.findings.boundary.table import boundary_columns, boundary_rows
+from brink.server.findings.boundary.views import Boundary
+from brink.server.findings.combinations.views import Combinations
+from brink.server.findings.follow_ups import FollowUpView
+from brink.server.findings.pairs.table import pair_columns, pair_rows
+from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
+from brink.server.findings.violations.views import Violations
 from brink.server.states import CampaignStatus
+from brink.server.views import SolutionView
 
 if TYPE_CHECKING:
     import pandas as pd

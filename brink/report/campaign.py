@@ -49,8 +49,8 @@ from brink.report.campaign_words import (
 )
 from brink.report.text import page_template
 from brink.search.analysis.combinations import MIN_PLACES
-from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, PairsView
-from brink.server.api.tolerance import Finding, ToleranceView
+from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS, PairsView
+from brink.server.findings.tolerances.views import Finding, ToleranceView
 from brink.server.problems.base import ReplacesComponent, SimulatedProblem
 from brink.server.states import CampaignStatus, OutcomeKind
 

@@ -16,22 +16,17 @@ from brink.search.analysis.rules import Rules, region_rules
 from brink.search.errors import MissingExtra, TooManyPairs, UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.api.finding import FindingView
-from brink.server.api.pair_views import PairsView
-from brink.server.api.repeats import RepeatsView
-from brink.server.api.schemas import (
-    Boundary,
-    CampaignList,
-    CampaignView,
-    Combinations,
-    JobList,
-    Progress,
-    SolutionView,
-    Violations,
-)
-from brink.server.api.tolerance import DetectorView, ToleranceView
+from brink.server.api.schemas import CampaignList, CampaignView, JobList, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.findings.boundary.repeat_views import RepeatsView
+from brink.server.findings.boundary.views import Boundary
+from brink.server.findings.combinations.views import Combinations
+from brink.server.findings.pairs.views import PairsView
+from brink.server.findings.tolerances.views import DetectorView, ToleranceView
+from brink.server.findings.violations.views import Violations
 from brink.server.problems.base import InProcessProblem, ReportsViolations, ignores_seeds, records_traces
 from brink.server.states import CampaignStatus, JobStatus
+from brink.server.views import SolutionView
 
 Show: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being done, in words, how much of it is done, and how much there is; 0 if that is unknown."""

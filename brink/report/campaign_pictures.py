@@ -13,8 +13,8 @@ from brink.report.figures import Drawing, campaign_figure, write_replays
 from brink.report.pair_pictures import write_pair
 from brink.report.violations import draw_gallery
 from brink.search.errors import TooManyPairs
-from brink.server.api.pair_views import PairsView, PairView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.findings.pairs.views import PairsView, PairView
 from brink.sim.errors import SimulatorError
 from brink.worker.errors import WorkerError
 

@@ -22,9 +22,11 @@ from brink.report.tolerance import KEY, tolerated_words
 from brink.search.analysis.combinations import HAZARDOUS, MIN_PLACES
 from brink.search.analysis.rules import LEAST_LEAF, USELESS
 from brink.search.errors import TooManyPairs
-from brink.server.api.pair_views import PairsView, PairView, ShareView, SideView
-from brink.server.api.schemas import Boundary, TypeView
-from brink.server.api.tolerance import Finding, ToleranceView
+from brink.server.findings.boundary.views import Boundary
+from brink.server.findings.follow_ups import ShareView
+from brink.server.findings.pairs.views import PairsView, PairView, SideView
+from brink.server.findings.tolerances.views import Finding, ToleranceView
+from brink.server.findings.violations.views import TypeView
 from brink.server.problems.changes import as_sentence
 from brink.server.states import OutcomeKind
 

@@ -14,10 +14,10 @@ from brink.search.analysis.dependence import ParameterColumn
 from brink.search.odd import odd_words
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray
-from brink.server.api.pair_views import PairsView
-from brink.server.api.tolerance import CellView, Finding, ToleranceView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.findings.pairs.views import PairsView
+from brink.server.findings.tolerances.views import CellView, Finding, ToleranceView
 from brink.server.problems.base import ReplacesComponent
 from brink.server.problems.catalogue import ODD
 from brink.server.problems.changes import as_sentence

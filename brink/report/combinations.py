@@ -7,7 +7,7 @@ from types import UnionType
 from typing import TYPE_CHECKING, Any, Final
 
 from brink.report.figures import Drawing
-from brink.server.api.schemas import ChainTally, Combinations, CombinationView, Variant
+from brink.server.findings.combinations.views import ChainTally, Combinations, CombinationView, Variant
 
 if TYPE_CHECKING:
     from brink.pictures.sheets import Row

@@ -8,9 +8,9 @@ from typing import Final
 from brink import __version__
 from brink.report.episode_strips import Strip
 from brink.report.text import markdown_text, page_template, table_row
-from brink.server.api.tolerance import DetectorCell, DetectorView
 from brink.server.campaigns.detector_check import CheckResult
 from brink.server.csv_text import csv_text
+from brink.server.findings.tolerances.views import DetectorCell, DetectorView
 from brink.server.problems.changes import as_sentence
 
 TICKS: Final = (0.0, 0.25, 1.0)

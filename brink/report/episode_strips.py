@@ -13,8 +13,8 @@ from PIL import Image as PillowImage
 from brink.recordings.camera import CameraModel
 from brink.recordings.measure import ObservedDrive
 from brink.recordings.recording import Image, RecordedDrive, RecordingError, Sides
-from brink.server.api.tolerance import DetectorCell, DetectorView
 from brink.server.campaigns.detector_check import CheckResult
+from brink.server.findings.tolerances.views import DetectorCell, DetectorView
 from brink.server.problems.changes import as_sentence
 from brink.sim.urban.detection_errors import ErrorType, Target
 from brink.sim.urban.error_meter import Sample, Span

@@ -12,9 +12,9 @@ from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace, run_episode
 from brink.pictures import render
 from brink.search.errors import TooManyPairs
-from brink.server.api.pair_views import PairsView
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.errors import InvalidInput
+from brink.server.findings.pairs.views import PairsView
 from brink.server.states import OutcomeKind
 from brink.sim.errors import SimulatorError
 from brink.sim.trace import Trace

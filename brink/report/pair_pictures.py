@@ -18,14 +18,8 @@ from brink.api.results import (
 from brink.pictures import DrivePair, Side, render_pair
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.sequential import INTERVAL, Verdict, verdict_of
-from brink.server.api.pair_views import (
-    ComponentPart,
-    ConfirmationView,
-    Minimality,
-    PairsView,
-    PairView,
-    ShareView,
-)
+from brink.server.findings.follow_ups import ShareView
+from brink.server.findings.pairs.views import ComponentPart, ConfirmationView, Minimality, PairsView, PairView
 from brink.server.problems.changes import as_sentence
 from brink.sim.verdict import held_words
 

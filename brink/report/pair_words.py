@@ -1,7 +1,7 @@
 """What is known of pairs, in words for tables: what both sides share, the evidence, and what the terms mean."""
 
 from brink.search.analysis.confirmation import Confirmation, Share
-from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView
+from brink.server.findings.pairs.views import ComponentPart, Minimality, PairsView, PairView
 
 
 def common_words(pair: PairView) -> list[str]:

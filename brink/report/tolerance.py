@@ -3,7 +3,7 @@
 from typing import Final
 
 from brink.report.text import table_row
-from brink.server.api.tolerance import CellView, Finding, ToleranceView
+from brink.server.findings.tolerances.views import CellView, Finding, ToleranceView
 
 
 def requirement_document(view: ToleranceView, picture: str | None = None) -> str:

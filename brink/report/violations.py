@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from brink.pictures import render
 from brink.report.figures import Drawing
 from brink.search.analysis.avoidable import Avoidable
-from brink.server.api.schemas import Violations
+from brink.server.findings.violations.views import Violations
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -29,7 +29,7 @@ from brink.server.api.responses import (
     matches,
     not_modified,
 )
-from brink.server.api.schemas import MAX_NUMBER, ControlView, View
+from brink.server.api.schemas import MAX_NUMBER, ControlView
 from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ArchiveActivity, ReadArchive
@@ -43,6 +43,7 @@ from brink.server.db.engine import read
 from brink.server.documents import Body
 from brink.server.errors import Conflict, FieldError, InvalidInput, nearest
 from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.views import View
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["figures"])
 

@@ -36,7 +36,6 @@ from brink.server.api.schemas import (
     LlmCall,
     LlmCalls,
     Progress,
-    View,
 )
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
@@ -76,6 +75,7 @@ from brink.server.llm.store import list_calls
 from brink.server.queue.job_store import count_unfinished, queued_needs
 from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
+from brink.server.views import View
 from brink.sim.catalogue import worker_for
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])

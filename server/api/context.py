@@ -11,19 +11,14 @@ from fastapi import Depends, Request
 
 from brink.server.access.authentication import Caller
 from brink.server.campaigns.advance import Scheduler
-from brink.server.campaigns.archives import Archives, Monitors
-from brink.server.campaigns.boundaries import Boundaries
+from brink.server.campaigns.archives import Monitors
 from brink.server.campaigns.deletion import Eraser
-from brink.server.campaigns.outcomes import Outcomes
-from brink.server.campaigns.pairs import Pairs
-from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.service import CampaignService
-from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
-from brink.server.db.engine import Engines
 from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
+from brink.server.findings.sources import Sources
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
@@ -36,11 +31,10 @@ CALLER = "brink.caller"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Context:
+class Context(Sources):
     """The services of this process."""
 
     settings: Settings
-    engines: Engines
     campaigns: CampaignService
     experiments: ExperimentService
     eraser: Eraser
@@ -48,18 +42,8 @@ class Context:
     monitors: Monitors
     queue: QueueService
     scheduler: Scheduler
-    pages: ReadThreads
-    """Threads for what takes up to seconds: reading archives and results, decoding and encoding them."""
-    analyses: ReadThreads
-    """Threads for what takes longer: comparing all solutions with each other."""
-    archives: Archives
-    boundaries: Boundaries
-    outcomes: Outcomes
-    reported: ReportedResults
     pair_pictures: SingleFlightCache[tuple[bytes, bytes]]
     """Pictures of both sides of pairs."""
-    pairs: Pairs
-    tolerances: Tolerances
     experiment_pairs: PairCache
     films: Films
     seeds: LlmSeeds

@@ -41,7 +41,7 @@ from brink.pictures.story import (
     story_of,
     unit_of,
 )
-from brink.server.api.schemas import View
+from brink.server.views import View
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import (

@@ -18,12 +18,12 @@ from brink.search.analysis.pair_comparison import (
 from brink.search.analysis.paper import LEVEL
 from brink.search.analysis.statistics import MeanInterval
 from brink.server.api.context import Context, Services
-from brink.server.api.pair_views import ConfirmationRule
 from brink.server.api.responses import COMPUTING, Alpha, computing
-from brink.server.api.schemas import View
 from brink.server.campaigns.pairs import PairSettings
 from brink.server.experiments.pairs import SearchedCampaigns, settings_of
 from brink.server.experiments.store import Experiment
+from brink.server.findings.pairs.views import ConfirmationRule
+from brink.server.views import View
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])
 

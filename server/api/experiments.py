@@ -39,7 +39,6 @@ from brink.server.api.schemas import (
     ExperimentView,
     MemberView,
     RepeatView,
-    View,
 )
 from brink.server.campaigns.repeats import read_pair_campaigns
 from brink.server.campaigns.store import ENDED, Campaign
@@ -52,6 +51,7 @@ from brink.server.experiments.store import Experiment
 from brink.server.queue.job_store import count_unfinished
 from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus, JobStatus
+from brink.server.views import View
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])
 

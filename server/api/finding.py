@@ -23,13 +23,6 @@ from brink.search.analysis.violations import FoundViolation
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.api.context import Context, Services
-from brink.server.api.findings import combinations_view, violation_types, violations_words
-from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, FollowUpView, PairsView, PairView
-from brink.server.api.pairs import follow_up_view, pairs_view
-from brink.server.api.repeats import DEFAULT_REPEATS, count_distinct, repeats_view
-from brink.server.api.schemas import Combinations, View, listed_words
-from brink.server.api.solutions import boundary_words
-from brink.server.api.tolerance import tolerance_view
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.outcomes import CampaignOutcomes
@@ -41,11 +34,22 @@ from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.violations import read_violations
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput
+from brink.server.findings.boundary.analysis import boundary_words
+from brink.server.findings.boundary.repeats import DEFAULT_REPEATS, count_distinct, repeats_view
+from brink.server.findings.combinations.analysis import combinations_view
+from brink.server.findings.combinations.views import Combinations
+from brink.server.findings.follow_ups import FollowUpView, follow_up_view
+from brink.server.findings.pairs.analysis import pairs_view
+from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS, PairsView, PairView
+from brink.server.findings.tolerances.analysis import tolerance_view
+from brink.server.findings.violations.analysis import violation_types, violations_words
+from brink.server.findings.words import listed_words
 from brink.server.problems.base import HasDetector, ReportsViolations, records_traces
 from brink.server.problems.catalogue import ODD, make_problem, problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
 from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.views import View
 from brink.sim.requirements import CollisionKind
 from brink.sim.verdict import clock_words, impact_of, violated_words
 

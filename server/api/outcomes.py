@@ -7,9 +7,9 @@ from pydantic import Field
 
 from brink.server.api.context import Services
 from brink.server.api.responses import json_response
-from brink.server.api.schemas import View
 from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.states import OutcomeKind
+from brink.server.views import View
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 

@@ -11,9 +11,10 @@ from fastapi import Header, Query, Request, Response
 from fastapi.responses import JSONResponse
 
 from brink.search.analysis.paper import D_THS, PAPER_T_BS
-from brink.server.api.schemas import BeingMade, Thresholds, View
+from brink.server.api.schemas import BeingMade, Thresholds
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput
+from brink.server.views import View
 
 Responses = dict[int | str, dict[str, Any]]
 """What a route accepts as ``responses``."""

@@ -3,29 +3,15 @@
 from datetime import datetime
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
-from brink.search.analysis.avoidable import Avoidable, AvoidedBy
 from brink.server.campaigns.body import CampaignBody
 from brink.server.experiments.body import ExperimentBody
-from brink.server.states import CampaignStatus, JobStatus, OutcomeKind, SolutionVerdict
+from brink.server.states import CampaignStatus, JobStatus
+from brink.server.views import SolutionView, View
 
 MAX_NUMBER = 2**53
 """Largest job or solution number that is looked up; every JSON parser reads it exactly."""
-AVOIDABLE = (
-    "Who would have avoided it: a careful driver (UN Regulation No. 157, Annex 3), only an ideal one who brakes at "
-    "once, or neither (no); null if that was not measured."
-)
-AVOIDED_BY = (
-    "How that driver avoids it: by `braking` before the time of the violation, for a road user or a red light, or by "
-    "`driving on`, having passed earlier or kept its lane; null if no driver avoids it, or that was not recorded."
-)
-
-
-class View(BaseModel):
-    """Base class of all response schemas. Validators are built on first use: the command line needs few of them."""
-
-    model_config = ConfigDict(frozen=True, defer_build=True)
 
 
 class Thresholds(View):
@@ -57,7 +43,7 @@ class CampaignView(View):
     generation: int
     created_at: datetime
     finished_at: datetime | None
-    tags: list[str] = []
+    tags: list[str] = Field(default_factory=list)
     notes: str = ""
     looks_for_boundary: Annotated[
         bool,
@@ -175,8 +161,12 @@ class Progress(View):
         Field(description="Number of queued jobs that no live worker can run, by required capability."),
     ]
     waits_for: Annotated[
-        dict[str, str], Field(description="What kind of worker each of these capabilities needs, in words.")
-    ] = {}
+        dict[str, str],
+        Field(
+            default_factory=dict,
+            description="What kind of worker each of these capabilities needs, in words.",
+        ),
+    ]
     looks_for_boundary: Annotated[
         bool,
         Field(
@@ -205,115 +195,11 @@ class Progress(View):
     trouble_s: Annotated[float, Field(description="How long the database has rejected writes, in seconds.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
     finished_at: datetime | None = None
-    tags: list[str] = []
+    tags: list[str] = Field(default_factory=list)
     notes: str = ""
     t_b: float
     d_th: float
     generations: list[GenerationView]
-
-
-class ViolatedView(View):
-    """A requirement that an episode violated."""
-
-    requirement: str
-    time_s: Annotated[float | None, Field(description="Simulated time of the first violation, if recorded.")]
-    words: Annotated[str, Field(description="What the ego did, such as `hit a pedestrian`.")]
-    decides: Annotated[bool, Field(description="Whether the campaign's verdict depends on it.")]
-    avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)] = None
-    avoided_by: Annotated[AvoidedBy | None, Field(description=AVOIDED_BY)] = None
-    avoidable_words: Annotated[
-        str,
-        Field(
-            description="The same in words, such as `avoidable by a careful driver`; empty if not measured."
-        ),
-    ] = ""
-
-
-class ActivityView(View):
-    """Which parameters had a part in the episode of a solution, and the values that they had there."""
-
-    inactive: Annotated[
-        list[str],
-        Field(
-            description="Parameters whose value cannot have influenced the episode, as component.parameter: for "
-            "example, those of a trajectory that begins after the episode ended."
-        ),
-    ]
-    effective: Annotated[
-        dict[str, dict[str, Any]],
-        Field(description="Values as the episode had them: a time window that its end cut off ends there."),
-    ]
-    idle: Annotated[list[str], Field(description="Components that had no part in the episode.")]
-
-
-class SolutionView(View):
-    """A complete solution with its decoded parameters."""
-
-    number: int
-    generation: int
-    verdict: Annotated[
-        SolutionVerdict,
-        Field(description="Safe or unsafe by the campaign's requirements; see `outcome` for the others."),
-    ]
-    outcome: Annotated[
-        str | None,
-        Field(
-            description="What its simulation showed about all recorded requirements, such as `front gap held; hit a "
-            "pedestrian at 12.8 s`; null without a verdict."
-        ),
-    ] = None
-    kind: Annotated[
-        OutcomeKind | None,
-        Field(
-            description="Whether it violated no recorded requirement (held), only others than those that decide "
-            "(other), or one that decides (violated); null without a verdict."
-        ),
-    ] = None
-    requirements: Annotated[
-        list[str], Field(description="Requirements that decide the verdict; empty if unknown.")
-    ] = []
-    violated: Annotated[
-        list[ViolatedView], Field(description="Violated requirements: those that decide first, then by time.")
-    ] = []
-    robustness: float | None
-    objectives: dict[str, float] | None
-    failure: str | None
-    origin: Annotated[
-        str | None,
-        Field(description="How it was generated: random, heuristic, mutation, crossover, llm, llm_repair."),
-    ]
-    fitness: float | None
-    neighbours: int | None
-    unsafe_neighbours: int | None
-    interval: Annotated[
-        tuple[float, float] | None,
-        Field(description="Wilson interval of the unsafe share in its neighbourhood."),
-    ]
-    seed: int
-    attempts: int | None
-    losses: Annotated[int | None, Field(description="Attempts among them whose worker stopped responding.")]
-    words: Annotated[str, Field(description="Description in words.")]
-    parameters: Annotated[
-        dict[str, dict[str, Any]],
-        Field(description="Values by component, then by name, as they were chosen."),
-    ]
-    titles: Annotated[
-        dict[str, str],
-        Field(
-            description="What people read in place of a parameter's name, with its unit, by component.parameter; the "
-            "others are read by name. Only for a single solution."
-        ),
-    ] = {}
-    activity: Annotated[
-        ActivityView | None,
-        Field(description="Which of them had a part in the episode; null if that was not recorded."),
-    ] = None
-    verdicts: Annotated[dict[str, Any] | None, Field(description="Verdicts of all requirements.")] = None
-    features: dict[str, Any] | None = None
-    provenance: dict[str, Any] | None = None
-    spec: Annotated[
-        dict[str, Any] | None, Field(description="Specification of the episode, for simulating it again.")
-    ] = None
 
 
 class SolutionPage(View):
@@ -321,273 +207,6 @@ class SolutionPage(View):
 
     solutions: list[SolutionView]
     next: Annotated[int | None, Field(description="Pass as `after` to get the next page.")]
-
-
-class DbsCell(View):
-    """DBS and strict DBS at one pair of thresholds."""
-
-    t_b: float
-    d_th: float
-    dbs: int
-    strict_dbs: int
-
-
-class BudgetBoundary(View):
-    """The boundary of a campaign without the simulations beyond its budget."""
-
-    simulations: Annotated[int, Field(description="The budget.")]
-    beyond: Annotated[
-        int, Field(description="Evaluated solutions beyond it, which complete the last generation.")
-    ]
-    dbs: int
-    strict_dbs: int
-
-
-class KnownBoundary(View):
-    """The boundary of a campaign's solutions together with the known results that it started from."""
-
-    results: Annotated[int, Field(description="Known results, none of which the campaign simulated.")]
-    dbs: int
-    strict_dbs: int
-
-
-class Boundary(View):
-    """The distinct boundary solutions of a campaign."""
-
-    t_b: float
-    d_th: float
-    dbs: int
-    strict_dbs: int
-    words: Annotated[
-        str,
-        Field(
-            description="How many solutions are listed, such as `8 distinct boundary solutions`, or, if these are "
-            "not all, `the best 1,000 of 34,512 distinct boundary solutions`."
-        ),
-    ] = ""
-    note: str
-    grid: Annotated[
-        list[DbsCell],
-        Field(description="DBS at all thresholds, without distances at which it takes too long."),
-    ]
-    solutions: Annotated[
-        list[SolutionView], Field(description="Best first; of more than `limit`, the best ones.")
-    ]
-    strict: Annotated[
-        list[int], Field(description="The `number` of each of these that the strict DBS counts.")
-    ]
-    within_budget: Annotated[
-        BudgetBoundary | None,
-        Field(description="What comparisons count; null if the campaign did not exceed its budget."),
-    ] = None
-    with_known: Annotated[
-        KnownBoundary | None,
-        Field(description="With the known results; null if the campaign did not start from any."),
-    ] = None
-
-
-def listed_words(listed: int, distinct: int, what: str = "distinct boundary solution") -> str:
-    """Return how many solutions are listed, and of how many if these are not all.
-
-    Args:
-        listed: How many are listed, best first.
-        distinct: How many there are.
-        what: What one of them is called.
-    """
-    if listed < distinct:
-        return f"the best {listed:,} of {distinct:,} {what}s"
-    return f"{listed:,} {what}" if listed == 1 else f"{listed:,} {what}s"
-
-
-class ViolationView(View):
-    """A violation of a requirement by a solution."""
-
-    number: Annotated[int, Field(description="Number of the solution.")]
-    requirement: str
-    time_s: float
-    type: str
-    name: Annotated[str | None, Field(description="Name that a person gave it.")]
-    avoidable: Annotated[Avoidable | None, Field(description=AVOIDABLE)]
-    avoided_by: Annotated[AvoidedBy | None, Field(description=AVOIDED_BY)] = None
-    at_fault: Annotated[
-        bool, Field(description="Whether the ego vehicle was at fault by a rule of thumb; see `avoidable`.")
-    ]
-    signature: Annotated[
-        dict[str, str], Field(description="Features that the rules derive from its circumstances.")
-    ]
-    circumstances: Annotated[
-        dict[str, Any], Field(description="Circumstances as the simulator reported them.")
-    ]
-
-
-class TypeView(View):
-    """A type of violation."""
-
-    type: str
-    solutions: Annotated[int, Field(description="Number of solutions with a violation of this type.")]
-    avoided: Annotated[
-        str,
-        Field(
-            description="In how many of these solutions `avoider` would have avoided it, such as `15 of 20`; their "
-            "number alone if nobody would have, or if that was not measured."
-        ),
-    ]
-    instances: Annotated[int, Field(description="Distinct instances: clusters of similar circumstances.")]
-    first: Annotated[
-        int, Field(description="Number of the first solution, in which the type was discovered.")
-    ]
-    example: Annotated[
-        int,
-        Field(
-            description="Number of the first solution with a violation that is `avoidable` as the type is, other "
-            "than the examples of earlier types, if there is one."
-        ),
-    ]
-    numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
-    again: Annotated[
-        str,
-        Field(
-            description="In how many further drives of its solutions, under other seeds of the campaign, the type "
-            "was seen again, such as `3 of 4`; empty if the search simulated none of them again."
-        ),
-    ] = ""
-    named: Annotated[int, Field(description="Number of its violations that a person named.")]
-    avoidable: Annotated[
-        Avoidable | None,
-        Field(description="The best of what its violations are; null if that was measured for none of them."),
-    ]
-    avoider: Annotated[str, Field(description="The same in words, such as `careful driver`.")]
-    avoided_by: Annotated[
-        AvoidedBy | None,
-        Field(
-            description="How that driver avoids them: by `braking` if that avoids any of them; null if none does, or "
-            "that was not recorded."
-        ),
-    ] = None
-    avoidable_by: Annotated[
-        dict[Avoidable, int],
-        Field(
-            description="Number of its violations by who would have avoided them, where that was measured."
-        ),
-    ]
-    at_fault: Annotated[
-        bool | None,
-        Field(
-            description="Whether the ego vehicle was at fault by a rule of thumb; null if its violations differ."
-        ),
-    ]
-
-
-class Violations(View):
-    """The violations of a campaign."""
-
-    rules_version: int
-    words: Annotated[str, Field(description="The finding in a sentence, about all violations.")]
-    explanation: Annotated[str, Field(description="Who the reference drivers are, in sentences.")]
-    types: Annotated[
-        list[TypeView],
-        Field(
-            description="First those that a person named, then those that a careful driver would have avoided, those "
-            "that take braking at once, and the rest; each by frequency. `first` tells the order of discovery."
-        ),
-    ]
-    violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
-
-
-class TechniqueLevel(View):
-    """A technique at one of its levels; a chain is a list of them, in order."""
-
-    technique: str
-    level: int
-    levels: Annotated[int, Field(description="Highest level of the technique.")]
-
-
-class ChainTally(View):
-    """How often a chain of techniques was unsafe."""
-
-    chain: list[TechniqueLevel]
-    words: str
-    unsafe: int
-    trials: int
-
-
-class CombinationView(ChainTally):
-    """A chain of techniques with the tallies of its parts and reorderings in the same scenarios."""
-
-    parts: Annotated[
-        list[ChainTally],
-        Field(
-            description="Tallies over the scenarios with simulations of part and chain. The empty chain is a part."
-        ),
-    ]
-    orders: list[ChainTally]
-    hazardous: Annotated[
-        bool, Field(description="Simulated in at least three scenarios, and unsafe in at least 80% of them.")
-    ]
-    minimal: Annotated[bool, Field(description="Hazardous, but no part of it is, in the same scenarios.")]
-    only_together: Annotated[
-        bool,
-        Field(description="Hazardous, but every part of it is safe in at least 80% of the same scenarios."),
-    ]
-    order_matters: Annotated[
-        bool, Field(description="Hazardous, but another order is safe in at least 80% of the same scenarios.")
-    ]
-    alpha: Annotated[
-        float | None,
-        Field(description="Objective `alpha` on the data set; null if it was not measured there."),
-    ] = None
-    added_harm: Annotated[
-        float | None,
-        Field(
-            description="How much worse `alpha` is than that of the most harmful part alone, on the data set; harms "
-            "that merely add up count. Null unless the chain and each of its techniques alone were measured there."
-        ),
-    ] = None
-    interacts: Annotated[
-        bool | None,
-        Field(
-            description="Whether the added harm reaches `margin`. Null if the added harm or the margin is unknown."
-        ),
-    ] = None
-    together: Annotated[list[int], Field(description="Numbers of unsafe solutions whose parts are all safe.")]
-    turned: Annotated[
-        list[int], Field(description="Numbers of unsafe solutions that are safe in another order.")
-    ]
-
-
-class StepTally(View):
-    """How often a technique at a level was unsafe alone, and how often together with others."""
-
-    step: TechniqueLevel
-    words: str
-    alone_unsafe: int
-    alone_trials: int
-    joined_unsafe: int
-    joined_trials: int
-
-
-class Variant(View):
-    """A solution with the same scenario as another, and with a subset or another order of its techniques."""
-
-    number: int
-    unsafe: bool
-    chain: list[TechniqueLevel]
-    words: str
-
-
-class Combinations(View):
-    """Results of a campaign on ordered perturbation techniques."""
-
-    words: Annotated[str, Field(description="The finding in a sentence.")]
-    margin: Annotated[
-        float | None,
-        Field(description="Added harm from which a chain interacts; null if the search has no such setting."),
-    ] = None
-    explanation: Annotated[
-        str, Field(description="What added harm means, in sentences; empty if no chain has a known one.")
-    ] = ""
-    steps: list[StepTally]
-    combinations: Annotated[list[CombinationView], Field(description="Most informative first.")]
 
 
 class LlmCall(View):
@@ -687,8 +306,12 @@ class JobCounts(View):
         ),
     ]
     waits_for: Annotated[
-        dict[str, str], Field(description="What kind of worker each of these capabilities needs, in words.")
-    ] = {}
+        dict[str, str],
+        Field(
+            default_factory=dict,
+            description="What kind of worker each of these capabilities needs, in words.",
+        ),
+    ]
 
 
 class WorkerView(View):

@@ -19,13 +19,14 @@ from brink.search.algorithms.repeats import Repeats
 from brink.server.api.context import Services, caller_of
 from brink.server.api.problem_details import problem
 from brink.server.api.queue_metrics import queue_metrics
-from brink.server.api.schemas import AlgorithmView, ProblemView, View
+from brink.server.api.schemas import AlgorithmView, ProblemView
 from brink.server.db.engine import read
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError
 from brink.server.problems.catalogue import describe_algorithms, describe_problems
 from brink.server.states import Scope
 from brink.server.user_code import USER_CODE
+from brink.server.views import View
 
 log = logging.getLogger(__name__)
 root = APIRouter(tags=["operations"])

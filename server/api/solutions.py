@@ -3,7 +3,7 @@
 import io
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,46 +12,31 @@ from fastapi import Path as PathParameter
 from pydantic import Field
 from sqlalchemy import Connection, Row
 
-from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
-from brink.search.analysis.boundary import DbsGrid, has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
-from brink.search.archive import Archive
-from brink.search.deadline import check_time
-from brink.search.odd import with_odd
 from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray, SearchSpace
-from brink.server.api.boundary_table import boundary_columns, boundary_rows, table_bytes
 from brink.server.api.context import Context, Services
 from brink.server.api.responses import json_response
-from brink.server.api.schemas import (
-    MAX_NUMBER,
-    ActivityView,
-    Boundary,
-    BudgetBoundary,
-    DbsCell,
-    DistanceBlock,
-    KnownBoundary,
-    SolutionPage,
-    SolutionView,
-    View,
-    ViolatedView,
-    listed_words,
-)
+from brink.server.api.schemas import MAX_NUMBER, DistanceBlock, SolutionPage
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, MOST_KNOWN
-from brink.server.campaigns.boundaries import CampaignBoundary
 from brink.server.campaigns.known import KnownRecord, read_known
 from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
 from brink.server.campaigns.plan import looks_for_boundary, make_plan
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
-from brink.server.problems.base import Activity, Problem, SimulatedSolution, activity_of, describe_candidate
+from brink.server.findings.boundary.analysis import boundary_view
+from brink.server.findings.boundary.table import boundary_columns, boundary_rows
+from brink.server.findings.boundary.views import Boundary
+from brink.server.findings.solutions import simulated, solution_views
+from brink.server.findings.table import table_bytes
+from brink.server.problems.base import Problem, describe_candidate
 from brink.server.problems.changes import change_words, changes_between
 from brink.server.states import OutcomeKind, SolutionVerdict
-from brink.sim.verdict import Violated
+from brink.server.views import SolutionView, View
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
@@ -232,210 +217,6 @@ def _choices(space: SearchSpace) -> list[str]:
     ]
 
 
-def solution_views(
-    rows: Iterable[Row[*tuple[Any, ...]]], read: ReadArchive, *, full: bool = False
-) -> list[SolutionView]:
-    """Return the response schemas of solutions: decoded parameters and values from the archive.
-
-    Args:
-        rows: Database rows of the solutions.
-        read: The campaign's archive.
-        full: Whether to add all verdicts, features, provenance and the episode.
-    """
-    views = []
-    for row in rows:
-        check_time()
-        views.append(_solution(row, read.plan.problem, read.archive, read.places.get(row.number), full=full))
-    return views
-
-
-def _solution(
-    row: Row[*tuple[Any, ...]], problem: Problem, archive: Archive, index: int | None, *, full: bool
-) -> SolutionView:
-    result: Mapping[str, Any] = json.loads(row.result) if row.result else {}
-    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
-    activity = activity_of(problem, vectors, result)
-    return SolutionView(
-        number=row.number,
-        generation=row.generation,
-        verdict=row.verdict,
-        robustness=row.robustness,
-        objectives=row.objectives,
-        failure=row.failure,
-        origin=row.origin,
-        **_outcome(row, problem, result),
-        fitness=None if index is None else float(archive.fitness[index]),
-        neighbours=None if index is None else int(archive.neighbours[index]),
-        unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
-        interval=None
-        if index is None
-        else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
-        seed=row.seed,
-        attempts=row.attempt,
-        losses=row.losses,
-        words=describe_candidate(problem, vectors, activity),
-        parameters=problem.space.decode(vectors),
-        titles=_titles(problem.space) if full else {},
-        activity=None if activity is None else activity_view(problem.space, activity),
-        verdicts=result.get("verdicts") if full else None,
-        features=result.get("features") if full else None,
-        provenance=result.get("provenance") if full else None,
-        spec=json.loads(row.spec) if full and row.spec else None,
-    )
-
-
-def _titles(space: SearchSpace) -> dict[str, str]:
-    """Return the titles of the parameters that have one of their own, with units, by full name."""
-    return {
-        f"{component.name}.{parameter.name}": f"{parameter.title} ({unit})" if unit else parameter.title
-        for component in space.components
-        for parameter in component.parameters
-        if parameter.title
-        for unit in ["" if isinstance(parameter, Categorical) else parameter.unit]
-    }
-
-
-def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the fields of a solution about all of its requirements."""
-    if row.verdict not in (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE):
-        return {}
-    outcome = outcome_of(problem, stored, safe=row.verdict == SolutionVerdict.SAFE, robustness=row.robustness)
-    fields: dict[str, Any] = {"outcome": outcome.words(), "kind": outcome.kind}
-    if outcome.episode is not None:
-        fields["requirements"] = list(outcome.episode.deciding)
-        fields["violated"] = [_violated_view(one, stored) for one in outcome.episode.violated]
-    return fields
-
-
-def _violated_view(one: Violated, stored: Mapping[str, Any]) -> ViolatedView:
-    """Return a violation, and who would have avoided it; a worker may have sent anything."""
-    reported = (stored.get("features") or {}).get("violations")
-    found = [each for each in (reported if isinstance(reported, list) else []) if isinstance(each, Mapping)]
-    circumstances = next((each for each in found if each.get("requirement") == one.requirement), {})
-    avoidable = avoidable_of(circumstances)
-    return ViolatedView(
-        requirement=one.requirement,
-        time_s=one.time_s,
-        words=one.words,
-        decides=one.decides,
-        avoidable=avoidable,
-        avoided_by=avoided_by_of(circumstances),
-        avoidable_words="" if avoidable is None else avoidable.words,
-    )
-
-
-def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
-    """Return the response schema of what had a part in an episode."""
-    names = space.column_names()
-    return ActivityView(
-        inactive=[name for name, active in zip(names, activity.active, strict=True) if not active],
-        effective=space.decode(space.split(activity.effective)),
-        idle=list(activity.idle),
-    )
-
-
-def boundary_view(
-    connection: Connection,
-    campaign: Campaign,
-    read: ReadArchive,
-    boundary: CampaignBoundary,
-    grid: DbsGrid,
-    *,
-    t_b: float,
-    d_th: float,
-    limit: int,
-) -> Boundary:
-    """Return the distinct boundary solutions of a campaign, best fitness first.
-
-    Args:
-        connection: Read connection.
-        campaign: The campaign.
-        read: Its archive.
-        boundary: Its boundary at the thresholds.
-        grid: DBS at all thresholds.
-        t_b: Maximum fitness of a boundary solution.
-        d_th: Minimum distance between two boundary solutions.
-        limit: Maximum number of solutions to list.
-    """
-    archive, chosen = read.archive, boundary.chosen
-    within, known = _within_budget(campaign, archive, boundary), _with_known(read, boundary)
-    is_strict = has_evidence(archive)[chosen]
-    numbers = [int(number) for number in archive.numbers[chosen[:limit]]]
-    rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
-    if len(rows) < len(numbers):
-        raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
-    return Boundary(
-        t_b=t_b,
-        d_th=d_th,
-        dbs=boundary.counts.dbs,
-        strict_dbs=boundary.counts.strict,
-        words=listed_words(len(numbers), len(chosen)),
-        note=with_odd(_note(read, t_b, within, known), read.plan.problem.space),
-        grid=[
-            DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
-            for row, t in enumerate(grid.t_bs)
-            for column, d in enumerate(grid.d_ths)
-        ],
-        solutions=solution_views([rows[number] for number in numbers], read, full=True),
-        strict=[number for number, strict in zip(numbers, is_strict[:limit], strict=True) if strict],
-        within_budget=within,
-        with_known=known,
-    )
-
-
-def boundary_words(distinct: int, strict: int, *, t_b: float, d_th: float) -> str:
-    """Count boundary solutions in words, such as ``3 distinct boundary solutions (…), 1 of them strict``."""
-    noun = "solution" if distinct == 1 else "solutions"
-    return (
-        f"{distinct} distinct boundary {noun} (fitness at most {t_b:g}, at least {d_th:g} apart), {strict} of them "
-        "strict"
-    )
-
-
-def _within_budget(campaign: Campaign, archive: Archive, boundary: CampaignBoundary) -> BudgetBoundary | None:
-    """Return the boundary without the simulations beyond the budget; None if there are none."""
-    if boundary.within is None:
-        return None
-    beyond = len(archive) - int(np.searchsorted(archive.numbers, campaign.budget))
-    return BudgetBoundary(
-        simulations=campaign.budget, beyond=beyond, dbs=boundary.within.dbs, strict_dbs=boundary.within.strict
-    )
-
-
-def _with_known(read: ReadArchive, boundary: CampaignBoundary) -> KnownBoundary | None:
-    """Return the boundary with the known results; None if the campaign did not start from any."""
-    if boundary.with_known is None:
-        return None
-    return KnownBoundary(
-        results=len(read.known), dbs=boundary.with_known.dbs, strict_dbs=boundary.with_known.strict
-    )
-
-
-def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None, known: KnownBoundary | None) -> str:
-    """Explain how to read DBS at this threshold."""
-    p_th = read.plan.neighbourhood.p_th
-    all_safe = p_th / max(p_th, 1 - p_th)
-    note = (
-        "Strict DBS counts only those whose interval contains p_th and whose neighbourhood has both verdicts."
-    )
-    if t_b >= all_safe:
-        note = (
-            f"At t_b {t_b:g}, DBS also counts neighbourhoods without a single unsafe solution (their fitness falls "
-            f"to {all_safe:.3f}); strict DBS does not."
-        )
-    if within is not None:
-        note += (
-            f" Without the {within.beyond:,} solutions beyond the budget of {within.simulations:,} simulations, as "
-            f"in comparisons: {within.dbs} distinct, {within.strict_dbs} strict."
-        )
-    if known is not None:
-        note += (
-            f" Together with the {known.results:,} known results that the campaign started from: {known.dbs} "
-            f"distinct, {known.strict_dbs} strict."
-        )
-    return note
-
-
 class KnownSolutionView(View):
     """A solution that a campaign started from."""
 
@@ -612,13 +393,6 @@ def _opposite(connection: Connection, campaign_id: str, found: ReadArchive, plac
         differences=sum(len(change.names) for change in changes),
         same_seed=safe.seed == unsafe.seed,
     )
-
-
-def simulated(problem: Problem, row: Row[*tuple[Any, ...]]) -> SimulatedSolution:
-    """Return a stored solution with what its simulation showed."""
-    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
-    result = json.loads(row.result) if row.result else None
-    return SimulatedSolution(vectors=vectors, activity=activity_of(problem, vectors, result), result=result)
 
 
 def _neighbours_view(

@@ -22,10 +22,10 @@ from brink.search.algorithms.simood import SimoodConfig
 from brink.search.archive import Archive, Neighbourhood, archive_digest
 from brink.search.slots import ChainGenome, Step
 from brink.search.space import Categorical
-from brink.server.api.findings import combinations_view
-from brink.server.api.schemas import Combinations
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
+from brink.server.findings.combinations.analysis import combinations_view
+from brink.server.findings.combinations.views import Combinations
 from brink.server.problems.base import NoParams
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 

@@ -17,9 +17,9 @@ from brink.cli.commands import app
 from brink.cli.pair_tables import print_pairs
 from brink.report.pair_words import evidence_words, legend
 from brink.search.sequential import exact_interval
-from brink.server.api.pair_views import PairsView
 from brink.server.campaigns.body import parse_body
 from brink.server.db.engine import Engines
+from brink.server.findings.pairs.views import PairsView
 from brink.server.problems.urban_injected import SIMULATOR
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 

@@ -18,16 +18,16 @@ from brink.pictures.pair_view import STILL_WIDTH_PX
 from brink.plots.style import WIDTH_PX
 from brink.report.pair_pictures import facts, findings, headline, share_words
 from brink.search.analysis.confirmation import Confirmation
-from brink.server.api.pair_views import (
+from brink.server.errors import InvalidInput
+from brink.server.findings.follow_ups import ShareView
+from brink.server.findings.pairs.views import (
     ComponentPart,
     ComponentView,
     ConfirmationView,
     Minimality,
     MinimalityView,
     PairsView,
-    ShareView,
 )
-from brink.server.errors import InvalidInput
 from brink.sim.trace import Trace
 
 CAMPAIGN = {

@@ -22,7 +22,8 @@ from brink.cli.commands import app
 from brink.cli.findings import draw_types, write_violations
 from brink.pictures.pair_view import STILL_WIDTH_PX
 from brink.search.analysis.violations import RULES_VERSION
-from brink.server.api.schemas import Progress, Violations
+from brink.server.api.schemas import Progress
+from brink.server.findings.violations.views import Violations
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",

@@ -16,9 +16,9 @@ import brink
 from brink.api.terminal import PlainConsole, echo
 from brink.cli.main import _describe
 from brink.cli.options import console
-from brink.server.api.boundary_table import table_bytes
 from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
+from brink.server.findings.table import table_bytes
 from brink.worker.log import JsonFormatter, LineFormatter
 
 PACKAGE = Path(brink.__file__).parent

@@ -8,8 +8,10 @@ import httpx
 import pytest
 
 from brink.api.client import Api, CoordinatorError
-from brink.server.api.schemas import DbsCell, TechniqueLevel, WorkerView
+from brink.server.api.schemas import WorkerView
 from brink.server.errors import InvalidInput
+from brink.server.findings.boundary.views import DbsCell
+from brink.server.findings.combinations.views import TechniqueLevel
 
 
 def read(schema: Any, answer: httpx.Response) -> Any:

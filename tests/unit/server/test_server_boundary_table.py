@@ -10,10 +10,12 @@ import pytest
 
 from brink.search.parameters import Categorical, Integer, Real
 from brink.search.space import Component, SearchSpace
-from brink.server.api.boundary_table import boundary_columns, boundary_rows, table_bytes
-from brink.server.api.schemas import ActivityView, Boundary, SolutionView
 from brink.server.campaigns.body import parse_body
+from brink.server.findings.boundary.table import boundary_columns, boundary_rows
+from brink.server.findings.boundary.views import Boundary
+from brink.server.findings.table import table_bytes
 from brink.server.states import SolutionVerdict
+from brink.server.views import ActivityView, SolutionView
 
 COLUMNS = {"number": int, "fitness": float, "strict": bool, "scenario.weather": str}
 BODY = parse_body(

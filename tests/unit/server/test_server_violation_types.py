@@ -4,8 +4,8 @@ import numpy as np
 
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.space import Component, Real, SearchSpace
-from brink.server.api.findings import _seen_again
-from brink.server.api.schemas import TypeView
+from brink.server.findings.violations.analysis import _seen_again
+from brink.server.findings.violations.views import TypeView
 
 SPACE = SearchSpace((Component("traffic", (Real("speed", 0.0, 10.0, "m/s"),)),))
 

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from typing import Final
 
 from brink.search.space import SearchSpace
-from brink.server.api.boundary_table import Cell, Row, parameter_columns, table_bytes
-from brink.server.api.pair_views import PairsView, PairView
+from brink.server.findings.boundary.table import parameter_columns
+from brink.server.findings.pairs.views import PairsView, PairView
+from brink.server.findings.table import Cell, Row, table_bytes
 
 _PAIR: Final[Mapping[str, type]] = {
     "campaign": str,

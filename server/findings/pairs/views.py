@@ -7,34 +7,17 @@ from pydantic import Field, model_validator
 
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.sequential import ERROR, FIRST, FURTHER, INTERVAL, LIMIT
-from brink.server.api.schemas import ActivityView, View
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.documents import Body
+from brink.server.findings.follow_ups import FollowUpView, ShareView
 from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.views import ActivityView, View
 
 MOST_PAIRS: Final = 1_000
 DEFAULT_PAIRS: Final = 100
 DEFAULT_CONFIRMATIONS: Final = 30
 """Most simulations of each side, to confirm pairs; a clear side takes 15, or 4."""
-
-
-class ShareView(View):
-    """How often one side was unsafe when it was simulated again with other seeds."""
-
-    evaluated: Annotated[int, Field(description="Simulations with a verdict.")]
-    unsafe: int
-    probability: Annotated[float | None, Field(description="Unsafe share; null without a verdict.")]
-    low: Annotated[
-        float,
-        Field(
-            description="Lower limit of its exact interval (Clopper-Pearson): of 90% for the sides of pairs."
-        ),
-    ]
-    high: float
-    failed: Annotated[
-        int, Field(description="Simulations without a verdict: each may have had either one.")
-    ] = 0
 
 
 class ConfirmationView(View):
@@ -234,17 +217,6 @@ class NearestView(View):
     safe: int
     unsafe: int
     distance: float
-
-
-class FollowUpView(View):
-    """A campaign that simulated sides of pairs again."""
-
-    kind: FollowUpKind
-    campaign: str
-    status: CampaignStatus
-    status_reason: str
-    simulations: int
-    budget: int
 
 
 class FollowUpOffer(View):

@@ -1,0 +1,1 @@
+"""Findings of the kind `boundary`: distinct solutions near the hazard boundary."""

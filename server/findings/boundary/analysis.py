@@ -1,0 +1,118 @@
+"""The distinct boundary solutions of a campaign."""
+
+import numpy as np
+from sqlalchemy import Connection
+
+from brink.search.analysis.boundary import DbsGrid, has_evidence
+from brink.search.archive import Archive
+from brink.search.odd import with_odd
+from brink.server.campaigns import view_store
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.boundaries import CampaignBoundary
+from brink.server.campaigns.store import Campaign
+from brink.server.errors import NotFound
+from brink.server.findings.boundary.views import Boundary, BudgetBoundary, DbsCell, KnownBoundary
+from brink.server.findings.solutions import solution_views
+from brink.server.findings.words import listed_words
+
+
+def boundary_view(
+    connection: Connection,
+    campaign: Campaign,
+    read: ReadArchive,
+    boundary: CampaignBoundary,
+    grid: DbsGrid,
+    *,
+    t_b: float,
+    d_th: float,
+    limit: int,
+) -> Boundary:
+    """Return the distinct boundary solutions of a campaign, best fitness first.
+
+    Args:
+        connection: Read connection.
+        campaign: The campaign.
+        read: Its archive.
+        boundary: Its boundary at the thresholds.
+        grid: DBS at all thresholds.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
+        limit: Maximum number of solutions to list.
+    """
+    archive, chosen = read.archive, boundary.chosen
+    within, known = _within_budget(campaign, archive, boundary), _with_known(read, boundary)
+    is_strict = has_evidence(archive)[chosen]
+    numbers = [int(number) for number in archive.numbers[chosen[:limit]]]
+    rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
+    if len(rows) < len(numbers):
+        raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
+    return Boundary(
+        t_b=t_b,
+        d_th=d_th,
+        dbs=boundary.counts.dbs,
+        strict_dbs=boundary.counts.strict,
+        words=listed_words(len(numbers), len(chosen)),
+        note=with_odd(_note(read, t_b, within, known), read.plan.problem.space),
+        grid=[
+            DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
+            for row, t in enumerate(grid.t_bs)
+            for column, d in enumerate(grid.d_ths)
+        ],
+        solutions=solution_views([rows[number] for number in numbers], read, full=True),
+        strict=[number for number, strict in zip(numbers, is_strict[:limit], strict=True) if strict],
+        within_budget=within,
+        with_known=known,
+    )
+
+
+def boundary_words(distinct: int, strict: int, *, t_b: float, d_th: float) -> str:
+    """Count boundary solutions in words, such as ``3 distinct boundary solutions (…), 1 of them strict``."""
+    noun = "solution" if distinct == 1 else "solutions"
+    return (
+        f"{distinct} distinct boundary {noun} (fitness at most {t_b:g}, at least {d_th:g} apart), {strict} of them "
+        "strict"
+    )
+
+
+def _within_budget(campaign: Campaign, archive: Archive, boundary: CampaignBoundary) -> BudgetBoundary | None:
+    """Return the boundary without the simulations beyond the budget; None if there are none."""
+    if boundary.within is None:
+        return None
+    beyond = len(archive) - int(np.searchsorted(archive.numbers, campaign.budget))
+    return BudgetBoundary(
+        simulations=campaign.budget, beyond=beyond, dbs=boundary.within.dbs, strict_dbs=boundary.within.strict
+    )
+
+
+def _with_known(read: ReadArchive, boundary: CampaignBoundary) -> KnownBoundary | None:
+    """Return the boundary with the known results; None if the campaign did not start from any."""
+    if boundary.with_known is None:
+        return None
+    return KnownBoundary(
+        results=len(read.known), dbs=boundary.with_known.dbs, strict_dbs=boundary.with_known.strict
+    )
+
+
+def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None, known: KnownBoundary | None) -> str:
+    """Explain how to read DBS at this threshold."""
+    p_th = read.plan.neighbourhood.p_th
+    all_safe = p_th / max(p_th, 1 - p_th)
+    note = (
+        "Strict DBS counts only those whose interval contains p_th and whose neighbourhood has both verdicts."
+    )
+    if t_b >= all_safe:
+        note = (
+            f"At t_b {t_b:g}, DBS also counts neighbourhoods without a single unsafe solution (their fitness falls "
+            f"to {all_safe:.3f}); strict DBS does not."
+        )
+    if within is not None:
+        note += (
+            f" Without the {within.beyond:,} solutions beyond the budget of {within.simulations:,} simulations, as "
+            f"in comparisons: {within.dbs} distinct, {within.strict_dbs} strict."
+        )
+    if known is not None:
+        note += (
+            f" Together with the {known.results:,} known results that the campaign started from: {known.dbs} "
+            f"distinct, {known.strict_dbs} strict."
+        )
+    return note

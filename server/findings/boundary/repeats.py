@@ -1,0 +1,158 @@
+"""What simulating boundary solutions again with other seeds showed."""
+
+from collections import Counter
+
+from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
+from brink.search.fitness import wilson_interval
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.body import DEFAULT_T_B
+from brink.server.campaigns.pairs import searches_for_pairs
+from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.repeats import MOST, StoredRepeats
+from brink.server.campaigns.store import Campaign
+from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
+from brink.server.findings.sources import Sources
+from brink.server.findings.words import listed_words
+from brink.server.states import CampaignStatus
+
+DEFAULT_REPEATS = 50
+
+
+async def count_distinct(
+    services: Sources, campaign: Campaign, stored: StoredRepeats, found: ReadArchive
+) -> int | None:
+    """Return how many boundary solutions there are at the thresholds of repeats; None if these are of named ones."""
+    if not stored.boundary:
+        return None
+    if len(stored.numbers) < MOST:
+        return len(stored.numbers)
+    return (await services.boundaries.get(campaign, found, stored.t_b, stored.d_th)).counts.dbs
+
+
+def repeats_view(
+    campaign: Campaign, stored: StoredRepeats, read_archive: ReadArchive, distinct: int | None
+) -> RepeatsView:
+    """Return what repeats show.
+
+    Args:
+        campaign: The campaign whose solutions are repeated.
+        stored: The repeats.
+        read_archive: Its archive.
+        distinct: How many boundary solutions there are at their thresholds; see `count_distinct`.
+    """
+    near = read_archive.plan.neighbourhood
+    tallies = stored.tallies(near.z)
+    known, holds = tallies.evaluated > 0, tallies.contains(near.p_th)
+    conclusions = tallies.conclusions(near.p_th, stored.t_b if stored.boundary else DEFAULT_T_B)
+    solutions = []
+    for place, number in enumerate(stored.numbers):
+        index = read_archive.places.get(number)
+        around = None if index is None else _around(read_archive, index)
+        solutions.append(
+            RepeatedSolution(
+                number=number,
+                evaluated=int(tallies.evaluated[place]),
+                unsafe=int(tallies.unsafe[place]),
+                probability=float(tallies.probability[place]) if known[place] else None,
+                low=float(tallies.low[place]),
+                high=float(tallies.high[place]),
+                holds=bool(holds[place]) if known[place] else None,
+                conclusion=conclusions[place],
+                around=around[0] if around else None,
+                around_low=around[1] if around else None,
+                around_high=around[2] if around else None,
+            )
+        )
+    evaluated, unsafe = int(tallies.evaluated.sum()), int(tallies.unsafe.sum())
+    counts = Counter(conclusions)
+    view = RepeatsView(
+        campaign=stored.campaign.id,
+        of=campaign.id,
+        name=campaign.body.name,
+        status=stored.campaign.status,
+        status_reason=stored.campaign.status_reason,
+        repeats=stored.repeats,
+        boundary=stored.boundary,
+        t_b=stored.t_b,
+        d_th=stored.d_th,
+        distinct=distinct,
+        p_th=near.p_th,
+        simulations=stored.campaign.completed,
+        budget=stored.campaign.body.budget.simulations,
+        holding=int((holds & known).sum()),
+        below=counts[Conclusion.BELOW],
+        above=counts[Conclusion.ABOVE],
+        near=counts[Conclusion.NEAR],
+        inconclusive=counts[Conclusion.INCONCLUSIVE],
+        evaluated=evaluated,
+        unsafe=unsafe,
+        pooled=_pooled(unsafe, evaluated, near.z),
+        words="",
+        solutions=solutions,
+    )
+    searched = campaign.body.algorithm.id
+    rated = stored.boundary or (looks_for_boundary(searched) and not searches_for_pairs(searched))
+    to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
+    return view.model_copy(update={"words": _in_words(view, to_clear)})
+
+
+def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None:
+    if not evaluated:
+        return None
+    low, high = wilson_interval(unsafe, evaluated, z)
+    return float(low), float(high)
+
+
+def _in_words(view: RepeatsView, to_clear: int | None) -> str:
+    """Return what repeats show: the share of all simulations with its interval, and what is known of each solution.
+
+    Args:
+        view: The repeats.
+        to_clear: Simulations, all safe, that put the interval of a solution below p_th; None for solutions of
+            a search that has nothing to do with p_th.
+    """
+    count, reason = len(view.solutions), f" ({view.status_reason})" if view.status_reason else ""
+    selected = "boundary solution" if view.boundary else "selected solution"
+    what = listed_words(count, view.distinct or count, selected)
+    if view.pooled is None:
+        return f"{what}, none simulated again yet: {view.status}{reason}"
+    if view.boundary:
+        what += f" (fitness at most {view.t_b:g}, {view.d_th:g} apart)"
+    each = sorted({one.evaluated for one in view.solutions})
+    drives = f"{each[0]} to {each[-1]}" if len(each) > 1 else f"{each[0]}"
+    low, high = view.pooled
+    share = (
+        f"{view.unsafe:,} of {view.evaluated:,} simulations were unsafe, {view.unsafe / view.evaluated:.1%} "
+        f"(interval {low:.1%} to {high:.1%})"
+    )
+    if view.status is not CampaignStatus.FINISHED:
+        return f"{what}, not yet simulated again {view.repeats} times: {share} so far; {view.status}{reason}"
+    again = f"{what}, with other seeds, {drives} times each: {share}."
+    if to_clear is None:
+        return f"{again} {_by_verdict(view)}"
+    known = [
+        (view.near, "near p_th"),
+        (view.below, "below it"),
+        (view.above, "above it"),
+        (view.inconclusive, f"inconclusive with {drives} simulations each"),
+    ]
+    told = ", ".join(f"{number} {words}" for number, words in known)
+    rest = f" By solution, p_th = {view.p_th:g}: {told}."
+    if each[0] < to_clear and view.inconclusive:
+        rest += f" Even a solution that is never unsafe takes {to_clear} to fall below p_th."
+    return again + rest
+
+
+def _by_verdict(view: RepeatsView) -> str:
+    """Return how many solutions were always safe, always unsafe, or both."""
+    simulated = [one for one in view.solutions if one.evaluated]
+    unsafe = sum(one.unsafe == one.evaluated for one in simulated)
+    safe = sum(one.unsafe == 0 for one in simulated)
+    both = len(simulated) - unsafe - safe
+    return f"By solution: {unsafe} always unsafe, {safe} always safe, {both} with both verdicts."
+
+
+def _around(read_archive: ReadArchive, index: int) -> tuple[float, float, float]:
+    archive = read_archive.archive
+    low, high = archive.interval[index].tolist()
+    return float(archive.unsafe_neighbours[index] / archive.neighbours[index]), low, high

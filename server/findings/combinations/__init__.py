@@ -1,0 +1,1 @@
+"""Findings of the kind `combinations`: chains of techniques that are hazardous together."""

@@ -1,0 +1,597 @@
+"""The pairs of a campaign with all evidence for them."""
+
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+from sqlalchemy import Connection, Row
+
+from brink.search.algorithms.minimise import Reduced, Reductions
+from brink.search.analysis.confirmation import Confirmation, Share
+from brink.search.analysis.pairs import Pair, Side
+from brink.search.features import Unit
+from brink.search.odd import with_odd
+from brink.server.campaigns import view_store
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, has_one_seed, read_reduced, sides_of
+from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
+from brink.server.campaigns.pairs import CampaignPairs, Repeated, find_reducible, searches_for_pairs
+from brink.server.campaigns.plan import Plan, check_repeatable, make_plan, with_truth
+from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats
+from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.errors import InvalidInput, NotFound
+from brink.server.findings.follow_ups import ShareView, follow_up_view
+from brink.server.findings.pairs.views import (
+    ChangeView,
+    ComponentPart,
+    ComponentView,
+    ConfirmationView,
+    FollowUpOffer,
+    Minimality,
+    MinimalityView,
+    MinimisedView,
+    NearestView,
+    PairsView,
+    PairView,
+    SideView,
+)
+from brink.server.findings.solutions import activity_view, simulated
+from brink.server.problems.base import (
+    ExplainsChanges,
+    NamesRequirements,
+    Problem,
+    QualifiesComponent,
+    SimulatedSolution,
+    describe_candidate,
+    ignores_seeds,
+    records_traces,
+)
+from brink.server.problems.changes import (
+    Change,
+    as_sentence,
+    change_words,
+    changes_between,
+    common_words,
+    moved_words,
+)
+from brink.server.states import CampaignStatus, SolutionVerdict
+from brink.sim.verdict import drives_held, unsafe_words
+
+
+def pairs_view(
+    connection: Connection,
+    campaign: Campaign,
+    found: ReadArchive,
+    pairs: CampaignPairs,
+    stored: Sequence[StoredRepeats],
+    limit: int,
+) -> PairsView:
+    """Return the distinct pairs of a campaign.
+
+    Args:
+        connection: Read connection.
+        campaign: The campaign.
+        found: Its archive.
+        pairs: Its pairs.
+        stored: Its repeats.
+        limit: Maximum number of pairs to return: confirmed ones first, refuted ones last, each with its own place.
+    """
+    problem = found.plan.problem
+    repeated = Repeated.of(stored)
+    states = [repeated.state(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
+    placed = sorted(enumerate(pairs.found.pairs, start=1), key=lambda one: states[one[0] - 1].rank)[:limit]
+    shown = [pair for _, pair in placed]
+    numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
+    some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
+    rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers | some)}
+    if not rows.keys() >= numbers:
+        raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
+    evidence = _Evidence.read(connection, found, pairs, shown, stored, repeated)
+    parts = [evidence.component(pair).state for pair in pairs.found.pairs]
+    deciding = _deciding(problem, next(iter(rows.values()), None))
+    sides = _sides_again(pairs.found.pairs, repeated)
+    blamed = [part for part, state in zip(parts, states, strict=True) if state is Confirmation.CONFIRMED]
+    counts = {
+        "tried": sum(state not in (Confirmation.NOT_TRIED, Confirmation.PENDING) for state in states),
+        "pending": states.count(Confirmation.PENDING),
+        "confirmed": states.count(Confirmation.CONFIRMED),
+        "refuted": states.count(Confirmation.REFUTED),
+        "undecided": states.count(Confirmation.UNDECIDED),
+        "component": parts.count(ComponentPart.COMPONENT),
+        "scenario": parts.count(ComponentPart.SCENARIO),
+        "component_confirmed": blamed.count(ComponentPart.COMPONENT),
+        "scenario_confirmed": blamed.count(ComponentPart.SCENARIO),
+    }
+    return PairsView(
+        campaign=campaign.id,
+        name=campaign.body.name,
+        status=campaign.status,
+        complete=campaign.status in ENDED,
+        generation=found.generation,
+        evaluated=len(found.archive),
+        eps=pairs.settings.eps,
+        d_th=pairs.settings.d_th,
+        searched=searches_for_pairs(campaign.body.algorithm.id),
+        computed=ignores_seeds(problem),
+        replayable=records_traces(problem),
+        note=_note(campaign, found, pairs, deciding, counts),
+        terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
+        caveat=with_odd(_caveat(campaign, problem), problem.space),
+        safe=pairs.found.safe,
+        unsafe=pairs.found.unsafe,
+        chancy=pairs.found.chancy,
+        without_part=pairs.found.without_part,
+        repeated=sides[0],
+        changed=sides[1],
+        chance=_chance(pairs, *sides, refuted=counts["refuted"]),
+        tight=pairs.found.tight,
+        distinct=len(pairs.found.pairs),
+        checked=pairs.found.checked,
+        **counts,
+        nearest=None
+        if pairs.nearest is None
+        else NearestView(
+            safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
+        ),
+        follow_ups=[follow_up_view(one) for one in stored],
+        offers=[
+            FollowUpOffer(kind=kind, simulations=simulations, reason=reason, left_out=left_out)
+            for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
+        ],
+        pairs=[_pair(place, pair, problem, rows, evidence) for place, pair in placed],
+    )
+
+
+def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:
+    """Return how many sides were simulated again with other seeds, and how many of them had another verdict then."""
+    sides = {pair.safe.number: False for pair in pairs} | {pair.unsafe.number: True for pair in pairs}
+    shares = {number: repeated.shares[number] for number in sides if number in repeated.shares}
+    changed = [
+        (share.evaluated - share.unsafe if sides[number] else share.unsafe) > 0
+        for number, share in shares.items()
+    ]
+    return len(shares), sum(changed)
+
+
+def _chance(pairs: CampaignPairs, again: int, changed: int, *, refuted: int) -> tuple[str, ...]:
+    """Return what is known of the part of chance: from the search, and from simulations after it."""
+    chancy, alike, told = pairs.found.chancy, pairs.found.without_part, []
+    if chancy:
+        what, which = (
+            ("1 solution was", "it is") if chancy == 1 else (f"{chancy:,} solutions were", "they are")
+        )
+        told.append(f"In the search, {what} safe and unsafe with different seeds; {which} in no pair")
+    if alike:
+        told.append(
+            f"In {_cases(alike)}, two near solutions with opposite verdicts differ in nothing that had a part in "
+            "either drive: chance decides there, so they are no pair"
+        )
+    if again:
+        what = "1 side of a pair was" if again == 1 else f"{again:,} sides of pairs were"
+        had = f"{changed:,}" if changed else "none"
+        told.append(
+            f"After the search, {what} simulated again with other seeds; {had} had the other verdict at least once"
+        )
+    if refuted and refuted == len(pairs.found.pairs):
+        told.append(
+            "No pair held with other seeds, so chance has a part in all of them. With more checks, edge@1 drops such "
+            "pairs during the search"
+        )
+    return tuple(told)
+
+
+def _cases(number: int) -> str:
+    return "1 case" if number == 1 else f"{number:,} cases"
+
+
+def _caveat(campaign: Campaign, problem: Problem) -> str:
+    """Return what pairs do not say of a component of the user's own; empty without a component."""
+    if campaign.body.ground_truth or not isinstance(problem, QualifiesComponent):
+        return ""
+    return problem.about_component
+
+
+def _offers(
+    campaign: Campaign, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredRepeats]
+) -> dict[FollowUpKind, tuple[int, str, int]]:
+    """Return how many simulations each kind of follow-up takes, why it cannot be asked, and how many are left out."""
+    chosen = pairs.found.pairs[:MOST_PAIRS_FOLLOWED]
+    if campaign.status not in ENDED:
+        return dict.fromkeys(
+            FollowUpKind, (0, f"the campaign is {campaign.status}: wait until it has ended", 0)
+        )
+    if not chosen:
+        return dict.fromkeys(FollowUpKind, (0, "there is no pair", 0))
+    answered: dict[FollowUpKind, set[tuple[int, ...]]] = {kind: set() for kind in FollowUpKind}
+    for one in stored:
+        if one.campaign.status is CampaignStatus.FINISHED:
+            paired = zip(one.numbers[0::2], one.numbers[1::2], strict=True)
+            single = ((number,) for number in one.numbers)
+            answered[one.kind].update(paired if one.kind is FollowUpKind.MINIMISE else single)
+    unsafe = {(pair.unsafe.number,) for pair in chosen}
+    open_pairs = {(pair.safe.number, pair.unsafe.number) for pair in chosen} & (pairs.reducible or set())
+    truth, less = "", ""
+    if unsafe <= answered[FollowUpKind.COMPONENT]:
+        truth = "all unsafe sides have been simulated with ground truth"
+    same_seed = [pair for pair in chosen if has_one_seed(found.plan, pair)]
+    if not same_seed:
+        less = "the two sides of every pair have different seeds, so chance may explain the verdicts"
+    elif not open_pairs:
+        less = "no difference can be reverted alone: all pairs are minimal"
+    elif open_pairs <= answered[FollowUpKind.MINIMISE]:
+        less = "the differences of all pairs have been reverted one by one"
+    offers = {
+        FollowUpKind.CONFIRM: (len(sides_of(chosen)), _refusal(lambda: check_repeatable(found.plan)), 0),
+        FollowUpKind.COMPONENT: (len(unsafe), _refusal(lambda: with_truth(found.plan.problem)) or truth, 0),
+        FollowUpKind.MINIMISE: (pairs.most_trials, less, len(chosen) - len(same_seed)),
+    }
+    for one in stored:
+        if one.campaign.status not in ENDED and not one.boundary:
+            offers[one.kind] = (
+                0,
+                f"this has been requested: campaign {one.campaign.id} is {one.campaign.status}",
+                0,
+            )
+    return offers
+
+
+def _refusal(check: Callable[[], object]) -> str:
+    """Return why a check fails; empty if it does not."""
+    try:
+        check()
+    except InvalidInput as error:
+        return "; ".join(one.message for one in error.errors)
+    return ""
+
+
+def _pair(
+    place: int, pair: Pair, problem: Problem, rows: Mapping[int, Row[Any]], evidence: "_Evidence"
+) -> PairView:
+    safe, unsafe = (simulated(problem, rows[side.number]) for side in (pair.safe, pair.unsafe))
+    changes, change, moved = _changes(problem, safe, unsafe, pair.units)
+    sides = [
+        _side(side, problem, solution, rows[side.number])
+        for side, solution in ((pair.safe, safe), (pair.unsafe, unsafe))
+    ]
+    return PairView(
+        place=place,
+        words=f"{as_sentence(change)}: {sides[1].outcome}",
+        change=change,
+        moved=moved,
+        common=common_words(sides[0].words, sides[1].words),
+        distance=pair.distance,
+        checked=pair.checked,
+        same_seed=pair.same_seed,
+        confirmation=evidence.confirmation(pair),
+        component=evidence.component(pair),
+        minimality=evidence.minimality(pair, safe),
+        changes=changes,
+        safe=sides[0],
+        unsafe=sides[1],
+    )
+
+
+def _changes(
+    problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, units: Sequence[Unit]
+) -> tuple[list[ChangeView], str, str]:
+    """Return the differences between two solutions, active ones first, the change in words, and how far it goes."""
+    changes = sorted(changes_between(problem, safe, unsafe, units), key=lambda change: change.active is False)
+    titles = problem.space.titles()
+    views = [_change(change, titles) for change in changes]
+    return views, change_words(problem, safe, unsafe, changes), moved_words(changes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reduction:
+    """A follow-up that reverts differences.
+
+    Attributes:
+        stored: The follow-up.
+        reduced: How far it is.
+        rows: The stored solutions that are unsafe sides now, by number.
+    """
+
+    stored: StoredRepeats
+    reduced: Reduced
+    rows: Mapping[int, Row[Any]]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.stored.campaign.status is CampaignStatus.FINISHED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Evidence:
+    """What the follow-ups of a campaign have shown.
+
+    Attributes:
+        plan: The campaign's plan.
+        reducible: The pairs of which a difference can be reverted, among those shown, by their two numbers.
+        repeated: What repeats of their sides have shown.
+        truths: The drive of each solution with ground truth, by number.
+        reductions: The follow-up that reverts the differences of a pair, and its place there, by its two numbers.
+    """
+
+    plan: Plan
+    reducible: Collection[tuple[int, int]]
+    repeated: Repeated
+    truths: Mapping[int, ComponentView]
+    reductions: Mapping[tuple[int, int], tuple[_Reduction, int]]
+
+    @classmethod
+    def read(
+        cls,
+        connection: Connection,
+        found: ReadArchive,
+        pairs: CampaignPairs,
+        shown: Sequence[Pair],
+        stored: Sequence[StoredRepeats],
+        repeated: Repeated,
+    ) -> Self:
+        """Read what follow-ups have shown.
+
+        Args:
+            connection: Read connection.
+            found: The campaign's archive.
+            pairs: The campaign's pairs.
+            shown: Those to be shown.
+            stored: Its follow-ups, oldest first.
+            repeated: What those with other seeds have shown.
+        """
+        of_kind = {kind: [one for one in stored if one.kind is kind] for kind in FollowUpKind}
+        truths: dict[int, ComponentView] = {}
+        for one in of_kind[FollowUpKind.COMPONENT]:
+            for number, view in _truths(connection, one).items():
+                if number not in truths or truths[number].state not in _KNOWN_PARTS:
+                    truths[number] = view
+        reductions: dict[tuple[int, int], tuple[_Reduction, int]] = {}
+        for one in of_kind[FollowUpKind.MINIMISE]:
+            reduced = read_reduced(connection, make_plan(one.campaign.body), one)
+            latest = [number for number in reduced.latest if number is not None]
+            rows = view_store.read_solutions(connection, one.campaign.id, latest)
+            reduction = _Reduction(stored=one, reduced=reduced, rows={row.number: row for row in rows})
+            sides = zip(one.numbers[0::2], one.numbers[1::2], strict=True)
+            for place, pair in enumerate(sides):
+                if pair not in reductions or not reductions[pair][0].is_finished:
+                    reductions[pair] = reduction, place
+        return cls(
+            plan=found.plan,
+            reducible=find_reducible(found.plan, found.archive, shown)
+            if pairs.reducible is None
+            else pairs.reducible,
+            repeated=repeated,
+            truths=truths,
+            reductions=reductions,
+        )
+
+    def confirmation(self, pair: Pair) -> ConfirmationView:
+        """Return whether both sides of a pair keep their verdicts with other seeds."""
+        safe, unsafe = self.repeated.shares_of(pair.safe.number, pair.unsafe.number)
+        state = self.repeated.state(pair.safe.number, pair.unsafe.number)
+        return ConfirmationView(state=state, safe=_share(safe), unsafe=_share(unsafe))
+
+    def component(self, pair: Pair) -> ComponentView:
+        """Return whether the scenario alone is to blame for the unsafe side of a pair."""
+        return self.truths.get(pair.unsafe.number) or ComponentView(state=ComponentPart.NOT_TRIED)
+
+    def minimality(self, pair: Pair, safe: SimulatedSolution) -> MinimalityView:
+        """Return whether every difference between the sides of a pair matters."""
+        if not has_one_seed(self.plan, pair):
+            return MinimalityView(state=Minimality.DIFFERENT_SEEDS)
+        known = self.reductions.get((pair.safe.number, pair.unsafe.number))
+        if known is None:
+            untried = (pair.safe.number, pair.unsafe.number) in self.reducible
+            return MinimalityView(state=Minimality.NOT_TRIED if untried else Minimality.MINIMAL)
+        reduction, place = known
+        reduced, ended = reduction.reduced, reduction.stored.campaign.status in ENDED
+        pairs, latest = reduced.reductions, reduced.latest[place]
+        minimal = pairs.is_minimal(place)
+        if latest is not None:
+            state = Minimality.NOT_MINIMAL
+        elif minimal:
+            state = Minimality.MINIMAL
+        elif pairs.is_undecided(place):
+            state = Minimality.UNDECIDED
+        else:
+            state = Minimality.NOT_TRIED if ended else Minimality.PENDING
+        return MinimalityView(
+            state=state,
+            campaign=reduction.stored.campaign.id,
+            tried=reduced.tried[place],
+            unsafe=None if latest is None else self._minimised(reduction.rows[latest], pairs, place, safe),
+        )
+
+    def _minimised(
+        self, row: Row[Any], pairs: Reductions, place: int, safe: SimulatedSolution
+    ) -> MinimisedView:
+        problem, steps = self.plan.problem, pairs.steps
+        unsafe = simulated(problem, row)
+        sides = pairs.safe[place], pairs.unsafe[place]
+        changes, change, _ = _changes(problem, safe, unsafe, steps.differing(*sides))
+        return MinimisedView(
+            number=row.number,
+            robustness=row.robustness,
+            outcome=_outcome(problem, row).words(),
+            parameters=problem.space.decode(tuple(unsafe.vectors)),
+            distance=steps.distance(*sides),
+            minimal=True if pairs.is_minimal(place) else None,
+            changes=changes,
+            change=change,
+        )
+
+
+_KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
+
+
+def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, ComponentView]:
+    """Return what the drives of a follow-up with ground truth showed, by number of the solution in the campaign.
+
+    Those that were never simulated, because the follow-up was cancelled, are left out.
+    """
+    problem = make_plan(stored.campaign.body).problem
+    rows = {
+        row.number: row
+        for row in view_store.read_solutions(connection, stored.campaign.id, range(len(stored.numbers)))
+    }
+    found = {}
+    for place, number in enumerate(stored.numbers):
+        row = rows.get(place)
+        verdict = None if row is None else row.verdict
+        if row is not None and verdict in (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE):
+            unsafe = verdict == SolutionVerdict.UNSAFE
+            found[number] = ComponentView(
+                state=ComponentPart.SCENARIO if unsafe else ComponentPart.COMPONENT,
+                campaign=stored.campaign.id,
+                number=place,
+                robustness=row.robustness,
+                outcome=_outcome(problem, row).words(),
+            )
+        elif verdict == SolutionVerdict.FAILED or stored.campaign.status not in ENDED:
+            failed = verdict == SolutionVerdict.FAILED
+            found[number] = ComponentView(
+                state=ComponentPart.FAILED if failed else ComponentPart.PENDING,
+                campaign=stored.campaign.id,
+                number=place,
+            )
+    return found
+
+
+def _change(change: Change, titles: Mapping[str, str]) -> ChangeView:
+    return ChangeView(
+        names=list(change.names),
+        titles=[titles[name] for name in change.names],
+        units=list(change.units),
+        safe=list(change.safe),
+        unsafe=list(change.unsafe),
+        active=change.active,
+        moved=change.moved,
+        words=change.words,
+    )
+
+
+def _share(share: Share) -> ShareView:
+    return ShareView(
+        evaluated=share.evaluated,
+        unsafe=share.unsafe,
+        probability=share.probability,
+        low=share.low,
+        high=share.high,
+        failed=share.failed,
+    )
+
+
+def _result(row: Row[Any] | None) -> dict[str, Any] | None:
+    return json.loads(row.result) if row is not None and row.result else None
+
+
+def _side(side: Side, problem: Problem, solution: SimulatedSolution, row: Row[Any]) -> SideView:
+    activity, outcome = solution.activity, _outcome(problem, row)
+    return SideView(
+        number=side.number,
+        evaluated=side.evaluated,
+        robustness=side.robustness,
+        seed=row.seed,
+        outcome=outcome.words(),
+        kind=outcome.kind,
+        words=describe_candidate(problem, solution.vectors, activity),
+        parameters=problem.space.decode(tuple(solution.vectors)),
+        activity=None if activity is None else activity_view(problem.space, activity),
+    )
+
+
+def _outcome(problem: Problem, row: Row[Any]) -> SolutionOutcome:
+    """Return what a simulation showed."""
+    safe = row.verdict == SolutionVerdict.SAFE
+    return outcome_of(problem, _result(row), safe=safe, robustness=row.robustness)
+
+
+def _deciding(problem: Problem, row: Row[Any] | None) -> tuple[str, ...]:
+    """Return the requirements that decide the verdict; empty if they are unknown."""
+    if isinstance(problem, NamesRequirements):
+        return problem.requirements
+    episode = None if row is None else _outcome(problem, row).episode
+    return () if episode is None else episode.deciding
+
+
+def _note(
+    campaign: Campaign,
+    found: ReadArchive,
+    pairs: CampaignPairs,
+    deciding: tuple[str, ...],
+    counts: Mapping[str, int],
+) -> str:
+    """Return the result in one sentence."""
+    computed = ignores_seeds(found.plan.problem)
+    words = _result_words(pairs, deciding, counts, computed=computed)
+    if campaign.status in ENDED:
+        return words
+    return f"so far, after {len(found.archive):,} of {campaign.budget:,} simulations: {words}"
+
+
+def _tried_words(counts: Mapping[str, int]) -> str:
+    """Return how many of the pairs that were simulated again are confirmed, refuted and undecided."""
+    states = ("confirmed", "refuted", "undecided")
+    if counts["refuted"] == counts["tried"]:
+        return "all refuted" if counts["tried"] > 1 else "refuted"
+    told = [f"{counts[state]:,} {state}" for state in states if counts[state] or state == "confirmed"]
+    return " and ".join([*([", ".join(told[:-1])] if told[1:] else []), told[-1]])
+
+
+def _result_words(
+    pairs: CampaignPairs, deciding: tuple[str, ...], counts: Mapping[str, int], *, computed: bool
+) -> str:
+    found, settings = pairs.found, pairs.settings
+    if found.pairs:
+        single = len(found.pairs) == 1
+        words = (
+            "1 distinct pair across the boundary"
+            if single
+            else f"{len(found.pairs):,} distinct pairs across the boundary"
+        )
+        if not computed:  # chance has no part in computed verdicts: there is nothing to check
+            if found.checked:
+                words += ", checked" if single else f", {found.checked:,} checked"
+            elif not counts["tried"] and not counts["pending"]:
+                words += f", {'not' if single else 'none'} simulated again yet"
+        if counts["tried"]:
+            words += f"; of {counts['tried']:,} simulated again with other seeds, {_tried_words(counts)}"
+        if counts["pending"]:
+            words += f"; {counts['pending']:,} being simulated again"
+        if blamed := counts["component"] + counts["scenario"]:
+            held, violated = (
+                (drives_held(deciding), unsafe_words(deciding)) if deciding else ("is safe", "is unsafe")
+            )
+            words += (
+                "; with ground truth in place of the component, in one drive each, the unsafe side of "
+                f"{counts['component']:,} of {blamed:,} {held} (the component's hazard)"
+            )
+            if counts["scenario"]:
+                words += f", that of {counts['scenario']:,} {violated} all the same (the scenario's hazard)"
+            if confirmed := counts["component_confirmed"] + counts["scenario_confirmed"]:
+                blamed = counts["component_confirmed"]
+                words += f"; of the confirmed pairs, {blamed:,} of {confirmed:,} are the component's"
+        return words
+    if found.without_part:
+        return (
+            f"no pair: in {_cases(found.without_part)}, two near solutions with opposite verdicts differ in nothing "
+            "that had a part in their drives, so chance decides"
+        )
+    if not found.safe and not found.unsafe and not found.chancy:
+        return "no solution has been evaluated: no pair"
+    if pairs.nearest is None:
+        if not found.safe and not found.unsafe:
+            return f"every solution had both verdicts ({found.chancy:,}): no pair"
+        both = f"; {found.chancy:,} had both verdicts" if found.chancy else ""
+        count = found.safe + found.unsafe
+        be = "is" if count == 1 else "are"
+        if found.safe:
+            did = drives_held(deciding) if deciding else f"{be} safe"
+        else:
+            did = unsafe_words(deciding) if deciding else f"{be} unsafe"
+        return f"{'the only solution' if count == 1 else f'all {count:,} solutions'} {did}{both}: no pair"
+    return (
+        f"no pair within eps {settings.eps:g}: the nearest solutions with opposite verdicts, "
+        f"{pairs.nearest.safe} and {pairs.nearest.unsafe}, are {pairs.nearest.distance:.3g} apart"
+    )

@@ -1,0 +1,129 @@
+"""Solutions with decoded parameters and what their simulations showed."""
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Row
+
+from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
+from brink.search.archive import Archive
+from brink.search.deadline import check_time
+from brink.search.parameters import Categorical
+from brink.search.space import SearchSpace
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.outcomes import outcome_of
+from brink.server.problems.base import Activity, Problem, SimulatedSolution, activity_of, describe_candidate
+from brink.server.states import SolutionVerdict
+from brink.server.views import ActivityView, SolutionView, ViolatedView
+from brink.sim.verdict import Violated
+
+
+def solution_views(
+    rows: Iterable[Row[*tuple[Any, ...]]], read: ReadArchive, *, full: bool = False
+) -> list[SolutionView]:
+    """Return the response schemas of solutions: decoded parameters and values from the archive.
+
+    Args:
+        rows: Database rows of the solutions.
+        read: The campaign's archive.
+        full: Whether to add all verdicts, features, provenance and the episode.
+    """
+    views = []
+    for row in rows:
+        check_time()
+        views.append(_solution(row, read.plan.problem, read.archive, read.places.get(row.number), full=full))
+    return views
+
+
+def _solution(
+    row: Row[*tuple[Any, ...]], problem: Problem, archive: Archive, index: int | None, *, full: bool
+) -> SolutionView:
+    result: Mapping[str, Any] = json.loads(row.result) if row.result else {}
+    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
+    activity = activity_of(problem, vectors, result)
+    return SolutionView(
+        number=row.number,
+        generation=row.generation,
+        verdict=row.verdict,
+        robustness=row.robustness,
+        objectives=row.objectives,
+        failure=row.failure,
+        origin=row.origin,
+        **_outcome(row, problem, result),
+        fitness=None if index is None else float(archive.fitness[index]),
+        neighbours=None if index is None else int(archive.neighbours[index]),
+        unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
+        interval=None
+        if index is None
+        else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
+        seed=row.seed,
+        attempts=row.attempt,
+        losses=row.losses,
+        words=describe_candidate(problem, vectors, activity),
+        parameters=problem.space.decode(vectors),
+        titles=_titles(problem.space) if full else {},
+        activity=None if activity is None else activity_view(problem.space, activity),
+        verdicts=result.get("verdicts") if full else None,
+        features=result.get("features") if full else None,
+        provenance=result.get("provenance") if full else None,
+        spec=json.loads(row.spec) if full and row.spec else None,
+    )
+
+
+def _titles(space: SearchSpace) -> dict[str, str]:
+    """Return the titles of the parameters that have one of their own, with units, by full name."""
+    return {
+        f"{component.name}.{parameter.name}": f"{parameter.title} ({unit})" if unit else parameter.title
+        for component in space.components
+        for parameter in component.parameters
+        if parameter.title
+        for unit in ["" if isinstance(parameter, Categorical) else parameter.unit]
+    }
+
+
+def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the fields of a solution about all of its requirements."""
+    if row.verdict not in (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE):
+        return {}
+    outcome = outcome_of(problem, stored, safe=row.verdict == SolutionVerdict.SAFE, robustness=row.robustness)
+    fields: dict[str, Any] = {"outcome": outcome.words(), "kind": outcome.kind}
+    if outcome.episode is not None:
+        fields["requirements"] = list(outcome.episode.deciding)
+        fields["violated"] = [_violated_view(one, stored) for one in outcome.episode.violated]
+    return fields
+
+
+def _violated_view(one: Violated, stored: Mapping[str, Any]) -> ViolatedView:
+    """Return a violation, and who would have avoided it; a worker may have sent anything."""
+    reported = (stored.get("features") or {}).get("violations")
+    found = [each for each in (reported if isinstance(reported, list) else []) if isinstance(each, Mapping)]
+    circumstances = next((each for each in found if each.get("requirement") == one.requirement), {})
+    avoidable = avoidable_of(circumstances)
+    return ViolatedView(
+        requirement=one.requirement,
+        time_s=one.time_s,
+        words=one.words,
+        decides=one.decides,
+        avoidable=avoidable,
+        avoided_by=avoided_by_of(circumstances),
+        avoidable_words="" if avoidable is None else avoidable.words,
+    )
+
+
+def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
+    """Return the response schema of what had a part in an episode."""
+    names = space.column_names()
+    return ActivityView(
+        inactive=[name for name, active in zip(names, activity.active, strict=True) if not active],
+        effective=space.decode(space.split(activity.effective)),
+        idle=list(activity.idle),
+    )
+
+
+def simulated(problem: Problem, row: Row[*tuple[Any, ...]]) -> SimulatedSolution:
+    """Return a stored solution with what its simulation showed."""
+    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
+    result = json.loads(row.result) if row.result else None
+    return SimulatedSolution(vectors=vectors, activity=activity_of(problem, vectors, result), result=result)

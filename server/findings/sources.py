@@ -1,0 +1,29 @@
+"""Where findings are read from: the database and the caches of what takes long to compute."""
+
+from dataclasses import dataclass
+
+from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.boundaries import Boundaries
+from brink.server.campaigns.outcomes import Outcomes
+from brink.server.campaigns.pairs import Pairs
+from brink.server.campaigns.reported import ReportedResults
+from brink.server.campaigns.tolerance import Tolerances
+from brink.server.db.engine import Engines
+from brink.server.read_threads import ReadThreads
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sources:
+    """The database, and caches that requests share."""
+
+    engines: Engines
+    pages: ReadThreads
+    """Threads for what takes up to seconds: reading archives and results, decoding and encoding them."""
+    analyses: ReadThreads
+    """Threads for what takes longer: comparing all solutions with each other."""
+    archives: Archives
+    boundaries: Boundaries
+    outcomes: Outcomes
+    reported: ReportedResults
+    pairs: Pairs
+    tolerances: Tolerances

@@ -1,0 +1,73 @@
+"""Whether fresh drives are as tolerances predict."""
+
+import numpy as np
+
+from brink.search.streams import Stream, generator
+from brink.server.campaigns.plan import Plan
+from brink.server.campaigns.store import Campaign
+from brink.server.campaigns.tolerance import CampaignTolerance
+from brink.server.errors import InvalidInput
+from brink.server.findings.tolerances.analysis import error_words
+from brink.server.findings.tolerances.views import AgreementCell, AgreementView
+
+
+def agreement_view(
+    campaign: Campaign,
+    plan: Plan,
+    other: Campaign,
+    known: CampaignTolerance,
+    found: CampaignTolerance,
+    confidence: float,
+) -> AgreementView:
+    """Return whether fresh drives are as tolerances predict.
+
+    Args:
+        campaign: The campaign with the tolerances.
+        plan: Its plan.
+        other: The campaign with the fresh drives.
+        known: The tolerances.
+        found: What the fresh drives say.
+        confidence: Probability that an interval covers the number of caused violations.
+
+    Raises:
+        InvalidInput: The campaigns have no cell in common.
+    """
+    places = {(cell.condition, cell.choices): place for place, cell in enumerate(found.layout.cells)}
+    cells = []
+    for place, (cell, curve) in enumerate(zip(known.layout.cells, known.curves, strict=True)):
+        there = places.get((cell.condition, cell.choices))
+        if there is None or known.layout.names != found.layout.names:
+            continue
+        fresh = found.curves[there]
+        levels = np.repeat(np.arange(1, len(fresh.drives) + 1), fresh.drives)
+        low, high = curve.predicted(
+            levels, generator(campaign.body.seed, Stream.TOLERANCE, 3, place), confidence
+        )
+        caused = int(fresh.caused.sum())
+        choices = dict(zip(known.layout.names, cell.choices, strict=True))
+        cells.append(
+            AgreementCell(
+                place=place + 1,
+                choices=choices,
+                error=error_words(plan.problem, choices),
+                condition=cell.condition,
+                drives=len(levels),
+                caused=caused,
+                low=low,
+                high=high,
+                agrees=low <= caused <= high,
+            )
+        )
+    if not cells:
+        raise InvalidInput.at("/query/fresh", f"campaign {other.id} has no cell in common with {campaign.id}")
+    agreeing, drives = sum(cell.agrees for cell in cells), sum(cell.drives for cell in cells)
+    return AgreementView(
+        campaign=campaign.id,
+        fresh=other.id,
+        confidence=confidence,
+        drives=drives,
+        agreeing=agreeing,
+        note=f"{drives} fresh drives: in {agreeing} of {len(cells)} cells, as many violate because of the error as "
+        f"predicted, within intervals of {confidence:.0%}",
+        cells=cells,
+    )

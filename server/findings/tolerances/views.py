@@ -1,0 +1,223 @@
+"""Response schemas of tolerances: how gross an error may be before it makes too many drives violate."""
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
+
+from brink.server.campaigns.detector_check import CheckResult
+from brink.server.findings.follow_ups import ShareView
+from brink.server.states import CampaignStatus
+from brink.server.views import View
+
+
+class Finding(StrEnum):
+    """What is known of a cell."""
+
+    LIMIT = "limit"
+    """The limit is reached within the scale."""
+    THROUGHOUT = "throughout"
+    """The limit is not reached, however gross the error."""
+    UNDECIDED = "undecided"
+    """It may or may not be reached within the scale."""
+
+
+class Amount(View):
+    """A severity and the magnitude that it stands for; both are null beyond the scale."""
+
+    severity: float | None
+    magnitude: Annotated[float | None, Field(description="In the unit of the cell; null without one, too.")]
+
+
+class ToleratedView(View):
+    """The severity at which the share of caused violations reaches the limit, with its interval."""
+
+    finding: Finding
+    value: Amount
+    low: Annotated[Amount, Field(description="Lower end; above it, the limit may be exceeded.")]
+    high: Amount
+
+
+class CurveView(View):
+    """The share of drives with a violation that the error caused, by severity, as one list per column."""
+
+    severity: list[float]
+    magnitude: Annotated[list[float] | None, Field(description="In the unit of the cell.")]
+    share: Annotated[list[float], Field(description="Median.")]
+    low: list[float]
+    high: list[float]
+    drives: Annotated[list[int], Field(description="Simulated drives with the error.")]
+    caused: Annotated[list[int], Field(description="Those with a violation that the error caused.")]
+
+
+class FallView(View):
+    """A stretch of severity over which more error is safer."""
+
+    from_severity: float
+    to_severity: float
+    from_share: float
+    to_share: float
+    words: str
+
+
+class ExampleView(View):
+    """A drive with a violation that the error caused."""
+
+    number: int
+    severity: float
+    magnitude: float | None
+
+
+class CellView(View):
+    """One cell: a combination of choices under a condition."""
+
+    place: Annotated[int, Field(description="Its place in the list, from 1.")]
+    choices: dict[str, str]
+    condition: str
+    error: Annotated[
+        str, Field(description="The error as an activity of the component, without its magnitude.")
+    ]
+    words: Annotated[str, Field(description="The error as an activity of the component, with its magnitude.")]
+    sentence: Annotated[str, Field(description="The requirement that follows, with its basis.")]
+    basis: Annotated[
+        str, Field(description="How many drives it rests on, in words; empty if there are none.")
+    ]
+    unit: Annotated[str, Field(description="Unit of magnitudes; empty for none.")]
+    decimals: Annotated[int, Field(description="Decimal places of magnitudes that matter.")]
+    meaning: str
+    drives: Annotated[int, Field(description="Drives with the error; of screened cells, vulnerable ones.")]
+    caused: Annotated[int, Field(description="Those with a violation that the error caused.")]
+    screened: Annotated[
+        int, Field(description="Drives that were screened with the grossest error; 0 for none.")
+    ]
+    vulnerable: Annotated[int, Field(description="Those with a violation that the grossest error caused.")]
+    tolerated: ToleratedView
+    curve: CurveView
+    fall: FallView | None
+    examples: Annotated[list[ExampleView], Field(description="Mildest errors that caused a violation first.")]
+
+
+class BaselineView(View):
+    """How often drives violate a requirement without any error."""
+
+    condition: str
+    choices: Annotated[
+        list[dict[str, str]],
+        Field(description="Cells that it belongs to, by those of their choices that matter."),
+    ]
+    share: ShareView
+
+
+class ToleranceView(View):
+    """The tolerances of a campaign."""
+
+    campaign: str
+    name: str
+    status: CampaignStatus
+    complete: Annotated[bool, Field(description="Whether the campaign has ended.")]
+    requirements: list[str]
+    limit: float
+    confidence: float
+    note: str
+    caveat: Annotated[str, Field(description="What the tolerances do not say.")]
+    simulations: Annotated[
+        int, Field(description="Simulations with a verdict, those without an error included.")
+    ]
+    open: Annotated[
+        int, Field(description="Violations of which it is not known whether the error caused them.")
+    ]
+    mean_width: Annotated[float, Field(description="Mean width of the intervals, as a share of the scale.")]
+    conditions: list[str]
+    baseline: list[BaselineView]
+    audited: Annotated[
+        int,
+        Field(description="Drives simulated with a milder error although they hold with the grossest one."),
+    ]
+    leaks: Annotated[int, Field(description="Those that violated all the same.")]
+    cells: list[CellView]
+
+
+class DetectorCell(View):
+    """A detector's errors of one cell."""
+
+    choices: dict[str, str]
+    error: str
+    condition: str
+    result: CheckResult
+    drives: Annotated[
+        int,
+        Field(description="Drives of the detector under the condition that tell how gross this error is."),
+    ]
+    needed: Annotated[
+        int | None,
+        Field(
+            description="Drives with such errors that would decide, or without errors if there are none yet; null if "
+            "more drives would not, or if it is decided."
+        ),
+    ]
+    at_least: Annotated[
+        int,
+        Field(description="Drives whose error was cut off by the recording, so that it is a lower bound."),
+    ]
+    typical: Annotated[float | None, Field(description="Median magnitude, in the unit of the cell.")]
+    grossest: Annotated[float | None, Field(description="Magnitude that 5% of the drives exceed.")]
+    unit: str
+    beyond: Annotated[int, Field(description="Drives with a grosser error than is tolerated.")]
+    share: Annotated[float | None, Field(description="Share of drives that such errors make violate.")]
+    low: float | None
+    high: float | None
+    worst: Annotated[list[str], Field(description="Drives with the grossest errors, grossest first.")]
+    sentence: Annotated[str, Field(description="The result with its basis.")]
+
+
+class DetectorConditionView(View):
+    """The detector's drives under one condition."""
+
+    condition: str
+    drives: int
+    violations: Annotated[
+        int | None, Field(description="Those that violated a requirement; null if unknown.")
+    ]
+
+
+class DetectorView(View):
+    """Whether a detector meets the requirement of a campaign."""
+
+    campaign: str
+    detector: str
+    limit: float
+    confidence: float
+    note: str
+    meaning: Annotated[str, Field(description="What met means, and of what.")]
+    no_data: Annotated[str, Field(description="What no drive tells anything about; empty for nothing.")]
+    next: Annotated[list[str], Field(description="What to record next to decide more, in sentences.")]
+    conditions: list[DetectorConditionView]
+    cells: Annotated[
+        list[DetectorCell], Field(description="Those that are not met first, those without data last.")
+    ]
+
+
+class AgreementCell(View):
+    """What fresh drives say of one cell."""
+
+    place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
+    choices: dict[str, str]
+    error: str
+    condition: str
+    drives: Annotated[int, Field(description="Fresh drives with the error.")]
+    caused: Annotated[int, Field(description="Fresh drives with a violation that the error caused.")]
+    low: Annotated[int, Field(description="Lower end of the interval in which that number was predicted.")]
+    high: int
+    agrees: bool
+
+
+class AgreementView(View):
+    """Whether the drives of another campaign are as the tolerances of a campaign predict."""
+
+    campaign: str
+    fresh: str
+    confidence: float
+    drives: int
+    agreeing: Annotated[int, Field(description="Cells whose number lies in its interval.")]
+    note: str
+    cells: list[AgreementCell]

@@ -1,0 +1,1 @@
+"""Findings of the kind `violations`: the types of violations that other traffic causes."""
