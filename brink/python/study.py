@@ -32,7 +32,7 @@ from brink.search.shorthand import DeclaredSpace, flat_values, space_from, space
 from brink.search.space import SearchSpace
 from brink.search.streams import episode_seed
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_EPS, DEFAULT_PAIRS_D_TH, DEFAULT_T_B
-from brink.server.findings.boundary import table
+from brink.server.findings.boundary import table as boundary_table
 from brink.server.problems.catalogue import make_algorithm, make_params
 from brink.user_file import read_text
 
@@ -241,7 +241,7 @@ class Study:
                 row[f"{side}.robustness"] = float(self.archive.robustness[place])
                 row |= {f"{side}.{name}": value for name, value in zip(names, values.values(), strict=True)}
             table.append(row)
-        kinds = zip(names, table.parameter_columns(self._space).values(), strict=True)
+        kinds = zip(names, boundary_table.parameter_columns(self._space).values(), strict=True)
         of_a_side = {"number": int, "robustness": float, **dict(kinds)}
         sides = {f"{side}.{name}": kind for side in ("safe", "unsafe") for name, kind in of_a_side.items()}
         return typed_frame(table, {"distance": float, **sides})
