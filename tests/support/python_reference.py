@@ -5,6 +5,7 @@ Run as ``make reference``.
 
 import dataclasses
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
@@ -28,34 +29,31 @@ GROUPS: Final = {
         "guard.random_specs",
         "guard.solution_specs",
         "guard.record",
-        "guard.fit",
         "guard.evaluate",
-        "guard.drive_with_guard",
         "guard.Drive",
         "guard.GuardEvaluation",
         "guard.GuardedLoop",
+        "guard.fit",
+        "guard.drive_with_guard",
     ],
     "Asynchronous counterparts": ["run_async", "search_async", "connect_async", "AsyncClient", "AsyncResult"],
 }
 """Names by heading, in the order of the page; the last group is a list."""
 _NOT_EXPORTED: Final[dict[str, type]] = {"Picture": Picture, "Submitted": Submitted}
 """Classes of what functions return, which users do not import."""
-_RETURNED: Final = frozenset(
-    {
-        *("Client", "Submitted", "Result", "Picture", "Trial"),
-        *("guard.Drive", "guard.GuardEvaluation", "guard.GuardedLoop"),
-    }
-)
+_RETURNED: Final = frozenset({"Client", "Submitted", "Result", "Picture", "Trial"})
 """Classes that users do not construct, so that their signature does not matter."""
 _VALUES: Final = frozenset({"Trial", "Real", "Integer", "Categorical"})
 """Classes of which users need the fields alone."""
+_OBVIOUS: Final = frozenset({"problem", "algorithm", "simulations", "name", "workers", "progress", "drives"})
+"""Arguments whose names say enough."""
 _EXPLAINED: Final = frozenset({"check_pairs", "plot", "tell", "guard.fit", "guard.drive_with_guard"})
-"""Methods, and functions of guards, whose arguments are described, because their names do not say enough."""
+"""Methods whose arguments are described, and what of guards is more than a line."""
 _INTRODUCTION: Final = """# Python
 
 `make reference` writes this page from the docstrings. `help(brink.run)` and the like show them in full, with all
-arguments, errors and examples; here, an argument that means the same everywhere is described once. [Use Brink from
-Python](../how-to/use-brink-from-python.md) shows how the parts go together.
+arguments, errors and examples; arguments that explain themselves, or mean the same as above, are left out here. [Use
+Brink from Python](../how-to/use-brink-from-python.md) shows how the parts go together.
 
 `import brink` imports nothing else until a name is first used. Guards need `import brink.guard`. All errors are
 subclasses of `brink.server.errors.ServerError`, `brink.search.errors.SearchError` or, for guards,
@@ -75,7 +73,7 @@ def page() -> str:
     heading, names = last
     parts.append(f"## {heading}\n")
     parts += [f"- `brink.{name}`: {_summary(_object(name))}" for name in names]
-    return "\n".join(parts).rstrip() + "\n"
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(parts)).rstrip() + "\n"
 
 
 def _object(name: str) -> Any:
@@ -91,15 +89,18 @@ def _object(name: str) -> Any:
 def _entry(name: str, described: set[str]) -> str:
     """Return the section of a function or a class; arguments that are in `described` are left out."""
     of = _object(name)
-    parts = [f"### `{name if name in _NOT_EXPORTED else f'brink.{name}'}`\n"]
+    if name.startswith("guard.") and name not in _EXPLAINED:
+        shown = f"brink.{name}" if isinstance(of, type) else _signature(of, f"brink.{name}")
+        return f"- `{shown}`: {_summary(of)}"
+    shown = name if name in _NOT_EXPORTED else f"brink.{name}"
+    parts = [f"\n### `{shown}`\n"]  # a list may precede it
     if name not in _RETURNED:
-        parts.append(f"```python\n{_signature(of, f'brink.{name}')}\n```\n")
+        parts.append(f"```python\n{_signature(of, shown)}\n```\n")
     parts.append(_opening(of) + "\n")
     rows = _described(of)
-    if name.startswith("guard.") and not isinstance(of, type) and name not in _EXPLAINED:
-        rows = []
     if name not in _RETURNED:
-        rows = [row for row in rows if row not in described]
+        obvious = tuple(f"- `{argument}`:" for argument in _OBVIOUS)
+        rows = [row for row in rows if row not in described and not row.startswith(obvious)]
         described.update(rows)
     if isinstance(of, type) and name not in _VALUES:
         rows += [row for base in _bases(of) for row in _described(base)]
@@ -173,7 +174,7 @@ def _described(of: Any) -> list[str]:
 
 
 def _returns(of: Any) -> str:
-    """Return what a docstring says of the result, if that is more than its summary."""
+    """Return what a docstring says of the result; empty if it says nothing."""
     values = [value for kind, value in _sections(of) if kind is DocstringSectionKind.returns]
     lines = [one.description for value in values for one in value]  # the parser takes each line for a value
     return f" Returns: {_one_line(' '.join(lines))}" if lines else ""
