@@ -26,7 +26,9 @@ from brink.worker.wire import (
     ResultsRequest,
 )
 
-GUIDE = (ROOT / "docs" / "how-to" / "write-a-worker.md").read_text(encoding="utf-8")
+DOCS = ROOT / "docs"
+GUIDE = (DOCS / "how-to" / "write-a-worker.md").read_text(encoding="utf-8")
+PROTOCOL = (DOCS / "reference" / "worker-protocol.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(autouse=True)
@@ -126,11 +128,11 @@ def test_a_bad_setting_is_a_usage_error() -> None:
     assert "expected a URL" in done.stderr
 
 
-def guide_blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", GUIDE, flags=re.DOTALL)
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page, flags=re.DOTALL)
 
 
-def test_every_message_in_the_guide_is_valid() -> None:
+def test_every_message_in_the_reference_is_valid() -> None:
     kinds: list[type[Message]] = [
         LeaseRequest,
         LeaseReply,
@@ -139,7 +141,7 @@ def test_every_message_in_the_guide_is_valid() -> None:
         ResultsRequest,
         ResultsReply,
     ]
-    examples = guide_blocks("json")
+    examples = blocks(PROTOCOL, "json")
     assert len(examples) == len(kinds)
     for kind, example in zip(kinds, examples, strict=True):
         message = kind.model_validate_json(example)
@@ -147,7 +149,7 @@ def test_every_message_in_the_guide_is_valid() -> None:
 
 
 def test_the_example_in_the_guide_is_a_worker(tmp_path: Path) -> None:
-    [source] = guide_blocks("python")
+    [source] = blocks(GUIDE, "python")
     program_file = tmp_path / "minimal.py"
     program_file.write_text(source, encoding="utf-8")
     # The lost reply carried a lease too: that job is queued again when its lease expires.
@@ -169,7 +171,7 @@ def test_the_example_in_the_guide_is_a_worker(tmp_path: Path) -> None:
 
 
 def test_the_example_in_the_guide_exits_when_its_token_is_rejected(tmp_path: Path) -> None:
-    [source] = guide_blocks("python")
+    [source] = blocks(GUIDE, "python")
     program_file = tmp_path / "minimal.py"
     program_file.write_text(source, encoding="utf-8")
     with FakeCoordinator(token="secret") as coordinator:

@@ -150,7 +150,7 @@ def test_classes_have_a_meaning() -> None:
 
 
 def test_the_documented_examples_are_read(tmp_path: Path) -> None:
-    page = Path(__file__).parents[3] / "docs" / "how-to" / "judge-a-detector-on-recordings.md"
+    page = Path(__file__).parents[3] / "docs" / "reference" / "recordings.md"
     blocks = page.read_text().split("```")[1::2]
     (rows,) = (block for block in blocks if block.startswith("\ndrive,"))
     (settings,) = (block.removeprefix("yaml") for block in blocks if block.startswith("yaml"))
