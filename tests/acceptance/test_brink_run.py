@@ -63,6 +63,7 @@ def test_a_campaign_file_becomes_results(
     assert list(folder.glob("*.png"))
 
 
+@pytest.mark.long("runs two campaigns")
 @pytest.mark.usefixtures("small_problems")
 def test_a_run_beside_a_coordinator_on_the_same_file_changes_neither(tmp_path: Path) -> None:
     """Each has a campaign and a worker of its own, and workers take jobs of both campaigns."""

@@ -96,6 +96,7 @@ def test_an_edited_plugin_is_simulated_again_under_the_same_id(tmp_path: Path) -
     assert again["digest"] == before["digest"]
 
 
+@pytest.mark.long("checks plug-ins in a process of its own")
 def test_every_example_passes_the_checks_that_the_documentation_recommends() -> None:
     modules = [file.stem for file in sorted(PLUGINS.glob("*.py"))]
     assert len(modules) >= 4

@@ -47,6 +47,7 @@ def logged(running: Site) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     return records(running.coordinator), records(worker)
 
 
+@pytest.mark.long("runs a campaign")
 def test_a_campaign_is_traced_through_coordinator_and_worker_by_id(database: str, tmp_path: Path) -> None:
     with site(tmp_path, database, JSON_LOGS) as running:
         running.start_workers(1, "--id", "w-17")

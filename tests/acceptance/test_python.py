@@ -78,6 +78,7 @@ print(result.id, result.evaluated)
 """
 
 
+@pytest.mark.long("starts processes")
 def test_an_interrupted_search_goes_on_where_it_was(tmp_path: Path) -> None:
     script = tmp_path / "slow.py"
     script.write_text(SLOW, encoding="utf-8")

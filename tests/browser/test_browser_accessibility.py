@@ -45,7 +45,7 @@ def test_no_view_has_a_serious_fault(site: Served, views: list[View], browse: Br
     assert not found
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("theme", mostly_long(["light", "dark"], ["light"], "the same in other colours"))
 def test_token_page_is_accessible(
     guarded: httpx.Client, visit: Visits, console: Console, theme: Theme
 ) -> None:

@@ -15,6 +15,8 @@ from browser.canvas import becomes, changes, picture
 from browser.served import API, LOOSE, NOBODYS, Served, loose
 from browser.visits import Browse
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 
 @pytest.fixture
 def page(site: Served, browse: Browse) -> Page:

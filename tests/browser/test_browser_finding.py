@@ -2,11 +2,14 @@
 
 import re
 
+import pytest
 from playwright.sync_api import expect as shown
 from support.api import ball, submit
 
 from browser.served import NOBODYS, Served
 from browser.visits import Browse
+
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 
 
 def test_campaigns_are_found_by_name_and_state_and_steered_from_the_list(

@@ -14,6 +14,8 @@ from browser.served import API, NOBODYS, origin
 from browser.test_browser_accessibility import RULES, faults
 from browser.visits import Visits
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 LONGEST_TAG = "x" * 40
 
 

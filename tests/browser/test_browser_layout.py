@@ -2,12 +2,15 @@
 
 import re
 
+import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 
 from browser.served import Served
 from browser.views import View, open_view
 from browser.visits import Browse, Visits
+
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 
 PHONE_PX = 390
 OVERHANGING = """width => [...document.querySelectorAll("body *")]

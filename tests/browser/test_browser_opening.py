@@ -21,6 +21,8 @@ from browser.console import Console
 from browser.served import API, NOBODYS, origin
 from browser.visits import Visits
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 PHONE_WIDTH, PHONE_HEIGHT = 390, 844
 PAIRS = ball(name="edge", algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}})
 BESIDE_CARDS = """() => [...document.querySelectorAll("main section.card")]

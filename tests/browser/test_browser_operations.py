@@ -11,6 +11,8 @@ from browser.served import API, Served, origin
 from browser.test_browser_tokens import token_of
 from browser.visits import Browse, Visits
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 
 def gives_up(job: LeasedJob) -> Completed | JobFailed:
     return JobFailed(reason="crashed", message="the engine gave up\nin the second line")

@@ -13,6 +13,8 @@ from browser.console import Console
 from browser.served import ANY_PAIR, PATIENCE_S, URBAN, Served, a_pair, origin
 from browser.visits import Browse, Visits
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 NEAREST = "?eps=1&d_th=1"
 """Thresholds, in an address, at which a campaign has a single pair: its nearest opposite verdicts."""
 

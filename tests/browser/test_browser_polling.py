@@ -3,6 +3,7 @@
 from functools import partial
 
 import httpx
+import pytest
 from playwright.sync_api import Page, Route
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, listening_coordinator, submit
@@ -10,6 +11,8 @@ from support.api import FakeWorker, ball, listening_coordinator, submit
 from browser.console import Console
 from browser.served import Served, origin, unsafe_one
 from browser.visits import NOWHERE, Visits
+
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 
 HIDE = """hidden => {
   Object.defineProperty(document, "hidden", { configurable: true, get: () => hidden });

@@ -15,6 +15,8 @@ from browser.test_browser_accessibility import COLOURS, EVERYTHING, faults
 from browser.test_browser_layout import OVERHANGING, PHONE_PX
 from browser.visits import WIDTH, Theme
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 Open = Callable[..., Page]
 
 

@@ -23,6 +23,8 @@ from browser.console import Console
 from browser.served import API, Served, loose, origin, unsafe_one
 from browser.visits import Browse, Visits
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 TRACE, GUARDED = (
     base64.b64encode(trace.to_bytes()).decode() for trace in (make_trace(), guarded(make_trace()))
 )

@@ -14,6 +14,8 @@ from browser.console import Console
 from browser.served import API, Served
 from browser.visits import Browse
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 FILE = """\
 name: from a file
 problem: {id: ball@1, params: {limit: 1.5}}
@@ -41,19 +43,6 @@ def body_of(page: Page, client: httpx.Client) -> dict[str, Any]:
     campaign = page.url.rpartition("/")[2]
     found: dict[str, Any] = expect(client.get(f"{API}/campaigns/{campaign}"))["body"]
     return found
-
-
-def test_a_campaign_that_is_submitted_by_the_form_is_seen_to_finish(site: Served, browse: Browse) -> None:
-    page = browse()
-    page.get_by_role("link", name="New campaign").click()
-    fill(page, "by the form", 24)
-    page.get_by_role("button", name="Submit campaign").click()
-    shown(page.get_by_role("heading", name="by the form")).to_be_visible()
-    shown(page.locator(".head .badge")).to_have_text("finished")
-    figures = page.get_by_role("region", name="Finding")
-    shown(figures).to_contain_text("24 of 24")
-    shown(figures.get_by_role("progressbar")).to_have_attribute("aria-valuenow", "100")
-    shown(page.get_by_text("24 solutions.")).to_be_visible()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Signing in: a wrong token, a right one, one that may only look, a worker's; and out again."""
 
 import httpx
+import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 
@@ -45,6 +46,7 @@ def test_without_a_token_nothing_is_shown_and_with_the_right_one_everything(
     shown(page.get_by_role("link", name="guarded")).to_be_visible()
 
 
+@pytest.mark.long("the dashboard beyond a walk through it")
 def test_signing_out_forgets_the_token(guarded: httpx.Client, visit: Visits, console: Console) -> None:
     console.expect_status(401)
     page = visit(origin(guarded))
@@ -60,6 +62,7 @@ def test_signing_out_forgets_the_token(guarded: httpx.Client, visit: Visits, con
     shown(page.get_by_role("heading", name="Sign in")).to_be_visible()
 
 
+@pytest.mark.long("the dashboard beyond a walk through it")
 def test_a_read_only_token_cannot_submit(guarded: httpx.Client, own_database: str, visit: Visits) -> None:
     page = visit(origin(guarded), token=token_of(own_database, "read"))
     shown(page.get_by_role("link", name="guarded")).to_be_visible()
@@ -75,6 +78,7 @@ def test_a_read_only_token_cannot_submit(guarded: httpx.Client, own_database: st
     shown(page.get_by_role("button", name="Submit campaign")).to_have_count(0)
 
 
+@pytest.mark.long("the dashboard beyond a walk through it")
 def test_user_token_may_control_not_delete(guarded: httpx.Client, own_database: str, visit: Visits) -> None:
     page = visit(origin(guarded), token=token_of(own_database, "user"))
     page.get_by_role("link", name="guarded").click()
@@ -84,6 +88,7 @@ def test_user_token_may_control_not_delete(guarded: httpx.Client, own_database: 
     shown(page.get_by_role("button", name="Delete")).to_have_count(0)
 
 
+@pytest.mark.long("the dashboard beyond a walk through it")
 def test_worker_token_is_refused(
     guarded: httpx.Client, own_database: str, visit: Visits, console: Console
 ) -> None:

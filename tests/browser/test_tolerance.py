@@ -15,6 +15,8 @@ from browser.served import API, PATIENCE_S, Served
 from browser.test_browser_accessibility import RULES, faults
 from browser.visits import Browse, Theme
 
+pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
+
 PHONE_PX = 390
 
 TOLERANCE: dict[str, Any] = {

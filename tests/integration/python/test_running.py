@@ -79,6 +79,7 @@ def test_a_table_without_rows_has_the_columns_of_one_with_rows(circle: brink.Res
         assert none.dtypes.astype(str).to_dict() == full.dtypes.astype(str).to_dict()
 
 
+@pytest.mark.long("runs a search with workers")
 def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result) -> None:
     waiting = brink.connect(database="brink.db").submit(
         brink.Campaign(problem="npc-actions@1", algorithm="random@1", simulations=20, name="nothing yet")
@@ -95,6 +96,7 @@ def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result)
     waiting.cancel()
 
 
+@pytest.mark.long("runs a search with workers")
 def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
     options: dict[str, Any] = {"algorithm": "edge@1", "progress": False, "simulations": 20, "workers": 1}
     far = brink.search(inside, SPACE, params={"eps": 1e-6, "explore": 0.9}, **options)
@@ -108,6 +110,7 @@ def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
     assert "Try more simulations, such as 80, wider ranges of the parameters" in safe.finding
 
 
+@pytest.mark.long("runs a search with workers")
 def test_a_choice_that_is_called_null_is_no_missing_value(folder: Path) -> None:
     def ghost(label: str, x: float) -> float:
         return x - 0.5 if label == "null" else 1.0
@@ -118,6 +121,7 @@ def test_a_choice_that_is_called_null_is_no_missing_value(folder: Path) -> None:
     assert "null" in labels <= {"null", "person"}
 
 
+@pytest.mark.long("runs a search with workers")
 def test_a_result_shows_itself_in_a_notebook(circle: brink.Result) -> None:
     shown = circle._repr_html_()
     assert "data:image/png;base64," in shown
@@ -144,6 +148,7 @@ def test_what_is_not_there_is_named(circle: brink.Result) -> None:
         circle.replay(0)
 
 
+@pytest.mark.long("runs a search with workers")
 def test_a_function_with_chance_gets_the_seed_of_the_episode(folder: Path) -> None:
     def noisy(x: float, seed: int) -> dict[str, float]:
         return {"robustness": x - 0.5 + np.random.default_rng(seed).normal(0, 0.01), "effort": x}
@@ -156,6 +161,7 @@ def test_a_function_with_chance_gets_the_seed_of_the_episode(folder: Path) -> No
     assert 0.003 < noise.std() < 0.03
 
 
+@pytest.mark.long("runs a search with workers")
 def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> None:
     def noisy(x: float, y: float, seed: int) -> float:
         return x - y + np.random.default_rng(seed).normal(0, 0.02)
@@ -193,6 +199,7 @@ def test_an_exception_in_a_function_is_shown_and_stops_the_search(folder: Path) 
     )
 
 
+@pytest.mark.long("runs a search with workers")
 def test_a_function_that_fails_too_often_is_counted(folder: Path) -> None:
     def narrow(x: float) -> float:
         if x > 0.6:
@@ -275,6 +282,7 @@ def test_nobody_at_an_address_is_said(folder: Path) -> None:
         brink.connect("http://127.0.0.1:9").campaigns()
 
 
+@pytest.mark.long("runs a search with workers")
 def test_asynchronous_twins_do_the_same(folder: Path) -> None:
     async def work() -> int:
         result = await brink.run_async(HILLS, progress=False)
@@ -305,6 +313,7 @@ def test_twins_have_the_same_methods_with_the_same_parameters(first: type, secon
         assert list(signature.parameters) == list(twins[name].parameters), name
 
 
+@pytest.mark.long("runs a search with workers")
 def test_a_search_starts_from_an_earlier_one(circle: brink.Result) -> None:
     options: dict[str, Any] = {
         "algorithm": "random@1",

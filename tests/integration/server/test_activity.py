@@ -5,12 +5,15 @@ from typing import Any
 
 import httpx
 import numpy as np
+import pytest
 from support.api import FakeWorker, expect, submit
 from support.databases import on_sqlite
 
 from brink.server.problems.base import NO_PART
 from brink.server.problems.urban_injected import REQUIREMENTS, SIMULATOR
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+
+pytestmark = pytest.mark.long("what a page shows of a campaign")
 
 API = "/api/v1/campaigns"
 END_STEP = 100

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from support.api import FakeWorker, coordinator, expect, submit
 from support.databases import Databases, on_sqlite
+from support.marks import mostly_long
 from support.onnx_file import write_network
 
 from brink.sim import catalogue
@@ -72,13 +73,17 @@ def run(client: httpx.Client, body: dict[str, Any]) -> tuple[dict[str, Any], lis
 
 @pytest.mark.parametrize(
     ("problem", "params"),
-    [
-        ("aeb-crossing@1", {}),
-        ("urban-camera@1", {}),
-        ("npc-actions@1", {"sight": "detector", "participants": 1, "duration_s": 10.0}),
-    ],
+    mostly_long(
+        [
+            ("aeb-crossing@1", {}),
+            ("urban-camera@1", {}),
+            ("npc-actions@1", {"sight": "detector", "participants": 1, "duration_s": 10.0}),
+        ],
+        [("aeb-crossing@1", {})],
+        "another problem with a camera",
+    ),
 )
-@pytest.mark.parametrize("kind", ["plug-in", "onnx"])
+@pytest.mark.parametrize("kind", mostly_long(["plug-in", "onnx"], ["onnx"], "another detector"))
 def test_an_episode_with_nan_fails_at_once_and_no_solution_is_safe(
     client: httpx.Client, tmp_path: Path, problem: str, params: dict[str, Any], kind: str
 ) -> None:
@@ -98,6 +103,7 @@ def test_an_episode_with_nan_fails_at_once_and_no_solution_is_safe(
     assert {solution["verdict"] for solution in found} == {"failed"}
 
 
+@pytest.mark.long("renders camera images")
 def test_a_measurement_on_data_with_nan_fails(client: httpx.Client) -> None:
     body = campaign("aeb-crossing@1", "nan@1", dataset_frames=10)
     body["algorithm"] = {

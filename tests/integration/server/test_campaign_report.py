@@ -192,6 +192,7 @@ def test_names_tags_and_notes_are_text_and_never_markup(database_url: str) -> No
     assert found.text.count(hostile) >= 3, "title, heading and notes"
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_an_unfinished_campaign_says_so(database_url: str) -> None:
@@ -223,6 +224,7 @@ def test_an_unfinished_campaign_says_so(database_url: str) -> None:
     assert "No drive has a verdict, so" in found.text
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_a_campaign_on_traffic_shows_types_of_violations(database_url: str) -> None:
     traffic: dict[str, Any] = {
@@ -246,6 +248,7 @@ def test_a_campaign_on_traffic_shows_types_of_violations(database_url: str) -> N
     assert not any(one.startswith("The pairs") for one in found.headings)
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
     database_url: str, monkeypatch: pytest.MonkeyPatch
@@ -267,6 +270,7 @@ def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
     assert "No pair has been simulated again" not in found.text
 
 
+@pytest.mark.long("runs campaigns")
 def test_the_command_writes_the_file_whole_or_says_what_is_wrong(
     disc: tuple[str, str], tmp_path: Path
 ) -> None:
@@ -291,6 +295,7 @@ def test_the_command_writes_the_file_whole_or_says_what_is_wrong(
         assert message in str(failed.exception)
 
 
+@pytest.mark.long("runs campaigns")
 def test_a_run_writes_the_report_with_the_pictures_that_it_drew(sqlite_file: Path, tmp_path: Path) -> None:
     database = f"sqlite:///{tmp_path / 'runs.db'}"
     (tmp_path / "runs.db").write_bytes(sqlite_file.read_bytes())

@@ -441,6 +441,7 @@ SENSITIVITY: dict[str, Any] = {
 }
 
 
+@pytest.mark.long("runs a campaign")
 @on_sqlite
 def test_archive_is_scored_with_other_settings(listening_client: httpx.Client, tmp_path: Path) -> None:
     client = listening_client

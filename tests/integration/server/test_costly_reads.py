@@ -148,6 +148,7 @@ def test_the_same_boundary_is_computed_once_for_all_who_ask(
     assert held.calls == 1
 
 
+@pytest.mark.long("waits for time limits")
 def test_a_read_that_takes_too_long_is_ended_and_says_what_to_ask_instead(
     module_databases: Databases, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +204,7 @@ def endless_fit(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return began
 
 
+@pytest.mark.long("waits for time limits")
 def test_a_fit_that_takes_too_long_is_ended_and_says_what_to_do_instead(
     module_databases: Databases, monkeypatch: pytest.MonkeyPatch, endless_fit: threading.Event
 ) -> None:
@@ -216,6 +218,7 @@ def test_a_fit_that_takes_too_long_is_ended_and_says_what_to_do_instead(
         assert "brink monitor fit" in error["detail"]
 
 
+@pytest.mark.long("waits for time limits")
 def test_stopping_ends_a_fit(module_databases: Databases, endless_fit: threading.Event) -> None:
     with (
         ThreadPoolExecutor(1) as people,

@@ -152,6 +152,7 @@ def test_an_interrupted_deletion_goes_on_with_the_next_coordinator(
     assert {name for name, count in row_counts(engines).items() if count} <= {"workers"}
 
 
+@pytest.mark.long("runs campaigns")
 @pytest.mark.usefixtures("small_pieces")
 def test_an_experiment_is_deleted_at_once_and_erased_in_pieces(
     client: httpx.Client, engines: Engines, nothing_is_erased: Callable[[], None]
@@ -178,6 +179,7 @@ def test_an_experiment_is_deleted_at_once_and_erased_in_pieces(
     assert {name for name, count in row_counts(engines).items() if count} <= {"workers"}
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 @pytest.mark.usefixtures("small_problems", "small_pieces")
 def test_commands_on_the_database_erase_all_before_they_end(database_url: str, engines: Engines) -> None:
@@ -192,6 +194,7 @@ def test_commands_on_the_database_erase_all_before_they_end(database_url: str, e
     assert {name for name, count in row_counts(engines).items() if count} <= {"workers"}
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_what_is_being_erased_is_neither_verified_nor_exported_nor_replaced(
@@ -258,6 +261,7 @@ def test_retention_deletes_a_tree_of_follow_ups_when_all_of_it_is_old(
     assert row_counts(engines)["campaigns"] == 0
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_retention_deletes_an_experiment_when_all_of_it_is_old(
     client: httpx.Client, engines: Engines, database_url: str
@@ -302,6 +306,7 @@ def test_nothing_deletes_a_tree_with_a_campaign_that_has_not_ended(
         expect(client.get(f"{API}/{one}"), 404)
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_what_goes_with_a_campaign_is_named_before_it_is_deleted(database_url: str) -> None:

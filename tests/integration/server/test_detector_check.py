@@ -21,7 +21,7 @@ from typer.testing import CliRunner, Result
 from brink.cli.commands import app
 from brink.search import curves
 
-pytestmark = module_on_sqlite
+pytestmark = [pytest.mark.long("runs a search for tolerances; the checks have unit tests"), module_on_sqlite]
 RECORDINGS = Path(__file__).parents[2] / "data" / "recordings"
 WIDE = ("--camera", "1920", "1080", "60", "1.4")
 """The camera of `blind.csv`."""

@@ -72,6 +72,7 @@ def test_a_campaign_is_not_continued_with_other_code(engines: Engines, database_
         assert "submit it again" in reason
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_a_finished_campaign_is_shown_but_not_repeated_with_other_code(
     engines: Engines, database_url: str, edit: Edit
@@ -100,6 +101,7 @@ def test_what_a_submission_says_of_sources_is_replaced(client: httpx.Client, edi
     expect(client.post(API, json={**ball(), "sources": {"x": "short"}}), 422)
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client, edit: Edit) -> None:
     document = {
@@ -128,6 +130,7 @@ def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client
     assert said.count("was simulated with other code of ball@1 (source ") == 2
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 @pytest.mark.parametrize("edited", [False, True])
 def test_a_campaign_that_may_run_is_imported_and_only_continued_with_the_same_code(

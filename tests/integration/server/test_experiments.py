@@ -69,6 +69,7 @@ def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx
     )
 
 
+@pytest.mark.long("runs an experiment")
 def test_what_was_complete_at_a_moment_includes_open_generations(
     client: httpx.Client, engines: Engines
 ) -> None:
@@ -211,6 +212,7 @@ def test_experiments_are_listed_newest_first_and_page_by_page(client: httpx.Clie
     expect(client.get(API, params={"cursor": "nonsense"}), 422)
 
 
+@pytest.mark.long("runs an experiment")
 @on_sqlite
 def test_the_command_line_does_all_of_it(listening_client: httpx.Client, tmp_path: Path) -> None:
     file, server = tmp_path / "experiment.yaml", ["--server", str(listening_client.base_url)]

@@ -27,6 +27,8 @@ from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
+pytestmark = pytest.mark.long("simulates drives; the conversion has unit tests")
+
 CAMPAIGN: dict[str, Any] = {
     "name": "drives",
     "problem": {"id": "urban-injected@1", "params": {"requirement": "front-gap@1"}},

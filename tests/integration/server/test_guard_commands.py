@@ -22,6 +22,8 @@ from brink.sim.guard.model import GuardModel, Sensor
 from brink.sim.urban.simulator import BrinkDrive
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
+pytestmark = pytest.mark.long("simulates drives; guards have unit tests")
+
 DRIVES = 60
 CAMPAIGN: dict[str, Any] = {
     "name": "drives",

@@ -22,6 +22,8 @@ from brink.server.problems.catalogue import make_problem
 from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.option import GuardOption
 
+pytestmark = pytest.mark.long("simulates drives; guards have unit tests")
+
 SMALL = ["--drives", "4", "--seeds", "2", "--processes", "1", "--threshold", "0.4", "--threshold", "0.6"]
 
 

@@ -22,6 +22,8 @@ from brink.server.errors import Conflict, InvalidInput
 from brink.sim.episode import EpisodeSpec
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
+pytestmark = pytest.mark.long("runs campaigns; guards have unit tests")
+
 BUDGET = 200
 EDGE: dict[str, Any] = {
     "name": "edge",

@@ -15,6 +15,7 @@ from pathlib import Path
 import httpx
 import pytest
 from support.api import eventually
+from support.marks import mostly_long
 from support.processes import Site, site
 
 MIB = 1024 * 1024
@@ -125,7 +126,10 @@ def memory_kib(process: int, entry: str) -> int:
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="measures memory as Linux counts it")
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize(
+    "name",
+    mostly_long(BODIES, ["a heartbeat of objects", "verdicts by the thousand"], "measures another body"),
+)
 def test_a_hostile_body_neither_fills_the_memory_nor_delays_others(
     served: Site, tmp_path: Path, name: str
 ) -> None:
@@ -192,7 +196,12 @@ def parts(body: bytes) -> Iterator[bytes]:
 
 
 @pytest.mark.parametrize("chunked", [False, True], ids=["with its length", "in chunks"])
-@pytest.mark.parametrize("send", [sent_by_httpx, sent_by_requests, sent_by_urllib, sent_by_curl])
+@pytest.mark.parametrize(
+    "send",
+    mostly_long(
+        [sent_by_httpx, sent_by_requests, sent_by_urllib, sent_by_curl], [sent_by_httpx], "another client"
+    ),
+)
 def test_ordinary_clients_read_that_a_body_is_too_large(
     served: Site, send: Callable[..., tuple[int, str]], chunked: bool
 ) -> None:

@@ -18,7 +18,7 @@ from brink.cli.commands import app
 from brink.search.analysis import boundary
 from brink.server.campaigns import plan
 
-pytestmark = module_on_sqlite
+pytestmark = [pytest.mark.long("a campaign with thousands of simulations"), module_on_sqlite]
 API = "/api/v1/campaigns"
 SOLUTIONS = 1_200
 EVERY: dict[str, Any] = {"t_b": 1.0, "d_th": 0.0}

@@ -44,21 +44,19 @@ def test_campaign_scores_solutions(client: httpx.Client) -> None:
 
 
 @on_sqlite
-@pytest.mark.parametrize(
-    ("body", "pointer"),
-    [
+def test_answer_points_at_the_unscorable_solution(client: httpx.Client) -> None:
+    campaign = finish(client, ball(simulations=40))
+    bad: tuple[tuple[dict[str, Any], str], ...] = (
         ({"solutions": []}, "/solutions"),
         ({"solutions": [at(0, 0), at(9, 0)]}, "/solutions/1"),
         ({"solutions": [{"where": {"x": 0}}]}, "/solutions/0"),
         ({"solutions": [at(0, 0)], "threshold": 1.0}, "/threshold"),
         ({"solutions": [at(0, 0)], "model": "oracle"}, "/model"),
         ({"solutions": [{"where": {"x": "NaN"}, "what": {"y": 0}}]}, "/solutions/0"),
-    ],
-)
-def test_answer_points_at_the_unscorable_solution(client: httpx.Client, body: Any, pointer: str) -> None:
-    campaign = finish(client, ball(simulations=40))
-    document = expect(client.post(f"/api/v1/campaigns/{campaign}/monitor/score", json=body), 422)
-    assert [error["pointer"] for error in document["errors"]] == [pointer]
+    )
+    for body, pointer in bad:
+        document = expect(client.post(f"/api/v1/campaigns/{campaign}/monitor/score", json=body), 422)
+        assert [error["pointer"] for error in document["errors"]] == [pointer]
 
 
 @on_sqlite
@@ -68,6 +66,7 @@ def test_campaign_without_verdicts_cannot_score(client: httpx.Client) -> None:
     assert "two evaluated" in expect(client.post(path, json={"solutions": [at(0, 0)]}), 409)["detail"]
 
 
+@pytest.mark.long("runs campaigns; monitors have unit tests")
 @on_sqlite
 def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Client, tmp_path: Path) -> None:
     learned = finish(listening_client, ball(simulations=400, algorithm=RANDOM))

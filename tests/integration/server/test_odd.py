@@ -27,6 +27,8 @@ from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
+pytestmark = pytest.mark.long("simulates drives; domains have unit tests")
+
 API = "/api/v1/campaigns"
 ODD: dict[str, Any] = {
     "scenario.weather": ["clear", "hard_rain"],

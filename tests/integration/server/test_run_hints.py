@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from brink.cli.commands import app
 from brink.search import surrogate
 
+pytestmark = pytest.mark.long("runs campaigns")
+
 TRAFFIC = {
     "name": "n",
     "problem": {"id": "npc-actions@1", "params": {"participants": 2}},

@@ -19,6 +19,7 @@ from support.api import (
     undisturbed_digest,
 )
 from support.databases import on_sqlite
+from support.marks import mostly_long
 from support.problems import Ball, BallParams
 
 from brink.search.algorithm import Candidate, Evaluation
@@ -171,7 +172,12 @@ def is_paused(client: httpx.Client, campaign: str) -> Callable[[], bool]:
     return lambda: expect(client.get(f"/api/v1/campaigns/{campaign}"))["status"] == "paused"
 
 
-@pytest.mark.parametrize("place", ["evaluation", "ask", "tell", "episode", "pending"])
+@pytest.mark.parametrize(
+    "place",
+    mostly_long(
+        ["evaluation", "ask", "tell", "episode", "pending"], ["evaluation", "tell"], "another method"
+    ),
+)
 def test_a_step_that_hangs_pauses_its_own_campaign_and_no_other_notices(
     stuck_client: httpx.Client, fault: Fault, place: str
 ) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support.api import FakeWorker, ball, coordinator, expect, finish, progress, row_counts, submit
 from support.databases import Databases
+from support.marks import mostly_long
 from support.problems import small_problems
 
 from brink.search import surrogate
@@ -78,12 +79,16 @@ def point(x: float, y: float, robustness: float | None = None) -> dict[str, Any]
 
 @pytest.mark.parametrize(
     "algorithm",
-    [
-        RANDOM,
-        ball()["algorithm"],
-        {"id": "mlcshe@1", "params": {"population_size": 5, "archive_size": 2}},
-        EDGE,
-    ],
+    mostly_long(
+        [
+            RANDOM,
+            ball()["algorithm"],
+            {"id": "mlcshe@1", "params": {"population_size": 5, "archive_size": 2}},
+            EDGE,
+        ],
+        [RANDOM, EDGE],
+        "another algorithm",
+    ),
     ids=lambda algorithm: str(algorithm["id"]),
 )
 def test_results_of_an_earlier_campaign_guide_the_search_and_are_not_its_own(
@@ -142,6 +147,7 @@ def warm_digest(document: Body, arrays: Any) -> str:
     return archive_digest(state.archive)
 
 
+@pytest.mark.long("runs campaigns")
 def test_known_solutions_are_listed_with_where_they_come_from(client: httpx.Client, earlier: str) -> None:
     campaign = finish(client, ball(algorithm=RANDOM, start_from={"campaign": earlier}, simulations=20))
     found: list[dict[str, Any]] = []
@@ -160,6 +166,7 @@ def test_known_solutions_are_listed_with_where_they_come_from(client: httpx.Clie
     assert progress(client, earlier)["known"] is None
 
 
+@pytest.mark.long("runs campaigns")
 def test_results_that_a_campaign_started_from_are_passed_on(client: httpx.Client, earlier: str) -> None:
     second = finish(client, ball(algorithm=RANDOM, start_from={"campaign": earlier}, simulations=20))
     third = submit(client, ball(algorithm=RANDOM, start_from={"campaign": second}, simulations=20, seed=5))
@@ -184,6 +191,7 @@ def test_given_points_are_simulated_first_and_given_results_not_at_all(client: h
     assert {(one["campaign"], one["number"]) for one in listed} == {(None, None)}
 
 
+@pytest.mark.long("runs campaigns")
 def test_known_results_count_towards_the_boundary_only_where_the_answer_says_so(
     client: httpx.Client, earlier: str
 ) -> None:
@@ -217,6 +225,7 @@ def test_pairs_of_a_warm_campaign_are_two_drives_of_its_own_under_one_seed(
         assert Steps(space).is_tight(rows[0], rows[1], 0.02)
 
 
+@pytest.mark.long("runs campaigns")
 def test_another_problem_is_refused_and_its_solutions_alone_are_simulated_first(
     client: httpx.Client, earlier: str
 ) -> None:
@@ -385,6 +394,7 @@ def test_a_file_that_starts_from_nothing_keeps_its_hash_and_one_that_does_has_it
     assert len(hashes | {cold}) == 4
 
 
+@pytest.mark.long("runs campaigns")
 def test_a_campaign_outlives_the_one_that_it_started_from(client: httpx.Client) -> None:
     source = finish(client, ball(seed=9, algorithm=RANDOM))
     campaign = submit(client, ball(start_from={"campaign": source}, seed=3))
