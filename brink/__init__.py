@@ -67,5 +67,5 @@ class _Search(ModuleType):
         return import_module("brink.python.function").search(*arguments, **options)
 
 
-# The package of the algorithms and the function that searches have the same name: docs/adr/0043.
+# The package of the algorithms and the function that searches have the same name: docs/adr/0044.
 import_module("brink.search").__class__ = _Search

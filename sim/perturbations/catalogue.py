@@ -11,7 +11,7 @@ SimulatorError
     └── VisionMissing        OpenCV is not installed
 
 Source: Ferreira et al. 2022, table I. Two of its levels have no effect and are replaced (docs/adr/0022): snow 1,
-which scales lightness by 1, and blur 1, whose kernel is one pixel. Snow also falls (docs/adr/0050). Pixel sizes
+which scales lightness by 1, and blur 1, whose kernel is one pixel. Snow also falls. Pixel sizes
 refer to frames 720 px high.
 """
 

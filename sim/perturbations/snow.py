@@ -2,7 +2,7 @@
 
 A flake is a stamp: a soft streak in the direction of the wind. The nearer a flake, the larger, longer and more out of
 focus it is, and the more of the scene shows through it. Far flakes are by far the most. How this departs from the
-published technique, which only scales lightness, is recorded in docs/adr/0050.
+published technique, which only scales lightness, is recorded in docs/adr/0022.
 """
 
 from dataclasses import dataclass
