@@ -21,7 +21,7 @@ import numpy as np
 from brink.search.algorithm import Evaluation, Scored
 from brink.search.settings import check_settings, setting
 from brink.search.space import Component, Real, SearchSpace
-from brink.server.problems.base import Vectors
+from brink.server.problems.base import SimulatedProblem, Vectors
 from brink.server.problems.catalogue import PROBLEMS
 from brink.sim.catalogue import SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
@@ -44,7 +44,7 @@ class LoadParams:
         check_settings(self)
 
 
-class Load:
+class Load(SimulatedProblem):
     """A problem whose unsafe region is the unit disc."""
 
     id: ClassVar[str] = LOAD
@@ -59,7 +59,7 @@ class Load:
                 Component("behaviour", (Real("y", -2.0, 2.0, "m"),)),
             )
         )
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": 0.2}
+        self.algorithm_defaults = {"radius": 0.2}
         self.needs = LOAD
         self.timeout_s = 300.0
 

@@ -16,7 +16,7 @@ from brink.search.algorithm import Candidate, Evaluation, Scored
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from brink.search.settings import check_settings, setting
 from brink.search.space import Component, Real, SearchSpace
-from brink.server.problems.base import Vectors
+from brink.server.problems.base import SimulatedProblem, Vectors
 from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS
 from brink.sim.catalogue import register
 from brink.sim.episode import EpisodeSpec
@@ -75,7 +75,7 @@ class StallParams:
         check_settings(self)
 
 
-class StallingProblem:
+class StallingProblem(SimulatedProblem):
     """The unit disc, as in ``load@1``."""
 
     id: ClassVar[str] = PROBLEM
@@ -91,7 +91,7 @@ class StallingProblem:
                 Component("behaviour", (Real("y", -2.0, 2.0, "m"),)),
             )
         )
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": 0.2}
+        self.algorithm_defaults = {"radius": 0.2}
         self.needs = LOAD
         self.timeout_s = 300.0
 

@@ -18,7 +18,6 @@ from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import ServerError
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
-from brink.server.problems.base import records_traces
 from brink.server.views import SolutionView
 from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result
@@ -156,7 +155,7 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
     """
     body = (await api.read(CampaignView, f"/campaigns/{campaign}")).body
     spec = (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")).spec
-    if not records_traces(make_plan(body).problem):
+    if not make_plan(body).problem.records_traces:
         raise NothingToReplay(f"{body.problem.id} has no drives to replay")
     if spec is None:
         raise NothingToReplay(f"solution {number} was not simulated: it has no replay")

@@ -40,7 +40,7 @@ from brink.guard.fitting import fit as fit_guard
 from brink.guard.seen import SeenDrives
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
-from brink.server.problems.base import NamesRequirements, SimulatedProblem
+from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import REQUIREMENTS, plugin_ids
 from brink.sim.episode import EpisodeSpec
@@ -337,7 +337,6 @@ def _source(
 
 
 def _requirements(problem: SimulatedProblem) -> tuple[str, ...]:
-    assert isinstance(problem, NamesRequirements), "all problems of urban drives name their requirements"
     return problem.requirements
 
 

@@ -26,7 +26,6 @@ from brink.server.findings.pairs.views import (
     PairsView,
     PairView,
 )
-from brink.server.problems.base import NamesRequirements
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.requirements import ANY
 from brink.sim.errors import SimulatorError
@@ -181,16 +180,14 @@ class PairFindings:
     def decides_by_some_requirements(self) -> bool:
         """Return whether the problem could decide by further requirements, with ``requirement: any``."""
         problem = self._fetched.plan.problem
-        if not isinstance(problem, NamesRequirements):
+        if not problem.requirements:
             return False
         params = {**self._fetched.plan.body.problem.params, "requirement": ANY}
         try:
             every = make_problem(problem.id, params)
         except InvalidInput:
             return False
-        return isinstance(every, NamesRequirements) and not set(every.requirements) <= set(
-            problem.requirements
-        )
+        return not set(every.requirements) <= set(problem.requirements)
 
 
 def _file_of(drawing: Drawing, pair: PairView) -> Path:

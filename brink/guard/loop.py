@@ -22,7 +22,6 @@ from brink.guard.drives import check_problem, random_specs
 from brink.guard.sight import Sight, sight_of
 from brink.search.analysis.guard_drives import GuardedDrives, GuardWorth, guard_worth
 from brink.search.space import BoolArray
-from brink.server.problems.base import NamesRequirements
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeSpec, Verdict
 from brink.sim.guard.option import OPTION, GuardOption
@@ -225,7 +224,6 @@ def drive_with_guard(
         SimulationCrashed: The physics engine failed.
     """
     simulated = check_problem(problem)
-    assert isinstance(simulated, NamesRequirements), "urban problems name their requirements"
     requirements = simulated.requirements
     specs = [spec for seed in seeds for spec in random_specs(simulated, drives, seed)]
     with _Runs(processes, on_progress) as runs:

@@ -51,7 +51,7 @@ from brink.report.text import page_template
 from brink.search.analysis.combinations import MIN_PLACES
 from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS, PairsView
 from brink.server.findings.tolerances.views import Finding, ToleranceView
-from brink.server.problems.base import ReplacesComponent, SimulatedProblem
+from brink.server.problems.base import SimulatedProblem
 from brink.server.states import CampaignStatus, OutcomeKind
 
 MOST_PAIRS: Final = 6
@@ -307,7 +307,7 @@ def _commands(facts: Facts) -> list[Term]:
         told.append(Term("brink run campaign.yaml --workers 2", _again(facts)))
     if isinstance(pairs, PairsView) and pairs.distinct and not facts.computed and not pairs.tried:
         options = f"--confirm {DEFAULT_CONFIRMATIONS}"
-        if isinstance(facts.fetched.plan.problem, ReplacesComponent):
+        if facts.fetched.plan.problem.has_component:
             options += " --component"
         told.append(Term(f"brink pairs {campaign} {options}", "ask whether the pairs hold with other seeds"))
     elif facts.boundary.dbs and not facts.computed and not facts.repeats and not facts.searched_pairs:

@@ -24,7 +24,7 @@ from brink.server.findings.combinations.views import Combinations
 from brink.server.findings.pairs.views import PairsView
 from brink.server.findings.tolerances.views import DetectorView, ToleranceView
 from brink.server.findings.violations.views import Violations
-from brink.server.problems.base import InProcessProblem, ReportsViolations, ignores_seeds, records_traces
+from brink.server.problems.base import InProcessProblem, ReportsViolations
 from brink.server.states import CampaignStatus, JobStatus
 from brink.server.views import SolutionView
 
@@ -143,12 +143,12 @@ class Facts:
     @property
     def computed(self) -> bool:
         """Whether chance has no part in the verdicts."""
-        return ignores_seeds(self.fetched.plan.problem)
+        return self.fetched.plan.problem.ignores_seeds
 
     @property
     def drives(self) -> bool:
         """Whether solutions are drives, which can be replayed."""
-        return records_traces(self.fetched.plan.problem)
+        return self.fetched.plan.problem.records_traces
 
     @property
     def searched_pairs(self) -> bool:

@@ -18,7 +18,6 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.findings.pairs.views import PairsView
 from brink.server.findings.tolerances.views import CellView, Finding, ToleranceView
-from brink.server.problems.base import ReplacesComponent
 from brink.server.problems.catalogue import ODD
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind
@@ -327,7 +326,7 @@ def _repeated(facts: Facts) -> list[Term]:
         else:
             words = "No pair has been simulated again with other seeds after the search."
         terms.append(Term("Confirmation", words))
-        if isinstance(facts.fetched.plan.problem, ReplacesComponent):
+        if facts.fetched.plan.problem.has_component:
             terms.append(Term("Component", _component(pairs)))
         if pairs.chance:
             terms.append(Term("Chance", " ".join(f"{words}." for words in pairs.chance)))

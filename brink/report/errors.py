@@ -11,7 +11,7 @@ import yaml
 from brink.api.results import FetchedArchive
 from brink.search.analysis.intervals import CONFIDENCE, replicated_interval
 from brink.server.errors import Conflict
-from brink.server.problems.base import DrawsReplicates
+from brink.server.problems.base import SimulatedProblem
 from brink.sim.urban.error_process import EDGES_M, FOUND_FIRST, GROUPS, LABELS, LOST, SEEN, FittedErrors
 
 HEADER: Final = """\
@@ -197,7 +197,7 @@ def violations_of(fetched: FetchedArchive) -> Violations:
         )
     problem = fetched.plan.problem
     numbers = np.zeros(len(archive), np.int64)
-    if isinstance(problem, DrawsReplicates) and fetched.seeds is not None:
+    if isinstance(problem, SimulatedProblem) and fetched.seeds is not None:
         numbers = np.array([problem.replicate(seed) for seed in fetched.seeds.tolist()])
     of = np.bincount(numbers)
     counts = np.bincount(numbers, archive.unsafe).round().astype(np.int64)

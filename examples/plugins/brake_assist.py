@@ -7,7 +7,7 @@ import numpy as np
 
 from brink.search.algorithm import Scored
 from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.server.problems.base import NoParams
+from brink.server.problems.base import NoParams, SimulatedProblem
 from brink.server.problems.catalogue import PROBLEMS
 from brink.sim.catalogue import SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
@@ -36,7 +36,7 @@ class BrakeAssistSimulator:
         )
 
 
-class BrakeAssist:
+class BrakeAssist(SimulatedProblem):
     """Finds which sensor faults are hazardous on which road."""
 
     id, summary, params_type = "brake-assist@1", "A sensor's bias and delay against road and speed.", NoParams

@@ -44,7 +44,7 @@ from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS, PairsView, 
 from brink.server.findings.tolerances.analysis import tolerance_view
 from brink.server.findings.violations.analysis import violation_types, violations_words
 from brink.server.findings.words import listed_words
-from brink.server.problems.base import HasDetector, ReportsViolations, records_traces
+from brink.server.problems.base import ReportsViolations
 from brink.server.problems.catalogue import ODD, make_problem, problem_type, takes_requirement
 from brink.server.problems.changes import as_sentence
 from brink.server.problems.requirements import ANY
@@ -214,7 +214,7 @@ async def get_finding(campaign_id: str, services: Services) -> FindingView:
         of=of,
         pairs=None if view is None else view.distinct,
         rings=known.rings[:MOST_RINGS],
-        replayable=records_traces(found.plan.problem),
+        replayable=found.plan.problem.records_traces,
         best=[] if view is None else [_best_pair(view, pair) for pair in view.pairs],
         rule="" if view is None else _rule_words(view),
         avoidable=avoidable,
@@ -573,7 +573,7 @@ def _leading_on(known: _Known) -> list[StepView]:
         )
     if not about_tolerances:
         steps += _other_requirement(known)
-    if isinstance(plan.problem, HasDetector) and not about_tolerances:
+    if plan.problem.errors_problem and not about_tolerances:
         steps.append(_tolerance_step(campaign, plan.problem.errors_problem))
     if 0 < campaign.unsafe < campaign.evaluated and not about_tolerances:
         steps.append(

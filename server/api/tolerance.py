@@ -16,7 +16,6 @@ from brink.server.findings.tolerances.agreement import agreement_view
 from brink.server.findings.tolerances.analysis import tolerance_csv, tolerance_view
 from brink.server.findings.tolerances.detector import detector_view
 from brink.server.findings.tolerances.views import AgreementView, DetectorView, ToleranceView
-from brink.server.problems.base import MeasuresDetector
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import MEASURED
 
@@ -134,7 +133,7 @@ async def get_detector(
     there = await services.archives.get(other)
     drives = await services.pages.read(services.engines, lambda c: read_drives(c, other, there, found.layout))
     problem = there.plan.problem
-    name = problem.measured_detector if isinstance(problem, MeasuresDetector) else other.body.name
+    name = problem.measured_detector or other.body.name
     return await services.analyses.run(lambda: detector_view(campaign, archive.plan, found, name, drives))
 
 

@@ -25,7 +25,7 @@ from brink.server.campaigns.step_store import StoredArchive
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import Conflict
-from brink.server.problems.base import Problem, RecordsActivity, activity_of
+from brink.server.problems.base import Problem, activity_of
 from brink.server.single_flight import SingleFlightCache
 
 CACHED = 8
@@ -97,7 +97,7 @@ def read_activity(
     recorded = np.zeros(len(rows), dtype=np.bool_)
     active = np.ones(rows.shape, dtype=np.bool_)
     effective = rows.copy()
-    if isinstance(problem, RecordsActivity):
+    if problem.records_activity:
         results = view_store.read_results(connection, campaign_id, None if places is None else numbers)
         for place, number in enumerate(numbers):
             check_time()

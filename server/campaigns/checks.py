@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias, TypeVar
 
 from brink.server.errors import InvalidInput, ServerError
-from brink.server.problems.base import ChecksInputs
+from brink.server.problems.base import BaseProblem
 from brink.server.problems.catalogue import problem_type, uses_user_code
 from brink.server.user_code import AT_ONCE, USER_CODE
 
@@ -79,5 +79,5 @@ def _with_user_code(choices: Collection[Choice]) -> list[Choice]:
         (problem, algorithm)
         for problem, algorithm in choices
         if uses_user_code(problem, algorithm)
-        or hasattr(problem_type(problem), ChecksInputs.wrong_inputs.__name__)
+        or problem_type(problem).wrong_inputs is not BaseProblem.wrong_inputs
     ]

@@ -36,7 +36,6 @@ from brink.server.campaigns.repeats import (
 )
 from brink.server.campaigns.store import Campaign
 from brink.server.errors import Conflict
-from brink.server.problems.base import ignores_seeds
 
 MOST_PAIRS_FOLLOWED = MOST // 2
 """Maximum number of pairs in a follow-up, checked ones first."""
@@ -140,7 +139,7 @@ def plan_minimisation(
 
 def has_one_seed(plan: Plan, pair: Pair) -> bool:
     """Return whether only the differences between the sides of a pair can explain their verdicts, not the seeds."""
-    return pair.same_seed or ignores_seeds(plan.problem)
+    return pair.same_seed or plan.problem.ignores_seeds
 
 
 def reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> tuple[list[Pair], Reductions]:

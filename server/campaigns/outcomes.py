@@ -24,7 +24,7 @@ from brink.server.campaigns.body import CampaignBody
 from brink.server.db.engine import Engines
 from brink.server.db.models import SolutionRow
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import NamesRequirements, Problem
+from brink.server.problems.base import Problem
 from brink.server.problems.catalogue import make_problem
 from brink.server.queue.job_store import EVALUATIONS
 from brink.server.single_flight import SingleFlightCache
@@ -70,7 +70,7 @@ def deciding_requirements(body: CampaignBody) -> tuple[str, ...]:
         problem = make_problem(body.problem.id, body.problem.params)
     except InvalidInput:
         return ()
-    return problem.requirements if isinstance(problem, NamesRequirements) else ()
+    return problem.requirements
 
 
 def outcome_of(
@@ -102,7 +102,7 @@ def outcome_of(
 
 def _unrecorded(problem: Problem, *, safe: bool) -> str:
     """Return the campaign's verdict in words where a result has no requirements."""
-    if not isinstance(problem, NamesRequirements):
+    if not problem.requirements:
         return "safe" if safe else "unsafe"
     words = held_words(problem.requirements) if safe else unsafe_words(problem.requirements)
     return f"{words}; other requirements not recorded"
@@ -110,7 +110,7 @@ def _unrecorded(problem: Problem, *, safe: bool) -> str:
 
 def _deciding(problem: Problem, verdicts: Mapping[str, Verdict], robustness: float | None) -> tuple[str, ...]:
     """Return the requirements that decide, or for a problem that does not name them, the one with its robustness."""
-    if isinstance(problem, NamesRequirements):
+    if problem.requirements:
         return problem.requirements if all(name in verdicts for name in problem.requirements) else ()
     same = [name for name, verdict in verdicts.items() if verdict.robustness == robustness]
     return tuple(same[:1])
@@ -278,7 +278,7 @@ def read_outcomes(
             deciding.add(one.episode.deciding)
             recorded += 1
         which[place] = groups.setdefault(OutcomeGroup.of(one), len(groups))
-    if isinstance(problem, NamesRequirements):
+    if problem.requirements:
         deciding = {problem.requirements}
     return CampaignOutcomes(
         requirements=next(iter(deciding)) if len(deciding) == 1 else (),

@@ -27,7 +27,6 @@ from brink.server.campaigns.repeats import MOST, FollowUpKind, StoredRepeats
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import InvalidInput, NotFound
-from brink.server.problems.base import RecordsActivity
 from brink.server.single_flight import SingleFlightCache
 
 MOST_PENDING: Final = 4
@@ -185,7 +184,7 @@ def find_stored_pairs(
         eps=settings.eps,
         d_th=settings.d_th,
         seeds=seeds,
-        had_part=had_part if isinstance(plan.problem, RecordsActivity) else None,
+        had_part=had_part if plan.problem.records_activity else None,
     )
 
 

@@ -41,16 +41,11 @@ from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.access import LlmAccess
 from brink.server.problems.base import (
-    ChecksCriticality,
-    ChecksInputs,
     InProcessProblem,
     MeasuresOnData,
-    NamesRequirements,
     Problem,
-    ReplacesComponent,
     SimulatedProblem,
     SupportsSeeds,
-    ignores_seeds,
 )
 from brink.server.problems.catalogue import (
     ALGORITHMS,
@@ -208,7 +203,7 @@ def _sources(
 ) -> dict[str, str]:
     """Return the digests of the sources of all plug-ins that decide a campaign's results, except Brink's own."""
     run = [problem.needs] if isinstance(problem, SimulatedProblem) else []
-    run += problem.requirements if isinstance(problem, NamesRequirements) else ()
+    run += problem.requirements
     return named_sources([problem.id, params, algorithm, config, run], GROUPS)
 
 
@@ -218,7 +213,7 @@ def with_truth(problem: Problem) -> SimulatedProblem:
     Raises:
         InvalidInput: It has no component that can be replaced.
     """
-    if not isinstance(problem, ReplacesComponent):
+    if not isinstance(problem, SimulatedProblem) or not problem.has_component:
         message = f"{problem.id} has no component that ground truth can replace"
         raise InvalidInput.at("/ground_truth", message)
     found = problem.with_truth()
@@ -239,9 +234,7 @@ def make_checked_plan(body: CampaignBody) -> Plan:
     """
     plan = make_plan(body)
     # It may load what a user brought: a detector, a function, an environment.
-    if isinstance(plan.problem, ChecksInputs) and (
-        wrong := USER_CODE.call(plan.problem.id, "its inputs", plan.problem.wrong_inputs)
-    ):
+    if wrong := USER_CODE.call(plan.problem.id, "its inputs", plan.problem.wrong_inputs):
         raise InvalidInput(
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
@@ -272,7 +265,7 @@ def check_repeatable(plan: Plan) -> None:
     Raises:
         InvalidInput: The problem is computed, not simulated.
     """
-    if ignores_seeds(plan.problem):
+    if plan.problem.ignores_seeds:
         message = f"{plan.body.problem.id} is computed, not simulated: other seeds give the same verdicts"
         raise InvalidInput.at("/repeats", message)
 
@@ -317,7 +310,7 @@ def _check_criticality(plan: Plan) -> None:
     Raises:
         InvalidInput: It is not.
     """
-    if not getattr(plan.config, "by_criticality", False) or not isinstance(plan.problem, ChecksCriticality):
+    if not getattr(plan.config, "by_criticality", False):
         return
     if (wrong := plan.problem.wrong_criticality()) is not None:
         name, message = wrong

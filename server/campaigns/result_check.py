@@ -19,7 +19,7 @@ from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.db.engine import Engines, read
 from brink.server.errors import InvalidInput, Unavailable
-from brink.server.problems.base import InProcessProblem, MeasuresOnData, NamesRequirements, SimulatedProblem
+from brink.server.problems.base import InProcessProblem, MeasuresOnData, SimulatedProblem
 from brink.server.problems.catalogue import PROBLEMS, uses_user_code
 from brink.server.queue.report_store import Judgement, UnjudgedResult
 from brink.server.states import JobKind
@@ -254,8 +254,7 @@ def _expected(plan: Plan) -> _Expected | None:
 
 
 def _reason(problem: SimulatedProblem, result: Completed, error: Exception) -> str:
-    if isinstance(problem, NamesRequirements):
-        missing = [name for name in problem.requirements if name not in result.verdicts]
-        if missing:
-            return f"expected a verdict of {', '.join(problem.requirements)}; {missing[0]} is missing"
+    missing = [name for name in problem.requirements if name not in result.verdicts]
+    if missing:
+        return f"expected a verdict of {', '.join(problem.requirements)}; {missing[0]} is missing"
     return f"{problem.id} cannot evaluate it: {type(error).__name__}: {error}"

@@ -23,7 +23,6 @@ from brink.server.db.engine import Engines, read
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.experiments.body import ExperimentBody, PairsChoice
 from brink.server.experiments.store import Experiment, Member
-from brink.server.problems.base import ignores_seeds
 from brink.server.single_flight import SingleFlightCache
 from brink.server.states import CampaignStatus
 
@@ -168,7 +167,7 @@ class PairCache:
                 DistinctPair(safe=pair.safe.number, unsafe=pair.unsafe.number, checked=pair.checked)
                 for pair in found.pairs
             ),
-            computed=ignores_seeds(plan.problem),
+            computed=plan.problem.ignores_seeds,
         )
 
 

@@ -4,7 +4,7 @@ A candidate combines a scenario (time of day, weather, the pedestrian's place an
 each a gene at a level. It is simulated, or measured on a data set, for which only the perturbations matter.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,9 +15,8 @@ from brink.search.settings import check_settings, setting
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.errors import nearest
-from brink.server.problems.base import SimulatedSolution, Vectors, wrong_detector
+from brink.server.problems.base import SimulatedProblem, SimulatedSolution, Vectors, wrong_detector
 from brink.server.problems.changes import different
-from brink.server.problems.requirements import JudgedByRequirements
 from brink.sim.aeb.braking import PERSON_FRAMES, PERSON_WINDOW
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
@@ -152,25 +151,25 @@ def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)
     )
 
 
-class AebCrossing(JudgedByRequirements):
+class AebCrossing(SimulatedProblem):
     """Emergency braking with perturbed images when a pedestrian steps out between parked cars."""
 
     id: ClassVar[str] = "aeb-crossing@1"
     summary: ClassVar[str] = "Emergency braking with perturbed images: 6 parameters, and 2 per perturbation."
     params_type: ClassVar[type[Any]] = AebCrossingParams
-    extra: ClassVar[str] = "vision"
-    modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
+    extra = "vision"
+    modules = ("cv2", "onnxruntime")
+    recorded = (ACCIDENT, DANGEROUS_STOP)
+    has_component = True
 
     def __init__(self, params: AebCrossingParams) -> None:
         self.params = params
         self.space = SearchSpace(
             (scenario_component(), perturbation_component(params.perturbations, params.genes))
         )
-        self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = HAZARDS[params.hazard]
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
-        self._sees_truth = False
         self.dataset_needs = EVALUATOR
         self.dataset_timeout_s = max(600.0, 0.5 * params.dataset_frames)
 
@@ -202,7 +201,7 @@ class AebCrossing(JudgedByRequirements):
             simulator=SIMULATOR,
             scenario=scenario,
             behaviour=self._behaviour(vectors),
-            requirements=(ACCIDENT, DANGEROUS_STOP),
+            requirements=self.recorded,
             seed=seed,
             duration_s=params.duration_s,
             options={
@@ -212,16 +211,8 @@ class AebCrossing(JudgedByRequirements):
             },
         )
 
-    def with_truth(self) -> "AebCrossing | None":
-        """Return the problem with a brake that receives the true boxes; None if this is it."""
-        if self._sees_truth:
-            return None
-        found = type(self)(self.params)
-        found._sees_truth = True
-        return found
-
     def _behaviour(self, vectors: Vectors) -> dict[str, Json]:
-        if self._sees_truth:
+        if self.is_true:
             return {"mode": SightMode.ORACLE.value}
         return {"mode": SightMode.DETECTOR.value, **self._perception(vectors)}
 
@@ -249,7 +240,7 @@ class AebCrossing(JudgedByRequirements):
         """Describe a candidate."""
         scenario = {**self.space.decode(tuple(vectors))["scenario"], "obstacle": self.params.obstacle}
         chain = describe_perturbations(self.perturbations(vectors)) or "not perturbed"
-        if self._sees_truth:
+        if self.is_true:
             chain = "ground truth in place of the detector"
         return f"{chain}; {describe_street(scenario)}"
 
@@ -257,15 +248,15 @@ class AebCrossing(JudgedByRequirements):
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
     ) -> str:
         """Describe each perturbation and each parameter of the scenario that differs."""
-        old, new = (self.space.decode(tuple(one.vectors))["scenario"] for one in (safe, unsafe))
+        old, new = (self.space.decode(tuple(side.vectors))["scenario"] for side in (safe, unsafe))
         clauses = []
         for name, template in _SCENARIO.items():
             if f"scenario.{name}" in changed:
                 values = (word.replace("_", " ") for word in different(new[name], old[name]))
                 clauses.append(template.format(*values))
         was, now = (
-            [describe_perturbations([step]) or "none" for step in self.perturbations(one.vectors)]
-            for one in (safe, unsafe)
+            [describe_perturbations([step]) or "none" for step in self.perturbations(side.vectors)]
+            for side in (safe, unsafe)
         )
         several = sum({before, after} != {"none"} for before, after in zip(was, now, strict=True)) > 1
         for place, (before, after) in enumerate(zip(was, now, strict=True), start=1):

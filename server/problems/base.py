@@ -2,17 +2,21 @@
 
 A *simulated* problem turns a candidate into an `EpisodeSpec` for the workers and evaluates the outcome. The
 coordinator itself evaluates an *in-process* problem, such as a formula. Plug-ins of the group ``brink.problems`` are
-classes of either kind, constructed from their `params_type`. The other protocols are optional.
+subclasses of one of the two, constructed from their `params_type`. What a problem may say besides has a default. The
+protocols are for what only some problems can do.
 """
 
+import copy
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from types import MappingProxyType
+from typing import Any, ClassVar, Final, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.algorithm import Evaluation, Measured
+from brink.search.algorithm import Evaluation, Measured, Scored
 from brink.search.space import SearchSpace
 from brink.search.traffic.participants import RoadLimits
 from brink.sim.catalogue import plugin_ids
@@ -26,150 +30,6 @@ Vectors: TypeAlias = Sequence[NDArray[np.float64]]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoParams:
     """The parameters of a problem that has none."""
-
-
-class _Problem(Protocol):
-    """Attributes that all problems share.
-
-    Attributes:
-        id: Versioned plug-in id.
-        summary: One-line description.
-        params_type: Frozen dataclass of its parameters, with fields from `brink.search.settings.setting`.
-        space: The search space.
-        algorithm_defaults: Suggested parameters of algorithms, such as the radius.
-    """
-
-    id: ClassVar[str]
-    summary: ClassVar[str]
-    params_type: ClassVar[type[Any]]
-    space: SearchSpace
-    algorithm_defaults: Mapping[str, Any]
-
-    def __init__(self, params: Any) -> None: ...
-
-
-@runtime_checkable
-class SimulatedProblem(_Problem, Protocol):
-    """A problem whose candidates are simulated by workers.
-
-    Attributes:
-        needs: Required capability of workers: the id of the simulator.
-        timeout_s: Wall-clock limit of an episode.
-    """
-
-    needs: str
-    timeout_s: float
-
-    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
-        """Return the episode that evaluates a candidate."""
-        ...
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the evaluation of a candidate from the outcome of its episode."""
-        ...
-
-
-@runtime_checkable
-class MeasuresOnData(Protocol):
-    """A simulated problem that can also measure candidates on a data set, which gives no verdict.
-
-    Attributes:
-        dataset_needs: Required capability of workers: the id of the evaluator, which runs like a simulator.
-        dataset_timeout_s: Wall-clock limit of a measurement.
-    """
-
-    dataset_needs: str
-    dataset_timeout_s: float
-
-    def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
-        """Return the specification that measures a candidate."""
-        ...
-
-    def measurement(self, outcome: Completed) -> Measured:
-        """Return the measurement of a candidate from its outcome."""
-        ...
-
-
-@runtime_checkable
-class InProcessProblem(_Problem, Protocol):
-    """A problem whose candidates the coordinator evaluates itself."""
-
-    def evaluate(self, vectors: Vectors) -> Evaluation:
-        """Return the evaluation of a candidate."""
-        ...
-
-
-@runtime_checkable
-class ChecksInputs(Protocol):
-    """A problem with parameters that name files or plug-ins, which may be missing or broken."""
-
-    def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return errors as pairs of a parameter's name and a message."""
-        ...
-
-
-@runtime_checkable
-class ChecksCriticality(Protocol):
-    """A problem whose criticality may be measured by something that says nothing about its requirement."""
-
-    def wrong_criticality(self) -> tuple[str, str] | None:
-        """Return the parameter that is to blame and a message; None if a search may minimise the criticality."""
-        ...
-
-
-@runtime_checkable
-class NeedsExtra(Protocol):
-    """A problem that can only be simulated with an optional extra installed.
-
-    Attributes:
-        extra: Name of the extra.
-        modules: Modules that the extra installs.
-    """
-
-    extra: str
-    modules: tuple[str, ...]
-
-
-@runtime_checkable
-class IgnoresSeeds(Protocol):
-    """A simulated problem that says whether chance has a part in its verdicts.
-
-    Attributes:
-        ignores_seeds: Whether every seed gives the same verdict.
-    """
-
-    ignores_seeds: bool
-
-
-@runtime_checkable
-class NeedsPython(Protocol):
-    """A problem that says whether its campaigns can be started from Python only.
-
-    Attributes:
-        python_only: Whether part of the problem is code that a campaign file cannot have.
-    """
-
-    python_only: bool
-
-
-@runtime_checkable
-class RecordsTraces(Protocol):
-    """A simulated problem that says whether its simulator records traces; any other's does.
-
-    Attributes:
-        records_traces: Whether there are drives to replay.
-    """
-
-    records_traces: bool
-
-
-@runtime_checkable
-class DescribesCandidates(Protocol):
-    """A problem that can describe its candidates."""
-
-    def words(self, vectors: Vectors) -> str:
-        """Describe a candidate on one line."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -194,20 +54,6 @@ class Activity:
     idle: tuple[str, ...] = ()
 
 
-@runtime_checkable
-class RecordsActivity(Protocol):
-    """A simulated problem whose episodes tell which parameters had a part in them."""
-
-    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
-        """Return which parameters of a candidate had a part in its episode; None if that was not recorded.
-
-        Args:
-            vectors: The candidate.
-            features: Features of the episode's result, which any worker may have sent.
-        """
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedSolution:
     """A solution and what its simulation recorded.
@@ -221,46 +67,6 @@ class SimulatedSolution:
     vectors: Vectors
     activity: Activity | None = None
     result: Mapping[str, Any] | None = None
-
-
-@runtime_checkable
-class DescribesChanges(Protocol):
-    """A problem that can describe the change from one candidate to a neighbouring one."""
-
-    def words_of_change(
-        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
-    ) -> str:
-        """Describe what is different in the unsafe one, such as ``a person is reported from 4.1 s instead of 4.3 s``.
-
-        Args:
-            safe: The safe solution.
-            unsafe: The unsafe solution.
-            changed: The parameters in which they differ, as component.parameter, without those that had no part in
-                either episode; at least one.
-        """
-        ...
-
-
-@runtime_checkable
-class ExplainsChanges(Protocol):
-    """A problem whose descriptions of changes use a term that a reader may not know.
-
-    Attributes:
-        terms_of_changes: What the term means, such as ``reported: what the detector tells the driving system``.
-    """
-
-    terms_of_changes: ClassVar[str]
-
-
-@runtime_checkable
-class QualifiesComponent(Protocol):
-    """A problem whose findings do not speak of a component of the user's own as they stand.
-
-    Attributes:
-        about_component: What a finding says of the component and what not, and how to check that, in sentences.
-    """
-
-    about_component: ClassVar[str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -294,9 +100,87 @@ class SeverityScale:
         return self.number(severity) + (self.unit if self.unit == "%" else f" {self.unit}".rstrip())
 
 
-@runtime_checkable
-class ScalesSeverity(Protocol):
-    """A problem with an error whose severity is a parameter."""
+class BaseProblem(ABC):
+    """What all problems have; attributes with a default are optional.
+
+    Attributes:
+        id: Versioned plug-in id.
+        summary: One-line description.
+        params_type: Frozen dataclass of its parameters, with fields from `brink.search.settings.setting`.
+        space: The search space.
+        algorithm_defaults: Suggested parameters of algorithms, such as the radius.
+        extra: Name of the optional extra without which it cannot be simulated; see `modules`.
+        modules: Modules that the extra installs.
+        python_only: Whether part of the problem is code that a campaign file cannot have.
+        requirements: Ids of the requirements that give the verdict: a solution is unsafe if it violates any of them.
+        ignores_seeds: Whether chance has no part in the verdicts, so that every seed gives the same one.
+        records_traces: Whether there are drives to replay.
+        records_activity: Whether `activity` is implemented.
+        has_component: Whether it has a machine-learned component that ground truth can replace.
+        terms_of_changes: What a term in descriptions of changes means that a reader may not know, such as
+            ``reported: what the detector tells the driving system``.
+        about_component: What a finding says of a component of the user's own and what not, and how to check that, in
+            sentences.
+        errors_problem: Id of the problem that simulates errors of this problem's detector, for tolerances.
+        usual_cells: The errors to begin with: parameters and those of their choices to study in combination.
+        measured_detector: Name of the detector whose errors the episodes measure, to hold it against tolerances.
+    """
+
+    id: ClassVar[str]
+    summary: ClassVar[str]
+    params_type: ClassVar[type[Any]]
+    space: SearchSpace
+    algorithm_defaults: Mapping[str, Any] = MappingProxyType({})
+    extra: str = ""
+    modules: tuple[str, ...] = ()
+    python_only: bool = False
+    requirements: tuple[str, ...] = ()
+    ignores_seeds: bool = False
+    records_traces: bool = True
+    records_activity: bool = False
+    has_component: bool = False
+    terms_of_changes: str = ""
+    about_component: str = ""
+    errors_problem: str = ""
+    usual_cells: ClassVar[Mapping[str, list[str]]] = MappingProxyType({})
+    measured_detector: str = ""
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return errors in files and plug-ins that parameters name, as pairs of a parameter's name and a message."""
+        return []
+
+    def wrong_criticality(self) -> tuple[str, str] | None:
+        """Return the parameter that makes criticality say nothing about the requirement, and a message; or None."""
+        return None
+
+    def words(self, vectors: Vectors) -> str:
+        """Describe a candidate on one line; empty to have its values listed."""
+        return ""
+
+    def words_of_change(
+        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
+    ) -> str:
+        """Describe what is different in the unsafe one, such as ``a person is reported from 4.1 s instead of 4.3 s``.
+
+        Args:
+            safe: The safe solution.
+            unsafe: The unsafe solution.
+            changed: The parameters in which they differ, as component.parameter, without those that had no part in
+                either episode; at least one.
+
+        Returns:
+            Empty to have the values listed.
+        """
+        return ""
+
+    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
+        """Return which parameters of a candidate had a part in its episode; None if that was not recorded.
+
+        Args:
+            vectors: The candidate.
+            features: Features of the episode's result, which any worker may have sent.
+        """
+        return None
 
     def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
         """Return what severities mean, given other choices, such as the type of error; None if that is unknown.
@@ -304,16 +188,96 @@ class ScalesSeverity(Protocol):
         Args:
             choices: Choices of other parameters, by component.parameter.
         """
-        ...
+        return None
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
-        """Describe an error as an activity, such as ``not reporting the lead for 1.3 s``.
+        """Describe an error that has a `severity_scale`, such as ``not reporting the lead for 1.3 s``.
 
         Args:
             choices: Choices of other parameters, by component.parameter.
             magnitude: The magnitude with its unit.
         """
+        return magnitude
+
+
+class SimulatedProblem(BaseProblem):
+    """A problem whose candidates are simulated by workers.
+
+    Attributes:
+        needs: Required capability of workers: the id of the simulator.
+        timeout_s: Wall-clock limit of an episode.
+        recorded: Requirements that every episode evaluates besides those that give the verdict.
+        is_true: Whether ground truth takes the place of the component.
+    """
+
+    needs: str
+    timeout_s: float
+    recorded: ClassVar[tuple[str, ...]] = ()
+    is_true: bool = False
+
+    @abstractmethod
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode that evaluates a candidate."""
+
+    @property
+    def evaluated(self) -> tuple[str, ...]:
+        """The requirements that episodes evaluate."""
+        return tuple(dict.fromkeys((*self.recorded, *self.requirements)))
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return the evaluation of a candidate: the smallest robustness of `requirements`, and all objectives."""
+        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
+
+    def with_truth(self) -> Self | None:
+        """Return the same problem with ground truth in place of the component; None if it has none, or is that.
+
+        Solutions are those of the same space, although some of their parameters then have no part in the episode.
+        """
+        if not self.has_component or self.is_true:
+            return None
+        truth = copy.copy(self)
+        truth.is_true = True
+        return truth
+
+    def replicate(self, seed: int) -> int:
+        """Return which replicate of an uncertain model the episode with a seed draws."""
+        return 0
+
+
+@runtime_checkable
+class MeasuresOnData(Protocol):
+    """A simulated problem that can also measure candidates on a data set, which gives no verdict.
+
+    Attributes:
+        dataset_needs: Required capability of workers: the id of the evaluator, which runs like a simulator.
+        dataset_timeout_s: Wall-clock limit of a measurement.
+    """
+
+    dataset_needs: str
+    dataset_timeout_s: float
+
+    def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
+        """Return the specification that measures a candidate."""
         ...
+
+    def measurement(self, outcome: Completed) -> Measured:
+        """Return the measurement of a candidate from its outcome."""
+        ...
+
+
+class InProcessProblem(BaseProblem):
+    """A problem whose candidates the coordinator evaluates itself."""
+
+    ignores_seeds = True
+    records_traces = False
+
+    @abstractmethod
+    def evaluate(self, vectors: Vectors) -> Evaluation:
+        """Return the evaluation of a candidate."""
+
+
+Problem: TypeAlias = SimulatedProblem | InProcessProblem
 
 
 class MeasuredSeverity(NamedTuple):
@@ -357,71 +321,6 @@ class RatesMeasuredErrors(Protocol):
 
 
 @runtime_checkable
-class NamesRequirements(Protocol):
-    """A simulated problem whose verdict depends on requirements of the episode.
-
-    Attributes:
-        requirements: Ids of the requirements; a solution is unsafe if it violates any of them.
-    """
-
-    requirements: tuple[str, ...]
-
-
-@runtime_checkable
-class ReplacesComponent(Protocol):
-    """A simulated problem whose machine-learned component can be replaced by the ground truth."""
-
-    def with_truth(self) -> "SimulatedProblem | None":
-        """Return the same problem with ground truth in place of the component; None if it has that already.
-
-        Solutions are those of the same space, although some of their parameters then have no part in the episode.
-        """
-        ...
-
-
-@runtime_checkable
-class HasDetector(Protocol):
-    """A problem with an obstacle detector, for which tolerances can be found.
-
-    Attributes:
-        errors_problem: Id of the problem that simulates errors of this detector.
-    """
-
-    errors_problem: str
-
-
-@runtime_checkable
-class MeasuresDetector(Protocol):
-    """A problem whose episodes measure the errors of a detector in the loop, to hold it against tolerances.
-
-    Attributes:
-        measured_detector: Name of the detector.
-    """
-
-    measured_detector: str
-
-
-@runtime_checkable
-class StudiesErrors(Protocol):
-    """A problem that simulates errors of a component, for tolerances.
-
-    Attributes:
-        usual_cells: The errors to begin with: parameters and those of their choices to study in combination.
-    """
-
-    usual_cells: Mapping[str, list[str]]
-
-
-@runtime_checkable
-class DrawsReplicates(Protocol):
-    """A problem with an uncertain model, of which each episode draws a replicate."""
-
-    def replicate(self, seed: int) -> int:
-        """Return the number of the replicate that the episode with a seed draws."""
-        ...
-
-
-@runtime_checkable
 class ReportsViolations(Protocol):
     """A simulated problem whose simulator reports the circumstances of violations."""
 
@@ -445,23 +344,6 @@ class SupportsSeeds(Protocol):
     system: str
 
 
-Problem: TypeAlias = SimulatedProblem | InProcessProblem
-
-
-def ignores_seeds(problem: Problem) -> bool:
-    """Return whether chance has no part in the verdicts of a problem."""
-    return isinstance(problem, InProcessProblem) or (
-        isinstance(problem, IgnoresSeeds) and problem.ignores_seeds
-    )
-
-
-def records_traces(problem: Problem) -> bool:
-    """Return whether episodes of a problem can be replayed."""
-    if isinstance(problem, InProcessProblem):
-        return False
-    return problem.records_traces if isinstance(problem, RecordsTraces) else True
-
-
 def activity_of(problem: Problem, vectors: Vectors, result: Mapping[str, Any] | None) -> Activity | None:
     """Return which parameters of a solution had a part in its episode, and the values that they had there.
 
@@ -476,12 +358,10 @@ def activity_of(problem: Problem, vectors: Vectors, result: Mapping[str, Any] | 
 
     Returns:
         None if it was not recorded: the result is missing or older than the record, or the problem, such as a
-        plug-in, does not implement `RecordsActivity`. Then every parameter may have had a part.
+        plug-in, does not tell. Then every parameter may have had a part.
     """
     features = (result or {}).get("features")
-    if not isinstance(problem, RecordsActivity) or not isinstance(features, Mapping):
-        return None
-    return problem.activity(vectors, features)
+    return problem.activity(vectors, features) if isinstance(features, Mapping) else None
 
 
 BEHAVIOUR: Final = "behaviour"
@@ -500,13 +380,11 @@ def describe_candidate(problem: Problem, vectors: Vectors, activity: Activity | 
     """
     if activity is not None:
         vectors = problem.space.split(activity.effective)
-    words = _words_of(problem, vectors, activity)
+    words = problem.words(vectors) or _values_in_words(problem, vectors, activity)
     return f"{words}; {NO_PART}" if activity is not None and BEHAVIOUR in activity.idle else words
 
 
-def _words_of(problem: Problem, vectors: Vectors, activity: Activity | None) -> str:
-    if isinstance(problem, DescribesCandidates):
-        return problem.words(vectors)
+def _values_in_words(problem: Problem, vectors: Vectors, activity: Activity | None) -> str:
     names = problem.space.column_names()
     inactive = (
         set()

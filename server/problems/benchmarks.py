@@ -1,6 +1,5 @@
 """Benchmark problems with known boundaries, evaluated in process."""
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from brink.search.algorithm import Evaluation
@@ -12,10 +11,10 @@ from brink.search.problems import (
     evaluate_mtq,
     evaluate_onemax,
 )
-from brink.server.problems.base import NoParams, Vectors
+from brink.server.problems.base import InProcessProblem, NoParams, Vectors
 
 
-class Mtq:
+class Mtq(InProcessProblem):
     """Two hills of different height on the unit square; a point is unsafe where the height is below 0."""
 
     id: ClassVar[str] = "mtq@1"
@@ -24,7 +23,7 @@ class Mtq:
 
     def __init__(self, params: NoParams) -> None:
         self.space = MTQ_SPACE
-        self.algorithm_defaults: Mapping[str, Any] = {
+        self.algorithm_defaults = {
             "radius": MTQ_RADIUS,
             "eps": 0.002,
             "d_th": 0.05,
@@ -37,7 +36,7 @@ class Mtq:
         return evaluate_mtq(vectors)
 
 
-class Onemax:
+class Onemax(InProcessProblem):
     """Two components of ten bits; a candidate is unsafe if fewer than five bits are set."""
 
     id: ClassVar[str] = "onemax@1"
@@ -46,7 +45,7 @@ class Onemax:
 
     def __init__(self, params: NoParams) -> None:
         self.space = ONEMAX_SPACE
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": ONEMAX_RADIUS, "margin": 0.0, "checks": 0}
+        self.algorithm_defaults = {"radius": ONEMAX_RADIUS, "margin": 0.0, "checks": 0}
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict of the formula."""

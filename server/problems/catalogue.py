@@ -23,16 +23,7 @@ from brink.search.slots import slots_of
 from brink.search.space import SearchSpace
 from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
-from brink.server.problems.base import (
-    InProcessProblem,
-    MeasuresDetector,
-    NamesRequirements,
-    NeedsExtra,
-    NeedsPython,
-    Problem,
-    ReportsViolations,
-    SimulatedProblem,
-)
+from brink.server.problems.base import InProcessProblem, Problem, ReportsViolations, SimulatedProblem
 from brink.server.problems.requirements import ANY
 from brink.server.user_code import CONSTRUCTION, IMPORT, USER_CODE, guarded
 from brink.sim.catalogue import (
@@ -254,7 +245,8 @@ def _spelled_out(
     problem = kind(own)
     if not isinstance(problem, SimulatedProblem | InProcessProblem):
         raise TypeError(
-            f"plug-in {problem_id}: expected a class with the methods episode and evaluation, or with evaluate"
+            f"plug-in {problem_id}: expected a subclass of SimulatedProblem or InProcessProblem of "
+            f"brink.server.problems.base, got {kind.__name__}"
         )
     everything = asdict(own)
     if params.get(ODD):
@@ -280,7 +272,7 @@ def check_extra(problem: Problem) -> None:
     Raises:
         InvalidInput: An optional dependency is not installed.
     """
-    if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
+    if any(find_spec(module) is None for module in problem.modules):
         message = (
             f"{problem.id} needs the {problem.extra} extra, which is not installed: "
             f"{install_command(problem.extra)}"
@@ -327,10 +319,10 @@ def _describe_problem(problem_id: str) -> dict[str, Any]:
         "space": problem.space.describe(),
         "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
         "finds": _finds(problem),
-        "measures_detector": isinstance(problem, MeasuresDetector),
+        "measures_detector": bool(problem.measured_detector),
         "algorithm_defaults": dict(problem.algorithm_defaults),
         "first_algorithm": _first_algorithm(problem),
-        "python_only": isinstance(problem, NeedsPython) and problem.python_only,
+        "python_only": problem.python_only,
     }
 
 
@@ -354,7 +346,7 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
         "description": _ABOUT_ODD,
     }
     requirement = schema["properties"].get("requirement")
-    if requirement is not None and isinstance(problem, NamesRequirements):
+    if requirement is not None and problem.requirements:
         requirement |= {"main": True, "options": _requirement_options(kind)}
     return schema
 
@@ -364,9 +356,8 @@ def _requirement_options(kind: type[Any]) -> list[dict[str, str]]:
     options = [one for one in requirement_options() if takes_requirement(kind.id, one["value"])]
     if takes_requirement(kind.id, ANY):
         problem = make_problem(kind.id, {"requirement": ANY})
-        if isinstance(problem, NamesRequirements):
-            names = ", ".join(name.split("@")[0].replace("-", " ") for name in problem.requirements)
-            options.append({"value": ANY, "words": f"A violation of any of these counts: {names}."})
+        names = ", ".join(name.split("@")[0].replace("-", " ") for name in problem.requirements)
+        options.append({"value": ANY, "words": f"A violation of any of these counts: {names}."})
     return options
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from brink.search.features import Unit
 from brink.search.parameters import Categorical, Parameter, Value
-from brink.server.problems.base import DescribesChanges, Problem, SimulatedSolution
+from brink.server.problems.base import Problem, SimulatedSolution
 
 NOTHING_ACTIVE: Final = "the two differ in nothing that had a part in either drive"
 _MOST_DIGITS: Final = 9
@@ -146,10 +146,7 @@ def change_words(
     if not shown:
         return NOTHING_ACTIVE
     changed = [name for change in shown for name in change.names]
-    words = ""
-    if isinstance(problem, DescribesChanges):
-        words = problem.words_of_change(safe, unsafe, changed)
-    return words or ", ".join(change.words for change in shown)
+    return problem.words_of_change(safe, unsafe, changed) or ", ".join(change.words for change in shown)
 
 
 def common_words(safe: str, unsafe: str) -> str:
@@ -172,6 +169,13 @@ def _values(safe: Value, unsafe: Value, unit: str) -> str:
     old, new = different(safe, unsafe)
     suffix = f" {unit}" if unit else ""
     return f"{old}{suffix} -> {new}{suffix}"
+
+
+def instead(old: Value, new: Value, unit: str = "") -> str:
+    """Return in words that a value is another one, such as ``1.5 s instead of 1.3 s``."""
+    before, after = different(old, new)
+    suffix = unit if unit in ("", "%") else f" {unit}"
+    return f"{after}{suffix} instead of {before}{suffix}"
 
 
 def different(first: Value, second: Value) -> tuple[str, str]:

@@ -4,21 +4,19 @@ The coordinator knows its space, not its code: the workers that `brink.search` s
 its digest as their capability. So no other worker is ever asked to run it.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final
 
-from brink.search.algorithm import Evaluation, Scored
 from brink.search.errors import ConfigError, SpaceError
 from brink.search.parameters import Categorical, Real
 from brink.search.settings import check_settings, setting
 from brink.search.shorthand import flat_values, space_from
 from brink.search.space import Component, SearchSpace
-from brink.server.problems.base import SimulatedSolution, Vectors
-from brink.server.problems.changes import different
+from brink.server.problems.base import SimulatedProblem, SimulatedSolution, Vectors
+from brink.server.problems.changes import instead
 from brink.sim.adapters.function import FUNCTION, simulator_of
 from brink.sim.episode import EpisodeSpec
-from brink.worker.wire import Completed
 
 _EXAMPLE: Final = SearchSpace((Component("parameters", (Real("x", 0.0, 1.0),)),))
 
@@ -44,23 +42,22 @@ class FunctionParams:
             raise ConfigError("space", str(error)) from None
 
 
-class Function:
+class Function(SimulatedProblem):
     """A function of one's own that returns how far it is from a violation."""
 
     id: ClassVar[str] = "function@1"
     summary: ClassVar[str] = "A Python function of your own, submitted by brink.search()."
     params_type: ClassVar[type[Any]] = FunctionParams
-    python_only: ClassVar[bool] = True
+    python_only = True
+    records_traces = False
+    requirements = (FUNCTION,)
 
     def __init__(self, params: FunctionParams) -> None:
         self.params = params
         self.space = space_from(params.space)
-        self.algorithm_defaults: Mapping[str, Any] = {}
         self.needs = simulator_of(params.digest)
         self.timeout_s = params.timeout_s
-        self.requirements = (FUNCTION,)
         self.ignores_seeds = not params.takes_seed
-        self.records_traces = False
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return that the function is missing, if the campaign was not submitted from Python."""
@@ -72,7 +69,9 @@ class Function:
         """Return the values of a candidate."""
         values = flat_values(self.space.decode(tuple(vectors)))
         return ", ".join(
-            f"{name} {value:.4g}{self._unit(name)}" if isinstance(value, float) else f"{name} {value}"
+            f"{name} {value:.4g} {self._unit(name)}".rstrip()
+            if isinstance(value, float)
+            else f"{name} {value}"
             for name, value in values.items()
         )
 
@@ -80,19 +79,19 @@ class Function:
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
     ) -> str:
         """Return the values that differ, the unsafe one last."""
-        words = []
         sides = [flat_values(self.space.decode(tuple(side.vectors))) for side in (safe, unsafe)]
-        for name in sides[0]:
-            if any(one.rpartition(".")[2] == name for one in changed):
-                old, new = different(sides[0][name], sides[1][name])
-                words.append(f"{name} {new}{self._unit(name)} instead of {old}{self._unit(name)}")
-        return ", ".join(words)
+        own_names = {name.rpartition(".")[2] for name in changed}
+        return ", ".join(
+            f"{name} {instead(old, new, self._unit(name))}"
+            for (name, old), new in zip(sides[0].items(), sides[1].values(), strict=True)
+            if name in own_names
+        )
 
     def _unit(self, name: str) -> str:
         for component in self.space.components:
             for one in component.parameters:
                 if one.name == name and not isinstance(one, Categorical) and one.unit:
-                    return f" {one.unit}"
+                    return one.unit
         return ""
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
@@ -102,14 +101,7 @@ class Function:
             simulator=self.needs,
             scenario={name: dict(part) for name, part in values.items()},
             behaviour={},
-            requirements=(FUNCTION,),
+            requirements=self.requirements,
             seed=seed,
             duration_s=self.timeout_s,
-        )
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict that the function gave."""
-        verdict = outcome.verdicts[FUNCTION]
-        return Scored(
-            unsafe=verdict.robustness < 0, robustness=verdict.robustness, objectives=outcome.objectives
         )

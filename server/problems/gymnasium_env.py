@@ -4,7 +4,7 @@ The scenario is made of ranges of the environment's arguments and reset options,
 behaviour is a number of perturbations of single numbers of the observation. Source: ours.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any, ClassVar, Final
@@ -15,11 +15,18 @@ from brink.extras import install_command
 from brink.search.errors import ConfigError
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import check_settings, setting
-from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
-from brink.server.problems.base import BEHAVIOUR, Activity, SimulatedSolution, Vectors
-from brink.server.problems.changes import different
-from brink.server.problems.perception_errors import HasTrueVariant
-from brink.server.problems.requirements import JudgedByRequirements
+from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
+from brink.server.problems.base import BEHAVIOUR, Vectors
+from brink.server.problems.changes import different, instead
+from brink.server.problems.error_slots import (
+    NO_ERROR,
+    SCENARIO,
+    ErrorSlots,
+    Slot,
+    Values,
+    prefixes,
+    slots_component,
+)
 from brink.sim.adapters.gymnasium_env.specification import (
     EXTRA,
     MARGIN,
@@ -37,15 +44,10 @@ from brink.sim.adapters.gymnasium_env.specification import (
 from brink.sim.catalogue import load_function
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.behaviour import steps_from_json
 
-NO_PERTURBATION: Final = "none"
 TYPES: Final = tuple(kind.value for kind in PerturbationType)
 CART_POLE: Final = "CartPole-v1"
-_SCENARIO: Final = "scenario"
 _RESET_SEED: Final = "reset_seed"
-_FIELDS: Final = ("type", "dimension", "magnitude", "from_step", "steps")
-_NUMBERS: Final = ("magnitude", "from_step", "steps")
 _GREATEST_BOUND: Final = 1e3
 """A greater bound of an observation says nothing about how large it usually is."""
 _KNOWN: Final[Mapping[str, tuple[tuple[str, float], ...]]] = {
@@ -201,58 +203,49 @@ def scenario_component(params: GymnasiumParams) -> Component | None:
     ]
     if params.reset_seeds > 1:
         parameters.append(Integer(name=_RESET_SEED, low=0, high=params.reset_seeds - 1, unit=""))
-    return Component(name=_SCENARIO, parameters=tuple(parameters)) if parameters else None
+    return Component(name=SCENARIO, parameters=tuple(parameters)) if parameters else None
 
 
 def behaviour_component(params: GymnasiumParams) -> Component:
     """Return the parameters of the perturbations."""
     names = [name for name, _ in params.observed]
     shown = [names[index] for index in params.dimensions or range(len(names))]
-    parameters: list[Parameter] = []
-    constraints = []
-    for prefix in _prefixes(params.perturbations):
-        parameters += [
-            Categorical(name=prefix + "type", choices=(NO_PERTURBATION, *params.types)),
-            Categorical(name=prefix + "dimension", choices=tuple(shown)),
-            Real(name=prefix + "magnitude", low=-1.0, high=1.0, unit=""),
-            Integer(name=prefix + "from_step", low=0, high=params.steps - 1, unit="steps"),
-            Integer(name=prefix + "steps", low=0, high=params.steps, unit="steps"),
+    return slots_component(
+        [
+            (
+                Categorical(name=prefix + "type", choices=(NO_ERROR, *params.types)),
+                Categorical(name=prefix + "dimension", choices=tuple(shown)),
+                Real(name=prefix + "magnitude", low=-1.0, high=1.0, unit=""),
+                Integer(name=prefix + "from_step", low=0, high=params.steps - 1, unit="steps"),
+                Integer(name=prefix + "steps", low=0, high=params.steps, unit="steps"),
+            )
+            for prefix in prefixes("perturbation", params.perturbations)
         ]
-        members = tuple(prefix + name for name in _NUMBERS)
-        constraints.append(Dormant(label=prefix + "type", null_choice=NO_PERTURBATION, members=members))
-    parts = tuple(tuple(prefix + name for name in _FIELDS) for prefix in _prefixes(params.perturbations))
-    return Component(
-        name=BEHAVIOUR,
-        parameters=tuple(parameters),
-        constraints=tuple(constraints),
-        interchangeable=parts if len(parts) > 1 else (),
     )
 
 
-def _prefixes(count: int) -> list[str]:
-    return [f"perturbation_{index}." for index in range(1, count + 1)]
-
-
-class GymnasiumProblem(HasTrueVariant, JudgedByRequirements):
+class GymnasiumProblem(ErrorSlots[Perturbation]):
     """A policy in a Gymnasium environment, on perturbed observations."""
 
     id: ClassVar[str] = "gymnasium@1"
     summary: ClassVar[str] = "A policy in any Gymnasium environment, on perturbed observations."
     params_type: ClassVar[type[Any]] = GymnasiumParams
-    extra: ClassVar[str] = EXTRA
-    modules: ClassVar[tuple[str, ...]] = ("gymnasium",)
+    extra = EXTRA
+    modules = ("gymnasium",)
+    acted_feature = PERTURBED
+    identity = ("type", "dimension")
+    lacking = "without {}"
+    episode_word = "episode"
 
     def __init__(self, params: GymnasiumParams) -> None:
         self.params = params
         scenario, behaviour = scenario_component(params), behaviour_component(params)
         self.space = SearchSpace((behaviour,) if scenario is None else (scenario, behaviour))
-        self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = (MARGIN if params.margin else SURVIVAL,)
         self.needs = SIMULATOR_ID
         self.timeout_s = params.timeout_s
         self._observed = params.observed
         self._index = {name: index for index, (name, _) in enumerate(self._observed)}
-        self._prefixes = _prefixes(params.perturbations)
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return what is wrong with the names of the policy and the margin; workers check them again."""
@@ -269,9 +262,9 @@ class GymnasiumProblem(HasTrueVariant, JudgedByRequirements):
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and the perturbations in it."""
         params, decoded = self.params, self.space.decode(tuple(vectors))
-        scenario = decoded.get(_SCENARIO, {})
+        scenario = decoded.get(SCENARIO, {})
         reset_seed = scenario.get(_RESET_SEED, 0 if params.reset_seeds == 1 else None)
-        perturbations: list[Json] = [one.to_json() for one in self._perturbations(decoded[BEHAVIOUR])]
+        perturbations: list[Json] = [one.to_json() for one in self.errors(decoded[BEHAVIOUR])]
         return EpisodeSpec(
             simulator=SIMULATOR_ID,
             scenario={
@@ -293,108 +286,59 @@ class GymnasiumProblem(HasTrueVariant, JudgedByRequirements):
             },
         )
 
-    def _perturbations(self, values: Mapping[str, Value]) -> tuple[Perturbation, ...]:
-        if self.is_true:
-            return ()
-        found = (self._perturbation(values, prefix) for prefix in self._prefixes)
-        return tuple(one for one in found if one is not None)
-
-    def _perturbation(self, values: Mapping[str, Value], prefix: str) -> Perturbation | None:
-        """Return a perturbation of a decoded behaviour; None if it is none."""
-        if values[prefix + "type"] == NO_PERTURBATION:
-            return None
-        kind = PerturbationType(str(values[prefix + "type"]))
-        dimension = self._index[str(values[prefix + "dimension"])]
-        magnitude = float(values[prefix + "magnitude"])
+    def error(self, behaviour: Values, slot: Slot) -> Perturbation:
+        """Return the perturbation of a decoded behaviour in a slot that has one."""
+        values = {name.removeprefix(slot.prefix): behaviour[name] for name in slot.names}
+        kind = PerturbationType(str(values["type"]))
+        dimension = self._index[str(values["dimension"])]
+        magnitude = float(values["magnitude"])
         if kind in (PerturbationType.BIAS, PerturbationType.NOISE):
             magnitude *= self._observed[dimension][1]
         return Perturbation(
             type=kind,
             dimension=dimension,
             magnitude=0.0 if kind in WITHOUT_MAGNITUDE else magnitude,
-            from_step=int(values[prefix + "from_step"]),
-            steps=int(values[prefix + "steps"]),
+            from_step=int(values["from_step"]),
+            steps=int(values["steps"]),
         )
+
+    def unused(self, error: Perturbation) -> Collection[str]:
+        """Return the parameters that a perturbation of this type does not have."""
+        return ("magnitude",) if error.type in WITHOUT_MAGNITUDE else ()
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
-        scenario = [f"{_plain(name)} {_value(value)}" for name, value in decoded.get(_SCENARIO, {}).items()]
-        perturbations = [self._words(one) for one in self._perturbations(decoded[BEHAVIOUR])]
+        scenario = [f"{_plain(name)} {_value(value)}" for name, value in decoded.get(SCENARIO, {}).items()]
         described = ", ".join([self.params.environment, *scenario])
-        return f"{described}; {' and '.join(perturbations) or 'not perturbed'}"
+        return f"{described}; {self.words_of_errors(decoded[BEHAVIOUR]) or 'not perturbed'}"
 
-    def _words(self, one: Perturbation) -> str:
-        return one.words(self._observed[one.dimension][0])
+    def words_of_error(self, error: Perturbation) -> str:
+        """Describe a perturbation."""
+        return error.words(self._observed[error.dimension][0])
 
-    def words_of_change(
-        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
-    ) -> str:
-        """Describe what is different in the unsafe one of two candidates."""
-        old, new = (self.space.decode(tuple(one.vectors)) for one in (safe, unsafe))
-        parts = [
-            f"{_plain(name)} {_instead(value, new[_SCENARIO][name])}"
-            for name, value in old.get(_SCENARIO, {}).items()
-            if f"{_SCENARIO}.{name}" in changed
+    def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
+        """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
+        return [
+            f"{_plain(name)} {instead(value, new[name])}"
+            for name, value in old.items()
+            if f"{SCENARIO}.{name}" in changed
         ]
-        for prefix in self._prefixes:
-            whole = f"{BEHAVIOUR}.{prefix}"
-            if any(name.startswith(whole) for name in changed):
-                before = self._perturbation(old[BEHAVIOUR], prefix)
-                after = self._perturbation(new[BEHAVIOUR], prefix)
-                parts.append(self._change(before, after))
-        return "; ".join(filter(None, parts))
 
-    def _change(self, old: Perturbation | None, new: Perturbation | None) -> str:
+    def words_of_changed_error(self, old: Perturbation, new: Perturbation, changed: Set[str]) -> str:
         """Describe how a perturbation differs, such as ``pole angle biased by +0.051 instead of +0.048``."""
-        if new is None:
-            return f"without {self._words(old)}" if old is not None else ""
-        if old is None:
-            return self._words(new)
-        if (old.type, old.dimension) != (new.type, new.dimension):
-            return f"{self._words(new)} (in the safe episode, {self._words(old)})"
         parts = []
+        if old.from_step != new.from_step:
+            parts.append(f"from step {new.from_step} instead of {old.from_step}")
+        if old.steps != new.steps:
+            parts.append(f"for {new.steps} steps instead of {old.steps}")
+        much = f"{new.shown:+.3g}{new.unit}"
         if old.magnitude != new.magnitude:
             before, after = different(old.shown, new.shown)
-            parts.append(f"{_signed(after)}{new.unit} instead of {_signed(before)}{new.unit}")
-        words = [
-            new.kind_words(
-                self._observed[new.dimension][0], parts[0] if parts else f"{new.shown:+.3g}{new.unit}"
-            )
-        ]
-        if old.from_step != new.from_step:
-            words.append(f"from step {new.from_step} instead of {old.from_step}")
-        if old.steps != new.steps:
-            words.append(f"for {new.steps} steps instead of {old.steps}")
-        return ", ".join(words) if parts or len(words) > 1 else ""
-
-    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
-        """Return which parameters had a part in an episode: those of perturbations that changed an observation."""
-        steps = steps_from_json(features.get(PERTURBED))
-        behaviour = self.space.components[-1]
-        values = behaviour.decode(vectors[-1])
-        present = [prefix for prefix in self._prefixes if values[prefix + "type"] != NO_PERTURBATION]
-        if self.is_true or steps is None or len(steps) != len(present):
-            return None
-        acted = {prefix for prefix, at in zip(present, steps, strict=True) if at is not None}
-        place = {parameter.name: column for column, parameter in enumerate(behaviour.parameters)}
-        active = np.ones(len(vectors[-1]), dtype=np.bool_)
-        effective = np.array(vectors[-1], dtype=np.float64)
-        for prefix in self._prefixes:
-            columns = [place[prefix + name] for name in _FIELDS]
-            if prefix not in acted:
-                # The type stays active where there is no perturbation: another type would have been one.
-                active[columns if prefix in present else columns[1:]] = False
-                effective[columns[0]] = 0.0
-                effective[columns[2:]] = 0.0
-            elif str(values[prefix + "type"]) in WITHOUT_MAGNITUDE:
-                active[place[prefix + "magnitude"]] = False
-        before = [np.ones(len(one), dtype=np.bool_) for one in vectors[:-1]]
-        return Activity(
-            active=np.concatenate([*before, active]),
-            effective=np.concatenate([*vectors[:-1], effective]),
-            idle=() if acted else (BEHAVIOUR,),
-        )
+            much = f"{_signed(after)}{new.unit} instead of {_signed(before)}{new.unit}"
+        elif not parts:
+            return ""
+        return ", ".join([new.kind_words(self._observed[new.dimension][0], much), *parts])
 
 
 def _part(values: Mapping[str, Value], prefix: str) -> dict[str, Json]:
@@ -411,8 +355,3 @@ def _value(value: Value) -> str:
 
 def _signed(number: str) -> str:
     return number if number.startswith("-") else f"+{number}"
-
-
-def _instead(old: Value, new: Value) -> str:
-    before, after = different(old, new)
-    return f"{after} instead of {before}"

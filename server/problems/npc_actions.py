@@ -6,7 +6,7 @@ kinematic roll-out, which is also the script that they follow in the simulator.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from brink.search.space import SearchSpace
 from brink.search.traffic.constraint import participants_component, participants_of
 from brink.search.traffic.motion import roll_out, waypoints
 from brink.search.traffic.participants import MAX_PARTICIPANTS, ParameterNames, Participant, RoadLimits
-from brink.server.problems.base import Activity, SimulatedSolution, Vectors, wrong_detector
+from brink.server.problems.base import Activity, SimulatedProblem, SimulatedSolution, Vectors, wrong_detector
+from brink.server.problems.error_slots import is_number
 from brink.server.problems.traffic_changes import words_of_traffic_change
 from brink.sim.encounter.specification import (
     PLACE_FIELDS,
@@ -121,12 +122,16 @@ _RANKS: Final[Mapping[Avoidable | None, int]] = {
 """Ranks of violations; a solution without any has rank 1."""
 
 
-class NpcActions:
+class NpcActions(SimulatedProblem):
     """Scripted road users that challenge a driving system."""
 
     id: ClassVar[str] = "npc-actions@1"
     summary: ClassVar[str] = "A driving system among up to six road users with timed actions."
     params_type: ClassVar[type[Any]] = NpcActionsParams
+    recorded = ORACLES
+    records_activity = True
+    has_component = True
+    extra = "vision"
 
     def __init__(self, params: NpcActionsParams) -> None:
         self.params = params
@@ -142,12 +147,10 @@ class NpcActions:
         self.system = _SYSTEM
         self.space = SearchSpace((participants_component(ROAD_USERS, params.participants, self.road),))
         self._rule = participants_of(self.space)[1]
-        self.algorithm_defaults: Mapping[str, Any] = {}
         self.needs = SIMULATORS[params.sight]
         self.timeout_s = params.timeout_s
         self.requirements = ORACLES if params.violation == "any" else (params.violation,)
-        self.extra = "vision"
-        self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
+        self.modules = () if params.sight == "oracle" else ("cv2", "onnxruntime")
 
     @property
     def by_gap(self) -> bool:
@@ -164,7 +167,7 @@ class NpcActions:
             f"expected auto or robustness: the gap to road users says nothing about {self.params.violation}"
         )
 
-    def with_truth(self) -> "NpcActions | None":
+    def with_truth(self) -> Self | None:
         """Return the problem with ground truth in place of a detector; None if it has no detector."""
         if self.params.sight == "oracle":
             return None
@@ -202,7 +205,7 @@ class NpcActions:
             simulator=self.needs,
             scenario={**self._place, "road_users": self.scripts(vectors)},
             behaviour=self._behaviour(),
-            requirements=tuple(dict.fromkeys((*ORACLES, *self.requirements))),
+            requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
             options={REFERENCE: True},
@@ -239,7 +242,7 @@ class NpcActions:
         begun.
         """
         ended_at_s = features.get("ended_at_s")
-        if isinstance(ended_at_s, bool) or not isinstance(ended_at_s, int | float):
+        if not is_number(ended_at_s):
             return None
         component = self.space.components[0]
         place = {parameter.name: index for index, parameter in enumerate(component.parameters)}

@@ -4,10 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, Final
 
-from brink.search.algorithm import Evaluation, Scored
 from brink.search.errors import ConfigError
 from brink.server.errors import nearest
-from brink.worker.wire import Completed
 
 ANY: Final = "any"
 """Value of the parameter ``requirement`` that stands for all that a problem records."""
@@ -58,18 +56,3 @@ def check_requirements(given: str | Sequence[str], known: Sequence[str]) -> None
                 f"expected {ANY}, or some of {', '.join(known)}; got {name!r}",
                 nearest=nearest(name, (ANY, *known)),
             )
-
-
-class JudgedByRequirements:
-    """A problem whose verdict is that of the requirement with the smallest robustness.
-
-    Attributes:
-        requirements: Ids of the requirements; a solution is unsafe if it violates any of them.
-    """
-
-    requirements: tuple[str, ...]
-
-    def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)

@@ -4,23 +4,29 @@ The scenario is the traffic, the behaviour is one error; without it, automated v
 ours; see docs/how-to/use-other-simulators.md.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final
 
-import numpy as np
-
 from brink.search.errors import ConfigError
-from brink.search.parameters import Parameter, Value
+from brink.search.parameters import Parameter
 from brink.search.settings import check_settings, setting
 from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
-from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
+from brink.server.problems.base import BEHAVIOUR, Vectors
 from brink.server.problems.changes import different
-from brink.server.problems.perception_errors import NO_ERROR, HasTrueVariant, severity_scale
+from brink.server.problems.error_slots import (
+    NO_ERROR,
+    SCENARIO,
+    Parts,
+    PerceptionErrors,
+    Slot,
+    Values,
+    is_number,
+    slots_component,
+)
 from brink.server.problems.requirements import (
     ANY,
-    JudgedByRequirements,
     check_requirements,
     chosen_requirements,
     requirement_setting,
@@ -59,7 +65,6 @@ COVERED: Final = (ErrorType.MISS, ErrorType.TOO_FAR)
 """Errors that are milder than perceiving nothing ahead from some time on."""
 _NETWORKS: Final = tuple(network.value for network in Network)
 _INCIDENT: Final = ("incident", "incident_s", "incident_mps2")
-_FIELDS: Final = ("type", "affected", "onset_s", "duration_s", "severity")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,46 +132,43 @@ def traffic_component(params: SumoDriversParams) -> Component:
 
 def error_component(duration_s: float) -> Component:
     """Return the component of the error of perception in episodes of a length."""
-    return Component(
-        name=BEHAVIOUR,
-        parameters=(
-            Categorical(name="type", choices=(NO_ERROR, *(kind.value for kind in ErrorType))),
-            Categorical(name="affected", choices=tuple(one.value for one in Affected)),
-            Real(name="onset_s", low=0.0, high=min(LATEST_ONSET_S, duration_s), unit="s"),
-            Real(name="duration_s", low=0.0, high=duration_s, unit="s"),
-            Real(name="severity", low=0.0, high=1.0, unit=""),
-        ),
-        constraints=(
-            Dormant(label="type", null_choice=NO_ERROR, members=("onset_s", "duration_s", "severity")),
-        ),
+    return slots_component(
+        [
+            (
+                Categorical(name="type", choices=(NO_ERROR, *(kind.value for kind in ErrorType))),
+                Categorical(name="affected", choices=tuple(affected.value for affected in Affected)),
+                Real(name="onset_s", low=0.0, high=min(LATEST_ONSET_S, duration_s), unit="s"),
+                Real(name="duration_s", low=0.0, high=duration_s, unit="s"),
+                Real(name="severity", low=0.0, high=1.0, unit=""),
+            )
+        ]
     )
 
 
-class SumoDrivers(HasTrueVariant, JudgedByRequirements):
+class SumoDrivers(PerceptionErrors[PerceptionError]):
     """Traffic of hundreds of vehicles, in which automated ones perceive what is ahead with an error."""
 
     id: ClassVar[str] = "sumo-drivers@1"
     summary: ClassVar[str] = "Traffic in SUMO with errors in how automated vehicles perceive what is ahead."
     params_type: ClassVar[type[Any]] = SumoDriversParams
-    about_component: ClassVar[str] = (
+    about_component = (
         "The perception's errors are injected: results show what would happen if a perception erred like this, not "
         "that yours does."
     )
-    extra: ClassVar[str] = "sumo"
-    modules: ClassVar[tuple[str, ...]] = ("libsumo",)
+    extra = "sumo"
+    modules = ("libsumo",)
+    recorded = RECORDED
+    magnitudes = MAGNITUDES
+    identity = ("type", "affected")
+    lacking = "there is no error (in the safe drive, {})"
 
     def __init__(self, params: SumoDriversParams) -> None:
         self.params = params
         self.space = SearchSpace((traffic_component(params), error_component(params.duration_s)))
-        self.algorithm_defaults: Mapping[str, Any] = {
-            "severity": f"{BEHAVIOUR}.severity",
-            "fixed": {
-                f"{BEHAVIOUR}.affected": Affected.EGO.value,
-                f"{BEHAVIOUR}.duration_s": params.duration_s,
-            },
-            "truth": {f"{BEHAVIOUR}.type": NO_ERROR},
-            "grossest": {f"{BEHAVIOUR}.type": ErrorType.SHORT_RANGE.value},
-            "covers": {f"{BEHAVIOUR}.type": [kind.value for kind in COVERED]},
+        whole = {"affected": Affected.EGO.value, "duration_s": params.duration_s}
+        self.algorithm_defaults = self.study_of_severity(whole) | {
+            "grossest": {self.first("type"): ErrorType.SHORT_RANGE.value},
+            "covers": {self.first("type"): [kind.value for kind in COVERED]},
         }
         self.requirements = params.requirements
         self.needs = SIMULATOR_ID
@@ -200,18 +202,18 @@ class SumoDrivers(HasTrueVariant, JudgedByRequirements):
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a traffic and an error of perception."""
         decoded = self.space.decode(tuple(vectors))
-        error = None if self.is_true else self._error(decoded[BEHAVIOUR])
+        errors = self.errors(decoded[BEHAVIOUR])
         return EpisodeSpec(
             simulator=SIMULATOR_ID,
-            scenario=self._traffic(decoded["scenario"], self._files).to_json(),
-            behaviour={"mode": MODE, "error": None if error is None else error.to_json()},
-            requirements=tuple(dict.fromkeys((*RECORDED, *self.requirements))),
+            scenario=self._traffic(decoded[SCENARIO], self._files).to_json(),
+            behaviour={"mode": MODE, "error": errors[0].to_json() if errors else None},
+            requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
             options={"headway_s": self.params.headway_s},
         )
 
-    def _traffic(self, values: Mapping[str, Value], files: OwnFiles | None = None) -> Traffic:
+    def _traffic(self, values: Values, files: OwnFiles | None = None) -> Traffic:
         params = self.params
         network = str(values.get("network", params.network))
         return Traffic(
@@ -228,92 +230,51 @@ class SumoDrivers(HasTrueVariant, JudgedByRequirements):
             incident_mps2=float(values["incident_mps2"]),
         )
 
-    def _error(self, values: Mapping[str, Value]) -> PerceptionError | None:
-        """Return the error of a decoded behaviour; None if it is none."""
-        if values["type"] == NO_ERROR:
-            return None
-        kind = ErrorType(str(values["type"]))
+    def error(self, behaviour: Values, slot: Slot) -> PerceptionError:
+        """Return the error of a decoded behaviour that has one."""
+        kind = ErrorType(str(behaviour["type"]))
         scale = MAGNITUDES[kind]
-        magnitude = scale.at(float(values["severity"]))
+        magnitude = scale.at(float(behaviour["severity"]))
         return PerceptionError(
             type=kind,
-            affected=Affected(str(values["affected"])),
+            affected=Affected(str(behaviour["affected"])),
             magnitude=magnitude,
-            onset_s=float(values["onset_s"]),
-            duration_s=float(values["duration_s"]) if scale.has_duration else magnitude,
+            onset_s=float(behaviour["onset_s"]),
+            duration_s=float(behaviour["duration_s"]) if scale.has_duration else magnitude,
         )
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
-        traffic = self._traffic(decoded["scenario"])
-        error = None if self.is_true else self._error(decoded[BEHAVIOUR])
-        parts = (traffic.words, traffic.incident_words, "no error" if error is None else error.words)
-        return "; ".join(filter(None, parts))
+        traffic = self._traffic(decoded[SCENARIO])
+        error = self.words_of_errors(decoded[BEHAVIOUR]) or "no error"
+        return "; ".join(filter(None, (traffic.words, traffic.incident_words, error)))
 
-    def words_of_change(
-        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
-    ) -> str:
-        """Describe what is different in the unsafe one of two candidates."""
-        old, new = (self.space.decode(tuple(one.vectors)) for one in (safe, unsafe))
-        parts = _traffic_changes(old["scenario"], new["scenario"], changed)
-        names = {name.removeprefix(f"{BEHAVIOUR}.") for name in changed if name.startswith(f"{BEHAVIOUR}.")}
-        if names:
-            parts.append(_error_change(self._error(old[BEHAVIOUR]), self._error(new[BEHAVIOUR]), names))
-        return "; ".join(filter(None, parts))
-
-    def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
-        """Return what severities mean, given the type of the error."""
-        kind = choices.get(f"{BEHAVIOUR}.type")
-        if kind is None or kind == NO_ERROR:
-            return None
-        scale = MAGNITUDES[ErrorType(kind)]
-        return severity_scale(scale)
+    def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
+        """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
+        return _traffic_changes(old, new, changed)
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
         """Return an error as an activity, such as ``perceiving things ahead 30% too far away``."""
-        return activity_of_error(ErrorType(choices[f"{BEHAVIOUR}.type"]), magnitude)
+        return activity_of_error(ErrorType(choices[self.first("type")]), magnitude)
 
-    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
-        """Return which parameters had a part in an episode: those of an error that acted, and of what happened."""
-        if not _is_number(features.get("ended_at_s")):
+    def acted(self, features: Mapping[str, Any], present: Sequence[Slot]) -> Collection[Slot] | None:
+        """Return the error if it acted; None if the episode does not tell."""
+        if not is_number(features.get("ended_at_s")):
             return None
-        values = self.space.decode(tuple(vectors))
-        traffic, error = self._traffic(values["scenario"]), self._error(values[BEHAVIOUR])
-        names = self.space.column_names()
-        place = {name: index for index, name in enumerate(names)}
-        active = np.ones(len(names), dtype=np.bool_)
-        effective = np.concatenate([np.asarray(vector, dtype=np.float64) for vector in vectors])
+        return present if not self.is_true and is_number(features.get("error_acted_at_s")) else ()
 
-        def leave_out(*left_out: str) -> None:
-            columns = [place[name] for name in left_out if name in place]
-            active[columns] = False
-            effective[[column for column in columns if names[column].endswith(_NUMBERS)]] = 0.0
-
-        if traffic.network not in SIGNALLED:
-            leave_out("scenario.signals_s")
-        if not _is_number(features.get("incident_at_s")):
+    def narrow_scenario(self, parts: Parts, scenario: Values, features: Mapping[str, Any]) -> None:
+        """Record that networks without lights have no cycle, and whether the incident happened."""
+        traffic = self._traffic(scenario)
+        if traffic.network not in SIGNALLED and "signals_s" in scenario:
+            parts.leave_out(SCENARIO, ["signals_s"])
+            parts.zero(SCENARIO, ["signals_s"])
+        if not is_number(features.get("incident_at_s")):
             # As with the error, the choice stays active where nothing was to happen.
             happens = traffic.incident is not Incident.NONE
-            leave_out(*(f"scenario.{name}" for name in _INCIDENT if happens or name != "incident"))
-            effective[place["scenario.incident"]] = 0.0
-        acted = not self.is_true and error is not None and _is_number(features.get("error_acted_at_s"))
-        if not acted or error is None:
-            # The type stays active where there is no error: another type would have been one.
-            fields = _FIELDS if error is not None else _FIELDS[1:]
-            leave_out(*(f"{BEHAVIOUR}.{name}" for name in fields))
-            effective[place[f"{BEHAVIOUR}.type"]] = 0.0
-        elif not MAGNITUDES[error.type].has_duration:
-            leave_out(f"{BEHAVIOUR}.duration_s")
-        return Activity(active=active, effective=effective, idle=() if acted else (BEHAVIOUR,))
-
-
-_NUMBERS: Final = ("_s", "_mps2", "severity")
-"""How the names of those numbers end that may have no part; the smallest value of each is 0."""
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+            parts.leave_out(SCENARIO, _INCIDENT if happens else _INCIDENT[1:])
+            parts.silence(SCENARIO, _INCIDENT[0], Incident.NONE.value, _INCIDENT[1:])
 
 
 _PERCENT: Final = {
@@ -329,9 +290,7 @@ _SECONDS: Final = {
 }
 
 
-def _traffic_changes(
-    old: Mapping[str, Value], new: Mapping[str, Value], changed: Collection[str]
-) -> list[str]:
+def _traffic_changes(old: Values, new: Values, changed: Collection[str]) -> list[str]:
     """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
     names = {name.removeprefix("scenario.") for name in changed if name.startswith("scenario.")}
     parts = []
@@ -357,30 +316,3 @@ def _traffic_changes(
 
 def _with_article(words: str) -> str:
     return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
-
-
-def _error_change(old: PerceptionError | None, new: PerceptionError | None, changed: Collection[str]) -> str:
-    """Describe how an error differs, such as ``the ego perceives nothing ahead for 2.4 s instead of 2.2 s``."""
-    if new is None:
-        return f"there is no error (in the safe drive, {old.words})" if old is not None else ""
-    if old is None:
-        return new.words
-    if old.type is not new.type or old.affected is not new.affected:
-        return f"{new.words} (in the safe drive, {old.words})"
-    scale, parts = MAGNITUDES[new.type], []
-    much = scale.words(new.magnitude)
-    if "severity" in changed and old.magnitude != new.magnitude:
-        much = _instead(scale.number(old.magnitude), scale.number(new.magnitude), scale.shown_unit)
-    if "onset_s" in changed and old.onset_s != new.onset_s:
-        parts.append(f"from {_instead(old.onset_s, new.onset_s, 's')}")
-    if scale.has_duration and "duration_s" in changed and old.duration_s != new.duration_s:
-        parts.append(f"for {_instead(old.duration_s, new.duration_s, 's')}")
-    if not parts and old.magnitude == new.magnitude:
-        return ""
-    return ", ".join([new.words_with(much), *parts])
-
-
-def _instead(old: float, new: float, unit: str) -> str:
-    before, after = different(old, new)
-    suffix = unit if unit == "%" else f" {unit}"
-    return f"{after}{suffix} instead of {before}{suffix}"

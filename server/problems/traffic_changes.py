@@ -9,7 +9,7 @@ from brink.search.parameters import Parameter, Value
 from brink.search.space import FloatArray
 from brink.search.traffic.constraint import Participants
 from brink.search.traffic.participants import NONE, Action, Kind, ParameterNames, magnitude_of
-from brink.server.problems.changes import different
+from brink.server.problems.changes import different, instead
 
 MOST_TOLD: Final = 12
 """Differences beyond which two candidates are far apart: then their number is told first."""
@@ -90,6 +90,11 @@ class _Sides:
         """Return the difference of a number as a share of its range."""
         parameter = self.parameters[name]
         return abs(self.unsafe[name] - self.safe[name]) / getattr(parameter, "range", 1.0)
+
+    def instead(self, name: str, unit: str) -> str:
+        """Describe how the value of a parameter differs."""
+        new, old = self.values(name)
+        return instead(old, new, unit)
 
     def change(self, words: str, name: str = "", *, parameters: int = 1, is_action: bool = False) -> _Change:
         """Return a change of this road user; without the name of a number, it counts as a choice."""
@@ -180,7 +185,7 @@ def _changes(sides: _Sides) -> Iterator[_Change]:
         ways = [_way(float(value)) for value in sides.values(heading)]
         yield sides.change(f"heads {ways[0]} instead of {ways[1]}")
     if speed in sides.changed:
-        yield sides.change(f"starts at {_instead(*sides.values(speed), 'm/s')}", speed)
+        yield sides.change(f"starts at {sides.instead(speed, 'm/s')}", speed)
     for ordinal, gene in zip(_ORDINALS, sides.names.genes, strict=True):
         yield from _changes_of_action(sides, ordinal, gene)
 
@@ -195,7 +200,7 @@ def _changes_of_action(sides: _Sides, ordinal: str, gene: tuple[str, str, str]) 
         yield sides.change(words, parameters=parameters, is_action=True)
         return
     if duration in sides.changed:
-        words = f"{ordinal} action lasts {_instead(*sides.values(duration), 's')}"
+        words = f"{ordinal} action lasts {sides.instead(duration, 's')}"
         yield sides.change(words, duration, is_action=True)
     if magnitude in sides.changed:
         action = Action(str(new))
@@ -210,11 +215,6 @@ def _manoeuvre(new: str, old: str) -> str:
         action, what = (old, "is left out") if new == NONE else (new, "is added")
         return f"({_DOING[Action(action)]}) {what}"
     return f"is {_DOING[Action(new)]} instead of {_DOING[Action(old)]}"
-
-
-def _instead(new: Value, old: Value, unit: str) -> str:
-    now, was = different(new, old)
-    return f"{now} {unit} instead of {was} {unit}"
 
 
 def _apart(sides: _Sides, name: str, positive: str, negative: str) -> str:

@@ -6,13 +6,12 @@ against a requirement (docs/how-to/set-a-requirement.md).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from brink.search.settings import setting
 from brink.search.space import SearchSpace
-from brink.server.problems.base import Vectors, wrong_detector
-from brink.server.problems.perception_errors import HasTrueVariant
-from brink.server.problems.requirements import JudgedByRequirements, requirement_setting
+from brink.server.problems.base import SimulatedProblem, Vectors, wrong_detector
+from brink.server.problems.requirements import requirement_setting
 from brink.server.problems.urban_injected import REQUIREMENTS, UrbanParams, scenario_component, scenario_of
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
@@ -34,7 +33,7 @@ class UrbanCameraParams(UrbanParams):
     timeout_s: float = setting(120.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
 
-class UrbanScenarios(HasTrueVariant, JudgedByRequirements):
+class UrbanScenarios(SimulatedProblem):
     """Urban driving in which a candidate is a scenario, and the obstacle detector is the same in all of them.
 
     Attributes:
@@ -43,14 +42,16 @@ class UrbanScenarios(HasTrueVariant, JudgedByRequirements):
 
     id: ClassVar[str]
     simulator: ClassVar[str]
-    errors_problem: ClassVar[str] = "urban-errors@1"
+    errors_problem = "urban-errors@1"
+    recorded = REQUIREMENTS
+    has_component = True
     params: UrbanParams
 
     def __init__(self, params: Any) -> None:
         self.params = params
         self.space = SearchSpace((scenario_component(),))
-        self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = params.requirements
+        self.needs = self.simulator
         self.timeout_s = params.timeout_s
 
     def behaviour(self, seed: int) -> Mapping[str, Json]:
@@ -63,16 +64,18 @@ class UrbanScenarios(HasTrueVariant, JudgedByRequirements):
             simulator=self.needs,
             scenario=scenario_of(self.space.decode(tuple(vectors))["scenario"]),
             behaviour={"mode": "errors", "errors": []} if self.is_true else self.behaviour(seed),
-            requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
+            requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
             options={"fidelity": self.params.fidelity},
         )
 
-    @property
-    def needs(self) -> str:
-        """Id of the simulator."""
-        return WITH_TRUTH if self.is_true else self.simulator
+    def with_truth(self) -> Self | None:
+        """Return the problem with a detector that reports the truth; None if this is it."""
+        truth = super().with_truth()
+        if truth is not None:
+            truth.needs = WITH_TRUTH
+        return truth
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
@@ -85,13 +88,13 @@ class UrbanCamera(UrbanScenarios):
     id: ClassVar[str] = "urban-camera@1"
     summary: ClassVar[str] = "Urban driving with a camera and an obstacle detector in the loop: 7 parameters."
     params_type: ClassVar[type[Any]] = UrbanCameraParams
-    about_component: ClassVar[str] = (
+    about_component = (
         "The detector is the one that the campaign names, on rendered images. On recorded ones it may err otherwise "
         "(see “Set a requirement for a detector” in Brink's documentation)."
     )
     simulator: ClassVar[str] = SIMULATOR
-    extra: ClassVar[str] = "vision"
-    modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
+    extra = "vision"
+    modules = ("cv2", "onnxruntime")
     params: UrbanCameraParams
 
     def __init__(self, params: UrbanCameraParams) -> None:

@@ -55,7 +55,7 @@ class UrbanFitted(UrbanScenarios):
     id: ClassVar[str] = "urban-fitted@1"
     summary: ClassVar[str] = "Urban driving with the errors of a recorded detector: 7 parameters."
     params_type: ClassVar[type[Any]] = UrbanFittedParams
-    about_component: ClassVar[str] = (
+    about_component = (
         "The detector errs at random as in its recording: at the same distances as often and as long, whatever it "
         "looks at and wherever that stands."
     )

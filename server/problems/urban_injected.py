@@ -26,13 +26,9 @@ from brink.search.space import (
     Real,
     SearchSpace,
 )
-from brink.server.problems.base import Activity, SimulatedSolution, Vectors
-from brink.server.problems.requirements import (
-    JudgedByRequirements,
-    check_requirements,
-    chosen_requirements,
-    requirement_setting,
-)
+from brink.server.problems.base import BEHAVIOUR, Activity, SimulatedSolution, Vectors
+from brink.server.problems.error_slots import SCENARIO, SlottedBehaviour, interchangeable, prefixes
+from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
 from brink.server.problems.urban_changes import words_of_changes
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
@@ -110,8 +106,7 @@ def behaviour_component(duration_s: float, count: int = b.TRAJECTORY_COUNT) -> C
     parameters: list[Parameter] = []
     constraints: list[Constraint | Dormant] = []
     horizon = b.last_perception_step(duration_s)
-    for index in range(1, count + 1):
-        prefix = f"trajectory_{index}."
+    for prefix in prefixes("trajectory", count):
         parameters.append(Categorical(name=prefix + "label", choices=b.TRAJECTORY_LABELS))
         for name, (low, high, unit) in b.trajectory_ranges(duration_s).items():
             if name.endswith("_step"):
@@ -144,32 +139,30 @@ def behaviour_component(duration_s: float, count: int = b.TRAJECTORY_COUNT) -> C
             )
         )
     return Component(
-        name="behaviour",
+        name=BEHAVIOUR,
         parameters=tuple(parameters),
         constraints=tuple(constraints),
-        interchangeable=()
-        if count == 1
-        else tuple(
-            tuple(f"trajectory_{index}.{name}" for name in b.TRAJECTORY_FIELDS)
-            for index in range(1, count + 1)
+        interchangeable=interchangeable(
+            [[prefix + name for name in b.TRAJECTORY_FIELDS] for prefix in prefixes("trajectory", count)]
         ),
     )
 
 
-class UrbanInjected(JudgedByRequirements):
+class UrbanInjected(SlottedBehaviour):
     """Urban driving with an obstacle detector whose detections are injected."""
 
     id: ClassVar[str] = "urban-injected@1"
     summary: ClassVar[str] = "Urban driving with injected obstacle detections: 7 + 22 parameters."
     params_type: ClassVar[type[Any]] = UrbanInjectedParams
-    errors_problem: ClassVar[str] = "urban-errors@1"
-    terms_of_changes: ClassVar[str] = (
+    errors_problem = "urban-errors@1"
+    recorded = REQUIREMENTS
+    acted_feature = b.DELIVERED
+    terms_of_changes = (
         "reported: what the search makes the detector report, the only thing that the driving system learns of "
         "other road users. Real ones are never reported, unless a made-up box happens to lie on one: pictures of a "
         "pair show what is there. Metres: where the driving system takes the reported thing to be, by its box"
     )
-
-    about_component: ClassVar[str] = (
+    about_component = (
         "The detector's errors are injected: results show what would happen if a detector erred like this, not that "
         "yours does. Whether it does is checked with that detector, on urban-camera@1: see “Set a requirement for a "
         "detector” in Brink's documentation."
@@ -180,11 +173,9 @@ class UrbanInjected(JudgedByRequirements):
         self.space = SearchSpace(
             (scenario_component(), behaviour_component(params.duration_s, params.trajectories))
         )
-        self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = params.requirements
         self.needs = SIMULATOR
         self._trajectories = _trajectories(self.space)
-        self._mode = b.BehaviourMode.INJECTED
         self.timeout_s = params.timeout_s
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
@@ -192,9 +183,9 @@ class UrbanInjected(JudgedByRequirements):
         decoded = self.space.decode(tuple(vectors))
         return EpisodeSpec(
             simulator=SIMULATOR,
-            scenario=scenario_of(decoded["scenario"]),
-            behaviour=self._behaviour(decoded["behaviour"]),
-            requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
+            scenario=scenario_of(decoded[SCENARIO]),
+            behaviour=self._behaviour(decoded[BEHAVIOUR]),
+            requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
             options={"fidelity": self.params.fidelity},
@@ -202,24 +193,16 @@ class UrbanInjected(JudgedByRequirements):
 
     def _behaviour(self, values: Mapping[str, Any]) -> dict[str, Json]:
         """Return what the detector reports: the injected trajectories, or the ground truth."""
-        if self._mode is b.BehaviourMode.ORACLE:
-            return {"mode": self._mode.value}
+        if self.is_true:
+            return {"mode": b.BehaviourMode.ORACLE.value}
         return _behaviour(values)
-
-    def with_truth(self) -> "UrbanInjected | None":
-        """Return the problem with a detector that reports the ground truth; None if this is it."""
-        if self._mode is b.BehaviourMode.ORACLE:
-            return None
-        found = type(self)(self.params)
-        found._mode = b.BehaviourMode.ORACLE
-        return found
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
-        if self._mode is b.BehaviourMode.ORACLE:
+        if self.is_true:
             return f"{words_of_scenario(scenario_of(decoded['scenario']))}; reported: the ground truth"
-        trajectories = _behaviour(decoded["behaviour"])["trajectories"]
+        trajectories = _behaviour(decoded[BEHAVIOUR])["trajectories"]
         return f"{words_of_scenario(scenario_of(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
 
     def words_of_change(
@@ -257,28 +240,16 @@ class UrbanInjected(JudgedByRequirements):
         A trajectory that was delivered until the end is described as it was seen: until its last step, with the box
         that it had then.
         """
-        if self._mode is b.BehaviourMode.ORACLE:
-            return None
+        activity = super().activity(vectors, features)
         delivered = b.steps_from_json(features.get(b.DELIVERED))
-        injected = [t for t in self._trajectories if vectors[1][t.label] != t.null_choice]
-        if delivered is None or len(delivered) != len(injected):
+        if activity is None or delivered is None:
             return None
-        active = np.ones(len(vectors[1]), dtype=np.bool_)
-        effective = np.array(vectors[1], dtype=np.float64)
-        for trajectory in self._trajectories:
-            active[list(trajectory.numbers)] = trajectory in injected
+        behaviour = activity.effective[len(vectors[0]) :]
+        injected = [t for t in self._trajectories if vectors[1][t.label] != t.null_choice]
         for trajectory, steps in zip(injected, delivered, strict=True):
-            if steps is None:
-                active[[trajectory.label, *trajectory.numbers]] = False
-                effective[trajectory.label] = trajectory.null_choice
-                effective[list(trajectory.numbers)] = 0.0
-            else:
-                trajectory.cut_off(effective, last_step=steps[1])
-        return Activity(
-            active=np.concatenate([np.ones(len(vectors[0]), dtype=np.bool_), active]),
-            effective=np.concatenate([vectors[0], effective]),
-            idle=() if any(delivered) else ("behaviour",),
-        )
+            if steps is not None:
+                trajectory.cut_off(behaviour, last_step=steps[1])
+        return activity
 
 
 def _last_step(one: SimulatedSolution) -> float | None:

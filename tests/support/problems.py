@@ -13,7 +13,7 @@ from brink.search.settings import check_settings, setting
 from brink.search.space import Component, Real, SearchSpace
 from brink.search.testing import example_spaces
 from brink.server.campaigns import result_check
-from brink.server.problems.base import NoParams, Vectors
+from brink.server.problems.base import InProcessProblem, NoParams, SimulatedProblem, Vectors
 from brink.server.problems.catalogue import PROBLEMS
 from brink.sim import catalogue
 from brink.sim.catalogue import register
@@ -42,7 +42,7 @@ class BallParams:
         check_settings(self)
 
 
-class Ball:
+class Ball(SimulatedProblem):
     """Unsafe inside a ball around the origin."""
 
     id: ClassVar[str] = "ball@1"
@@ -57,7 +57,7 @@ class Ball:
                 Component("what", (Real("y", -2.0, 2.0, "m"),)),
             )
         )
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": 0.2}
+        self.algorithm_defaults = {"radius": 0.2}
         self.needs = params.needs
         self.timeout_s = params.timeout_s
 
@@ -96,7 +96,7 @@ def simulated(spec: Mapping[str, Any]) -> Completed:
     )
 
 
-class Line:
+class Line(InProcessProblem):
     """Unsafe on the left half of a line: a space of one component."""
 
     id: ClassVar[str] = "line@1"
@@ -105,7 +105,6 @@ class Line:
 
     def __init__(self, params: NoParams) -> None:
         self.space = SearchSpace((Component("where", (Real("x", 0.0, 1.0),)),))
-        self.algorithm_defaults: Mapping[str, Any] = {}
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict at a point."""
@@ -113,7 +112,7 @@ class Line:
         return Scored(unsafe=x < 0.5, robustness=x - 0.5)
 
 
-class SlottedBlind:
+class SlottedBlind(SimulatedProblem):
     """Two perturbations in order: strong ones that come first are unsafe."""
 
     id: ClassVar[str] = "slotted-blind@1"
@@ -122,7 +121,6 @@ class SlottedBlind:
 
     def __init__(self, params: NoParams) -> None:
         self.space = example_spaces()["slots"]
-        self.algorithm_defaults: Mapping[str, Any] = {}
         self.needs = SIMULATOR
         self.timeout_s = 20.0
 

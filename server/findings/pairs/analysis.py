@@ -37,16 +37,7 @@ from brink.server.findings.pairs.views import (
     SideView,
 )
 from brink.server.findings.solutions import activity_view, simulated
-from brink.server.problems.base import (
-    ExplainsChanges,
-    NamesRequirements,
-    Problem,
-    QualifiesComponent,
-    SimulatedSolution,
-    describe_candidate,
-    ignores_seeds,
-    records_traces,
-)
+from brink.server.problems.base import Problem, SimulatedSolution, describe_candidate
 from brink.server.problems.changes import (
     Change,
     as_sentence,
@@ -113,10 +104,10 @@ def pairs_view(
         eps=pairs.settings.eps,
         d_th=pairs.settings.d_th,
         searched=searches_for_pairs(campaign.body.algorithm.id),
-        computed=ignores_seeds(problem),
-        replayable=records_traces(problem),
+        computed=problem.ignores_seeds,
+        replayable=problem.records_traces,
         note=_note(campaign, found, pairs, deciding, counts),
-        terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
+        terms=problem.terms_of_changes,
         caveat=with_odd(_caveat(campaign, problem), problem.space),
         safe=pairs.found.safe,
         unsafe=pairs.found.unsafe,
@@ -187,9 +178,7 @@ def _cases(number: int) -> str:
 
 def _caveat(campaign: Campaign, problem: Problem) -> str:
     """Return what pairs do not say of a component of the user's own; empty without a component."""
-    if campaign.body.ground_truth or not isinstance(problem, QualifiesComponent):
-        return ""
-    return problem.about_component
+    return "" if campaign.body.ground_truth else problem.about_component
 
 
 def _offers(
@@ -509,7 +498,7 @@ def _outcome(problem: Problem, row: Row[Any]) -> SolutionOutcome:
 
 def _deciding(problem: Problem, row: Row[Any] | None) -> tuple[str, ...]:
     """Return the requirements that decide the verdict; empty if they are unknown."""
-    if isinstance(problem, NamesRequirements):
+    if problem.requirements:
         return problem.requirements
     episode = None if row is None else _outcome(problem, row).episode
     return () if episode is None else episode.deciding
@@ -523,7 +512,7 @@ def _note(
     counts: Mapping[str, int],
 ) -> str:
     """Return the result in one sentence."""
-    computed = ignores_seeds(found.plan.problem)
+    computed = found.plan.problem.ignores_seeds
     words = _result_words(pairs, deciding, counts, computed=computed)
     if campaign.status in ENDED:
         return words

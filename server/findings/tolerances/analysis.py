@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from brink.search.analysis.confirmation import Share
 from brink.search.curves import Curve, Screening, severities
@@ -24,7 +23,7 @@ from brink.server.findings.tolerances.views import (
     ToleranceView,
     ToleratedView,
 )
-from brink.server.problems.base import NamesRequirements, ScalesSeverity, SeverityScale
+from brink.server.problems.base import Problem, SeverityScale
 from brink.server.problems.changes import as_sentence
 
 _NEARLY_ALL = 0.95
@@ -48,7 +47,7 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         found: Its tolerances.
     """
     problem = plan.problem
-    requirements = list(problem.requirements) if isinstance(problem, NamesRequirements) else []
+    requirements = list(problem.requirements)
     layout, config = found.layout, found.config
     examples: dict[int, list[tuple[int, int]]] = {}
     for at, level, number in found.tally.caused:
@@ -183,9 +182,9 @@ def _baselines(found: CampaignTolerance) -> list[BaselineView]:
     return views
 
 
-def error_words(problem: Any, choices: Mapping[str, str]) -> str:
+def error_words(problem: Problem, choices: Mapping[str, str]) -> str:
     """Return the error of a cell without its magnitude, such as ``not reporting the lead for …``."""
-    if isinstance(problem, ScalesSeverity) and problem.severity_scale(choices) is not None:
+    if problem.severity_scale(choices) is not None:
         return problem.error_words(choices, "…")
     return ", ".join(choice.replace("_", " ") for choice in choices.values()) or "the error"
 
@@ -194,15 +193,13 @@ class CellWords:
     """Puts what is known of a cell into words and units."""
 
     def __init__(
-        self, problem: Any, choices: Mapping[str, str], requirements: list[str], limit: float
+        self, problem: Problem, choices: Mapping[str, str], requirements: list[str], limit: float
     ) -> None:
-        self._problem = problem if isinstance(problem, ScalesSeverity) else None
+        self._problem = problem
         self._choices = choices
         self._requirements = requirements
         self._limit = limit
-        self.scale: SeverityScale | None = (
-            self._problem.severity_scale(choices) if self._problem is not None else None
-        )
+        self.scale: SeverityScale | None = problem.severity_scale(choices)
 
     def magnitude(self, severity: float) -> float | None:
         """Return the magnitude of a severity; None without a scale."""
@@ -241,7 +238,7 @@ class CellWords:
         return self._activity(f"{self._number(value, unit=True)} [{self._range(low, high)}]")
 
     def _activity(self, magnitude: str) -> str:
-        if self._problem is None or self.scale is None:
+        if self.scale is None:
             choices = ", ".join(self._choices.values())
             return f"{choices} at severity {magnitude}".lstrip()
         return self._problem.error_words(self._choices, magnitude)

@@ -12,7 +12,7 @@ from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.findings.tolerances.analysis import CellWords, violated_words
 from brink.server.findings.tolerances.views import DetectorCell, DetectorConditionView, DetectorView
-from brink.server.problems.base import NamesRequirements, RatesMeasuredErrors, ScalesSeverity, SeverityScale
+from brink.server.problems.base import Problem, RatesMeasuredErrors, SeverityScale
 from brink.server.problems.changes import as_sentence
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import MEASURED
@@ -38,7 +38,7 @@ def detector_view(
         check_detector(found, plan.problem, drives, campaign.body.seed),
         key=lambda check: order.index(check.result),
     )
-    requirements = list(plan.problem.requirements) if isinstance(plan.problem, NamesRequirements) else []
+    requirements = list(plan.problem.requirements)
     limit, confidence = found.config.limit, found.config.confidence
     cells = [
         _detector_cell(check, CellWords(plan.problem, check.choices, requirements, limit)) for check in checks
@@ -69,12 +69,10 @@ def detector_view(
     )
 
 
-def _not_judged(problem: object, cells: Sequence[Mapping[str, str]], drives: Sequence[Drive]) -> str:
+def _not_judged(problem: Problem, cells: Sequence[Mapping[str, str]], drives: Sequence[Drive]) -> str:
     """Return in a sentence the gross errors of the detector for which the campaign has no cell; empty for none."""
     names = {name.rpartition(".")[2]: name for name in cells[0]} if cells else {}
-    if not (isinstance(problem, RatesMeasuredErrors) and isinstance(problem, ScalesSeverity)) or set(
-        names
-    ) != {"type", "target"}:
+    if not isinstance(problem, RatesMeasuredErrors) or set(names) != {"type", "target"}:
         return ""
     targets = dict.fromkeys(cell[names["target"]] for cell in cells)
     worst = []

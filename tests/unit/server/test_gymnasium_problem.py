@@ -15,20 +15,10 @@ from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.problems import gymnasium_env
-from brink.server.problems.base import (
-    NO_PART,
-    DescribesCandidates,
-    DescribesChanges,
-    NamesRequirements,
-    NeedsExtra,
-    RecordsActivity,
-    ReplacesComponent,
-    SimulatedProblem,
-    SimulatedSolution,
-    describe_candidate,
-)
+from brink.server.problems.base import NO_PART, SimulatedSolution, describe_candidate
 from brink.server.problems.catalogue import check_extra, make_problem
-from brink.server.problems.gymnasium_env import NO_PERTURBATION, GymnasiumParams, GymnasiumProblem
+from brink.server.problems.error_slots import NO_ERROR
+from brink.server.problems.gymnasium_env import GymnasiumParams, GymnasiumProblem
 from brink.sim.adapters.gymnasium_env.specification import (
     POLICIES,
     GymnasiumEpisode,
@@ -48,7 +38,7 @@ BIAS: dict[str, Any] = {
     "from_step": 20,
     "steps": 100,
 }
-NONE: dict[str, Any] = {**BIAS, "type": NO_PERTURBATION, "magnitude": 0.0, "from_step": 0, "steps": 0}
+NONE: dict[str, Any] = {**BIAS, "type": NO_ERROR, "magnitude": 0.0, "from_step": 0, "steps": 0}
 SCENARIO: dict[str, Any] = {"reset.low": -0.05, "reset.high": 0.05, "reset_seed": 3}
 
 
@@ -84,9 +74,7 @@ def test_every_candidate_becomes_an_episode_that_the_simulator_accepts(seed: int
     assert (episode.steps, episode.survive_steps, episode.reset_seed is None) == (500, 200, False)
     values = CART_POLE.space.decode(vectors)["behaviour"]
     kinds = [values[f"perturbation_{number}.type"] for number in (1, 2)]
-    assert [one.type.value for one in episode.perturbations] == [
-        kind for kind in kinds if kind != NO_PERTURBATION
-    ]
+    assert [one.type.value for one in episode.perturbations] == [kind for kind in kinds if kind != NO_ERROR]
     for one in episode.perturbations:
         assert f"{CART_POLE.params.observed[one.dimension][0]} " in CART_POLE.words(vectors)
 
@@ -97,19 +85,6 @@ def test_magnitudes_are_in_the_unit_of_the_observation() -> None:
     )
     assert perturbation_of(CART_POLE, candidate({**BIAS, "type": "gain"})).magnitude == 0.25
     assert perturbation_of(CART_POLE, candidate({**BIAS, "type": "freeze"})).magnitude == 0.0
-
-
-def test_the_problem_implements_its_protocols() -> None:
-    for protocol in (
-        DescribesCandidates,
-        DescribesChanges,
-        NamesRequirements,
-        NeedsExtra,
-        RecordsActivity,
-        ReplacesComponent,
-        SimulatedProblem,
-    ):
-        assert isinstance(CART_POLE, protocol)
 
 
 def test_the_space_comes_from_the_environment() -> None:
@@ -141,7 +116,7 @@ def test_names_scales_and_dimensions_can_be_chosen() -> None:
     kind, dimension, *_ = behaviour.parameters
     assert isinstance(kind, Categorical)
     assert isinstance(dimension, Categorical)
-    assert (kind.choices, dimension.choices) == ((NO_PERTURBATION, "bias"), ("speed",))
+    assert (kind.choices, dimension.choices) == ((NO_ERROR, "bias"), ("speed",))
     vectors = problem.space.encode(
         {
             "behaviour": {

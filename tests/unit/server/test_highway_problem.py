@@ -13,25 +13,11 @@ from brink.search.pairs import Steps
 from brink.search.space import Categorical
 from brink.server.api.episode_views import episode_view
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import (
-    NO_PART,
-    DescribesCandidates,
-    DescribesChanges,
-    ExplainsChanges,
-    NamesRequirements,
-    NeedsExtra,
-    RecordsActivity,
-    ReplacesComponent,
-    ScalesSeverity,
-    SimulatedProblem,
-    SimulatedSolution,
-    activity_of,
-    describe_candidate,
-)
+from brink.server.problems.base import NO_PART, SimulatedSolution, activity_of, describe_candidate
 from brink.server.problems.catalogue import check_extra, make_problem
 from brink.server.problems.changes import change_words, changes_between
+from brink.server.problems.error_slots import NO_ERROR
 from brink.server.problems.highway import HighwayPerception, HighwayPerceptionParams
-from brink.server.problems.perception_errors import NO_ERROR
 from brink.sim.adapters.highway.specification import (
     GHOST_DISTANCE_M,
     MAGNITUDES,
@@ -126,21 +112,6 @@ def test_an_episode_records_both_requirements_and_those_that_decide() -> None:
     one = HighwayPerception(HighwayPerceptionParams(requirement="speed-limit@1"))
     assert one.requirements == ("speed-limit@1",)
     assert one.episode(candidate(), 1).requirements == ("no-collision@1", "front-gap@1", "speed-limit@1")
-
-
-def test_the_problem_implements_its_protocols() -> None:
-    for protocol in (
-        DescribesCandidates,
-        DescribesChanges,
-        ExplainsChanges,
-        NamesRequirements,
-        NeedsExtra,
-        RecordsActivity,
-        ReplacesComponent,
-        ScalesSeverity,
-        SimulatedProblem,
-    ):
-        assert isinstance(HIGHWAY, protocol)
 
 
 def test_with_truth_there_are_no_errors() -> None:

@@ -13,7 +13,7 @@ from brink.search.parameters import Categorical
 from brink.server.campaigns.body import CampaignBody, parse_body, stored_body
 from brink.server.campaigns.plan import make_plan
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import ReplacesComponent
+from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import describe_problems, make_problem
 
 WEATHER = {"scenario.weather": ["clear", "hard_rain"]}
@@ -86,7 +86,7 @@ def test_without_an_odd_nothing_about_a_campaign_changes() -> None:
 def test_ground_truth_in_place_of_the_component_keeps_the_odd() -> None:
     plan = make_plan(parse_body({**URBAN, "ground_truth": True}))
     assert odd_of(plan.problem.space) == WEATHER
-    assert isinstance(plan.problem, ReplacesComponent)
+    assert isinstance(plan.problem, SimulatedProblem)
     assert plan.problem.with_truth() is None
 
 

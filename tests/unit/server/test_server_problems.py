@@ -19,10 +19,17 @@ from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
-from brink.server.problems.base import MeasuresOnData, ReportsViolations, SimulatedProblem, SupportsSeeds
-from brink.server.problems.catalogue import describe_problems
+from brink.server.problems.base import (
+    MeasuresOnData,
+    NoParams,
+    ReportsViolations,
+    SimulatedProblem,
+    SupportsSeeds,
+)
+from brink.server.problems.catalogue import PROBLEMS, describe_problems, make_problem
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
 from brink.server.problems.urban_injected import behaviour_component
+from brink.sim import catalogue
 from brink.sim.aeb.specification import AebScenario, Behaviour, Options
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.perturbations import CATALOGUE
@@ -386,3 +393,17 @@ def test_most_random_boxes_have_the_smallest_side_by_repair() -> None:
     assert len(found) > 3_000
     assert found.mean(axis=0).tolist() == pytest.approx([0.561, 0.580], abs=0.03)
     assert (found.any(axis=1).mean(), found.all(axis=1).mean()) == pytest.approx((0.815, 0.325), abs=0.03)
+
+
+def test_a_plug_in_that_is_no_subclass_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Unrelated:
+        id, summary, params_type, space = "unrelated@1", "Looks like a problem.", NoParams, NPC.space
+
+        def __init__(self, params: NoParams) -> None: ...
+
+        def evaluate(self, vectors: Any) -> Scored:
+            return Scored(unsafe=True, robustness=-1.0)
+
+    monkeypatch.setitem(catalogue._registered, PROBLEMS, {Unrelated.id: Unrelated})
+    with pytest.raises(TypeError, match="expected a subclass of SimulatedProblem"):
+        make_problem(Unrelated.id, {})

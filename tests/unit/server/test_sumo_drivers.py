@@ -11,25 +11,10 @@ from hypothesis import strategies as st
 from brink.search.pairs import Steps
 from brink.search.space import Categorical
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import (
-    NO_PART,
-    Activity,
-    ChecksInputs,
-    DescribesCandidates,
-    DescribesChanges,
-    NamesRequirements,
-    NeedsExtra,
-    RecordsActivity,
-    ReplacesComponent,
-    ScalesSeverity,
-    SimulatedProblem,
-    SimulatedSolution,
-    activity_of,
-    describe_candidate,
-)
+from brink.server.problems.base import NO_PART, Activity, SimulatedSolution, activity_of, describe_candidate
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.changes import change_words, changes_between
-from brink.server.problems.perception_errors import NO_ERROR
+from brink.server.problems.error_slots import NO_ERROR
 from brink.server.problems.sumo import RECORDED, SumoDrivers, SumoDriversParams
 from brink.sim.adapters.sumo.specification import MAGNITUDES, Drive, ErrorType, Network
 from brink.sim.catalogue import make_simulator
@@ -85,23 +70,6 @@ def test_an_episode_records_all_requirements() -> None:
     assert spec.requirements == RECORDED
     assert ANYWHERE.requirements == ("front-gap@1", "no-collision@1")
     assert SumoDrivers(SumoDriversParams(requirement="any")).requirements == RECORDED
-
-
-def test_the_problem_implements_its_protocols() -> None:
-    for protocol in (
-        ChecksInputs,
-        DescribesCandidates,
-        DescribesChanges,
-        NamesRequirements,
-        NeedsExtra,
-        RecordsActivity,
-        ReplacesComponent,
-        ScalesSeverity,
-        SimulatedProblem,
-    ):
-        assert isinstance(ANYWHERE, protocol), protocol
-    assert isinstance(make_problem("sumo-drivers@1", {}), SumoDrivers)
-    assert (ANYWHERE.extra, ANYWHERE.modules) == ("sumo", ("libsumo",))
 
 
 def test_the_defaults_of_algorithms_name_parameters_and_choices() -> None:

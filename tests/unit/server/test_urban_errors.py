@@ -12,22 +12,10 @@ from support.marks import mostly_long
 from brink.search.pairs import Steps
 from brink.search.space import Categorical
 from brink.server.errors import InvalidInput
-from brink.server.problems.base import (
-    NO_PART,
-    Activity,
-    DescribesCandidates,
-    DescribesChanges,
-    RecordsActivity,
-    ReplacesComponent,
-    ScalesSeverity,
-    SimulatedProblem,
-    SimulatedSolution,
-    activity_of,
-    describe_candidate,
-)
+from brink.server.problems.base import NO_PART, Activity, SimulatedSolution, activity_of, describe_candidate
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.changes import NOTHING_ACTIVE, change_words, changes_between
-from brink.server.problems.perception_errors import NO_ERROR
+from brink.server.problems.error_slots import NO_ERROR
 from brink.server.problems.urban_errors import UrbanErrors, UrbanErrorsParams
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeResult
@@ -134,19 +122,6 @@ def test_an_episode_records_all_requirements() -> None:
 def test_a_severity_becomes_a_magnitude(kind: str, severity: float, magnitude: float) -> None:
     (one,) = errors_of(URBAN, candidate({**MISS, "type": kind, "severity": severity}))
     assert one.magnitude == pytest.approx(magnitude)
-
-
-def test_the_problem_implements_its_protocols() -> None:
-    for protocol in (
-        DescribesCandidates,
-        DescribesChanges,
-        RecordsActivity,
-        ReplacesComponent,
-        ScalesSeverity,
-        SimulatedProblem,
-    ):
-        assert isinstance(URBAN, protocol), protocol
-    assert isinstance(make_problem("urban-errors@1", {}), UrbanErrors)
 
 
 def test_the_defaults_of_algorithms_name_parameters_and_choices() -> None:

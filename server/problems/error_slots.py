@@ -1,0 +1,396 @@
+"""Problems whose behaviour consists of slots: each has one error relative to the truth, or none.
+
+A slot is a block of the behaviour's parameters: a categorical one that chooses the type of the error, possibly others
+that say more about it, and the error's numbers, which are dormant where there is none. `ErrorSlots` owns what these
+problems have in common: which slots had a part in an episode, and what differs between two candidates.
+`PerceptionErrors` adds severities, whose physical meaning a table of magnitudes gives.
+"""
+
+from abc import abstractmethod
+from collections.abc import Collection, Mapping, Sequence, Set
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final, Generic, Protocol, TypeGuard, TypeVar
+
+import numpy as np
+
+from brink.search.parameters import Categorical, Dormant, Parameter, Value
+from brink.search.space import Component, FloatArray, SearchSpace
+from brink.server.problems.base import (
+    BEHAVIOUR,
+    Activity,
+    SeverityScale,
+    SimulatedProblem,
+    SimulatedSolution,
+    Vectors,
+)
+from brink.server.problems.changes import instead
+from brink.sim.perception_errors import Magnitude
+from brink.sim.urban.behaviour import steps_from_json
+from brink.sim.urban.detection_errors import ERROR_STEPS
+
+NO_ERROR: Final = "none"
+"""The type of an error that is none."""
+SCENARIO: Final = "scenario"
+
+Values = Mapping[str, Value]
+E = TypeVar("E")
+
+
+def slots_component(slots: Sequence[Sequence[Parameter]]) -> Component:
+    """Return the behaviour that consists of slots, which are interchangeable.
+
+    Args:
+        slots: The parameters of each: first the type, whose choice `NO_ERROR` means none, then the others.
+    """
+    return Component(
+        name=BEHAVIOUR,
+        parameters=tuple(parameter for slot in slots for parameter in slot),
+        constraints=tuple(
+            Dormant(
+                label=slot[0].name,
+                null_choice=NO_ERROR,
+                members=tuple(one.name for one in slot if not isinstance(one, Categorical)),
+            )
+            for slot in slots
+        ),
+        interchangeable=interchangeable([[one.name for one in slot] for slot in slots]),
+    )
+
+
+def interchangeable(parts: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
+    """Return parts in the form in which a component has them: a single one is not interchangeable."""
+    return tuple(map(tuple, parts)) if len(parts) > 1 else ()
+
+
+def prefixes(name: str, count: int) -> list[str]:
+    """Return the prefixes of the parameters of so many slots, such as ``error_1.``."""
+    return [f"{name}_{index}." for index in range(1, count + 1)]
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a feature of a result, which any worker may have sent, is a number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slot:
+    """A block of the behaviour's parameters.
+
+    Attributes:
+        prefix: What the names of its parameters begin with; empty if there is only one slot without a number.
+        names: Names of its parameters; the first one chooses the type.
+        none: The choice for no error.
+        numbers: The parameters that are dormant then.
+    """
+
+    prefix: str
+    names: tuple[str, ...]
+    none: str
+    numbers: tuple[str, ...]
+
+    @property
+    def type(self) -> str:
+        """Name of the parameter that chooses the type."""
+        return self.names[0]
+
+    def is_empty(self, behaviour: Values) -> bool:
+        """Return whether a decoded behaviour has no error in this slot."""
+        return behaviour[self.type] == self.none
+
+
+def slots_in(component: Component) -> tuple[Slot, ...]:
+    """Return the slots of a behaviour; each has one constraint that makes its numbers dormant."""
+    slots = []
+    for constraint in component.constraints:
+        if isinstance(constraint, Dormant):
+            prefix = constraint.label.removesuffix(constraint.label.rpartition(".")[2])
+            slots.append(
+                Slot(
+                    prefix=prefix,
+                    names=tuple(one.name for one in component.parameters if one.name.startswith(prefix)),
+                    none=constraint.null_choice,
+                    numbers=constraint.members,
+                )
+            )
+    return tuple(slots)
+
+
+class Parts:
+    """Which parameters had a part in an episode, to be narrowed from all of them."""
+
+    def __init__(self, space: SearchSpace, vectors: Vectors) -> None:
+        self._parameters = [one for component in space.components for one in component.parameters]
+        self._columns = {name: column for column, name in enumerate(space.column_names())}
+        self.active = np.ones(len(self._columns), dtype=np.bool_)
+        self.effective: FloatArray = np.concatenate(
+            [np.asarray(vector, dtype=np.float64) for vector in vectors]
+        )
+
+    def leave_out(self, component: str, names: Collection[str]) -> None:
+        """Record that parameters had no part; names that the component lacks are ignored."""
+        full = [f"{component}.{name}" for name in names]
+        self.active[[self._columns[name] for name in full if name in self._columns]] = False
+
+    def silence(self, component: str, choice: str, none: str, numbers: Collection[str]) -> None:
+        """Describe the episode as one in which a choice was the one for none, and its numbers dormant."""
+        column = self._columns[f"{component}.{choice}"]
+        parameter = self._parameters[column]
+        assert isinstance(parameter, Categorical)
+        self.effective[column] = parameter.choices.index(none)
+        self.zero(component, numbers)
+
+    def zero(self, component: str, numbers: Collection[str]) -> None:
+        """Describe the episode as one in which numbers that had no part were 0."""
+        self.effective[[self._columns[f"{component}.{name}"] for name in numbers]] = 0.0
+
+
+class SlottedBehaviour(SimulatedProblem):
+    """A problem whose behaviour, the last component, is a number of slots.
+
+    Attributes:
+        acted_feature: Feature of results with the first and last step at which what is in each slot acted, or null.
+    """
+
+    has_component = True
+    records_activity = True
+    acted_feature: ClassVar[str] = ERROR_STEPS
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """The slots of the behaviour."""
+        return slots_in(self.space.components[-1])
+
+    def narrow_scenario(self, parts: Parts, scenario: Values, features: Mapping[str, Any]) -> None:
+        """Record which parameters of a decoded scenario had no part in the episode."""
+
+    def acted(self, features: Mapping[str, Any], present: Sequence[Slot]) -> Collection[Slot] | None:
+        """Return in which slots something acted in an episode; None if that was not recorded."""
+        steps = steps_from_json(features.get(self.acted_feature))
+        if self.is_true or steps is None or len(steps) != len(present):
+            return None
+        return [slot for slot, at in zip(present, steps, strict=True) if at is not None]
+
+    def unused_in(self, slot: Slot, behaviour: Values) -> Collection[str]:
+        """Return the parameters, without prefix, that what is in a slot does not have, because of its type."""
+        return ()
+
+    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
+        """Return which parameters had a part in an episode: those that the type of an error has, if it acted."""
+        values = self.space.decode(tuple(vectors))
+        behaviour = values[BEHAVIOUR]
+        present = [slot for slot in self.slots if not slot.is_empty(behaviour)]
+        acted = self.acted(features, present)
+        if acted is None:
+            return None
+        parts = Parts(self.space, vectors)
+        self.narrow_scenario(parts, values.get(SCENARIO, {}), features)
+        for slot in self.slots:
+            if slot in acted:
+                unused = self.unused_in(slot, behaviour)
+                parts.leave_out(BEHAVIOUR, [slot.prefix + name for name in unused])
+            else:
+                # The type stays active where there is no error: another type would have been one.
+                parts.leave_out(BEHAVIOUR, slot.names if slot in present else slot.names[1:])
+                parts.silence(BEHAVIOUR, slot.type, slot.none, slot.numbers)
+        return Activity(active=parts.active, effective=parts.effective, idle=() if acted else (BEHAVIOUR,))
+
+
+class ErrorSlots(SlottedBehaviour, Generic[E]):
+    """A problem with an error in each slot.
+
+    Attributes:
+        identity: Attributes of an error that tell what it is; with others, it is another error.
+        lacking: How a change is described that takes away an error, which is filled in.
+        episode_word: What an episode is called.
+    """
+
+    identity: ClassVar[tuple[str, ...]] = ("type", "target")
+    lacking: ClassVar[str] = "without the error that {}"
+    episode_word: ClassVar[str] = "drive"
+
+    @abstractmethod
+    def error(self, behaviour: Values, slot: Slot) -> E:
+        """Return the error of a decoded behaviour in a slot that has one."""
+
+    @abstractmethod
+    def words_of_error(self, error: E) -> str:
+        """Describe an error."""
+
+    @abstractmethod
+    def words_of_changed_error(self, old: E, new: E, changed: Set[str]) -> str:
+        """Describe how an error differs from another one of the same `identity`; empty if nothing visible does.
+
+        Args:
+            old: The error in the safe episode.
+            new: The error in the unsafe one.
+            changed: The parameters of the slot that differ, without prefix.
+        """
+
+    @abstractmethod
+    def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
+        """Describe what is different in the unsafe one of two decoded scenarios, one part for each parameter.
+
+        Args:
+            old: The safe scenario.
+            new: The unsafe one.
+            changed: The parameters in which the candidates differ, as component.parameter.
+        """
+
+    @abstractmethod
+    def unused(self, error: E) -> Collection[str]:
+        """Return the parameters, without prefix, that an error of this type does not have."""
+
+    def unused_in(self, slot: Slot, behaviour: Values) -> Collection[str]:
+        """Return the parameters, without prefix, that the error in a slot does not have."""
+        return self.unused(self.error(behaviour, slot))
+
+    def errors(self, behaviour: Values) -> list[E]:
+        """Return the errors of a decoded behaviour; none if the perception is true."""
+        if self.is_true:
+            return []
+        return [self.error(behaviour, slot) for slot in self.slots if not slot.is_empty(behaviour)]
+
+    def words_of_errors(self, behaviour: Values) -> str:
+        """Describe the errors of a decoded behaviour; empty for none."""
+        return " and ".join(map(self.words_of_error, self.errors(behaviour)))
+
+    def words_of_change(
+        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
+    ) -> str:
+        """Describe what is different in the unsafe one of two candidates."""
+        old, new = (self.space.decode(tuple(side.vectors)) for side in (safe, unsafe))
+        parts = self.scenario_changes(old.get(SCENARIO, {}), new.get(SCENARIO, {}), changed)
+        for slot in self.slots:
+            prefix = f"{BEHAVIOUR}.{slot.prefix}"
+            names = {name.removeprefix(prefix) for name in changed if name.startswith(prefix)}
+            if names:
+                parts.append(self._slot_change(slot, old[BEHAVIOUR], new[BEHAVIOUR], names))
+        return "; ".join(filter(None, parts))
+
+    def _slot_change(self, slot: Slot, old: Values, new: Values, changed: Set[str]) -> str:
+        if slot.is_empty(new):
+            return (
+                "" if slot.is_empty(old) else self.lacking.format(self.words_of_error(self.error(old, slot)))
+            )
+        after = self.error(new, slot)
+        if slot.is_empty(old):
+            return self.words_of_error(after)
+        before = self.error(old, slot)
+        if any(getattr(before, name) != getattr(after, name) for name in self.identity):
+            safe = f"in the safe {self.episode_word}, {self.words_of_error(before)}"
+            return f"{self.words_of_error(after)} ({safe})"
+        return self.words_of_changed_error(before, after, changed)
+
+
+class PerceptionError(Protocol):
+    """An error of perception with a magnitude."""
+
+    @property
+    def type(self) -> str:
+        """What is wrong."""
+        ...
+
+    @property
+    def magnitude(self) -> float:
+        """How wrong, in the unit of the type."""
+        ...
+
+    @property
+    def onset_s(self) -> float:
+        """When it begins."""
+        ...
+
+    @property
+    def duration_s(self) -> float:
+        """How long it lasts."""
+        ...
+
+    @property
+    def words(self) -> str:
+        """The error in words."""
+        ...
+
+    def words_with(self, magnitude: str) -> str:
+        """Return what is wrong in words, with the magnitude as given and without the times."""
+        ...
+
+
+P = TypeVar("P", bound=PerceptionError)
+
+
+class PerceptionErrors(ErrorSlots[P]):
+    """A problem with errors of perception, of which each type has a magnitude in a physical unit.
+
+    Attributes:
+        magnitudes: The magnitude of each type.
+        onset_fields: Parameters that only errors with a time window have.
+    """
+
+    magnitudes: ClassVar[Mapping[Any, Magnitude]]
+    onset_fields: ClassVar[tuple[str, ...]] = ("onset_s",)
+
+    def first(self, name: str) -> str:
+        """Return the full name of a parameter of the first slot, which studies of severities vary."""
+        return f"{BEHAVIOUR}.{self.slots[0].prefix}{name}"
+
+    def study_of_severity(self, fixed: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters of an algorithm that studies the severity of one error.
+
+        Args:
+            fixed: Parameters of the first slot that stay fixed, besides there being no other errors.
+        """
+        others = {f"{BEHAVIOUR}.{slot.type}": NO_ERROR for slot in self.slots[1:]}
+        return {
+            "severity": self.first("severity"),
+            "fixed": others | {self.first(name): value for name, value in fixed.items()},
+            "truth": {self.first("type"): NO_ERROR},
+        }
+
+    def words_of_error(self, error: P) -> str:
+        """Describe an error."""
+        return error.words
+
+    def unused(self, error: P) -> Collection[str]:
+        """Return the parameters that an error of this type does not have."""
+        scale = self.magnitudes[error.type]
+        return (
+            *(() if scale.has_window else self.onset_fields),
+            *(() if scale.has_duration else ("duration_s",)),
+        )
+
+    def words_of_changed_error(self, old: P, new: P, changed: Set[str]) -> str:
+        """Describe how an error differs, such as ``the lead is not reported for 1.5 s instead of 1.3 s``."""
+        scale = self.magnitudes[new.type]
+        parts = self.window_changes(old, new, changed)
+        if old.magnitude == new.magnitude:
+            much = scale.words(new.magnitude)
+            return ", ".join([new.words_with(much), *parts]) if parts else ""
+        much = instead(scale.number(old.magnitude), scale.number(new.magnitude), scale.shown_unit)
+        return ", ".join([new.words_with(much), *parts])
+
+    def window_changes(self, old: P, new: P, changed: Set[str]) -> list[str]:
+        """Describe when an error differs."""
+        scale, parts = self.magnitudes[new.type], []
+        if scale.has_window and not changed.isdisjoint(self.onset_fields):
+            parts.append(self.onset_change(old, new))
+        if scale.has_duration and "duration_s" in changed:
+            parts.append(f"for {instead(old.duration_s, new.duration_s, 's')}")
+        return parts
+
+    def onset_change(self, old: P, new: P) -> str:
+        """Describe how the onset of an error differs."""
+        return f"from {instead(old.onset_s, new.onset_s, 's')}"
+
+    def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
+        """Return what severities mean, given the type of the first error."""
+        kind = choices.get(self.first("type"), NO_ERROR)
+        if kind == NO_ERROR:
+            return None
+        magnitude = self.magnitudes[kind]
+        return SeverityScale(
+            unit=magnitude.shown_unit,
+            none=magnitude.number(magnitude.none),
+            most=magnitude.number(magnitude.most),
+            meaning=magnitude.meaning,
+            decimals=0 if magnitude.shown_unit == "%" else 1,
+        )
