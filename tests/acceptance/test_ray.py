@@ -191,25 +191,6 @@ def test_pictures_are_simulated_on_a_cluster_that_requires_a_token(running: Site
 
 
 @pytest.mark.parametrize("authentication", [{}], ids=["unset"])
-def test_a_missing_or_wrong_token_of_the_cluster_is_explained(running: Site) -> None:
-    token = secrets.token_hex(32)
-    with node(running, *HEAD, RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=token) as head:
-        address = address_of(head)
-        wrong = secrets.token_hex(32)
-        for given, words in (
-            ({}, "set RAY_AUTH_MODE=token and RAY_AUTH_TOKEN to what `ray get-auth-token` prints"),
-            ({"RAY_AUTH_MODE": "token"}, "no authentication token was found. Set RAY_AUTH_TOKEN to what"),
-            ({"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": wrong}, "and is RAY_AUTH_TOKEN its token? Set"),
-        ):
-            started = pool(running, "--ray", address, **given)
-            assert started.wait() == 1
-            [line] = [line for line in started.lines if line.startswith("brink: --ray ")]
-            assert words in line
-            assert "Traceback" not in started.output
-            assert wrong not in started.output
-
-
-@pytest.mark.parametrize("authentication", [{}], ids=["unset"])
 def test_a_local_instance_leaves_no_token_behind(running: Site, ray_home: Path) -> None:
     """With a token in the home folder, every later `ray start --head` of its user would require it."""
     started = pool(running, "--ray", "local", "--workers", "1")

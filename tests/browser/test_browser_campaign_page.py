@@ -11,7 +11,7 @@ from playwright.sync_api import Locator, Page
 from playwright.sync_api import expect as shown
 from support.api import ball, expect, progress, submit
 
-from browser.canvas import becomes, changes, picture
+from browser.canvas import changes, picture
 from browser.served import API, LOOSE, NOBODYS, Served, loose
 from browser.visits import Browse
 
@@ -54,44 +54,6 @@ def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: 
     shown(page.get_by_role("list", name="Colours")).to_contain_text("violated the front gap")
     colour.select_option("scenario.weather")
     shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
-
-
-def test_the_map_is_zoomed_by_buttons_keys_and_wheel(page: Page, chart: Locator) -> None:
-    whole = picture(chart)
-    page.get_by_role("button", name="Zoom in").click()
-    nearer = changes(chart, whole)
-    page.get_by_role("button", name="Show all solutions").click()
-    assert changes(chart, nearer) == whole
-    chart.focus()
-    page.keyboard.press("+")
-    changes(chart, whole)
-    page.keyboard.press("0")
-    becomes(chart, whole)
-    chart.hover()
-    page.mouse.wheel(0, -200)
-    changes(chart, whole)
-
-
-def test_the_lasso_chooses_all_that_it_encloses(page: Page, chart: Locator) -> None:
-    page.get_by_role("button", name="Lasso").click()
-    box = chart.bounding_box()
-    assert box is not None
-    left, top, right, bottom = (
-        box["x"] + 3,
-        box["y"] + 3,
-        box["x"] + box["width"] - 3,
-        box["y"] + box["height"] - 3,
-    )
-    page.mouse.move(left, top)
-    page.mouse.down()
-    for x, y in ((right, top), (right, bottom), (left, bottom)):
-        page.mouse.move(x, y, steps=3)
-    page.mouse.up()
-    panel = page.get_by_role("complementary", name="Selection on the map")
-    shown(panel.get_by_role("heading", name="40 solutions selected")).to_be_visible()
-    shown(panel.get_by_role("link")).to_have_count(40)
-    panel.get_by_role("button", name="Clear selection").click()
-    shown(panel.get_by_role("heading", name="Nothing selected")).to_be_visible()
 
 
 def test_a_point_that_is_clicked_says_which_solution_it_is(site: Served, page: Page, chart: Locator) -> None:

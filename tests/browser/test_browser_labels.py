@@ -9,7 +9,6 @@ from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, expect, finish, submit
 
-from browser.console import Console
 from browser.served import API, NOBODYS, origin
 from browser.test_browser_accessibility import RULES, faults
 from browser.visits import Visits
@@ -93,20 +92,6 @@ def test_tags_and_notes_are_edited_in_place_by_keyboard(
     labels.get_by_role("link", name="fog").click()
     shown(page.get_by_role("link", name="alpha")).to_be_visible()
     assert (rows(page), page.url.rpartition("#")[2]) == (["alpha"], "/campaigns?tag=fog")
-
-
-def test_tags_that_are_refused_say_why_and_what_was_written_stays(
-    own: httpx.Client, three: dict[str, str], visit: Visits, console: Console
-) -> None:
-    page = visit(origin(own), f"#/campaigns/{three['gamma']}")
-    labels = page.get_by_role("region", name="Tags and notes")
-    labels.get_by_role("button", name="Add tags or notes").click()
-    labels.get_by_role("textbox", name="Tags").fill("fine not&fine")
-    console.expect_status(422)
-    labels.get_by_role("button", name="Save").click()
-    shown(labels.get_by_role("alert")).to_have_text(re.compile(r"^Expected a word .*, got 'not&fine'\.$"))
-    shown(labels.get_by_role("textbox", name="Tags")).to_have_value("fine not&fine")
-    assert labels_of(own, three["gamma"]) == ([], "")
 
 
 def test_follow_ups_are_folded_below_their_campaign(own: httpx.Client, visit: Visits) -> None:

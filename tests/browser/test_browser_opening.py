@@ -1,6 +1,5 @@
 """What a campaign page says first: the finding, the best pairs, what to do next; and results as they come in."""
 
-import base64
 import re
 import shutil
 from pathlib import Path
@@ -8,16 +7,12 @@ from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import Locator
 from playwright.sync_api import expect as shown
-from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, submit
+from support.api import FakeWorker, ball, coordinator, expect, finish, submit
 from support.problems import small_problems
-from support.traces import make_trace
 from support.urban_pairs import SAFE, UNSAFE, judged
 
 from brink.server.problems.urban_injected import SIMULATOR as URBAN
-from brink.worker.wire import Completed, JobFailed, LeasedJob
-from browser.console import Console
 from browser.served import API, NOBODYS, origin
 from browser.visits import Visits
 
@@ -113,76 +108,6 @@ def test_once_everything_is_answered_a_next_step_opens_the_form_for_another_camp
     shown(page.get_by_label("Cells", exact=True)).to_have_value(re.compile('"short_range"'))
     page.get_by_role("button", name="Check only").click()
     shown(page.get_by_text("answered: tolerances is valid")).to_be_visible()
-
-
-def filmed(job: LeasedJob) -> Completed | JobFailed:
-    outcome = judged(job)
-    if not job.record or not isinstance(outcome, Completed):
-        return outcome
-    return outcome.model_copy(update={"trace": base64.b64encode(make_trace().to_bytes()).decode()})
-
-
-def test_the_best_pairs_are_shown_as_pictures_once_a_worker_has_run_them_again(
-    own: httpx.Client, visit: Visits, console: Console
-) -> None:
-    console.expect_status(503)
-    body = {
-        "name": "pictured",
-        "problem": {"id": "urban-injected@1"},
-        "budget": {"simulations": 2},
-        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}},
-        "execution": {"keep_traces": 0},
-    }
-    campaign = submit(own, body)
-    worker = FakeWorker(own, capabilities=(URBAN,), judge=filmed)
-    worker.work(campaign)
-    page = visit(origin(own), f"#/campaigns/{campaign}")
-    shown(page.get_by_role("region", name="Map")).to_be_visible()
-    best = page.get_by_role("region", name="Best pairs")
-    shown(best).to_be_hidden()
-    own.post(f"{API}/workers/{worker.id}/drain")
-    page.reload()
-    shown(best).to_contain_text("a worker must simulate them again")
-    shown(best.locator("code")).to_have_text(f"brink worker --server {origin(own)}")
-    worker = FakeWorker(own, id="second", capabilities=(URBAN,), judge=filmed)
-    recorded = 0
-
-    def record() -> bool:
-        nonlocal recorded
-        jobs = worker.lease()
-        worker.report(jobs)
-        recorded += len(jobs)
-        return recorded == 2
-
-    eventually(record, "the page asks for both drives")
-    shown(best.get_by_role("link", name="Pair 1")).to_have_attribute(
-        "href", f"#/campaigns/{campaign}/pairs/0-1"
-    )
-    shown(best).to_contain_text("violated the front gap")
-    for side in ("safe", "unsafe"):
-        drive = best.get_by_role("img", name=f"The {side} drive of pair 1 from above")
-        shown(drive).to_be_visible()
-        assert colours(drive) > 5
-    shown(best).to_contain_text("A pair holds if, with other seeds")
-    evidence = best.locator("figcaption .badge")
-    shown(evidence).to_have_text("not simulated again yet")
-    asked = expect(own.post(f"{API}/campaigns/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
-    worker.work(asked["campaign"])
-    page.reload()
-    shown(evidence).to_have_text("confirmed: unsafe in 0/15 and 15/15 drives with other seeds")
-    shown(evidence).to_have_attribute("title", re.compile("unsafe drive in 15 of 15\\.$"))
-    again = page.get_by_role("region", name="Repeats")
-    shown(again).to_contain_text("By solution: 1 always unsafe, 1 always safe, 0 with both verdicts.")
-    shown(again).not_to_contain_text("p_th")
-
-
-def colours(canvas: Locator) -> int:
-    """Return how many colours a canvas shows."""
-    found: int = canvas.evaluate(
-        "canvas => new Set(new Uint32Array("
-        "canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size"
-    )
-    return found
 
 
 def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something_to_show(

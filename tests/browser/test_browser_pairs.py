@@ -2,16 +2,14 @@
 
 import re
 
-import httpx
 import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
-from support.api import FakeWorker, ball, eventually, progress, submit
+from support.api import eventually, progress, submit
 
 from browser.canvas import changes, picture
-from browser.console import Console
-from browser.served import ANY_PAIR, PATIENCE_S, URBAN, Served, a_pair, origin
-from browser.visits import Browse, Visits
+from browser.served import ANY_PAIR, PATIENCE_S, URBAN, Served, a_pair
+from browser.visits import Browse
 
 pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 
@@ -33,15 +31,6 @@ def clock(page: Page) -> float:
     return float(page.locator("output.clock").inner_text().split(" / ")[0])
 
 
-def test_the_list_says_what_changed_and_what_happened(site: Served, browse: Browse) -> None:
-    found, _ = a_pair(site.client, site.urban)
-    page = browse(f"#/campaigns/{site.urban}/pairs{ANY_PAIR}")
-    row = page.get_by_role("row").filter(has_text="Pair 1").first
-    for words in (found["change"][1:], found["safe"]["outcome"], found["unsafe"]["outcome"]):
-        shown(row).to_contain_text(words)
-    shown(row.get_by_text("checked" if found["checked"] else "found once")).to_be_visible()
-
-
 def test_without_a_pair_the_list_says_why_and_other_thresholds_find_some(
     site: Served, browse: Browse
 ) -> None:
@@ -55,24 +44,6 @@ def test_without_a_pair_the_list_says_why_and_other_thresholds_find_some(
     page.get_by_label("d_th").press("Enter")
     shown(page.get_by_role("link", name="Pair 1:")).to_be_visible()
     assert "eps=1&d_th=0" in page.url
-
-
-def test_settings_with_too_many_pairs_are_refused_and_can_be_changed(
-    own: httpx.Client, visit: Visits, console: Console, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("brink.search.analysis.pairs.MOST_TIGHT", 20)
-    console.expect_status(422)
-    campaign = submit(own, ball(name="many", simulations=40))
-    FakeWorker(own).work(campaign)
-    page = visit(origin(own), f"#/campaigns/{campaign}/pairs?eps=1&d_th=0")
-    shown(
-        page.get_by_text("more than 20 pairs of solutions are within eps 1: choose a smaller")
-    ).to_be_visible()
-    shown(page.get_by_role("region", name="Table of pairs")).to_be_hidden()
-    shown(page.get_by_label("eps")).to_have_value("1")
-    page.get_by_label("eps").fill("0")
-    page.get_by_label("eps").press("Enter")
-    shown(page.get_by_text("No pair within eps 0: the nearest solutions")).to_be_visible()
 
 
 def test_the_page_of_a_pair_shows_the_change_both_sides_and_links_to_each(site: Served, pair: Page) -> None:
@@ -143,17 +114,3 @@ def test_a_pair_is_followed_up_from_the_list_and_the_answer_appears_on_its_page(
     shown(link).to_have_attribute(
         "href", f"#/campaigns/{after['component']['campaign']}/solutions/{after['component']['number']}"
     )
-
-
-def test_what_cannot_be_asked_is_disabled_with_the_reason(own: httpx.Client, visit: Visits) -> None:
-    campaign = submit(own, ball(name="running", simulations=40))
-    page = visit(origin(own), f"#/campaigns/{campaign}/pairs?eps=1&d_th=0")
-    shown(page.get_by_text("no solution has been evaluated: no pair")).to_be_visible()
-    FakeWorker(own).work(campaign)
-    shown(page.get_by_role("button", name="Confirm")).to_be_enabled(timeout=20_000)
-    cost = page.get_by_role("group", name="Do they hold?").locator("#cost-confirm")
-    before = cost.inner_text()
-    page.get_by_label("Most simulations of each side").fill("60")
-    assert int(cost.inner_text().split()[2].replace(",", "")) == 2 * int(before.split()[2].replace(",", ""))
-    shown(page.get_by_role("button", name="Ask")).to_be_disabled()
-    shown(page.get_by_text("Ball@1 has no component that ground truth can replace.")).to_be_visible()

@@ -9,8 +9,8 @@ from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, listening_coordinator, submit
 
 from browser.console import Console
-from browser.served import Served, origin, unsafe_one
-from browser.visits import NOWHERE, Visits
+from browser.served import Served, origin
+from browser.visits import Visits
 
 pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 
@@ -56,30 +56,6 @@ def test_what_did_not_change_is_answered_without_a_body(own: httpx.Client, visit
             page.clock.run_for(IDLE_MS)
         statuses.append(coming.value.status)
     assert statuses == [200, 304, 304], "once what is new since the generations that are known, then nothing"
-
-
-def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, visit: Visits) -> None:
-    solution = f"#/campaigns/{site.urban}/solutions/{unsafe_one(site)['number']}"
-    page = visit(site.url, NOWHERE, stopped=True)
-
-    def still_made(route: Route) -> None:
-        route.fulfill(status=202, json={"detail": "the trace is being made"})
-
-    page.route("**/episode?*", still_made)
-    page.goto(f"{site.url}/{solution}")
-    shown(page.get_by_text("a worker is simulating the episode again")).to_be_visible()
-    with page.expect_response("**/episode?*"):
-        page.clock.run_for(5_000)
-    page.evaluate(HIDE, True)
-    page.clock.run_for(IDLE_MS)
-    told = asked(page)
-    page.clock.run_for(60 * IDLE_MS)
-    page.evaluate("() => fetch('dashboard/icon.svg')")
-    assert told == []
-    page.unroute("**/episode?*")
-    page.evaluate(HIDE, False)
-    page.clock.resume()
-    shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
 
 
 def keep_away(status: int, detail: str, route: Route) -> None:

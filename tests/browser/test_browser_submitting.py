@@ -110,26 +110,6 @@ def test_what_was_written_goes_along_between_form_and_file(site: Served, browse:
     shown(page.get_by_label("Name", exact=True)).to_have_value("to and fro")
 
 
-def test_invalid_file_is_kept_beside_the_form(site: Served, browse: Browse, console: Console) -> None:
-    page = browse("#/new")
-    fill(page, "before the file", 33)
-    page.get_by_role("button", name="Campaign file").click()
-    text = page.get_by_label("Campaign file")
-    text.fill(FILE.replace("random@1", "randm@1"))
-    console.expect_status(422)
-    page.get_by_role("button", name="Form", exact=True).click()
-    said = page.get_by_role("alert").filter(has_text="the form is unchanged")
-    shown(said).to_contain_text("Did you mean random@1?")
-    name = page.get_by_label("Name", exact=True)
-    shown(name).to_have_value("before the file")
-    name.fill("changed meanwhile")
-    page.get_by_role("button", name="Campaign file").click()
-    shown(text).to_have_value(re.compile("randm@1"))
-    text.fill(FILE)
-    page.get_by_role("button", name="Form", exact=True).click()
-    shown(name).to_have_value("from a file")
-
-
 def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, browse: Browse) -> None:
     page = browse()
     page.get_by_role("button", name="Clone night rain").click()
@@ -139,38 +119,3 @@ def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, browse: B
     original = expect(site.client.get(f"{API}/campaigns/{site.urban}"))["body"]
     assert body_of(page, site.client) == {**original, "name": "clone", "seed": original["seed"] + 1}
     expect(site.client.post(f"{API}/campaigns/{page.url.rpartition('/')[2]}/cancel"))  # it simulates for real
-
-
-def test_the_form_begins_with_a_search_for_pairs_and_offers_what_it_can_submit(
-    site: Served, browse: Browse
-) -> None:
-    page = browse("#/new")
-    problem, algorithm = (page.get_by_label(name, exact=True) for name in ("Problem", "Algorithm"))
-    shown(problem).to_have_value("urban-injected@1")
-    shown(algorithm).to_have_value("edge@1")
-    offered = problem.locator("option").evaluate_all("options => options.map(option => option.value)")
-    assert "ball@1" in offered
-    assert "function@1" not in offered, "it can be submitted from Python only"
-    problem.select_option("npc-actions@1")
-    shown(algorithm).to_have_value("mumoea@1")
-    algorithm.select_option("random@1")
-    problem.select_option("urban-injected@1")
-    shown(algorithm).to_have_value("random@1")
-    page.get_by_role("button", name="Campaign file").click()
-    assert '"id": "random@1"' in page.get_by_label("Campaign file").input_value()
-
-
-def test_a_campaign_goes_on_from_another_one(site: Served, browse: Browse) -> None:
-    page = browse(f"#/new?start_from={site.urban}")
-    shown(page.get_by_role("heading", name="Go on from night rain")).to_be_visible()
-    shown(page.get_by_text(f"It starts from the results of campaign {site.urban}.")).to_be_visible()
-    page.get_by_role("button", name="Campaign file").click()
-    written = json.loads(page.get_by_label("Campaign file").input_value().partition("\n")[2])
-    assert (written["start_from"], written["seed"]) == ({"campaign": site.urban}, 9)
-    page.get_by_role("button", name="Form", exact=True).click()
-    page.get_by_role("button", name="Check only").click()
-    shown(page.get_by_text("night rain is valid")).to_be_visible()
-    page.get_by_role("button", name="Start from nothing").click()
-    shown(page.get_by_text("It starts from")).to_be_hidden()
-    page.get_by_role("button", name="Campaign file").click()
-    assert "start_from" not in page.get_by_label("Campaign file").input_value()

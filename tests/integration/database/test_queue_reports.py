@@ -11,7 +11,7 @@ from brink.server.campaigns.store import retry_job
 from brink.server.campaigns.traces import request_trace
 from brink.server.db.models import CampaignRow, JobRow, TraceRow
 from brink.server.db.sql import database_now
-from brink.server.errors import Conflict, NotFound
+from brink.server.errors import NotFound
 from brink.server.queue import report_store
 from brink.server.queue.exchange import Exchange
 from brink.server.queue.lease_policy import LeaseDemand
@@ -45,19 +45,6 @@ def test_a_result_sent_again_is_a_duplicate_and_changes_nothing(queue: Queue) ->
     assert queue.job(job.job) == before
 
 
-def test_a_result_twice_in_one_message_counts_once(queue: Queue) -> None:
-    job = one_lease(queue)
-    assert queue.complete(job, job) == ("accepted", "duplicate")
-
-
-def test_a_failure_sent_again_is_a_duplicate_and_charges_nothing(queue: Queue) -> None:
-    job = one_lease(queue)
-    assert queue.fail(job) == ("accepted",)
-    before = queue.job(job.job)
-    assert queue.fail(job) == ("duplicate",)
-    assert queue.job(job.job) == before
-
-
 @pytest.mark.parametrize("change", [{"token": "guess"}, {"job": 10**9}])
 def test_a_result_without_a_lease_is_stale(queue: Queue, change: dict[str, object]) -> None:
     job = one_lease(queue)
@@ -74,18 +61,6 @@ def test_a_late_result_is_accepted_once_while_its_job_waits(queue: Queue) -> Non
     assert (row.status, row.result, row.attempt, row.losses) == ("done", RESULT, 1, 0)
     assert queue.complete(job) == ("duplicate",)
     assert queue.job(job.job) == row
-
-
-def test_a_late_failure_is_a_failed_attempt_and_no_loss(queue: Queue) -> None:
-    job = one_lease(queue, max_attempts=2)
-    queue.run_out(job)
-    assert queue.fail(job, error="crashed: boom") == ("accepted",)
-    row = queue.job(job.job)
-    assert (row.status, row.attempt, row.losses, row.last_error) == ("queued", 1, 0, "crashed: boom")
-    assert queue.fail(job) == ("duplicate",)
-    queue.end_backoffs()
-    queue.fail(*queue.lease("w2"))
-    assert queue.job(job.job).status == "quarantined"
 
 
 def test_a_late_result_finishes_equal_simulations_and_names_their_campaigns(queue: Queue) -> None:
@@ -125,27 +100,6 @@ def test_a_late_result_is_stale_while_another_worker_runs_its_job(queue: Queue) 
     assert queue.complete(again, result='{"second":1}') == ("accepted",)
     assert queue.complete(job) == ("stale",)
     assert queue.job(job.job).result == '{"second":1}'
-
-
-def test_a_late_result_is_stale_after_quarantine(queue: Queue) -> None:
-    job = one_lease(queue, max_losses=1)
-    queue.run_out(job)
-    assert queue.job(job.job).status == "quarantined"
-    assert queue.complete(job) == ("stale",)
-
-
-def test_a_result_of_a_released_job_is_stale(queue: Queue) -> None:
-    job = one_lease(queue)
-    queue.release(job)
-    assert queue.complete(job) == ("stale",)
-
-
-def test_a_result_of_a_cancelled_campaign_is_stale(queue: Queue) -> None:
-    campaign = queue.campaign(1)
-    (job,) = queue.lease()
-    queue.set_status(campaign, CampaignStatus.CANCELLED)
-    assert queue.complete(job) == ("stale",)
-    assert queue.states(campaign) == ["cancelled"]
 
 
 def test_a_result_of_a_deleted_campaign_is_stale(queue: Queue) -> None:
@@ -207,19 +161,6 @@ def test_a_due_step_is_named_although_a_job_of_a_later_generation_is_granted(que
     assert (idle, queue.job(fifth.job).number) == ((campaign,), 4)
 
 
-def test_a_failed_job_is_tried_again_until_quarantine(queue: Queue) -> None:
-    campaign = queue.campaign(1, max_attempts=3)
-    for attempt in (1, 2, 3):
-        (job,) = queue.lease()
-        assert job.attempt == attempt
-        assert queue.fail(job, error=f"crashed: try {attempt}") == ("accepted",)
-        queue.end_backoffs()
-    row = queue.jobs(campaign)[0]
-    assert (row.status, row.attempt, row.last_error) == ("quarantined", 3, "crashed: try 3")
-    assert row.finished_at is not None
-    assert queue.lease() == []
-
-
 def test_a_job_that_kills_each_of_its_workers_ends_in_quarantine(queue: Queue) -> None:
     campaign = queue.campaign(1, max_attempts=2, max_losses=4)
     for times in range(1, 5):
@@ -232,18 +173,6 @@ def test_a_job_that_kills_each_of_its_workers_ends_in_quarantine(queue: Queue) -
         "lease expired: worker w4 stopped responding, the 4th time that this job lost its worker: "
         "does it kill its workers, or are they all stopped?"
     )
-
-
-def test_losses_and_failed_attempts_are_counted_apart(queue: Queue) -> None:
-    campaign = queue.campaign(1, max_attempts=2, max_losses=3)
-    for loses in (True, True, False):
-        (job,) = queue.lease()
-        queue.run_out(job) if loses else queue.fail(job)
-        queue.end_backoffs()
-    row = queue.jobs(campaign)[0]
-    assert (row.status, row.attempt, row.losses) == ("queued", 3, 2)
-    queue.fail(*queue.lease())
-    assert queue.states(campaign) == ["quarantined"]
 
 
 def test_backoffs_of_losses_do_not_add_to_those_of_failures(queue: Queue) -> None:
@@ -294,13 +223,6 @@ def test_more_leases_run_out_at_once_than_a_statement_has_parameters(queue: Queu
     assert queue.states(campaign) == ["queued"] * 40
 
 
-def test_an_invalid_job_is_never_tried_again(queue: Queue) -> None:
-    job = one_lease(queue, max_attempts=3)
-    queue.fail(job, final=True, error="invalid: no such road")
-    row = queue.job(job.job)
-    assert (row.status, row.attempt, row.last_error) == ("quarantined", 1, "invalid: no such road")
-
-
 def test_one_result_finishes_all_equal_simulations(queue: Queue) -> None:
     first = queue.campaign([A, B, A])
     second = queue.campaign([A])
@@ -314,55 +236,12 @@ def test_one_result_finishes_all_equal_simulations(queue: Queue) -> None:
     assert {row.result for row in queue.jobs() if row.spec_hash == A} == {'{"of":"a"}'}
 
 
-def test_a_known_simulation_is_done_when_it_is_enqueued(queue: Queue) -> None:
-    queue.campaign([A])
-    queue.complete(*queue.lease(), result='{"of":"a"}')
-    later = queue.campaign([A, B])
-    rows = queue.jobs(later)
-    assert [row.status for row in rows] == ["done", "queued"]
-    assert rows[0].result == '{"of":"a"}'
-
-
-def test_a_failure_is_no_result_for_equal_simulations(queue: Queue) -> None:
-    campaign = queue.campaign([A, A], max_attempts=1)
-    (job,) = queue.lease()
-    queue.fail(job)
-    assert queue.states(campaign) == ["quarantined", "queued"]
-    assert len(queue.lease()) == 1
-
-
-def test_without_the_cache_nothing_is_taken_over(queue: Queue) -> None:
-    queue.campaign([A])
-    queue.complete(*queue.lease())
-    fresh = queue.campaign([A, A], cache=False)
-    assert queue.states(fresh) == ["queued", "queued"]
-    first, second = queue.lease_all()
-    queue.complete(first)
-    assert queue.states(fresh) == ["done", "leased"]
-    queue.complete(second)
-
-
 def test_a_trace_is_kept_with_its_result(queue: Queue) -> None:
     job = one_lease(queue)
     report = queue.report(Outcome(job=job.job, token=job.token, result=RESULT, trace=b"the trace"))
     assert report.statuses == ("accepted",)
     kept = queue.run(lambda c: [(r.spec_hash, r.data) for r in c.execute(TraceRow.__table__.select())])
     assert kept == [(queue.job(job.job).spec_hash, b"the trace")]
-
-
-def test_a_quarantined_job_can_be_retried_by_hand_and_still_runs_alone(queue: Queue) -> None:
-    campaign = queue.campaign(3, max_attempts=2)
-    (job,) = queue.lease(max_jobs=1)
-    queue.fail(job, final=True)
-    queue.run(lambda connection: retry_job(connection, job.job))
-    for attempts_left in (1, 0):
-        (again,) = queue.lease("w2")
-        assert again.job == job.job
-        assert queue.complete(job) == ("stale",)
-        assert queue.fail(again) == ("accepted",)
-        assert queue.job(job.job).status == ("queued" if attempts_left else "quarantined")
-        queue.end_backoffs()
-    assert queue.states(campaign) == ["quarantined", "queued", "queued"]
 
 
 def test_a_quarantined_trace_can_be_retried_by_hand(queue: Queue) -> None:
@@ -379,40 +258,9 @@ def test_a_quarantined_trace_can_be_retried_by_hand(queue: Queue) -> None:
     assert [job.job for job in queue.lease()] == [trace.job]
 
 
-@pytest.mark.parametrize("state", ["queued", "leased", "done"])
-def test_only_a_quarantined_job_can_be_retried_by_hand(queue: Queue, state: str) -> None:
-    campaign = queue.campaign(1)
-    if state != "queued":
-        (job,) = queue.lease()
-        if state == "done":
-            queue.complete(job)
-    (row,) = queue.jobs(campaign)
-    with pytest.raises(Conflict, match=state):
-        queue.run(lambda connection: retry_job(connection, row.id))
-
-
-@pytest.mark.parametrize("ended", store.ENDED)
-def test_a_job_of_an_ended_campaign_cannot_be_retried_by_hand(queue: Queue, ended: CampaignStatus) -> None:
-    campaign = queue.campaign(2)
-    (job,) = queue.lease(max_jobs=1)
-    queue.fail(job, final=True)
-    queue.set_status(campaign, ended)
-    with pytest.raises(Conflict, match=ended):
-        queue.run(lambda connection: retry_job(connection, job.job))
-
-
 def test_retrying_an_unknown_job_is_not_found(queue: Queue) -> None:
     with pytest.raises(NotFound, match="7"):
         queue.run(lambda connection: retry_job(connection, 7))
-
-
-@pytest.mark.parametrize("ended", store.ENDED)
-def test_an_end_cancels_open_jobs_and_keeps_the_others(queue: Queue, ended: CampaignStatus) -> None:
-    campaign = queue.campaign(3)
-    done, _ = queue.lease(max_jobs=2)
-    queue.complete(done)
-    queue.set_status(campaign, ended)
-    assert queue.states(campaign) == ["done", "cancelled", "cancelled"]
 
 
 def test_deleting_takes_its_traces_but_not_those_of_others(queue: Queue) -> None:

@@ -1,6 +1,5 @@
 """Campaigns, functions and results from Python, with real workers, on a database of their own."""
 
-import asyncio
 import inspect
 import re
 from collections.abc import Iterator
@@ -72,13 +71,6 @@ def test_a_data_frame_has_a_column_for_each_parameter(circle: brink.Result) -> N
     assert len(circle.violations()) == circle.unsafe == int(frame["unsafe"].sum())
 
 
-def test_a_table_without_rows_has_the_columns_of_one_with_rows(circle: brink.Result) -> None:
-    for full, none in ((circle.pairs(), circle.pairs(eps=0.0)), (circle.boundary(1.0), circle.boundary(0.0))):
-        assert len(full) > len(none) == 0
-        assert list(none.columns) == list(full.columns)
-        assert none.dtypes.astype(str).to_dict() == full.dtypes.astype(str).to_dict()
-
-
 @pytest.mark.long("runs a search with workers")
 def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result) -> None:
     waiting = brink.connect(database="brink.db").submit(
@@ -119,18 +111,6 @@ def test_a_choice_that_is_called_null_is_no_missing_value(folder: Path) -> None:
     found = brink.search(ghost, space, simulations=80, workers=1, progress=False)
     labels = {*found.pairs()["safe.parameters.label"], *found.pairs()["unsafe.parameters.label"]}
     assert "null" in labels <= {"null", "person"}
-
-
-@pytest.mark.long("runs a search with workers")
-def test_a_result_shows_itself_in_a_notebook(circle: brink.Result) -> None:
-    shown = circle._repr_html_()
-    assert "data:image/png;base64," in shown
-    assert "edge@1 on function@1" in shown
-    picture = circle.pair()
-    assert picture.words == circle.pair(1).words, "without repeats, the first one is as good as any"
-    assert set(picture._repr_mimebundle_()) == {"text/plain", "image/png"}
-    assert picture.content.startswith(b"\x89PNG")
-    assert circle.plot("parameters").axes
 
 
 def test_what_is_not_there_is_named(circle: brink.Result) -> None:
@@ -282,19 +262,6 @@ def test_nobody_at_an_address_is_said(folder: Path) -> None:
         brink.connect("http://127.0.0.1:9").campaigns()
 
 
-@pytest.mark.long("runs a search with workers")
-def test_asynchronous_twins_do_the_same(folder: Path) -> None:
-    async def work() -> int:
-        result = await brink.run_async(HILLS, progress=False)
-        frame, figure = await asyncio.gather(result.to_pandas(), result.plot())
-        assert figure.axes
-        campaign = await brink.connect_async(database="brink.db").campaign(result.id)
-        assert (await campaign.progress()).simulations == result.simulations
-        return len(frame)
-
-    assert asyncio.run(work()) == 120
-
-
 @pytest.mark.parametrize(
     ("first", "second"), [(brink.Result, brink.AsyncResult), (brink.Client, brink.AsyncClient)]
 )
@@ -311,22 +278,3 @@ def test_twins_have_the_same_methods_with_the_same_parameters(first: type, secon
     assert sync.keys() == twins.keys()
     for name, signature in sync.items():
         assert list(signature.parameters) == list(twins[name].parameters), name
-
-
-@pytest.mark.long("runs a search with workers")
-def test_a_search_starts_from_an_earlier_one(circle: brink.Result) -> None:
-    options: dict[str, Any] = {
-        "algorithm": "random@1",
-        "simulations": 60,
-        "params": {"radius": 0.3},
-        "progress": False,
-        "workers": 1,
-    }
-    by_result = brink.search(inside, SPACE, start_from=circle, **options)
-    by_id = brink.search(inside, SPACE, start_from=circle.id, resume=False, **options)
-    by_frame = brink.search(inside, SPACE, start_from=circle.to_pandas(), resume=False, **options)
-    assert by_result.digest == by_id.digest
-    assert by_result.evaluated == by_id.evaluated == by_frame.evaluated == 60
-    known = circle.to_pandas()[["x", "y", "side"]].apply(tuple, axis=1)
-    for found in (by_result, by_frame):
-        assert found.to_pandas()[["x", "y", "side"]].apply(tuple, axis=1).isin(known).sum() == 0

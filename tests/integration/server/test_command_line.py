@@ -349,23 +349,6 @@ def test_commands_that_only_read_create_no_database(brink: Command, tmp_path: Pa
     assert list(tmp_path.glob("*.db*")) == []
 
 
-def test_database_that_cannot_shrink_is_one_line_after_the_summary(
-    brink: Command, database_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*given: Any, **named: Any) -> Any:
-        if named:  # the connections of Brink have settings
-            return connect(*given, **named)
-        raise sqlite3.OperationalError("database or disk is full")
-
-    url = f"sqlite:///{tmp_path}/a.db"
-    connect = sqlite3.connect
-    assert brink("db", "upgrade", "--database", url).status == 0
-    monkeypatch.setattr(sqlite3, "connect", full)
-    said = brink("db", "prune", "--ended-days", "1", "--yes", "--database", url)
-    assert "0 campaigns" in said.out
-    assert "database or disk is full" in said.line
-
-
 def test_hints_do_not_show_the_password_of_the_database(monkeypatch: pytest.MonkeyPatch) -> None:
     url = "postgresql://brink:s3cret@db/brink"
     monkeypatch.delenv("BRINK_DATABASE", raising=False)
@@ -388,28 +371,6 @@ def test_database_error_is_one_line(brink: Command, tmp_path: Path, monkeypatch:
     with closing(sqlite3.connect(tmp_path / "brink.db")) as other:
         other.execute("BEGIN IMMEDIATE")
         assert brink("token", "revoke", "00000000").line == "brink: database: database is locked"
-
-
-def test_one_key_is_one_campaign(
-    brink: Command, database_url: str, small_problems: None, tmp_path: Path
-) -> None:
-    file = campaign_file(tmp_path)
-    with listening_coordinator(database_url) as client:
-        url = str(client.base_url)
-        watched = brink("submit", file, "--server", url, "--key", "k", "--watch")
-        assert watched.status == 0
-        assert "is finished" in watched.out
-        again = json.loads(brink("submit", file, "--server", url, "--key", "k", "--json").out)
-        assert again["id"] in watched.out
-
-
-def test_contact_sheet_of_a_street_depends_on_the_seed_alone(brink: Command) -> None:
-    shown = []
-    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        drawn = brink("perturbations", "show", "--out", f"{name}.png", "--gene", "dirty", "--seed", seed)
-        assert drawn.status == 0
-        shown.append(Path(f"{name}.png").read_bytes())
-    assert shown[0] == shown[1] != shown[2]
 
 
 @pytest.mark.parametrize(
@@ -525,24 +486,6 @@ def test_an_experiment_runs_at_the_chosen_size(databases: Databases, tmp_path: P
     found, same = (json.loads(one.stdout) for one in (first, again))
     assert [one["evaluated"] for one in found["repeats"]] == [100] * 4
     assert same["id"] == found["id"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["--parameter", "population_size", "--values", "5,many"], "population_size"),
-        (["--parameter", "popluation_size", "--values", "5"], "popluation_size"),
-        (["--parameter", "population_size", "--values", "5,5"], "more than once"),
-        (["--parameter", "population_size", "--values", "5", "--t-b", "0.12"], "--t-b"),
-    ],
-)
-def test_setting_that_cannot_be_varied_is_named(tmp_path: Path, arguments: list[str], expected: str) -> None:
-    file = tmp_path / "campaign.yaml"
-    file.write_text(yaml.safe_dump(SENSITIVITY))
-    database = ["--database", f"sqlite:///{tmp_path / 'x.db'}", "--out", str(tmp_path / "out")]
-    said = CliRunner().invoke(app, ["sensitivity", "rerun", str(file), *arguments, *database])
-    assert said.exit_code != 0
-    assert expected in str(said.exception)
 
 
 def diagnose(
@@ -665,32 +608,3 @@ def test_a_missing_plug_in_is_one_line(
     import_plugin_modules.cache_clear()
     assert "brink: plug-in module 'nowhere_plugin'" in said.line
     assert not (tmp_path / "brink.db").exists()
-
-
-@on_sqlite
-@pytest.mark.usefixtures("small_problems")
-def test_status_hides_follow_ups_and_lists_them_below_their_campaign_on_demand(
-    brink: Command, database_url: str
-) -> None:
-    with coordinator(database_url) as client:
-        searched = submit(client, ball(name="searched"))
-        FakeWorker(client).work(searched)
-        number = expect(client.get(f"/api/v1/campaigns/{searched}/solutions"))["solutions"][0]["number"]
-        path = f"/api/v1/campaigns/{searched}/repeats"
-        again = expect(client.post(path, json={"numbers": [number]}), 201)["campaign"]
-    at = ("--database", database_url)
-    listed = brink("status", *at).out
-    assert (searched in listed, again in listed) == (True, False)
-    assert "without 1 follow-up; list them with: brink status --all" in listed
-    assert f"which has {searched} (searched); list" in brink("status", "zzzz", *at).line
-    lines = brink("status", "--all", *at).out.splitlines()
-    above, below = (
-        next(place for place, line in enumerate(lines) if one in line) for one in (searched, again)
-    )
-    assert below == above + 1
-    assert "   searched: solution" in lines[below]
-    assert "without" not in lines[-1]
-    assert {one["id"] for one in json.loads(brink("status", "--json", *at).out)["campaigns"]} == {
-        searched,
-        again,
-    }

@@ -181,21 +181,6 @@ def test_an_experiment_is_deleted_at_once_and_erased_in_pieces(
 
 @pytest.mark.long("runs campaigns")
 @on_sqlite
-@pytest.mark.usefixtures("small_problems", "small_pieces")
-def test_commands_on_the_database_erase_all_before_they_end(database_url: str, engines: Engines) -> None:
-    with coordinator(database_url) as client:
-        campaign, _ = (finish(client, sixty(seed=seed)) for seed in (1, 2))
-    said = run("delete", campaign, "--yes", "--database", database_url)
-    assert f"{campaign}" in said.output
-    assert row_counts(engines)["solutions"] == 60
-    with engines.writer.begin() as connection:
-        connection.execute(update(CampaignRow).values(finished_at=CampaignRow.created_at))
-    assert run("db", "prune", "--ended-days", "0", "--yes", "--database", database_url).exit_code == 0
-    assert {name for name, count in row_counts(engines).items() if count} <= {"workers"}
-
-
-@pytest.mark.long("runs campaigns")
-@on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_what_is_being_erased_is_neither_verified_nor_exported_nor_replaced(
     databases: Databases, tmp_path: Path
@@ -261,30 +246,6 @@ def test_retention_deletes_a_tree_of_follow_ups_when_all_of_it_is_old(
     assert row_counts(engines)["campaigns"] == 0
 
 
-@pytest.mark.long("runs campaigns")
-@on_sqlite
-def test_retention_deletes_an_experiment_when_all_of_it_is_old(
-    client: httpx.Client, engines: Engines, database_url: str
-) -> None:
-    one = ball()
-    document = {
-        "name": "small",
-        "problems": [one["problem"]],
-        "algorithms": [one["algorithm"]],
-        "seeds": [1, 2],
-        "budget": one["budget"],
-    }
-    members = [
-        m["campaign"] for m in expect(client.post("/api/v1/experiments", json=document), 201)["members"]
-    ]
-    FakeWorker(client).work(members[0])
-    let_end_long_ago(engines, members[0])
-    assert pruned(database_url) == [], "the other campaign still runs"
-    FakeWorker(client).work(members[1])
-    let_end_long_ago(engines, members[1])
-    assert set(pruned(database_url)) == set(members)
-
-
 def test_nothing_deletes_a_tree_with_a_campaign_that_has_not_ended(
     client: httpx.Client, engines: Engines
 ) -> None:
@@ -304,22 +265,6 @@ def test_nothing_deletes_a_tree_with_a_campaign_that_has_not_ended(
     expect(client.delete(f"{API}/{first}"), 204)
     for one in (first, repeats, again):
         expect(client.get(f"{API}/{one}"), 404)
-
-
-@pytest.mark.long("runs campaigns")
-@on_sqlite
-@pytest.mark.usefixtures("small_problems")
-def test_what_goes_with_a_campaign_is_named_before_it_is_deleted(database_url: str) -> None:
-    with coordinator(database_url) as client:
-        first, repeats, again = tree(client)
-        expect(client.post(f"{API}/{again}/cancel"))
-    said = CliRunner().invoke(app, ["delete", first, "--database", database_url], input="n\n")
-    assert said.exit_code == 1
-    assert f"follow-up of {first}" in said.output
-    assert f"{again}  " in said.output
-    assert "and 2 follow-ups? This cannot be undone" in said.output
-    with coordinator(database_url) as client:
-        assert expect(client.get(f"{API}/{repeats}"))["status"] == "finished"
 
 
 def test_traces_and_large_distances_are_erased_a_few_at_a_time(

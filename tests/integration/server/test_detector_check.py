@@ -1,8 +1,6 @@
 """`brink tolerance` holds a detector against a search for tolerances: by recordings, and by drives with a camera."""
 
-import base64
 import csv
-import html
 import io
 import json
 import re
@@ -12,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image
 from support.api import coordinator
 from support.databases import Databases, module_on_sqlite
 from support.tolerance import body, camera, finished
@@ -182,30 +179,6 @@ class Page(HTMLParser):
         self.classes += [value or "" for name, value in attrs if name == "class"]
 
 
-def test_the_worst_episodes_are_shown_on_pictures_of_the_recording(check: Checked, tmp_path: Path) -> None:
-    given = ("--detections", recording(tmp_path, drives=2), "--images", tmp_path, "--format", "html")
-    for drive in ("d0", "d1"):
-        (tmp_path / drive).mkdir()
-        for step in range(81):
-            Image.new("RGB", (80, 60), (step, 0, 0)).save(tmp_path / drive / f"{step:06}.png")
-    found = Page(check(*given).stdout)
-    assert len(found.external) == found.tags.count("image") == 2 * 8
-    assert all(one.startswith("data:image/jpeg;base64,") for one in found.external)
-    reds = []
-    for one in found.external[:8]:
-        with Image.open(io.BytesIO(base64.b64decode(one.partition(",")[2]))) as picture:
-            reds.append(picture.getpixel((2, 2))[0])  # type: ignore[index]
-    assert reds == pytest.approx([24, 32, 39, 46, 54, 61, 69, 76], abs=3)  # the steps of the frames
-    (tmp_path / "d1" / "000080.png").unlink()
-    assert (
-        "d1: expected a picture (.png, .jpg, .jpeg) for each of the 81 images of drive d1"
-        in check.refused(*given)
-    )
-    for step in (24, 80):
-        (tmp_path / "d1" / f"{step:06}.png").write_text("no picture")
-    assert "d1/000024.png: expected a picture: " in check.refused(*given)
-
-
 def test_names_are_text_on_the_page(check: Checked, tmp_path: Path) -> None:
     file = recording(tmp_path)
     hostile = tmp_path / "<img src=x onerror=alert(1)>.csv"
@@ -220,27 +193,6 @@ def test_names_are_text_on_the_page(check: Checked, tmp_path: Path) -> None:
     table = check("--detections", hostile, "--format", "csv").stdout
     assert r"<script>\u001b0" in table
     assert "\x1b" not in page.read_text() + text + table
-
-
-def test_the_report_of_the_search_checks_the_detector_of_a_campaign(check: Checked, tmp_path: Path) -> None:
-    view, page = check.view("--episodes", check.camera), tmp_path / "report.html"
-    given = [
-        "report",
-        check.campaign,
-        "--episodes",
-        check.camera,
-        "--database",
-        check.database,
-        "--out",
-        str(page),
-    ]
-    done = CliRunner().invoke(app, given)
-    assert done.exit_code == 0, done.output
-    text = html.unescape(page.read_text())
-    assert "<h2>Does brink-det@2 meet the requirement?</h2>" in text
-    assert view["note"] in text
-    assert all(words in text for words in view["next"])
-    assert 'alt="Shares of drives that errors of this size make violate, against the limit"' in text
 
 
 # The exit status.
@@ -270,29 +222,6 @@ def test_a_threshold_decides_what_counts(check: Checked, tmp_path: Path) -> None
     assert check.cells("--detections", file, "--threshold", "0.3")[key]["typical"] == 0.0
     assert "820 detections, of which 0" not in check("--detections", file, "--threshold", "0.3").stderr
     assert "1,620 detections, of which 0 have a score of at least 0.5" in check("--detections", file).stderr
-
-
-def test_thresholds_are_compared(check: Checked, tmp_path: Path) -> None:
-    file = recording(tmp_path, missed=range(30, 32), score=0.4)
-    shown = check("--detections", file, "--thresholds", "0.5,0.3").stdout
-    lines = [line.split() for line in shown.splitlines()]
-    assert lines[0] == ["threshold", "not", "met", "unknown", "met"]
-    assert [line[0] for line in lines[1:3]] == ["0.3", "0.5"]
-    assert int(lines[1][1]) < int(lines[2][1])
-    assert "cells:" in shown
-    assert "must be checked by others" in shown
-    rows = list(
-        csv.DictReader(
-            io.StringIO(check("--detections", file, "--thresholds", "0.5,0.3", "--format", "csv").stdout)
-        )
-    )
-    assert len(rows) == 16
-    assert {row["threshold"] for row in rows} == {"0.3", "0.5"}
-    both = json.loads(check("--detections", file, "--thresholds", "0.5,0.3", "--json").stdout)
-    assert [one["threshold"] for one in both] == [0.3, 0.5]
-    assert "expected detections with scores, got none that differ" in check.refused(
-        "--detections", file, "--thresholds", "auto"
-    )
 
 
 # Refusals.

@@ -132,6 +132,7 @@ def test_experiments_without_the_section_compute_no_pairs_unless_asked(client: h
     assert expect(client.get(f"{API}/{name}/follow-ups"))["campaigns"] == 0
 
 
+@pytest.mark.long("runs experiments")
 @on_sqlite
 def test_a_campaign_with_too_many_pairs_is_left_out_and_named(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
@@ -178,6 +179,7 @@ def test_follow_ups_that_tell_nothing_are_refused_at_submission(
     assert expect(client.get(API))["experiments"] == []
 
 
+@pytest.mark.long("runs experiments")
 @on_sqlite
 def test_the_command_follows_up_all_campaigns_and_the_report_begins_with_pairs(
     listening_client: httpx.Client, tmp_path: Path
@@ -212,21 +214,3 @@ def test_the_command_follows_up_all_campaigns_and_the_report_begins_with_pairs(
     assert "![Distinct and confirmed pairs by method](figures/pairs.png)" in text
     assert (folder / "figures" / "pairs.png").stat().st_size > 10_000
     assert json.loads((folder / "results.json").read_text())["pairs"]["counted"] == 8
-
-
-@on_sqlite
-def test_what_cannot_be_asked_is_said_once(listening_client: httpx.Client) -> None:
-    mtq = experiment(
-        problems=[{"id": "mtq@1"}],
-        seeds=[1, 2],
-        budget={"simulations": 400},
-        algorithms=[{"id": "random@1", "params": {"generation_size": 100}}],
-    )
-    name = expect(listening_client.post(API, json=mtq), 201)["id"]
-    work(listening_client)
-    arguments = ["experiment", "pairs", name, "--eps", "0.1", "--confirm", "30", "--server"]
-    result = CliRunner(env={"COLUMNS": "300"}).invoke(app, [*arguments, str(listening_client.base_url)])
-    assert result.exit_code == 1
-    assert result.output.count("other seeds give the same verdicts") == 1
-    assert "there is nothing to confirm" in result.output
-    assert "not tried" not in result.output

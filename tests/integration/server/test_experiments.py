@@ -1,7 +1,6 @@
 """Experiments over the API: all of their campaigns or none, and what they found."""
 
 import json
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,6 @@ from typer.testing import CliRunner
 from brink.cli.commands import app
 from brink.search.analysis.paper import PAPER_FRACTIONS
 from brink.server.db.engine import Engines
-from brink.server.db.sql import database_now
-from brink.server.experiments import store
 
 API = "/api/v1/experiments"
 
@@ -67,37 +64,6 @@ def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx
     assert (
         expect(client.get(path))["simulations"] == expect(client.get(f"{API}/{found['id']}"))["simulations"]
     )
-
-
-@pytest.mark.long("runs an experiment")
-def test_what_was_complete_at_a_moment_includes_open_generations(
-    client: httpx.Client, engines: Engines
-) -> None:
-    found = submit(client, seeds=[1])
-    members = [one["campaign"] for one in found["members"]]
-    worker = FakeWorker(client)
-    first = datetime.now(UTC)
-    worker.report(worker.lease(max_jobs=8))
-    with engines.reader.connect() as connection:
-        second = database_now(connection)
-    worker.report(worker.lease(max_jobs=8))
-    more = 0
-    while not any(
-        expect(client.get(f"/api/v1/campaigns/{one}/progress"))["generation"] for one in members
-    ):  # until a generation ends, which moves some of the sixteen out of the open ones
-        more += len(worker.report(worker.lease(max_jobs=8)))
-    later = datetime.now(UTC) + timedelta(minutes=1)
-
-    def completed() -> list[int]:
-        with engines.reader.connect() as connection:
-            read = store.EXPERIMENTS.get(connection, found["id"])
-            campaigns = [one.campaign for one in read.members]
-            return [store.completed_by(connection, campaigns, moment) for moment in (first, second, later)]
-
-    assert completed() == [0, 8, 16 + more]
-    expect(client.post(f"{API}/{found['id']}/cancel"))
-    told = sum(one["simulations"] for one in expect(client.get(f"{API}/{found['id']}"))["members"])
-    assert completed()[2] == told, "jobs that were cancelled are not simulations"
 
 
 def test_an_experiment_is_submitted_with_all_of_its_campaigns(client: httpx.Client, engines: Engines) -> None:

@@ -13,13 +13,12 @@ from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import insert, select
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import Databases, on_sqlite
-from support.problems import REQUIREMENT, small_problems
+from support.problems import small_problems
 
 from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.fitness import wilson_interval
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow
-from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -278,22 +277,6 @@ def test_nearest_neighbours_agree_with_the_distance_matrix(finished: Finished) -
         assert found["looks_for_boundary"]
 
 
-SLOTS: dict[str, Any] = {
-    "name": "slots",
-    "problem": {"id": "slotted-blind@1"},
-    "algorithm": {"id": "random@1", "params": {"generation_size": 50}},
-    "budget": {"simulations": 100},
-    "seed": 3,
-}
-
-
-def strong(job: LeasedJob) -> Completed:
-    """Return an outcome that is unsafe if the first perturbation is strong."""
-    robustness = 0.5 - float(job.spec["behaviour"]["strong"])
-    verdict = WireVerdict(robustness=robustness, unit="m", violated_at_s=None)
-    return Completed(verdicts={REQUIREMENT: verdict}, objectives={"distance": robustness})
-
-
 def scores(client: httpx.Client, campaign: str) -> dict[str, Any]:
     found: dict[str, Any] = expect(
         client.get(f"/api/v1/campaigns/{campaign}/scores", params={"wait_s": 60}), 200
@@ -320,30 +303,3 @@ def test_scores_are_available_once_the_campaign_has_ended(client: httpx.Client) 
         assert [cell["dbs"] for cell in grid] == [figure for row in found["dbs"][-1] for figure in row]
         assert [cell["strict_dbs"] for cell in grid] == [f for row in found["strict"][-1] for f in row]
     expect(client.get("/api/v1/campaigns/nosuch/scores"), 404)
-
-
-def test_scores_compare_the_campaign_with_its_control(client: httpx.Client) -> None:
-    campaign = submit(client, SLOTS)
-    worker = FakeWorker(client, judge=strong)
-    assert worker.work(campaign)["status"] == "finished"
-    answer = client.get(f"/api/v1/campaigns/{campaign}/scores", params={"wait_s": 0})
-    if answer.status_code == 202:
-        assert answer.headers["Retry-After"]
-    found = scores(client, campaign)
-    assert found["control"]["reads_low"], "random search tries one behaviour for each scenario"
-    assert (len(found["says"]), {len(row) for row in found["says"]}) == (len(PAPER_T_BS), {len(D_THS)})
-    assert all("proves nothing" in words for row in found["says"] for words in row)
-
-    experiment = {
-        "name": "one",
-        "problems": [SLOTS["problem"]],
-        "algorithms": [SLOTS["algorithm"]],
-        "seeds": [3],
-        "budget": SLOTS["budget"],
-    }
-    stored = expect(client.post("/api/v1/experiments", json=experiment), 201)
-    assert worker.work(stored["members"][0]["campaign"])["status"] == "finished"
-    path = f"/api/v1/experiments/{stored['id']}/results"
-    (repeat,) = expect(client.get(path, params={"wait_s": 60}))["repeats"]
-    for key in ("dbs", "strict", "control", "evaluated", "unsafe"):
-        assert repeat[key] == found[key], f"{key}: the same campaign with the same seed"

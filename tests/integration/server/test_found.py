@@ -5,13 +5,12 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, ball, eventually, expect, finish, listening_coordinator, progress, submit
+from support.api import FakeWorker, ball, eventually, expect, finish, listening_coordinator, submit
 from support.databases import Databases, on_sqlite
 from support.problems import small_problems
 from support.tolerance import body as tolerance
 from support.tolerance import judge
 from support.traffic import traffic_worker
-from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 
 from brink.search.deadline import check_time
 from brink.server.campaigns.archives import Archives
@@ -19,8 +18,9 @@ from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
 from brink.server.dashboard import found
 from brink.server.dashboard.found import FoundWords
-from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
+
+pytestmark = pytest.mark.long("the words of the list of campaigns")
 
 API = "/api/v1"
 EDGE = {"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}}
@@ -38,10 +38,6 @@ def column(client: httpx.Client, name: str = "found", **params: Any) -> dict[str
     return dict(zip(read["id"], read[name], strict=True))
 
 
-def boundary_solutions(stands: dict[str, Any]) -> int:
-    return int(stands["generations"][-1]["dbs"]) if stands["generations"] else 0
-
-
 def test_pairs_are_counted_and_then_how_many_of_them_hold(client: httpx.Client) -> None:
     campaign = finish(client, ball(name="edge", algorithm=EDGE))
     pairs = expect(client.get(f"{API}/campaigns/{campaign}/pairs"))["distinct"]
@@ -55,23 +51,6 @@ def test_pairs_are_counted_and_then_how_many_of_them_hold(client: httpx.Client) 
         "the follow-up is taken into account",
     )
     assert column(client)[again["campaign"]] == ""
-
-
-def test_a_boundary_is_counted_while_the_search_runs_and_without_pairs_there_is_no_pair(
-    client: httpx.Client,
-) -> None:
-    running = submit(client, ball(simulations=200))
-    FakeWorker(client).work(running, until=lambda stands: boundary_solutions(stands) > 1)
-    dbs = boundary_solutions(progress(client, running))
-    assert column(client) == {running: f"{dbs} boundary solutions"}
-    assert column(client, "about_boundary") == {running: True}
-    FakeWorker(client).work(running)
-    assert boundary_solutions(progress(client, running)) == 1
-    none = finish(
-        client, ball(seed=2, simulations=20, algorithm={"id": "edge@1", "params": {"eps": 0.000001}})
-    )
-    assert column(client) == {running: "1 boundary solution", none: "no pair"}
-    assert column(client, "about_boundary") == {running: True, none: False}
 
 
 def perturbed(job: LeasedJob) -> Completed:
@@ -102,25 +81,6 @@ def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client
     avoidable = sum(kind["avoidable"] == "careful" for kind in types)
     assert found[violations] == f"{avoidable} of {len(types)} types of violations avoidable"
     assert "hazardous chain" in found[chains]
-
-
-def test_the_part_of_the_component_is_told_by_its_follow_up(client: httpx.Client) -> None:
-    given = {
-        "name": "given",
-        "problem": {"id": "urban-injected@1"},
-        "seed": 4,
-        "budget": {"simulations": 4},
-        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE]}},
-    }
-    campaign = submit(client, given)
-    worker = FakeWorker(client, capabilities=(URBAN,), judge=judged)
-    worker.work(campaign)
-    asked = {"kind": "component", "d_th": 0.01}
-    follow_up = expect(client.post(f"{API}/campaigns/{campaign}/pairs/follow-ups", json=asked), 201)[
-        "campaign"
-    ]
-    worker.work(follow_up)
-    assert column(client) == {campaign: "2 unsafe", follow_up: "1 of 2 safe with ground truth"}
 
 
 def test_a_list_that_polls_works_nothing_out_twice_and_waits_for_nothing(

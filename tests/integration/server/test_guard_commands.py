@@ -1,13 +1,11 @@
 """`brink guard fit` and `judge` on a campaign of real drives, and what they refuse."""
 
-import io
 import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from support.api import FakeWorker, coordinator, eventually, expect, progress, submit
 from support.guards import stump_guard
@@ -42,7 +40,6 @@ OTHER: dict[str, Any] = {
     "budget": {"simulations": 20},
 }
 UNSAFE_SHARE = (0.2, 0.8)
-PAIRS = {"generation_size": 5, "in_flight": 1, "checks": 0}
 
 
 def simulate(job: LeasedJob) -> Completed:
@@ -97,24 +94,6 @@ def brink(*arguments: object) -> Result:
 def output(result: Result) -> str:
     assert result.exit_code == 0, (result.output, result.exception)
     return result.stdout
-
-
-@pytest.mark.long("simulates the drives of a search for pairs twice")
-def test_a_guard_is_fitted_to_a_search_for_pairs(sqlite_file: Path, tmp_path: Path) -> None:
-    database = f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'pairs.db')}"
-    with coordinator(database) as client:
-        campaign = submit(
-            client, {**CAMPAIGN, "name": "pairs", "algorithm": {"id": "edge@1", "params": PAIRS}}
-        )
-        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
-        assert worker.work(campaign)["status"] == "finished"
-        exported = client.get(f"/api/v1/campaigns/{campaign}/archive.npz").content
-    with np.load(io.BytesIO(exported)) as archive:
-        assert len(np.unique(archive["seeds"])) < len(archive["seeds"]), "both sides of a pair share chance"
-    file, place = tmp_path / "guard.json", ("--database", database)
-    told = json.loads(output(brink("fit", campaign, "--out", file, *place, "--json")))
-    assert told["drives"] >= DRIVES
-    assert GuardModel.load(file).about["campaigns"] == [campaign]
 
 
 def test_a_guard_is_fitted_to_a_campaign_and_judged_on_fresh_drives(driven: Driven, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from support.guards import drive_with, stump_guard
 from typer.testing import CliRunner
@@ -77,23 +76,6 @@ def test_a_fallback_that_does_nothing_prevents_and_causes_nothing() -> None:
     assert any(one.alarms_s for one in loop.conditions[0].outcomes)
 
 
-def test_drives_are_told_apart_by_whether_the_guard_has_met_their_scenario_and_behaviour() -> None:
-    problem = check_problem(make_problem("urban-injected@1", {}))
-    learned, fresh = random_specs(problem, 400, 1), random_specs(problem, 200, 2)
-    seen = SeenDrives.by({"seen": seen_in(learned).to_json()})
-    assert seen is not None
-
-    parts = seen.parts(fresh)
-
-    assert sum(mask.sum() for mask in parts.values()) == 200
-    known = parts["scenario unseen, behaviour seen"] | parts.get("scenario and behaviour seen", False)
-    silent = np.array([not spec.behaviour["trajectories"] for spec in fresh])
-    assert silent.any()
-    assert (known == silent).all(), "where nothing is reported, the behaviour is one that training has, too"
-    (every,) = seen.parts(learned)
-    assert every == "scenario and behaviour seen"
-
-
 def test_the_same_solution_with_another_seed_is_not_fresh_unless_nothing_is_reported() -> None:
     problem = check_problem(make_problem("urban-injected@1", {}))
     learned = random_specs(problem, 100, 1)
@@ -129,39 +111,6 @@ def test_a_guard_drives_its_own_problem_unless_another_one_is_named() -> None:
     assert chosen(problem="urban-injected@1") == {"id": "urban-injected@1", "params": requirement}
     unfitted = _choice(None, None, {}, ()).model_dump()
     assert unfitted == {"id": "urban-injected@1", "params": {}}
-
-
-def test_the_drives_of_a_guard_with_an_odd_are_within_it(tmp_path: Path) -> None:
-    file = tmp_path / "guard.json"
-    params = {"duration_s": 6.0, "odd": {"scenario.weather": "hard_rain"}}
-    about = {"problem": {"id": "urban-injected@1", "params": params}}
-    replace(stump_guard(), about=about).save(file)
-    stale = tmp_path / "out" / "prevented-7.png"
-    stale.parent.mkdir()
-    stale.touch()
-
-    document = json.loads(
-        called(
-            str(file),
-            "--drives",
-            "2",
-            "--seeds",
-            "1",
-            "--processes",
-            "1",
-            "--threshold",
-            "0.99",
-            "--json",
-            "--out",
-            str(stale.parent),
-            "--pictures",
-            "0",
-        )
-    )
-
-    assert document["problem"]["params"] == {**params, "requirement": ["front-gap@1"]}
-    assert document["recommended"] is None, "a single seed is not enough"
-    assert not stale.exists(), "pictures of an earlier run are removed"
 
 
 def test_a_guard_is_not_driven_on_what_it_was_fitted_to(tmp_path: Path) -> None:

@@ -1,11 +1,9 @@
 """Search on a data set: candidates that are measured rather than simulated, and hazardous chains of perturbations."""
 
-import csv
 import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -15,17 +13,11 @@ from support.api import FakeWorker, coordinator, expect, finish, listening_coord
 from support.databases import Databases
 from support.problems import Slotted, small_problems
 
-import brink
-from brink.cli.findings import CombinationFindings
 from brink.search.algorithm import Candidate, Evaluation, Question
-from brink.search.algorithms.simood import SimoodConfig
-from brink.search.archive import Archive, Neighbourhood, archive_digest
-from brink.search.slots import ChainGenome, Step
+from brink.search.archive import archive_digest
 from brink.search.space import Categorical
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
-from brink.server.findings.combinations.analysis import combinations_view
-from brink.server.findings.combinations.views import Combinations
 from brink.server.problems.base import NoParams
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
@@ -214,49 +206,6 @@ def test_added_harm_of_a_chain_is_how_much_worse_it_is_than_its_worst_part(finis
         assert one["interacts"] == (min(parts) - one["alpha"] >= 0.05 - 1e-9)
     never_measured = [one for one in chains if one["alpha"] is None]
     assert all(one["added_harm"] is None and one["interacts"] is None for one in never_measured)
-
-
-def test_chains_are_a_data_frame_and_a_table(finished: Finished, tmp_path: Path) -> None:
-    found = finished.get("/combinations")
-    frame = brink.connect(str(finished.client.base_url)).campaign(finished.id).result().combinations()
-    assert list(frame["chain"]) == [one["words"] for one in found["combinations"]]
-    assert list(frame["added_harm"].dropna()) == [
-        one["added_harm"] for one in found["combinations"] if one["added_harm"] is not None
-    ]
-    assert [str(frame[name].dtype) for name in ("interacts", "example")] == ["boolean", "Int64"]
-    files = CombinationFindings(Combinations.model_validate(found)).write(tmp_path)
-    assert {file.name for file in files} == {"combinations.json", "combinations.csv", "hazards.csv"}
-    with (tmp_path / "combinations.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["chain"] for row in rows] == list(frame["chain"])
-    added_harms = [
-        "" if one["added_harm"] is None else str(one["added_harm"]) for one in found["combinations"]
-    ]
-    assert [row["added_harm"] for row in rows] == added_harms
-
-
-def test_errors_count_as_added_harm() -> None:
-    space = Slotted(NoParams()).space
-    alphas = {(Step(0, 4),): 0.3, (Step(1, 12),): 0.2, (Step(0, 4), Step(1, 12)): 0.9}
-    genome = ChainGenome.of(space)
-    place = space.sample(np.random.default_rng(0))
-    row = space.join([place[0], genome.row((Step(0, 4), Step(1, 12)))])
-    archive = Archive.empty(space, Neighbourhood(radius=0.3, p_th=0.1, z=1.96)).grown(
-        np.array([0]), row[None], np.array([True]), np.array([-1.0])
-    )
-    found = combinations_view(space, archive, alphas, SimoodConfig(alpha="errors", margin=0.6))
-    (one,) = found.combinations
-    assert (one.alpha, one.interacts) == (0.9, True)
-    assert one.added_harm == pytest.approx(0.6)
-    assert found.margin == 0.6
-    assert "Added harm: how many more errors there are on the data set" in found.explanation
-    (one,) = combinations_view(space, archive, alphas, SimoodConfig(margin=0.0)).combinations
-    assert one.added_harm == pytest.approx(-0.7)
-    assert one.interacts is False
-    found = combinations_view(space, archive, alphas)
-    assert (found.margin, found.combinations[0].interacts) == (None, None), "not a search for interaction"
-    found = combinations_view(space, archive, {}, SimoodConfig())
-    assert (found.combinations[0].interacts, found.explanation) == (None, "")
 
 
 def test_variants_of_a_solution_end_with_the_solution(finished: Finished) -> None:

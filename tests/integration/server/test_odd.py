@@ -12,7 +12,6 @@ import httpx
 import numpy as np
 import pytest
 from support.api import FakeWorker, coordinator, expect, progress, submit
-from support.standards import schema_errors
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -23,7 +22,6 @@ from brink.server.campaigns.plan import make_plan
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.urban_injected import SIMULATOR
 from brink.sim.episode import EpisodeSpec
-from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
@@ -150,34 +148,6 @@ def test_pairs_are_within_the_odd_and_say_so(searched: Searched) -> None:
     assert [sentence in one for one in searched.finding["more"]].count(True) == 1
 
 
-def test_a_drive_with_three_trajectories_is_replayed_and_exported(searched: Searched, tmp_path: Path) -> None:
-    with coordinator(searched.database) as client:
-        page = expect(client.get(f"{API}/{searched.campaign}/solutions", params={"limit": 1000}))
-        three = [one for one in page["solutions"] if one["words"].count("vehicle ") == 3]
-        assert three
-        number = three[0]["number"]
-        found = expect(client.get(f"{API}/{searched.campaign}/solutions/{number}"))
-    assert len(found["spec"]["behaviour"]["trajectories"]) == 3
-    trace = BrinkDrive().run(EpisodeSpec.from_json(found["spec"]), record=True).trace
-    assert trace is not None
-    assert len(Trace.from_bytes(trace).given_boxes.rows)
-    called = [
-        ["replay", searched.campaign, str(number), "--out", str(tmp_path / "replay.png")],
-        ["export", "scenario", searched.campaign, str(number), "--out", str(tmp_path / "scenario")],
-        ["pairs", searched.campaign, "--picture", "1", str(tmp_path / "pair.png")],
-    ]
-    for command in called:
-        told = CliRunner().invoke(app, [*command, "--database", searched.database], catch_exceptions=False)
-        assert told.exit_code == 0, told.output
-    assert (tmp_path / "replay.png").stat().st_size > 10_000
-    assert (tmp_path / "pair.png").stat().st_size > 10_000
-    scenario = tmp_path / "scenario"
-    assert schema_errors(scenario / "scenario.xosc", "OpenSCENARIO_1_2.xsd") == []
-    stated = json.loads((scenario / "verdicts.json").read_text())["odd"]
-    assert stated["scenario.driving_task"] == "follow_road"
-    assert 'scenario.weather: ["clear", "hard_rain"]' in (scenario / "README.txt").read_text()
-
-
 def test_a_warm_start_leaves_out_what_is_outside_the_odd_and_counts_it(searched: Searched) -> None:
     body = {**SEARCH, "name": "warm", "algorithm": {"id": "random@1"}, "budget": {"simulations": 4}}
     wide = {"scenario.weather": ODD["scenario.weather"]}
@@ -203,16 +173,6 @@ def test_a_warm_start_leaves_out_what_is_outside_the_odd_and_counts_it(searched:
         )
     assert refused.status_code == 422
     assert "has no solutions within the ODD" in refused.json()["errors"][0]["message"]
-
-
-def test_a_wrong_odd_is_refused_at_submission(searched: Searched) -> None:
-    problem = {"id": "urban-injected@1", "params": {"odd": {"scenario.weather": "hail"}}}
-    with coordinator(searched.database) as client:
-        answer = client.post(API, json={**SEARCH, "problem": problem})
-    (error,) = answer.json()["errors"]
-    assert answer.status_code == 422
-    assert error["pointer"] == "/problem/params/odd/scenario.weather"
-    assert "expected one of" in error["message"]
 
 
 def test_a_command_adds_limits_to_those_of_the_file(sqlite_file: Path, tmp_path: Path) -> None:

@@ -7,14 +7,12 @@ from typing import Any
 
 import httpx
 import pytest
-from rich.console import Console
 from support.api import FakeWorker, await_erasure, ball, expect, finish, row_counts, submit
 from support.databases import on_sqlite
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.cli.pair_tables import print_pairs
 from brink.report.pair_words import evidence_words, legend
 from brink.search.sequential import exact_interval
 from brink.server.campaigns.body import parse_body
@@ -115,16 +113,6 @@ def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: ht
     assert [one["kind"] for one in last["follow_ups"]] == ["confirm", "confirm"]
 
 
-def test_a_boundary_of_which_no_pair_holds_is_called_chance(client: httpx.Client) -> None:
-    campaign = worked(client, submit(client, body(ICY_SAFE, ICY_UNSAFE, seed_numbers=[2, 2])))
-    assert pairs_of(client, campaign)["chance"] == []
-    worked(client, ask(client, campaign, kind="confirm", d_th=0.01)["campaign"], by_chance)
-    again, none = pairs_of(client, campaign)["chance"]
-    assert again.endswith("2 had the other verdict at least once")
-    assert none.startswith("No pair held with other seeds")
-    assert "of 1 simulated again with other seeds, refuted" in pairs_of(client, campaign)["note"]
-
-
 def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Client) -> None:
     campaign = finished(client)
     before = pairs_of(client, campaign)["pairs"]
@@ -151,6 +139,7 @@ def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Clien
     ]
 
 
+@pytest.mark.long("runs campaigns")
 def test_a_pair_is_pending_while_it_is_undecided_and_drives_are_coming(client: httpx.Client) -> None:
     campaign = finished(client)
     few = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [0, 1, 2, 3], "repeats": 5}), 201)
@@ -177,17 +166,6 @@ def test_a_pair_is_pending_while_it_is_undecided_and_drives_are_coming(client: h
 
 
 @on_sqlite
-def test_few_drives_refute_a_pair_but_confirm_none(client: httpx.Client) -> None:
-    campaign = finished(client)
-    worked(client, ask(client, campaign, kind="confirm", repeats=10, d_th=0.01)["campaign"], by_chance)
-    view = pairs_of(client, campaign)
-    assert sorted(pair["confirmation"]["state"] for pair in view["pairs"]) == ["refuted", "undecided"]
-    assert "0 confirmed, 1 refuted and 1 undecided" in view["note"]
-    words = legend(PairsView.model_validate(view))
-    assert any(term.startswith("undecided: neither") for term in words)
-
-
-@on_sqlite
 def test_drives_that_failed_do_not_confirm_a_pair(client: httpx.Client) -> None:
     """They may have failed because of what happened in them."""
     campaign = finished(client)
@@ -210,15 +188,7 @@ def test_drives_that_failed_do_not_confirm_a_pair(client: httpx.Client) -> None:
         assert again["state"] == "undecided"
 
 
-def test_intervals_of_pairs_are_exact_whatever_the_campaign_says(client: httpx.Client) -> None:
-    given = body(SAFE, UNSAFE, seed_numbers=[0, 0], z=1.0)
-    campaign = worked(client, submit(client, given))
-    worked(client, ask(client, campaign, kind="confirm")["campaign"])
-    [pair] = pairs_of(client, campaign)["pairs"]
-    unsafe = pair["confirmation"]["unsafe"]
-    assert (unsafe["low"], unsafe["high"]) == pytest.approx(exact_interval(15, 15))
-
-
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_differences_between_sides_with_different_seeds_are_not_called_minimal(client: httpx.Client) -> None:
     given = body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 1, 2, 2])
@@ -244,18 +214,6 @@ def test_differences_between_sides_with_different_seeds_are_not_called_minimal(c
 
 
 @on_sqlite
-def test_a_single_pair_that_cannot_be_minimised_is_spoken_of_in_the_singular(
-    listening_client: httpx.Client,
-) -> None:
-    campaign = worked(listening_client, submit(listening_client, body(SAFE, UNSAFE)))
-    command = ["pairs", campaign, "--minimise", "--server", str(listening_client.base_url)]
-    shown = CliRunner().invoke(app, command)
-    assert shown.exit_code == 0, shown.output
-    told = "the pair cannot be minimised: its sides were simulated with different seeds"
-    assert told in " ".join(shown.output.split())
-
-
-@on_sqlite
 def test_an_episode_of_another_campaign_is_not_followed_up(client: httpx.Client) -> None:
     campaign = worked(client, submit(client, body(SAFE, UNSAFE, seed_numbers=[50, 50])))
     detail = ask(client, campaign, 409, kind="component")["detail"]
@@ -263,15 +221,7 @@ def test_an_episode_of_another_campaign_is_not_followed_up(client: httpx.Client)
     assert "ask about that campaign's pairs instead" in detail
 
 
-@on_sqlite
-def test_repeats_of_the_boundary_do_not_stand_in_the_way(client: httpx.Client) -> None:
-    campaign = finish(client, ball(simulations=80))
-    assert expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 2}), 201)["status"] == "running"
-    view = expect(client.get(f"{API}/{campaign}/pairs", params={"eps": 0.2}))
-    assert view["pairs"]
-    assert next(one["reason"] for one in view["offers"] if one["kind"] == "confirm") == ""
-
-
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_what_a_cancelled_follow_up_did_not_simulate_was_not_tried(client: httpx.Client) -> None:
     campaign = finished(client)
@@ -335,6 +285,7 @@ def test_differences_that_do_not_matter_are_reverted(client: httpx.Client) -> No
     assert next(one for one in simulated if one["number"] == less["number"])["verdict"] == "unsafe"
 
 
+@pytest.mark.long("runs campaigns")
 def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client) -> None:
     def offers(campaign: str) -> dict[str, tuple[int, str]]:
         view = pairs_of(client, campaign)
@@ -363,6 +314,7 @@ def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client)
     assert offers(minimal)["minimise"][1] == "no difference can be reverted alone: all pairs are minimal"
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_failed_simulations_claim_nothing(client: httpx.Client) -> None:
     campaign = finished(client)
@@ -381,6 +333,7 @@ def test_failed_simulations_claim_nothing(client: httpx.Client) -> None:
     assert (told["state"], told["unsafe"]) == ("undecided", None)
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> None:
     algorithm = {"id": "random@1", "params": {"generation_size": 100}}
@@ -452,6 +405,7 @@ def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines
     assert (counts["campaigns"], counts["repeats"], counts["solutions"]) == (0, 0, 0)
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Client) -> None:
     campaign = finished(listening_client)
@@ -498,16 +452,3 @@ def test_a_repeated_campaign_with_ground_truth_keeps_it(client: httpx.Client) ->
     assert [spec["behaviour"]["mode"] for spec in specs] == ["oracle", "oracle"]
     refused = expect(client.post(API, json={**ball(), "ground_truth": True}), 422)
     assert refused["errors"][0]["pointer"] == "/ground_truth"
-
-
-def test_pairs_say_what_they_do_not_say_of_a_detector_of_ones_own(client: httpx.Client) -> None:
-    campaign = finished(client)
-    view = pairs_of(client, campaign)
-    assert "not that yours does" in view["caveat"]
-    assert "urban-camera@1" in view["caveat"]
-    screen = Console(record=True, width=80)
-    print_pairs(screen, PairsView.model_validate(view))
-    assert view["caveat"] in screen.export_text()
-    asked = ask(client, campaign, kind="component", d_th=0.01)
-    worked(client, asked["campaign"])
-    assert pairs_of(client, asked["campaign"])["caveat"] == "", "there is no component in these drives"

@@ -13,22 +13,12 @@ from typer.testing import CliRunner
 import brink.report.pair_pictures
 from brink.api.live import Steps
 from brink.cli.commands import app
-from brink.cli.pair_pictures import chosen_pair
 from brink.pictures.pair_view import STILL_WIDTH_PX
 from brink.plots.style import WIDTH_PX
-from brink.report.pair_pictures import facts, findings, headline, share_words
-from brink.search.analysis.confirmation import Confirmation
-from brink.server.errors import InvalidInput
-from brink.server.findings.follow_ups import ShareView
-from brink.server.findings.pairs.views import (
-    ComponentPart,
-    ComponentView,
-    ConfirmationView,
-    Minimality,
-    MinimalityView,
-    PairsView,
-)
+from brink.server.findings.pairs.views import PairsView
 from brink.sim.trace import Trace
+
+pytestmark = pytest.mark.long("runs a campaign and draws")
 
 CAMPAIGN = {
     "name": "disc",
@@ -146,17 +136,6 @@ def test_what_cannot_be_drawn_is_refused_with_what_can(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_pair_is_chosen_by_its_number_wherever_it_is_listed(disc: tuple[str, list[str]]) -> None:
-    view = view_of(disc)
-    turned = view.model_copy(update={"pairs": view.pairs[::-1]})
-    assert chosen_pair(turned, 2, "--picture").place == 2
-    few = view.model_copy(update={"pairs": view.pairs[1:]})
-    with pytest.raises(
-        InvalidInput, match=r"--picture: expected one of the \d+ pairs with the best evidence, got 1"
-    ):
-        chosen_pair(few, 1, "--picture")
-
-
 @pytest.mark.parametrize("option", ["--picture", "--film"])
 def test_an_option_that_is_given_twice_is_refused_before_anything_is_drawn(
     option: str, tmp_path: Path
@@ -166,97 +145,3 @@ def test_an_option_that_is_given_twice_is_refused_before_anything_is_drawn(
     assert said.exit_code == 2
     assert f"'{option}': expected it once; use one call for each" in said.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_headline_leaves_out_the_outcome_of_a_long_change(disc: tuple[str, list[str]]) -> None:
-    pair = view_of(disc).pairs[0]
-    assert headline(pair) == f"{pair.words[0].upper()}{pair.words[1:]}"
-    long = pair.model_copy(update={"change": "a " * 90, "words": f"{'a ' * 90}: {'b ' * 40}"})
-    assert headline(long) == f"A {'a ' * 89}"
-
-
-def test_shares_and_facts_say_what_is_known(disc: tuple[str, list[str]]) -> None:
-    view = view_of(disc)
-    assert facts(view, view.pairs[0])[0].startswith(f"Pair 1 of {view.distinct} of disc.")
-    minimal = view.pairs[0].model_copy(
-        update={"minimality": MinimalityView(state=Minimality.MINIMAL, tried=2)}
-    )
-    assert facts(view, minimal)[-1] == "No part of the change can be left out (tried by simulation)."
-    share = ShareView(evaluated=10, unsafe=1, probability=0.1, low=0.018, high=0.404)
-    assert share_words(share) == (
-        "unsafe in 1 of 10 simulations with other seeds: 10%, 90% interval 2 to 40%"
-    )
-    assert share_words(ShareView(evaluated=0, unsafe=0, probability=None, low=0.0, high=1.0)) == ""
-
-
-@pytest.mark.parametrize(
-    ("state", "outcome", "words"),
-    [
-        (ComponentPart.COMPONENT, "front gap held", "keeps the front gap: the component"),
-        (
-            ComponentPart.COMPONENT,
-            "front gap held; stood still too long at 14.4 s",
-            "keeps the front gap (but stood still too long at 14.4 s): the component",
-        ),
-        (
-            ComponentPart.SCENARIO,
-            "violated the front gap at 5.5 s",
-            "is unsafe too (violated the front gap at 5.5 s): the scenario",
-        ),
-    ],
-)
-def test_the_findings_say_what_is_to_blame(
-    disc: tuple[str, list[str]], state: ComponentPart, outcome: str, words: str
-) -> None:
-    pair = view_of(disc).pairs[0]
-    assert findings(pair) == []
-    known = pair.model_copy(update={"component": ComponentView(state=state, outcome=outcome)})
-    assert findings(known) == [
-        f"With true perception and the same seed, this drive {words} is to blame, judged with this one seed."
-    ]
-
-
-@pytest.mark.parametrize(
-    ("state", "safe", "unsafe", "words"),
-    [
-        (Confirmation.CONFIRMED, 0, 10, "Confirmed with 10 other seeds each side."),
-        (
-            Confirmation.REFUTED,
-            7,
-            10,
-            "Refuted, so chance has a part: with other seeds, the safe side was unsafe in 7 of 10.",
-        ),
-        (
-            Confirmation.REFUTED,
-            6,
-            3,
-            "Refuted, so chance has a part: with other seeds, the safe side was unsafe in 6 of 10 and the unsafe "
-            "side in only 3 of 10.",
-        ),
-        (Confirmation.UNDECIDED, 1, 9, "Undecided with 10 other seeds each side: chance may decide."),
-    ],
-)
-def test_the_findings_say_whether_other_seeds_confirm_the_pair(
-    disc: tuple[str, list[str]], state: Confirmation, safe: int, unsafe: int, words: str
-) -> None:
-    shares = [
-        ShareView(evaluated=10, unsafe=n, probability=n / 10, low=0.0, high=1.0) for n in (safe, unsafe)
-    ]
-    view = view_of(disc).model_copy(update={"computed": False})
-    pair = view.pairs[0].model_copy(
-        update={"confirmation": ConfirmationView(state=state, safe=shares[0], unsafe=shares[1])}
-    )
-    assert findings(pair) == [words]
-    assert not any("search" in fact for fact in facts(view, pair)), "the search saw fewer drives"
-
-
-@pytest.mark.parametrize("checked", [True, False])
-def test_the_facts_say_how_often_the_search_simulated_both_sides(
-    disc: tuple[str, list[str]], checked: bool
-) -> None:
-    view = view_of(disc)
-    pair = view.pairs[0].model_copy(update={"checked": checked})
-    assert not any("search" in fact for fact in facts(view, pair)), "chance has no part in computed verdicts"
-    [told] = [fact for fact in facts(view.model_copy(update={"computed": False}), pair) if "search" in fact]
-    assert ("both verdicts held" in told) is checked
-    assert ("chance may decide" in told) is not checked

@@ -13,17 +13,12 @@ from typer.testing import CliRunner
 
 import brink.cli.pair_findings
 from brink.api.client import Api
-from brink.api.live import CampaignDisplay
 from brink.api.results import NoTrace, fetch_archive
 from brink.cli.commands import app
 from brink.cli.options import with_api
 from brink.cli.pair_findings import PairFindings, fetch_pair_findings
-from brink.cli.pair_tables import pairs_table
-from brink.cli.pairs import fetch_pairs
 from brink.report.figures import Drawing
-from brink.report.pair_words import legend
 from brink.search import surrogate
-from brink.server.api.schemas import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +57,7 @@ def database(sqlite_file: Path, tmp_path: Path) -> str:
     return f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'runs.db')}"
 
 
-pytestmark = pytest.mark.usefixtures("few_trees")
+pytestmark = [pytest.mark.long("runs campaigns"), pytest.mark.usefixtures("few_trees")]
 
 SEARCH = {"id": "edge@1", "params": {"eps": 0.01}}
 
@@ -102,39 +97,6 @@ def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(searched
     assert "--confirm" not in shown, "other seeds give the same verdicts"
 
 
-def test_the_table_says_what_both_sides_share_and_explains_its_terms(searched: Searched) -> None:
-    campaign, database = searched.campaign, searched.database
-    results = CliRunner().invoke(app, ["results", campaign, "--database", database]).stdout
-    assert f"brink pairs {campaign}" in results, "boundary solutions are not what it looked for"
-    found = with_api(None, database, lambda api: fetch_pairs(api, campaign))
-    pair = found.pairs[0]
-    scenario = "Long left bend (road 0), night; task: take the first exit"
-    told = pair.model_copy(update={"common": scenario})
-    view = found.model_copy(update={"pairs": [told], "terms": "reported: true or not", "computed": False})
-    screen = Console(record=True, width=200)
-    screen.print(pairs_table(view))
-    text = screen.export_text()
-    assert f"in both: {scenario} " in text
-    assert "detected" not in text
-    assert legend(view)[0] == "reported: true or not"
-    assert "by the requirement of the campaign alone" in legend(view)[1]
-    assert legend(found.model_copy(update={"pairs": []})) == [], "nothing to explain"
-    assert not [words for words in legend(view) if words.startswith("confirmed 0/15")]
-    pending = legend(view.model_copy(update={"pending": 1}))
-    assert [words for words in pending if words.startswith("confirmed 0/15")], (
-        "the counts stand there already"
-    )
-
-
-def test_another_search_reports_its_pairs_in_one_line(database: str, tmp_path: Path) -> None:
-    shown = run(tmp_path, database, {"id": "random@1"}, "--no-pictures", simulations=100)
-    [line] = [line for line in shown.splitlines() if line.startswith("pairs across the boundary: ")]
-    assert (
-        "no pair within eps 0.02: the nearest solutions with opposite verdicts" in line or "distinct" in line
-    )
-    assert "DBS (strict DBS)" in shown
-
-
 def test_without_a_pair_nothing_is_written_and_the_summary_says_why(database: str, tmp_path: Path) -> None:
     shown = run(tmp_path, database, {"id": "edge@1"}, "--no-pictures", simulations=60)
     assert "distinct boundary solution" in shown or "boundary.csv" not in shown, "an empty table says nothing"
@@ -146,40 +108,6 @@ def test_without_a_pair_nothing_is_written_and_the_summary_says_why(database: st
     assert not [file for file in told["files"] if "pair" in Path(file).name]
     [wider] = [line.split()[4] for line in shown.splitlines() if " --eps " in line]
     assert told["pairs"]["nearest"]["distance"] <= float(wider) <= 1.1 * told["pairs"]["nearest"]["distance"]
-
-
-def test_too_many_pairs_cost_one_line_and_nothing_else(
-    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("brink.search.analysis.pairs.MOST_DISTINCT", 0)
-    close = {"id": "edge@1", "params": {"eps": 0.1, "d_th": 0.0}}
-    shown = run(tmp_path, database, close, simulations=80)
-    told = "more than 0 distinct pairs at d_th 0: choose a larger d_th or a smaller eps"
-    assert shown.count(told) == 1
-    assert "/query" not in shown
-    assert "--d-th 0.2" in shown, "what to try next"
-    [folder] = tmp_path.glob("disc-*")
-    names = {path.name for path in folder.iterdir()}
-    assert {"map.png", "archive.npz"} <= names
-    assert not names & {"pairs.jsonl", "pairs.csv", "pair-1.png", "dbs.png", "parameters.png"}
-    again = json.loads(run(tmp_path, database, close, "--json", "--resume", "--no-pictures", simulations=80))
-    assert again["pairs"]["searched"]
-    assert told in again["pairs"]["too_many"]
-    out = tmp_path / "plots"
-    drawn = CliRunner().invoke(app, ["plot", again["campaign"], "--out", str(out), "--database", database])
-    assert drawn.exit_code == 0, drawn.output
-    assert told in " ".join(drawn.stderr.split())
-    assert (out / "map.png").is_file()
-
-
-def test_another_search_with_too_many_pairs_says_so_and_keeps_its_boundary(
-    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("brink.search.analysis.pairs.MOST_TIGHT", 0)
-    shown = run(tmp_path, database, {"id": "random@1"}, "--no-pictures")
-    assert "within eps 0.02: choose a smaller eps" in shown
-    assert "--eps 0.01" in shown
-    assert "DBS (strict DBS)" in shown
 
 
 def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
@@ -203,27 +131,6 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
     screen = Console(record=True, width=120)
     found.show(screen)
     assert "no picture of pair 1: the episode of solution 3 failed" in screen.export_text()
-
-
-def test_progress_of_a_search_for_pairs_does_not_speak_of_the_boundary(searched: Searched) -> None:
-    campaign, database = searched.campaign, searched.database
-    shown = CliRunner().invoke(app, ["status", campaign, "--database", database]).stdout
-    assert f"searched for pairs across the boundary; show them with: brink pairs {campaign}" in " ".join(
-        shown.split()
-    )
-    assert "distinct" not in shown
-
-    async def progress(api: Api) -> Progress:
-        return await api.read(Progress, f"/campaigns/{campaign}/progress")
-
-    found = with_api(None, database, progress)
-    screen = Console(record=True, width=160)
-    with CampaignDisplay(screen) as display:
-        display.show(found)
-    line = screen.export_text()
-    assert "unsafe" in line
-    assert "fitness" not in line
-    assert "strict" not in line
 
 
 def test_a_follow_up_brings_the_files_of_the_run_up_to_date(
@@ -270,10 +177,3 @@ def test_the_evidence_of_a_search_for_pairs_is_its_pairs(searched: Searched, tmp
     assert "![Pair 2](pairs/pair-2.png)" in readme
     assert "![Pair 3]" not in readme
     assert "## The unsafe region" in readme
-
-
-@pytest.mark.parametrize("command", ["results", "compare", "repeats"])
-def test_commands_about_the_boundary_say_where_the_pairs_are(searched: Searched, command: str) -> None:
-    shown = CliRunner().invoke(app, [command, searched.campaign, "--database", searched.database])
-    assert "this campaign searched for pairs across the boundary; " in shown.stdout
-    assert f"brink pairs {searched.campaign}" in shown.stdout

@@ -36,13 +36,12 @@ from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.checks import PLUGIN_CHECKS_AT_ONCE, SLOW_AT_ONCE
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, WorkerRow
-from brink.server.operations.prune import prune
 from brink.server.queue import service
 from brink.server.queue.wakeups import Wakeups
 from brink.server.states import CampaignStatus, JobKind
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Ragged, Trace
+from brink.sim.trace import Ragged, Trace
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 R = TypeVar("R")
@@ -96,20 +95,6 @@ def test_request_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     worker.report(worker.lease(wait_s=20))
     asking.join()
     assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
-
-
-def test_deleted_trace_can_be_made_again(client: httpx.Client, engines: Engines) -> None:
-    worker = FakeWorker(client, judge=traces(b"the trace"))
-    campaign = finish(client, UNTRACED, worker.judge)
-    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
-    assert client.post(path).status_code == 202
-    assert worker.report(worker.lease()) == ["accepted"]
-    with engines.writer.begin() as connection:
-        pruned = prune(connection, ended=None, traces=timedelta(days=-1), really=True)
-    assert pruned.traces == 1
-    assert client.post(path).status_code == 202
-    assert worker.report(worker.lease()) == ["accepted"]
-    assert client.get(path, params={"wait_s": 0}).content == b"the trace"
 
 
 def test_capable_worker_behind_another_is_woken(
@@ -280,9 +265,6 @@ def test_cancelled_campaign_still_makes_traces(client: httpx.Client) -> None:
     assert worker.lease() == []
 
 
-OBSTACLE_COLUMNS = ("yaw_rad", "drawn_length_m", "drawn_width_m", "ghost")
-
-
 @dataclass(slots=True)
 class Ended:
     """A finished campaign of which each test has the trace of another solution kept."""
@@ -355,28 +337,6 @@ def test_episode_has_the_trace_in_columns(ended: Ended) -> None:
     assert found["words"]["report"] == "injected"
 
 
-def test_boxes_and_obstacles_are_grouped_by_sample(ended: Ended) -> None:
-    trace = make_trace(samples=80)
-    found = ended.episode(trace)
-    for name, ragged, columns in (
-        ("seen", trace.seen_boxes, BOX_COLUMNS),
-        ("given", trace.given_boxes, BOX_COLUMNS),
-        ("perceived", trace.perceived, (*PERCEIVED_COLUMNS, *OBSTACLE_COLUMNS)),
-    ):
-        assert found[name]["first"] == ragged.first.tolist()
-        assert tuple(found[name]["columns"]) == columns
-        assert found[name]["columns"][columns[2]] == pytest.approx(ragged.rows[:, 2], abs=0.051)
-    camera = found["camera"]
-    assert (camera["width_px"], camera["focal_px"], camera["horizon_px"]) == (800, 400, 300)
-
-
-def test_unbounded_robustness_is_null(ended: Ended) -> None:
-    trace = make_trace(samples=40)
-    unbounded = np.full(40, np.inf, np.float32)
-    found = ended.episode(replace(trace, robustness={**trace.robustness, "red-light@1": unbounded}))
-    assert found["robustness"]["red-light@1"] == [None] * 40
-
-
 def test_film_has_boxes_and_serves_its_pictures_one_by_one(ended: Ended) -> None:
     path = ended.kept(filmed(make_trace(samples=40)).to_bytes())
     film = expect(ended.client.get(f"{path}/episode"))["film"]
@@ -396,15 +356,6 @@ def test_film_has_boxes_and_serves_its_pictures_one_by_one(ended: Ended) -> None
         assert picture.headers["x-content-type-options"] == "nosniff"
         assert picture.content == grey_jpeg(64 + 8 * index)
     assert "has 3 pictures" in expect(ended.client.get(f"{path}/pictures/3.jpg"), 404)["detail"]
-
-
-def test_without_film_or_trace_there_are_no_pictures(client: httpx.Client, engines: Engines) -> None:
-    path = Ended(client, finish(client, UNTRACED)).kept(make_trace(samples=40).to_bytes())
-    expect(client.get(f"{path}/pictures/0.jpg"), 404)
-    with engines.writer.begin() as connection:
-        prune(connection, ended=None, traces=timedelta(days=-1), really=True)
-    assert "no trace" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
-    expect(client.get(path.removesuffix("/0") + "/9999/pictures/0.jpg"), 404)
 
 
 def test_picture_that_is_no_jpeg_is_not_served(ended: Ended) -> None:
