@@ -16,6 +16,7 @@ from typing import Protocol
 from brink.sim.driving.interface import LightState
 from brink.sim.episode import Json, Verdict
 from brink.sim.errors import SimulationCrashed
+from brink.sim.plane import half_extents_m
 
 REQUIRED_GAP_M = 1.5
 LANE_TOLERANCE_M = 0.2
@@ -310,10 +311,7 @@ class LaneKeeping(Margin):
 
     def robustness_at(self, sample: WorldSample) -> float:
         """Return how far the body is inside the lane, plus the tolerance."""
-        error = sample.heading_error_rad
-        reach_m = 0.5 * (
-            sample.ego_width_m * abs(math.cos(error)) + sample.ego_length_m * abs(math.sin(error))
-        )
+        _, reach_m = half_extents_m(sample.ego_length_m, sample.ego_width_m, sample.heading_error_rad)
         to_left = sample.lane_left_m - sample.offset_m - reach_m
         to_right = sample.offset_m - reach_m - sample.lane_right_m
         return min(to_left, to_right) + self._tolerance_m

@@ -10,6 +10,7 @@ import numpy as np
 from brink.pictures.scene import Points, gap_to, is_car, plain_name, spec_part
 from brink.pictures.story import runs
 from brink.sim.encounter.specification import ACTION_WORDS, REFERENCE
+from brink.sim.plane import half_extents_m
 from brink.sim.requirements import LANE_TOLERANCE_M, STANDS_BELOW_MPS
 from brink.sim.trace import ACTION, Trace
 
@@ -158,5 +159,5 @@ def _offset(trace: Trace, sample: int) -> tuple[float, float]:
     dx, dy = (float(value) for value in trace.ego[sample, :2] - trace.route[near])
     error = float(trace.ego[sample, 2]) - yaw_rad
     length_m, width_m = trace.ego_size_m
-    corner_m = 0.5 * (width_m * abs(np.cos(error)) + length_m * abs(np.sin(error)))
-    return dy * float(np.cos(yaw_rad)) - dx * float(np.sin(yaw_rad)), float(corner_m)
+    _, corner_m = half_extents_m(length_m, width_m, error)
+    return dy * float(np.cos(yaw_rad)) - dx * float(np.sin(yaw_rad)), corner_m

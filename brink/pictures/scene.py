@@ -18,6 +18,7 @@ from brink.sim.driving.camera import Camera
 from brink.sim.episode import Json
 from brink.sim.errors import SimulatorError
 from brink.sim.perception_errors import MODE
+from brink.sim.plane import Rectangle, approaches, overlaps
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import ActorTrack, Film, Trace
 from brink.sim.verdict import Impact
@@ -442,8 +443,8 @@ def impact_at(trace: Trace, sample: int, actor: int) -> Impact | None:
     x_m, y_m, yaw_rad, speed_mps = (float(value) for value in other.motion[sample, :4])
     ego = np.asarray(trace.ego[sample, :4], dtype=np.float64)
     body = outline(x_m, y_m, yaw_rad, other.length_m, other.width_m)
-    _, feet, distance = _corners_to_edges(ego[None, :2], body)
-    dx, dy = (feet[distance.argmin()] - ego[:2]).tolist()
+    _, middle, nearest = min(approaches([(float(ego[0]), float(ego[1]))], body.tolist()))
+    dx, dy = nearest[0] - middle[0], nearest[1] - middle[1]
     cosine, sine = np.cos(ego[2]), np.sin(ego[2])
     length_m, width_m = trace.ego_size_m
     return Impact.of(
@@ -503,8 +504,8 @@ def obstacles_on(scene: EpisodeScene, sample: int, actor: int) -> list[int]:
     for row in range(trace.perceived.first[sample], trace.perceived.first[sample + 1]):
         label, at_x_m, at_y_m = (float(value) for value in trace.perceived.rows[row, 1:4])
         near = not injected and np.hypot(at_x_m - x_m, at_y_m - y_m) < _MATCH_M
-        if (near and _ACTOR_KINDS[label_index(label)] == other.kind) or _overlap(
-            obstacle_outline(scene, row), body
+        if (near and _ACTOR_KINDS[label_index(label)] == other.kind) or overlaps(
+            obstacle_outline(scene, row).tolist(), body.tolist()
         ):
             found.append(row)
     return found
@@ -522,7 +523,7 @@ def found_at(scene: EpisodeScene, sample: int, row: int) -> tuple[str, ...]:
         and row in obstacles_on(scene, sample, index)
     ]
     parked = (s.points.astype(np.float64) for s in trace.scene if s.kind == PARKED and len(s.points) > 2)
-    if any(_overlap(box, corners) for corners in parked):
+    if any(overlaps(box.tolist(), corners.tolist()) for corners in parked):
         found.append(PARKED)
     return tuple(dict.fromkeys(found))
 
@@ -553,10 +554,8 @@ def outline(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: fl
     Returns:
         Corners front left, front right, rear right, rear left, shape ``(4, 2)``.
     """
-    local = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (length_m / 2, width_m / 2)
-    cosine, sine = np.cos(yaw_rad), np.sin(yaw_rad)
-    world: Points = local @ np.array([[cosine, sine], [-sine, cosine]]) + (x_m, y_m)
-    return world
+    rectangle = Rectangle(float(x_m), float(y_m), float(yaw_rad), 0.5 * float(length_m), 0.5 * float(width_m))
+    return np.array(rectangle.corners())
 
 
 def closest_points(one: Points, other: Points) -> tuple[Points, Points, float]:
@@ -571,38 +570,15 @@ def closest_points(one: Points, other: Points) -> tuple[Points, Points, float]:
     Returns:
         A point of each polygon, shape ``(2,)``, and the distance; 0 if the polygons overlap.
     """
-    if _overlap(one, other):
+    first, second = one.tolist(), other.tolist()
+    if overlaps(first, second):
         middle = (one.mean(axis=0) + other.mean(axis=0)) / 2
         return middle, middle, 0.0
-    from_one, on_other, distance = _corners_to_edges(one, other)
-    from_other, on_one, back = _corners_to_edges(other, one)
-    starts = np.vstack([from_one, on_one])
-    ends = np.vstack([on_other, from_other])
-    distances = np.concatenate([distance, back])
-    least = float(distances.min())
-    tied = distances <= least + _TIED_M
-    return starts[tied].mean(axis=0), ends[tied].mean(axis=0), least
-
-
-def _corners_to_edges(corners: Points, polygon: Points) -> tuple[Points, Points, Points]:
-    """Return each corner with its closest point on each edge: points ``(k * l, 2)`` twice, distances ``(k * l,)``."""
-    along = np.roll(polygon, -1, axis=0) - polygon
-    square = np.maximum((along**2).sum(axis=1), 1e-12)
-    offset = corners[:, None, :] - polygon[None, :, :]
-    fraction = np.clip((offset * along).sum(axis=2) / square, 0.0, 1.0)
-    foot = (polygon + fraction[..., None] * along).reshape(-1, 2)
-    start = np.repeat(corners, len(polygon), axis=0)
-    return start, foot, np.hypot(*(start - foot).T)
-
-
-def _overlap(one: Points, other: Points) -> bool:
-    for polygon in (one, other):
-        edges = np.roll(polygon, -1, axis=0) - polygon
-        for normal in np.column_stack([-edges[:, 1], edges[:, 0]]):
-            a, b = one @ normal, other @ normal
-            if a.max() < b.min() or b.max() < a.min():
-                return False
-    return True
+    found = [*approaches(first, second)]
+    found += [(apart_m, on_one, on_other) for apart_m, on_other, on_one in approaches(second, first)]
+    least = min(apart_m for apart_m, *_ in found)
+    tied = np.array([points for apart_m, *points in found if apart_m <= least + _TIED_M])
+    return tied[:, 0].mean(axis=0), tied[:, 1].mean(axis=0), least
 
 
 def shared_area(one: Sequence[float], other: Sequence[float], margin: float = 0.0) -> float:

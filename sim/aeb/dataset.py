@@ -39,16 +39,16 @@ from brink.sim.aeb.specification import (
 )
 from brink.sim.aeb.street import CRUISE_MPS, KERB_M, LANE_M, LANE_Y_M, PERSON_SIZE_M, STRIP_M, make_street
 from brink.sim.bullet.engine import bullet_versions
-from brink.sim.encounter.witness import Rectangle, signed_gap_m
 from brink.sim.episode import EpisodeResult, EpisodeSpec, parse_integer
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.perception.boxes import GroundTruth, LabelledFrame, curves
 from brink.sim.perception.detector import LABELS, Picture, find_detector
 from brink.sim.perception.user_files import CocoPicture, DatasetError, read_coco, sample_evenly
 from brink.sim.perturbations import Pipeline
+from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.provenance import provenance
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.scene import Body, BodyKind, Furniture, Light, PictureCamera, StreetScene, Viewpoint
+from brink.sim.rendering.scene import Body, BodyKind, Light, PictureCamera, StreetScene, Viewpoint
 from brink.sim.world.ego import EGO_CAR
 from brink.sim.world.scenario import TimeOfDay, Weather
 
@@ -113,7 +113,7 @@ def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Ite
         PictureCamera(width_px=width_px, height_px=width_px * SIZE_PX[1] // SIZE_PX[0]),
         int(split) * 10**6 + int(rng.integers(10**6)),
     )
-    standing = [*map(_rectangle, scene.parked), *map(_rectangle, scene.furniture)]
+    standing = [*map(Rectangle.of, scene.parked), *map(Rectangle.of, scene.furniture)]
     people_from = 10_000
     for time_s in np.sort(rng.uniform(0.0, 12.0, FRAMES_A_STREET)).tolist():
         x_m = CRUISE_MPS * time_s
@@ -126,16 +126,14 @@ def _street_frames(split: Split, rng: np.random.Generator, width_px: int) -> Ite
             pitch_rad=float(rng.normal(0.0, 0.01)),
         )
         ego = Rectangle(view.x_m, view.y_m, view.yaw_rad, 0.5 * EGO_CAR.length_m, 0.5 * EGO_CAR.width_m)
-        bodies = _without_overlaps([body for body in moved if _stands_free(_rectangle(body), ego, standing)])
+        bodies = _without_overlaps(
+            [body for body in moved if _stands_free(Rectangle.of(body), ego, standing)]
+        )
         for index in range(int(rng.integers(3, 11))):
-            taken = [*standing, *(_rectangle(body) for body in bodies)]
+            taken = [*standing, *(Rectangle.of(body) for body in bodies)]
             person = _person_in_free_space(people_from + index, ego, taken, split, rng)
             bodies += [] if person is None else [person]
         yield label_frame(renderer.frame(view, bodies, time_s))
-
-
-def _rectangle(body: Body | Furniture) -> Rectangle:
-    return Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
 
 
 def _without_overlaps(bodies: list[Body]) -> list[Body]:
@@ -171,7 +169,7 @@ def _person_in_free_space(
     """Return a person who stands in nothing and nobody, or None if several draws find no such place."""
     for _ in range(_DRAWS):
         person = _person(number, ego.x_m, split, rng)
-        place = _rectangle(person)
+        place = Rectangle.of(person)
         if _stands_free(place, ego, taken):
             return person
     return None

@@ -14,6 +14,7 @@ from brink.sim.aeb.recorder import AebRecorder
 from brink.sim.aeb.sight import Observation, Sight
 from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_M, LANE_Y_M, Actor, Street
 from brink.sim.bullet.engine import BodyId, Box, Engine
+from brink.sim.plane import half_extents_m
 from brink.sim.rendering.scene import Body, BodyKind
 from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
 from brink.sim.world.ego import STEP_S as PHYSICS_STEP_S
@@ -122,9 +123,7 @@ class WorldMonitor:
 
     def _expects(self, actor: Actor) -> bool:
         ego, body = self._ego, actor.body
-        cos, sin = abs(math.cos(body.yaw_rad)), abs(math.sin(body.yaw_rad))
-        half_along = 0.5 * (body.length_m * cos + body.width_m * sin)
-        half_across = 0.5 * (body.length_m * sin + body.width_m * cos)
+        half_along, half_across = half_extents_m(body.length_m, body.width_m, body.yaw_rad)
         vx = actor.speed_mps * math.cos(body.yaw_rad)
         vy = actor.speed_mps * math.sin(body.yaw_rad)
         for tenth in range(round(LOOK_AHEAD_S / 0.1) + 1):

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.plane import Rectangle
 
 
 class Body(NamedTuple):
@@ -117,7 +118,8 @@ class Camera:
             or abs(left) > half_tan * depth + reach * (1 + half_tan)
         ):
             return None
-        footprint = _footprint(depth, left, body, body.yaw_rad - yaw_rad)
+        turn_rad = body.yaw_rad - yaw_rad
+        footprint = Rectangle(depth, left, turn_rad, 0.5 * body.length_m, 0.5 * body.width_m).corners()
         near = self.near_m
         for corner_depth, corner_left in footprint:
             if corner_depth < near or abs(corner_left) > half_tan * corner_depth:
@@ -174,20 +176,6 @@ class Camera:
 
 def _by_depth(sight: Sighting) -> tuple[float, int]:
     return sight.depth_m, sight.body
-
-
-def _footprint(depth: float, left: float, body: Body, turn_rad: float) -> list[tuple[float, float]]:
-    """Return the corners of a footprint as (depth, left) in the camera's frame, in order around it."""
-    cos_turn, sin_turn = math.cos(turn_rad), math.sin(turn_rad)
-    half_length, half_width = body.length_m / 2, body.width_m / 2
-    along_depth, along_left = half_length * cos_turn, half_length * sin_turn
-    across_depth, across_left = -half_width * sin_turn, half_width * cos_turn
-    return [
-        (depth + along_depth + across_depth, left + along_left + across_left),
-        (depth + along_depth - across_depth, left + along_left - across_left),
-        (depth - along_depth - across_depth, left - along_left - across_left),
-        (depth - along_depth + across_depth, left - along_left + across_left),
-    ]
 
 
 def _clipped(polygon: list[tuple[float, float]], near: float, half_tan: float) -> list[tuple[float, float]]:

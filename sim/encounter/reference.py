@@ -33,6 +33,7 @@ from brink.sim.driving.system import ModularDriving
 from brink.sim.encounter.specification import Kind
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Verdict
+from brink.sim.plane import half_extents_m
 from brink.sim.world.ego import GRAVITY_MPS2
 from brink.sim.world.world import STEP_S
 
@@ -304,10 +305,8 @@ class ReferenceDriving:
         if station_m < ego.station_m:
             return None
         turn = user.yaw_rad - line.pose_at(station_m)[2]
-        cos_turn, sin_turn = math.cos(turn), math.sin(turn)
-        half_along_m = 0.5 * (abs(cos_turn) * user.length_m + abs(sin_turn) * user.width_m)
-        half_across_m = 0.5 * (abs(cos_turn) * user.width_m + abs(sin_turn) * user.length_m)
-        across_mps = user.speed_mps * sin_turn
+        half_along_m, half_across_m = half_extents_m(user.length_m, user.width_m, turn)
+        across_mps = user.speed_mps * math.sin(turn)
         side = 1.0 if offset_m >= ego.offset_m else -1.0
         return ObservedUser(
             kind=user.kind,
@@ -315,7 +314,7 @@ class ReferenceDriving:
             length_m=2.0 * half_along_m,
             aside_m=abs(offset_m - ego.offset_m) - half_across_m - 0.5 * self._world.ego.width_m,
             width_m=2.0 * half_across_m,
-            along_mps=user.speed_mps * cos_turn,
+            along_mps=user.speed_mps * math.cos(turn),
             towards_mps=-side * across_mps,
             strayed_m=self._strayed(user, offset_m, across_mps),
         )

@@ -6,11 +6,12 @@ closest. Rules elsewhere classify them and can be changed without simulating aga
 
 import math
 from collections import deque
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 from brink.sim.driving.interface import DrivingSystem, PlanMode
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Json, JsonObject
+from brink.sim.plane import Rectangle, half_extents_m, signed_gap_m
 from brink.sim.requirements import STANDS_BELOW_MPS, WorldSample
 from brink.sim.trace import ACTION
 from brink.sim.urban.recorder import Recorder
@@ -31,80 +32,6 @@ _CROSSING_M: Final = 4.0
 _CURVED_1PM: Final = 1e-3
 
 
-Point: TypeAlias = tuple[float, float]
-
-
-class Rectangle(NamedTuple):
-    """A body seen from above.
-
-    Attributes:
-        x_m: Centre.
-        y_m: Centre.
-        yaw_rad: Heading.
-        half_length_m: Half of the extent along the heading.
-        half_width_m: Half of the extent across it.
-    """
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    half_length_m: float
-    half_width_m: float
-
-    def corners(self) -> list[Point]:
-        """Return the corners, counter-clockwise from the front left."""
-        cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        return [
-            (self.x_m + a * cos_yaw - b * sin_yaw, self.y_m + a * sin_yaw + b * cos_yaw)
-            for a, b in (
-                (self.half_length_m, self.half_width_m),
-                (-self.half_length_m, self.half_width_m),
-                (-self.half_length_m, -self.half_width_m),
-                (self.half_length_m, -self.half_width_m),
-            )
-        ]
-
-    def nearest_point(self, point: Point) -> Point:
-        """Return the point of the rectangle that is nearest to a given point."""
-        dx, dy = point[0] - self.x_m, point[1] - self.y_m
-        cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        along = min(max(dx * cos_yaw + dy * sin_yaw, -self.half_length_m), self.half_length_m)
-        across = min(max(dy * cos_yaw - dx * sin_yaw, -self.half_width_m), self.half_width_m)
-        return self.x_m + along * cos_yaw - across * sin_yaw, self.y_m + along * sin_yaw + across * cos_yaw
-
-
-def _overlap(first: Rectangle, second: Rectangle) -> float:
-    """Return the smallest overlap along the axes of both rectangles; zero or negative if they do not overlap."""
-    dx, dy = second.x_m - first.x_m, second.y_m - first.y_m
-    least = math.inf
-    for axis_rad in (
-        first.yaw_rad,
-        first.yaw_rad + 0.5 * math.pi,
-        second.yaw_rad,
-        second.yaw_rad + 0.5 * math.pi,
-    ):
-        cos_axis, sin_axis = math.cos(axis_rad), math.sin(axis_rad)
-        reach = 0.0
-        for one in (first, second):
-            turn = one.yaw_rad - axis_rad
-            reach += one.half_length_m * abs(math.cos(turn)) + one.half_width_m * abs(math.sin(turn))
-        least = min(least, reach - abs(dx * cos_axis + dy * sin_axis))
-    return least
-
-
-def signed_gap_m(first: Rectangle, second: Rectangle) -> float:
-    """Return the clearance between two rectangles, or minus the penetration depth if they overlap."""
-    overlap_m = _overlap(first, second)
-    if overlap_m > 0.0:
-        return -overlap_m
-    least = math.inf
-    for one, other in ((first, second), (second, first)):
-        for corner in one.corners():
-            x_m, y_m = other.nearest_point(corner)
-            least = min(least, math.hypot(corner[0] - x_m, corner[1] - y_m))
-    return least
-
-
 def bearing_rad(ego: Rectangle, other: Rectangle) -> float:
     """Return the direction of another body's nearest point, relative to the ego, in (-pi, pi].
 
@@ -119,11 +46,6 @@ def bearing_rad(ego: Rectangle, other: Rectangle) -> float:
     along = (dx * cos_yaw + dy * sin_yaw) / ego.half_length_m
     across = (dy * cos_yaw - dx * sin_yaw) / ego.half_width_m
     return math.atan2(across, along)
-
-
-def make_rectangle(user: ScriptedUser) -> Rectangle:
-    """Return a road user's footprint."""
-    return Rectangle(user.x_m, user.y_m, user.yaw_rad, 0.5 * user.length_m, 0.5 * user.width_m)
 
 
 class _Moment(NamedTuple):
@@ -216,8 +138,8 @@ class EncounterWitness:
             reach_m = self._radius_m + 0.5 * math.hypot(user.length_m, user.width_m)
             known_m = max(self.gaps_m[index], self.moving_gap_m) if moves else self.gaps_m[index]
             if math.hypot(dx, dy) - reach_m < known_m:
-                ego = ego or self._ego()
-                gap_m = signed_gap_m(ego, make_rectangle(user))
+                ego = ego or Rectangle.of(self._world.ego)
+                gap_m = signed_gap_m(ego, Rectangle.of(user))
                 self.gaps_m[index] = min(self.gaps_m[index], gap_m)
                 if gap_m < closest_m:
                     closest_m, closest = gap_m, index
@@ -249,10 +171,6 @@ class EncounterWitness:
         """The circumstances of the closest approach while the ego moved; None if there was none."""
         return None if self._closest_moving is None else self._circumstances(*self._closest_moving)
 
-    def _ego(self) -> Rectangle:
-        ego = self._world.ego
-        return Rectangle(ego.x_m, ego.y_m, ego.yaw_rad, 0.5 * ego.length_m, 0.5 * ego.width_m)
-
     def _watch_way(self, index: int, user: ScriptedUser, sample: WorldSample) -> None:
         """Track how long a road user has been in the ego's way."""
         dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
@@ -261,7 +179,7 @@ class EncounterWitness:
             line = self._world.route.line
             at_m, off_m = line.project(user.x_m, user.y_m, sample.station_m)
             turn = user.yaw_rad - line.pose_at(at_m)[2]
-            half_m = 0.5 * (abs(math.cos(turn)) * user.width_m + abs(math.sin(turn)) * user.length_m)
+            _, half_m = half_extents_m(user.length_m, user.width_m, turn)
             within = abs(off_m - sample.offset_m) < half_m + 0.5 * sample.ego_width_m
             in_way = within and 0.0 < at_m - sample.station_m < IN_WAY_M
         if not in_way:
@@ -294,18 +212,18 @@ class EncounterWitness:
 
     def _in_way(self, sample: WorldSample) -> int | None:
         """Return the nearest road user in the ego's way, if any."""
-        ego = self._ego()
+        ego = Rectangle.of(self._world.ego)
         gaps = [
-            (signed_gap_m(ego, make_rectangle(user)), index)
+            (signed_gap_m(ego, Rectangle.of(user)), index)
             for index, user in enumerate(self._world.road_users)
             if self._in_way_since_s[index] is not None
         ]
         return min(gaps)[1] if gaps else None
 
     def _nearest(self, sample: WorldSample) -> int | None:
-        ego = self._ego()
+        ego = Rectangle.of(self._world.ego)
         gaps = [
-            (signed_gap_m(ego, make_rectangle(user)), index)
+            (signed_gap_m(ego, Rectangle.of(user)), index)
             for index, user in enumerate(self._world.road_users)
             if math.hypot(user.x_m - sample.x_m, user.y_m - sample.y_m) < NEARBY_M + 8.0
         ]
@@ -324,7 +242,7 @@ class EncounterWitness:
         )
         return _OtherThen(
             place=index,
-            body=make_rectangle(user),
+            body=Rectangle.of(user),
             action=user.stretch.action,
             speed_mps=user.speed_mps,
             before_mps=speeds[0],

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.errors import SimulatorError
+from brink.sim.plane import Rectangle
 from brink.sim.world.scenario import TimeOfDay, Weather
 
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -393,12 +394,4 @@ def footprint(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: 
     Returns:
         Corners, shape ``(4, 2)``.
     """
-    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
-    along = (length_m / 2 * cosine, length_m / 2 * sine)
-    across = (-width_m / 2 * sine, width_m / 2 * cosine)
-    return np.array(
-        [(x_m + a * along[0] + b * across[0], y_m + a * along[1] + b * across[1]) for a, b in _CORNERS]
-    )
-
-
-_CORNERS: Final = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    return np.array(Rectangle(x_m, y_m, yaw_rad, 0.5 * length_m, 0.5 * width_m).polygon())

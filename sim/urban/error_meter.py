@@ -31,6 +31,7 @@ from typing import Final, NamedTuple
 
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.obstacles import overlap
 from brink.sim.episode import Json
 from brink.sim.urban.behaviour import PERCEPTION_STEP_S
 from brink.sim.urban.detection_errors import RELEVANT_M, ErrorType, Target
@@ -233,10 +234,10 @@ class ErrorMeter:
         """
         overlaps = sorted(
             (
-                (overlap, row, column)
+                (shared, row, column)
                 for row, true in enumerate(truth)
                 for column, reported in enumerate(detections)
-                if (overlap := _overlap(true.box, reported.box)) >= MATCHES_FROM
+                if (shared := overlap(true.box, reported.box)) >= MATCHES_FROM
             ),
             reverse=True,
         )
@@ -253,7 +254,7 @@ class ErrorMeter:
             for column, reported in enumerate(detections)
             if column not in matched.values()
             and self._is_in_lane(reported)
-            and all(_overlap(true.box, reported.box) < NOTHING_BELOW for true in truth)
+            and all(overlap(true.box, reported.box) < NOTHING_BELOW for true in truth)
             and all(_inside(reported.box, region) < INSIDE_FROM for region in ignored)
         }
         self.ghosts.append((time_s, frozenset(ghosts)))
@@ -524,12 +525,6 @@ def _shared(one: Box, other: Box) -> float:
     wide = min(one.x_max_px, other.x_max_px) - max(one.x_min_px, other.x_min_px)
     high = min(one.y_max_px, other.y_max_px) - max(one.y_min_px, other.y_min_px)
     return max(wide, 0.0) * max(high, 0.0)
-
-
-def _overlap(one: Box, other: Box) -> float:
-    """Return the intersection over union of two boxes, whatever their labels."""
-    shared = _shared(one, other)
-    return shared / (_area(one) + _area(other) - shared) if shared > 0.0 else 0.0
 
 
 def _inside(box: Box, region: Box) -> float:

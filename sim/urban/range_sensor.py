@@ -87,7 +87,10 @@ class RangeSensor:
 def _corners(
     ahead: FloatArray, left: FloatArray, turn: FloatArray, length: FloatArray, width: FloatArray
 ) -> FloatArray:
-    """Return the corners of footprints around each of them, shape ``(n, 4, 2)``, as (ahead, left)."""
+    """Return the corners of footprints around each of them, shape ``(n, 4, 2)``, as (ahead, left).
+
+    It is `brink.sim.plane.Rectangle.corners` for arrays, whose cosines may differ in the last bit.
+    """
     along = 0.5 * length * np.array([np.cos(turn), np.sin(turn)])
     across = 0.5 * width * np.array([-np.sin(turn), np.cos(turn)])
     centre = np.array([ahead, left])

@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from brink.sim.plane import Rectangle
 from brink.sim.trace import FloatArray, Surface
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import (
@@ -238,10 +239,5 @@ def _footprint(fixture: Fixture) -> Surface:
         angles = [2.0 * math.pi * i / _RING for i in range(_RING)]
         points = [(fixture.x_m + 1.5 * math.cos(a), fixture.y_m + 1.5 * math.sin(a)) for a in angles]
     else:
-        cos_yaw, sin_yaw = math.cos(fixture.yaw_rad), math.sin(fixture.yaw_rad)
-        half_l, half_w = 0.5 * fixture.length_m, 0.5 * fixture.width_m
-        points = [
-            (fixture.x_m + a * cos_yaw - b * sin_yaw, fixture.y_m + a * sin_yaw + b * cos_yaw)
-            for a, b in ((half_l, half_w), (-half_l, half_w), (-half_l, -half_w), (half_l, -half_w))
-        ]
+        points = Rectangle.of(fixture).polygon()
     return Surface(kind=fixture.kind, points=_array(points), closed=True, width_m=0.0)

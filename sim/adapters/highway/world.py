@@ -15,7 +15,6 @@ from highway_env.envs.merge_env import MergeGenericEnv
 from highway_env.envs.roundabout_env import RoundaboutGenericEnv
 from highway_env.road.lane import LineType
 
-from brink.sim.adapters.clearance import clearance_m, corners
 from brink.sim.adapters.highway.driver import STEP_S, Driver, Ego, perceived_road, perceived_vehicle, wrapped
 from brink.sim.adapters.highway.perception import Body
 from brink.sim.adapters.highway.specification import (
@@ -27,6 +26,7 @@ from brink.sim.adapters.highway.specification import (
     RoadKind,
 )
 from brink.sim.adapters.recording import Actor, Perceived, Pose
+from brink.sim.plane import Point, Rectangle, clearance_m
 from brink.sim.requirements import Collision, CollisionKind, WorldSample
 from brink.sim.trace import FloatArray, Surface
 
@@ -297,7 +297,7 @@ class HighwayWorld:
         ego, lane = self.ego, self._driver.lane
         along_m, aside_m = lane.local_coordinates(ego.position)
         pose = self.pose
-        body = corners(pose, *self.ego_size_m)
+        body = _outline(self.ego)
         nearest, front_m = self._gaps(body, aside_m)
         nearest_m = None if nearest is None else nearest[0]
         closing_mps = 0.0
@@ -339,7 +339,7 @@ class HighwayWorld:
             ahead = self._is_ahead(near, aside_m) and distance_m < _AHEAD_M
             if not ahead and distance_m > _NEAR_M:
                 continue
-            gap_m = clearance_m(body, corners(_pose(vehicle), vehicle.LENGTH, vehicle.WIDTH))
+            gap_m = clearance_m(body, _outline(vehicle))
             if nearest is None or gap_m < nearest[0]:
                 nearest = gap_m, vehicle
             if ahead and (front_m is None or gap_m < front_m):
@@ -390,12 +390,7 @@ class HighwayWorld:
         areas = [_area(lane, span) for lane, span in zip(lanes, spans, strict=True)]
         lines = [line for lane, span in zip(lanes, spans, strict=True) for line in _markings(lane, span)]
         objects = [
-            Surface(
-                kind="building",
-                closed=True,
-                width_m=0.0,
-                points=np.array(corners(_pose(one), one.LENGTH, one.WIDTH), np.float32),
-            )
+            Surface(kind="building", closed=True, width_m=0.0, points=np.array(_outline(one), np.float32))
             for one in self._env.road.objects
         ]
         return [*areas, *lines, *objects]
@@ -437,6 +432,11 @@ def _environment(scenario: HighwayScenario, seed: int) -> Any:
 
 def _mirrored(position: Sequence[float]) -> tuple[float, float]:
     return float(position[0]), -float(position[1])
+
+
+def _outline(body: Any) -> list[Point]:
+    pose = _pose(body)
+    return Rectangle(pose.x_m, pose.y_m, pose.yaw_rad, 0.5 * body.LENGTH, 0.5 * body.WIDTH).corners()
 
 
 def _pose(body: Any) -> Pose:

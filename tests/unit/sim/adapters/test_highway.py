@@ -9,14 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support.marks import mostly_long
 
 from brink.pictures.frame import FramePainter
-from brink.pictures.scene import closest_points, outline
 from brink.pictures.story import scenario_words
-from brink.sim.adapters.clearance import clearance_m, corners
 from brink.sim.adapters.highway.perception import Body, Perception
 from brink.sim.adapters.highway.simulator import HighwayEnvSimulator
 from brink.sim.adapters.highway.specification import (
@@ -390,16 +386,6 @@ def test_an_error_survives_json_and_has_words(kind: ErrorType) -> None:
     words = words_of_errors(errors)
     assert scale.words(scale.at(0.25)) in words
     assert "lane to the left" in words
-
-
-@given(st.lists(st.floats(-8.0, 8.0), min_size=6, max_size=6))
-def test_the_clearance_is_the_distance_between_outlines(numbers: list[float]) -> None:
-    x_m, y_m, yaw_rad, other_x_m, other_y_m, other_yaw_rad = numbers
-    one, other = (x_m, y_m, yaw_rad), (other_x_m, other_y_m, other_yaw_rad)
-    wanted = closest_points(outline(*one, 5.0, 2.0), outline(*other, 4.0, 1.8))[2]
-    poses = (Pose(x_m=x, y_m=y, yaw_rad=yaw, speed_mps=0.0) for x, y, yaw in (one, other))
-    first, second = next(poses), next(poses)
-    assert clearance_m(corners(first, 5.0, 2.0), corners(second, 4.0, 1.8)) == pytest.approx(wanted, abs=1e-9)
 
 
 WITHOUT_EXTRAS = """

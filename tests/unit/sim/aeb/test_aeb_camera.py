@@ -30,13 +30,13 @@ from brink.sim.aeb.recorder import MAX_PICTURE_BYTES, _FilmRecorder
 from brink.sim.aeb.scores import rescore
 from brink.sim.aeb.sight import CameraShot
 from brink.sim.aeb.simulator import BrinkAeb
-from brink.sim.encounter.witness import Rectangle, signed_gap_m
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import Detections, GroundTruth, LabelledFrame
 from brink.sim.perception.detector import DETECTORS
 from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
+from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.rendering.scene import Body, BodyKind, Frame, StreetScene, Viewpoint
 from brink.sim.trace import MAX_TRACE_BYTES, Film, Trace
 from brink.sim.world.ego import EGO_CAR
@@ -161,9 +161,6 @@ def test_bodies_in_labelled_pictures_stand_away_from_the_ego_car_and_people_in_n
     """Street and people are as in real pictures; only the painting is left out."""
     views: list[tuple[Viewpoint, list[Body]]] = []
 
-    def rectangle(body: Body) -> Rectangle:
-        return Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
-
     def gap_m(one: Rectangle, other: Rectangle) -> float:
         """Return the gap of two rectangles; that of the circles around them, which is less, if it is above 1 m."""
         reach_m = sum(math.hypot(each.half_length_m, each.half_width_m) for each in (one, other))
@@ -183,10 +180,10 @@ def test_bodies_in_labelled_pictures_stand_away_from_the_ego_car_and_people_in_n
     assert len(list(labelled_frames(split, 200))) == len(views) == 200
     for view, bodies in views:
         ego = Rectangle(view.x_m, view.y_m, view.yaw_rad, 0.5 * EGO_CAR.length_m, 0.5 * EGO_CAR.width_m)
-        assert all(gap_m(ego, rectangle(body)) > 0.5 for body in bodies)
+        assert all(gap_m(ego, Rectangle.of(body)) > 0.5 for body in bodies)
         people = [body for body in bodies if body.kind is BodyKind.PERSON]
         for person, vehicle in product(people, (body for body in bodies if body.kind is BodyKind.VEHICLE)):
-            assert gap_m(rectangle(person), rectangle(vehicle)) > 0.0
+            assert gap_m(Rectangle.of(person), Rectangle.of(vehicle)) > 0.0
     assert sum(len(bodies) for _, bodies in views) > 200 * 10
 
 

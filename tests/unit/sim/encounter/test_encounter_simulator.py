@@ -11,9 +11,10 @@ import pytest
 
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.specification import describe_script
-from brink.sim.encounter.witness import Rectangle, bearing_rad, signed_gap_m
+from brink.sim.encounter.witness import bearing_rad
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
+from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.trace import Trace
 
 PLACE: JsonObject = {
