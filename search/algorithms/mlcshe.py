@@ -7,7 +7,7 @@ With the default mutation probability of 1 per gene, and categories that are red
 child is an independent random draw. A scenario of categories alone, as in the case study, inherits nothing: selection
 and crossover have no effect on scenarios, nor on the labels in behaviours, only on numbers. Smaller rates, for all
 genes or by kind of gene, give a search that inherits; ``selection: none`` is the control that shows what selection
-contributes (`python -m benchmarks heredity`).
+contributes (`examples/heredity.yaml`).
 
 Source: Sharifi et al. 2023, Algorithms 1 (co-evolution), 2 (collaboration), 3 (population archive). Where the
 authors' code departs from the paper, this follows the paper; tournaments of three and the radius are in their code
