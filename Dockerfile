@@ -1,7 +1,7 @@
 # One image for coordinator and workers: `docker compose up` starts both, `docker run … worker` adds workers.
 # The build argument EXTRAS chooses what is installed, see docs/how-to/run-with-docker.md:
-#   docker build --tag brink:0.1.0 .
-#   docker build --tag brink:0.1.0-vision --build-arg EXTRAS=analysis,postgres,vision .
+#   docker build --tag brink:1.0.0 .
+#   docker build --tag brink:1.0.0-vision --build-arg EXTRAS=analysis,postgres,vision .
 # For x86-64 only: PyBullet has no wheels for ARM, and this image has no compiler.
 FROM python:3.11-slim AS build
 WORKDIR /src

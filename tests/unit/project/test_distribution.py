@@ -21,7 +21,7 @@ def build(folder: Path, *options: str) -> list[str]:
 def test_a_wheel_holds_the_package_and_its_metadata_and_nothing_else(tmp_path: Path) -> None:
     names = build(tmp_path)
 
-    assert {name.split("/")[0] for name in names} == {"brink", "brink_boundary-0.1.0.dist-info"}
+    assert {name.split("/")[0] for name in names} == {"brink", "brink_boundary-1.0.0.dist-info"}
     modules = {name for name in names if name.endswith(".py")}
     assert modules == {
         file.relative_to(ROOT).as_posix()
@@ -51,7 +51,7 @@ def test_importing_brink_loads_no_heavy_module() -> None:
 
     printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
 
-    assert printed.splitlines() == ["0.1.0", ""]
+    assert printed.splitlines() == ["1.0.0", ""]
 
 
 @pytest.mark.parametrize("name", ["migrations", "search", "server", "sim", "worker"])

@@ -50,7 +50,7 @@ def solution(number: int, **changes: Any) -> SolutionView:
         "parameters": {"scenario": {"weather": "fog", "lanes": 2}, "behaviour": {"late_s": 3.25}},
         "verdicts": {"front-gap@1": {"robustness": 0.5, "unit": "m", "violated_at_s": None}},
         "features": {"ended": "goal", "where": [1, 2]},
-        "provenance": {"brink": "0.1.0", "cpu_s": 0.2},
+        "provenance": {"brink": "1.0.0", "cpu_s": 0.2},
         **changes,
     }
     return SolutionView(**known)
@@ -94,7 +94,7 @@ def test_a_row_contains_everything_known_about_a_solution() -> None:
         "robustness.front-gap@1": 0.5,
         "feature.ended": "goal",
         "feature.where": "[1, 2]",
-        "version.brink": "0.1.0",
+        "version.brink": "1.0.0",
     }
     assert {name: first[name] for name in wanted} == wanted
     assert "version.cpu_s" not in first
