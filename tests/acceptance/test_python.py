@@ -15,6 +15,7 @@ import matplotlib as mpl
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from support.marks import mostly_long
 
 import brink
 from brink.server.errors import ServerError
@@ -23,7 +24,9 @@ ROOT = Path(__file__).parents[2]
 FENCED = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("module", ["local", "client", "function", "study"])
+@pytest.mark.parametrize(
+    "module", mostly_long(["local", "client", "function", "study"], ["local"], "runs campaigns")
+)
 def test_examples_of_docstrings_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     failed, tried = doctest.testmod(import_module(f"brink.python.{module}"), optionflags=doctest.ELLIPSIS)

@@ -33,6 +33,8 @@ SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=pytest.mark.lon
 on_sqlite = pytest.mark.parametrize("databases", BACKENDS[:1], indirect=True)
 module_on_sqlite = pytest.mark.parametrize("module_databases", BACKENDS[:1], indirect=True)
 on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
+sqlite_then_postgres = pytest.mark.parametrize("databases", SQLITE_THEN_POSTGRES, indirect=True)
+"""For tests in tests/integration/database of what no lock and no dialect decides."""
 
 FAST = {
     "fsync": "off",

@@ -1,4 +1,4 @@
-"""Tests of what depends on the SQL dialect: all of them always run on SQLite and on Postgres."""
+"""Tests of what depends on the SQL dialect run on SQLite and on Postgres, unless they say otherwise."""
 
 from pathlib import Path
 

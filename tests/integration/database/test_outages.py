@@ -18,7 +18,7 @@ from support.api import (
     submit,
     undisturbed_digest,
 )
-from support.databases import on_postgres, on_sqlite
+from support.databases import on_postgres, on_sqlite, sqlite_then_postgres
 from support.queue import TERMS, Queue
 
 from brink.server.db.engine import Engines
@@ -187,6 +187,7 @@ def service(engines: Engines, writer: Writer) -> QueueService:
     return QueueService(settings=settings, writer=writer, on_due=lambda campaigns: None)
 
 
+@sqlite_then_postgres
 def test_after_a_sweep_that_failed_leases_get_a_full_term(
     engines: Engines, queue: Queue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,6 +224,7 @@ def end_interrupted(queue: Queue, job: LeasedJob) -> None:
     eventually(lambda: queue.job(job.job).status == "queued", "the lease runs out")
 
 
+@sqlite_then_postgres
 @pytest.mark.usefixtures("small_problems", "few_trees")
 def test_a_coordinator_killed_between_commit_and_answer_buries_no_job(
     database_url: str, queue: Queue
@@ -243,6 +245,7 @@ def test_a_coordinator_killed_between_commit_and_answer_buries_no_job(
     assert done["digest"] == undisturbed_digest(document)
 
 
+@sqlite_then_postgres
 @pytest.mark.usefixtures("small_problems", "few_trees")
 def test_results_of_live_workers_outlive_a_coordinator_that_is_away_longer_than_a_lease(
     database_url: str, queue: Queue
@@ -268,6 +271,7 @@ def test_results_of_live_workers_outlive_a_coordinator_that_is_away_longer_than_
         assert worker.work(campaign)["digest"] == undisturbed_digest(document)
 
 
+@sqlite_then_postgres
 @pytest.mark.usefixtures("small_problems", "few_trees")
 def test_workers_that_are_preempted_again_and_again_bury_no_job(database_url: str, queue: Queue) -> None:
     document = ball(simulations=20, execution={"max_failed_share": 0.0})

@@ -22,7 +22,7 @@ from support.api import (
     undisturbed_digest,
 )
 from support.coordinators import Coordinators
-from support.databases import on_sqlite
+from support.databases import on_sqlite, sqlite_then_postgres
 from support.marks import mostly_long
 
 from brink.server.campaigns import advance, plan, repeats, step_store, view_store
@@ -90,6 +90,7 @@ def two(engines: Engines, small_pieces: None) -> Iterator[Coordinators]:
     made.close()
 
 
+@sqlite_then_postgres
 def test_a_large_submission_is_stored_in_pieces(client: httpx.Client, inserted: list[int]) -> None:
     params = {"generation_size": 700, "in_flight": 3}
     campaign = submit(client, ball(simulations=1_600, algorithm={"id": "random@1", "params": params}))
@@ -98,6 +99,7 @@ def test_a_large_submission_is_stored_in_pieces(client: httpx.Client, inserted: 
     assert max(inserted) <= step_store.PIECE == 500
 
 
+@sqlite_then_postgres
 @pytest.mark.parametrize("name", mostly_long(BODIES, ["random"], "another algorithm"))
 def test_a_campaign_in_pieces_finds_the_same(
     client: httpx.Client, small_pieces: None, inserted: list[int], name: str
@@ -108,7 +110,7 @@ def test_a_campaign_in_pieces_finds_the_same(
     assert max(inserted) <= PIECE
 
 
-@pytest.mark.parametrize("pieces", mostly_long(range(15), [0, 1, 5, 13], "killed after another piece"))
+@pytest.mark.parametrize("pieces", mostly_long(range(15), [0, 1, 13], "killed after another piece"))
 def test_a_coordinator_that_is_killed_between_pieces_is_continued(two: Coordinators, pieces: int) -> None:
     for _ in range(pieces):
         two.steppers[0].advance("c0ffee")
@@ -142,6 +144,7 @@ def test_a_coordinator_that_stops_between_pieces_reports_no_error(
     assert not [one.getMessage() for one in caplog.records if one.levelno >= logging.WARNING]
 
 
+@sqlite_then_postgres
 def test_nothing_is_told_before_everything_in_flight_is_stored(two: Coordinators) -> None:
     while stored(two) < 100:
         two.simulate()
@@ -171,6 +174,7 @@ def test_two_coordinators_store_each_solution_once(two: Coordinators) -> None:
     assert two.digest() == undisturbed_digest(BODIES["random"])
 
 
+@sqlite_then_postgres
 @pytest.mark.parametrize("status", [CampaignStatus.PAUSED, CampaignStatus.CANCELLED])
 def test_nothing_more_is_stored_of_a_campaign_that_was_stopped(
     two: Coordinators, status: CampaignStatus
@@ -188,6 +192,7 @@ def test_nothing_more_is_stored_of_a_campaign_that_was_stopped(
     assert two.digest() == undisturbed_digest(BODIES["random"])
 
 
+@sqlite_then_postgres
 def test_results_of_a_large_generation_are_written_before_its_step_but_for_failures(
     client: httpx.Client, engines: Engines, small_pieces: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -219,6 +224,7 @@ def fails_in_the_east(job: LeasedJob) -> Completed | JobFailed:
     return JobFailed(reason="invalid", message="boom") if east else completes(job)
 
 
+@sqlite_then_postgres
 def test_what_was_written_before_a_step_that_was_never_taken_is_not_known_to_other_campaigns(
     client: httpx.Client, small_pieces: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,6 +248,7 @@ def test_what_was_written_before_a_step_that_was_never_taken_is_not_known_to_oth
     assert max(one["number"] for one in known) < 30
 
 
+@sqlite_then_postgres
 def test_results_that_were_written_before_a_step_that_was_never_taken_are_read_by_nobody(
     client: httpx.Client, engines: Engines
 ) -> None:
@@ -268,6 +275,7 @@ def test_results_that_were_written_before_a_step_that_was_never_taken_are_read_b
     assert expect(client.get(f"{API}/{campaign}/solutions", params={"unsafe": True}))["solutions"] == []
 
 
+@sqlite_then_postgres
 def test_a_campaign_with_too_much_in_flight_is_refused_with_both_numbers(client: httpx.Client) -> None:
     params = {"generation_size": 10_000, "in_flight": 20}
     body = ball(simulations=10_000_000, algorithm={"id": "random@1", "params": params})
@@ -284,6 +292,7 @@ def test_a_campaign_with_too_much_in_flight_is_refused_with_both_numbers(client:
     assert "got up to 100,000 in one generation" in refused["message"]
 
 
+@sqlite_then_postgres
 def test_an_experiment_is_stored_in_pieces(
     client: httpx.Client, engines: Engines, small_pieces: None, inserted: list[int]
 ) -> None:

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from sqlalchemy import insert, text
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
-from support.databases import Databases
+from support.databases import Databases, sqlite_then_postgres
 from support.queue import Queue
 from typer.testing import CliRunner
 
@@ -36,6 +36,7 @@ def listed(client: httpx.Client, **params: Any) -> list[str]:
     return names
 
 
+@sqlite_then_postgres
 def test_tags_and_notes_are_submitted_and_shown_wherever_a_campaign_is(client: httpx.Client) -> None:
     campaign = submit(client, ball(tags=["Night", "release-4", "night"], notes="Too dark?\r\nAsk Ada."))
     found = expect(client.get(f"{API}/{campaign}"))
@@ -46,6 +47,7 @@ def test_tags_and_notes_are_submitted_and_shown_wherever_a_campaign_is(client: h
     assert expect(client.get("/api/v1/overview"))["tags"] == [["night", "release-4"]]
 
 
+@sqlite_then_postgres
 def test_a_change_keeps_what_it_does_not_name_and_what_was_simulated(client: httpx.Client) -> None:
     campaign = submit(client, ball(tags=["a", "b"], notes="first"))
     digest = FakeWorker(client).work(campaign)["digest"]
@@ -59,6 +61,7 @@ def test_a_change_keeps_what_it_does_not_name_and_what_was_simulated(client: htt
     change(client, "none", 404, notes="x")
 
 
+@sqlite_then_postgres
 def test_pollers_see_a_change_and_nothing_else(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     urls = (f"{API}/{campaign}/progress", "/api/v1/overview")
@@ -77,6 +80,7 @@ def test_pollers_see_a_change_and_nothing_else(client: httpx.Client) -> None:
     assert statuses() == {200}
 
 
+@sqlite_then_postgres
 @pytest.mark.parametrize(
     ("fields", "pointer", "message"),
     [
@@ -100,6 +104,7 @@ def test_what_is_no_tag_or_note_is_refused(
     assert expect(client.get(f"{API}/{campaign}"))["tags"] == ["kept"]
 
 
+@sqlite_then_postgres
 def test_a_campaign_has_no_more_tags_than_may_be_submitted(client: httpx.Client) -> None:
     campaign = submit(client, ball(tags=[f"t{n}" for n in range(30)]))
     change(client, campaign, add_tags=["a", "b"])
@@ -135,6 +140,7 @@ def test_neither_case_nor_the_encoding_of_accents_matters(client: httpx.Client) 
         assert listed(client, tag=tag) == [f"{e_acute}clair"], tag
 
 
+@sqlite_then_postgres
 @pytest.mark.usefixtures("small_problems")
 def test_a_file_carries_tags_and_notes(databases: Databases, database_url: str, tmp_path: Path) -> None:
     with coordinator(database_url) as client:
@@ -150,6 +156,7 @@ def test_a_file_carries_tags_and_notes(databases: Databases, database_url: str, 
             assert listed(client, search="dark", tag="night") == ["ball"]
 
 
+@sqlite_then_postgres
 @pytest.mark.usefixtures("small_problems")
 def test_a_file_without_tags_and_notes_is_as_it_was_before_there_were_any(
     databases: Databases, database_url: str, tmp_path: Path

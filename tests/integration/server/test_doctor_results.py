@@ -171,6 +171,7 @@ def test_a_job_is_worth_a_retry_until_the_search_has_gone_on_without_it(
         assert jobs_words(database_url, engines)[0] is State.FINE
 
 
+@pytest.mark.long("runs a campaign")
 def test_a_result_that_came_after_its_generation_was_told_is_history(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:
@@ -192,6 +193,7 @@ def test_a_result_that_came_after_its_generation_was_told_is_history(
     assert (state, "failed, but its result says" in found) == (State.WRONG, True)
 
 
+@pytest.mark.long("runs a campaign")
 def test_a_job_that_is_retried_and_completed_during_the_step_counts(
     database_url: str, engines: Engines, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -218,6 +220,7 @@ def test_a_job_that_is_retried_and_completed_during_the_step_counts(
     assert results(database_url, engines) == [(State.FINE, f"verdicts of {SOLUTIONS} solutions verified")]
 
 
+@pytest.mark.long("runs a campaign")
 @on_sqlite
 def test_the_newest_results_are_verified_unless_all_are_to_be(
     database_url: str, engines: Engines, finished: str, monkeypatch: pytest.MonkeyPatch

@@ -215,6 +215,7 @@ def test_traces_of_the_best_boundary_solutions_are_kept(client: httpx.Client) ->
         assert client.get(path, params={"wait_s": 0}).content == b"evidence"
 
 
+@pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_a_run_without_pictures_records_no_traces(listening_client: httpx.Client, engines: Engines) -> None:
     body = parse_body(ball(simulations=120))
@@ -243,6 +244,7 @@ def test_a_run_without_pictures_records_no_traces(listening_client: httpx.Client
     assert traced[False] == 0
 
 
+@pytest.mark.long("runs campaigns")
 def test_requested_traces_do_not_keep_a_campaign_from_finishing(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = submit(client, ball(execution={"keep_traces": 12}, simulations=120))
