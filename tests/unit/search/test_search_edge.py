@@ -9,7 +9,7 @@ import pytest
 
 from brink.search import surrogate
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
-from brink.search.algorithms import edge
+from brink.search.algorithms.edge import search
 from brink.search.algorithms.edge import MAX_FAILURES, Bracket, Edge, EdgeConfig, EdgeState, Purpose, Status
 from brink.search.analysis.pairs import find_pairs
 from brink.search.errors import ConfigError, DocumentError
@@ -252,7 +252,7 @@ def test_more_generations_in_flight_are_asked_for_at_once() -> None:
 
 
 def test_missing_scikit_learn_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(edge, "is_available", lambda: False)
+    monkeypatch.setattr(search, "is_available", lambda: False)
     with pytest.raises(ConfigError, match=r"needs scikit-learn.*\[analysis\]"):
         Edge().check(ROAD, EdgeConfig(), budget=100)
 
