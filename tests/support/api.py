@@ -160,6 +160,18 @@ def progress(client: httpx.Client, campaign: str, since: int = 0) -> dict[str, A
     return found
 
 
+def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
+    """Return the solutions of a campaign, at most 1,000."""
+    page = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 1000}))
+    found: list[dict[str, Any]] = page["solutions"]
+    return found
+
+
+def reached(simulations: int) -> Callable[[dict[str, Any]], bool]:
+    """Return the condition that so many simulations of a campaign are done."""
+    return lambda stands: bool(stands["simulations"] >= simulations)
+
+
 def eventually(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
     """Wait until a condition holds; fail after a deadline."""
     deadline = time.monotonic() + patience_s

@@ -1,5 +1,6 @@
 """Recorded drives in every world that can be exported, simulated once per process."""
 
+import base64
 from dataclasses import replace
 from functools import cache
 
@@ -11,6 +12,7 @@ from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, Weather
+from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 REQUIREMENTS = ("front-gap@1", "no-collision@1", "red-light@1")
 
@@ -126,4 +128,19 @@ def absent(trace: Trace, name: str, *spans: tuple[int, int]) -> Trace:
             replace(actor, motion=changed(actor.motion)) if actor.name == name else actor
             for actor in trace.actors
         ),
+    )
+
+
+def simulate(job: LeasedJob) -> Completed:
+    """Simulate a job of an urban drive in this process."""
+    result = BrinkDrive().run(EpisodeSpec.from_json(job.spec), record=job.record)
+    verdicts = {
+        name: WireVerdict(robustness=one.robustness, unit=one.unit, violated_at_s=one.violated_at_s)
+        for name, one in result.verdicts.items()
+    }
+    return Completed(
+        verdicts=verdicts,
+        objectives=dict(result.objectives),
+        features=dict(result.features),
+        trace=None if result.trace is None else base64.b64encode(result.trace).decode(),
     )

@@ -3,7 +3,6 @@
 import random
 import threading
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import pytest
@@ -17,6 +16,7 @@ from support.api import (
     eventually,
     finish,
     progress,
+    reached,
     submit,
     undisturbed_digest,
 )
@@ -66,14 +66,10 @@ def test_a_coordinator_that_is_started_again_finds_the_same(database_url: str, n
             worker = FakeWorker(client)
             campaign = campaign or submit(client, CAMPAIGNS[name])
             assert set(worker.report(held)) <= {"accepted"}
-            stands = worker.work(campaign, until=partial(reached, wanted))
+            stands = worker.work(campaign, until=reached(wanted))
             held = worker.lease(max_jobs=3)
     assert stands["status"] == "finished"
     assert stands["digest"] == undisturbed_digest(CAMPAIGNS[name])
-
-
-def reached(wanted: int, stands: dict[str, Any]) -> bool:
-    return bool(stands["simulations"] >= wanted)
 
 
 def test_leases_outlive_their_coordinator(database_url: str) -> None:
@@ -567,7 +563,7 @@ def test_a_warm_campaign_that_is_started_again_finds_the_same(database_url: str,
                     worker = FakeWorker(client)
                     campaign = campaign or submit(client, body)
                     assert set(worker.report(held)) <= {"accepted"}
-                    stands = worker.work(campaign, until=partial(reached, wanted))
+                    stands = worker.work(campaign, until=reached(wanted))
                     held = worker.lease(max_jobs=3)
             assert stands["status"] == "finished"
             digests.add((str(start), stands["digest"]))

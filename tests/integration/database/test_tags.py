@@ -142,22 +142,6 @@ def test_neither_case_nor_the_encoding_of_accents_matters(client: httpx.Client) 
 
 @sqlite_then_postgres
 @pytest.mark.usefixtures("small_problems")
-def test_a_file_carries_tags_and_notes(databases: Databases, database_url: str, tmp_path: Path) -> None:
-    with coordinator(database_url) as client:
-        campaign = submit(client, ball(tags=["night", "rain"], notes="Dark."))
-        FakeWorker(client).work(campaign)
-    file = tmp_path / "ball.brink"
-    assert run("export", campaign, "--out", str(file), "--database", database_url).exit_code == 0
-    with databases.database("other") as elsewhere:
-        assert run("import", str(file), "--database", elsewhere).exit_code == 0
-        with coordinator(elsewhere) as client:
-            found = expect(client.get(f"{API}/{campaign}"))
-            assert (found["tags"], found["notes"]) == (["night", "rain"], "Dark.")
-            assert listed(client, search="dark", tag="night") == ["ball"]
-
-
-@sqlite_then_postgres
-@pytest.mark.usefixtures("small_problems")
 def test_a_file_without_tags_and_notes_is_as_it_was_before_there_were_any(
     databases: Databases, database_url: str, tmp_path: Path
 ) -> None:

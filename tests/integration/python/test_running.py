@@ -72,23 +72,6 @@ def test_a_data_frame_has_a_column_for_each_parameter(circle: brink.Result) -> N
 
 
 @pytest.mark.long("runs a search with workers")
-def test_tables_of_a_campaign_without_results_have_columns(circle: brink.Result) -> None:
-    waiting = brink.connect(database="brink.db").submit(
-        brink.Campaign(problem="npc-actions@1", algorithm="random@1", simulations=20, name="nothing yet")
-    )
-    result = waiting.result()
-    assert {"words", "distance", "safe.number"} <= set(result.pairs().columns)
-    assert {"fitness", "generation"} <= set(result.boundary().columns)
-    assert {"number", "unsafe", "robustness", "outcome"} <= set(result.to_pandas().columns)
-    assert list(result.violations().columns)[:4] == ["number", "requirement", "time_s", "type"]
-    assert str(result.violations()["time_s"].dtype) == "float64"
-    assert result.plot("violation-types").axes[0].get_ylabel() == "types of violations known"
-    assert str(result.to_pandas()["unsafe"].dtype) == "bool"
-    assert result.finding == "No simulation has a verdict yet."
-    waiting.cancel()
-
-
-@pytest.mark.long("runs a search with workers")
 def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
     options: dict[str, Any] = {"algorithm": "edge@1", "progress": False, "simulations": 20, "workers": 1}
     far = brink.search(inside, SPACE, params={"eps": 1e-6, "explore": 0.9}, **options)
@@ -111,21 +94,6 @@ def test_a_choice_that_is_called_null_is_no_missing_value(folder: Path) -> None:
     found = brink.search(ghost, space, simulations=80, workers=1, progress=False)
     labels = {*found.pairs()["safe.parameters.label"], *found.pairs()["unsafe.parameters.label"]}
     assert "null" in labels <= {"null", "person"}
-
-
-def test_what_is_not_there_is_named(circle: brink.Result) -> None:
-    with pytest.raises(InvalidInput, match=r"expected one of .*, parameters, violation-types; got 'mpa'"):
-        circle.plot("mpa")
-    with pytest.raises(
-        Exception, match="violations are sorted into types only where other traffic causes them"
-    ):
-        circle.plot("violation-types")
-    with pytest.raises(InvalidInput, match=r"expected the number of one of \d+ pairs, from 1; got 0"):
-        circle.pair(0)
-    with pytest.raises(InvalidInput, match="expected confirm=30, component=True or minimise=True"):
-        circle.check_pairs()
-    with pytest.raises(Exception, match="no drives to replay"):
-        circle.replay(0)
 
 
 @pytest.mark.long("runs a search with workers")

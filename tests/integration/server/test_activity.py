@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from support.api import FakeWorker, expect, submit
+from support.api import FakeWorker, expect, solutions, submit
 from support.databases import on_sqlite
 
 from brink.server.problems.base import NO_PART
@@ -48,12 +48,6 @@ def finished(client: httpx.Client, judge: Any, **changes: Any) -> str:
     worker = FakeWorker(client, capabilities=(SIMULATOR,), judge=judge)
     assert worker.work(campaign)["status"] == "finished"
     return campaign
-
-
-def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
-    page = expect(client.get(f"{API}/{campaign}/solutions", params={"limit": 1000}))
-    found: list[dict[str, Any]] = page["solutions"]
-    return found
 
 
 @on_sqlite

@@ -17,7 +17,6 @@ from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import on_sqlite
 from support.tolerance import body as tolerance_body
 from support.tolerance import finished as tolerance_finished
-from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -222,30 +221,6 @@ def test_an_unfinished_campaign_says_so(database_url: str) -> None:
     found = read(database_url, cancelled)
     assert "The campaign was cancelled after 0 of 60 simulations" in found.text
     assert "No drive has a verdict, so" in found.text
-
-
-@pytest.mark.long("runs campaigns")
-@on_sqlite
-def test_a_campaign_on_traffic_shows_types_of_violations(database_url: str) -> None:
-    traffic: dict[str, Any] = {
-        "name": "traffic",
-        "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 8.0}},
-        "algorithm": {"id": "nsga2@1", "params": {"population_size": 20}},
-        "budget": {"simulations": 40},
-        "execution": {"keep_traces": 0},
-    }
-    with coordinator(database_url) as client:
-        campaign = submit(client, traffic)
-        assert traffic_worker(client).work(campaign)["status"] == "finished"
-        types = expect(client.get(f"{API}/{campaign}/violations"))["types"]
-    found = read(database_url, campaign)
-    assert types
-    assert "Types of violations" in found.headings
-    assert types[0]["type"] in found.text
-    assert f"of {len(types)} type{'s' if len(types) > 1 else ''} of violations, " in found.text
-    assert "of them by braking, in" in found.text
-    assert "road user *: kind (3 parameters)" in found.text
-    assert not any(one.startswith("The pairs") for one in found.headings)
 
 
 @pytest.mark.long("runs campaigns")

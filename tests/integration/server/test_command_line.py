@@ -569,34 +569,6 @@ def test_doctor_names_a_missing_database(tmp_path: Path) -> None:
     assert empty.exit_code == 1
 
 
-@on_sqlite
-@pytest.mark.usefixtures("small_problems")
-def test_tags_and_notes_are_written_shown_and_searched(brink: Command, database_url: str) -> None:
-    with coordinator(database_url) as client:
-        night, day = (submit(client, ball(name=name)) for name in ("night", "day"))
-    at = ("--database", database_url)
-    assert brink("tag", night, *at).out == f"campaign {night}: no tags\n"
-    assert brink("tag", night, "Rain", "draft", *at).out == f"campaign {night}: draft rain\n"
-    tagged = brink("tag", night, "dark", "--remove", "draft", "--json", *at).out
-    assert json.loads(tagged) == ["dark", "rain"]
-    assert brink("note", night, *at).out == f"campaign {night} has no notes\n"
-    assert brink("note", night, "Ask [bold]Ada[/bold].", *at).out == f"campaign {night} has notes now\n"
-    assert brink("note", night, *at).out == "Ask [bold]Ada[/bold].\n"
-    shown = brink("status", night, *at).out
-    assert "tags: dark rain" in shown
-    assert "notes: Ask [bold]Ada[/bold]." in shown
-    every, found = brink("status", *at).out, brink("status", "--tag", "rain", "--search", "ADA", *at).out
-    assert "dark rain" in every
-    assert day in every
-    assert night in found
-    assert day not in found
-    assert brink("status", "--search", "nothing", *at).out == "no such campaign\n"
-    assert "expected it without ID" in brink("status", night, "--tag", "rain", *at).line
-    assert "without spaces" in brink("tag", night, "two words", *at).line
-    assert brink("note", night, "", *at).out == f"campaign {night} has no notes now\n"
-    assert "notes" not in brink("status", night, *at).out
-
-
 @pytest.mark.parametrize("command", [["serve", "--port", "0"], ["run", "FILE"]])
 def test_a_missing_plug_in_is_one_line(
     brink: Command, command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

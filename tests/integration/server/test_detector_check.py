@@ -5,7 +5,6 @@ import io
 import json
 import re
 from collections.abc import Iterator
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -119,24 +118,6 @@ def test_errors_are_measured_while_the_road_user_matters_and_is_in_sight(
 # What is printed, written and drawn.
 
 
-def test_the_table_says_what_is_met_what_is_not_and_what_to_record(check: Checked, tmp_path: Path) -> None:
-    done = check("--detections", recording(tmp_path))
-    lines = done.stdout.splitlines()
-    assert lines[0] == (
-        "mine does not meet the requirement: not met in 1 of 8 cells, unknown in 7 (7 without any data), met in 0; "
-        "from 20 drives."
-    )
-    assert "make at most 5% of drives violate the front gap or collide" in lines[1]
-    assert lines[2].split()[:3] == ["result", "error", "condition"]
-    assert lines[3].startswith("not met  ")
-    folded = [line for line in lines if "without data. " in line.lower()]
-    assert len(folded) == 1
-    assert "By day: everything." in folded[0]
-    assert any(re.search(r"^- By day.*59 drives or more", line) for line in lines)
-    assert "20 drives, 1,620 images, 1,620 true boxes, 820 detections" in done.stderr
-    assert "should be reported while it is visible: at least 25% of it in sight" in done.stderr
-
-
 @pytest.mark.parametrize("by", ["recording", "episodes"])
 def test_a_check_is_written_in_each_format_and_drawn(check: Checked, tmp_path: Path, by: str) -> None:
     given = ("--detections", recording(tmp_path)) if by == "recording" else ("--episodes", check.camera)
@@ -163,30 +144,13 @@ def test_a_check_is_written_in_each_format_and_drawn(check: Checked, tmp_path: P
     assert check(*given, "--format", "html").stdout == page.read_text()
 
 
-class Page(HTMLParser):
-    """Collects what a page loads, and counts its elements."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.external: list[str] = []
-        self.classes: list[str] = []
-        self.tags: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.external += [value or "" for name, value in attrs if name in ("src", "href", "srcset")]
-        self.classes += [value or "" for name, value in attrs if name == "class"]
-
-
 def test_names_are_text_on_the_page(check: Checked, tmp_path: Path) -> None:
     file = recording(tmp_path)
     hostile = tmp_path / "<img src=x onerror=alert(1)>.csv"
     hostile.write_text(file.read_text().replace("d0,", "<script>\x1b0,"))
     page = tmp_path / "check.html"
     check("--detections", hostile, "--out", page)
-    found = Page(page.read_text())
-    assert not {"img", "script"} & set(found.tags)
+    assert not re.search("<(img|script)", page.read_text())
     assert r"&lt;script&gt;\u001b0" in page.read_text()
     text = check("--detections", hostile, "--format", "md").stdout
     assert r"\<script>\u001b0" in text
@@ -205,11 +169,6 @@ def test_the_gate_fails_where_a_cell_is_not_met(
     file = recording(tmp_path, missed=missed)
     check("--detections", file, "--gate", "--format", "csv", status=status)
     check("--detections", file)
-
-
-def test_the_gate_holds_for_the_detector_of_a_campaign(check: Checked) -> None:
-    is_met = all(cell["result"] != "not met" for cell in check.view("--episodes", check.camera)["cells"])
-    check("--episodes", check.camera, "--gate", status=0 if is_met else 1)
 
 
 # What a recording is.

@@ -1,6 +1,5 @@
 """`brink export scenario` through a coordinator: real drives, written as scenarios."""
 
-import base64
 import json
 import shutil
 import subprocess
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.api import FakeWorker, ball, coordinator, expect, finish, listening_coordinator, submit
+from support.drives import simulate
 from support.problems import small_problems
 from support.standards import ScenarioReader, schema_errors
 from typer.testing import CliRunner, Result
@@ -25,7 +25,6 @@ from brink.server.errors import InvalidInput
 from brink.sim.episode import EpisodeSpec
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
-from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 pytestmark = pytest.mark.long("simulates drives; the conversion has unit tests")
 
@@ -37,21 +36,6 @@ CAMPAIGN: dict[str, Any] = {
     "seed": 4,
 }
 SOLUTION = 3
-
-
-def simulate(job: LeasedJob) -> Completed | JobFailed:
-    """Simulate a job in this process."""
-    result = BrinkDrive().run(EpisodeSpec.from_json(job.spec), record=job.record)
-    verdicts = {
-        name: WireVerdict(robustness=one.robustness, unit=one.unit, violated_at_s=one.violated_at_s)
-        for name, one in result.verdicts.items()
-    }
-    return Completed(
-        verdicts=verdicts,
-        objectives=dict(result.objectives),
-        features=dict(result.features),
-        trace=None if result.trace is None else base64.b64encode(result.trace).decode(),
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

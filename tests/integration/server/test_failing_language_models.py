@@ -4,12 +4,11 @@ import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import httpx
 import pytest
-from support.api import coordinator, progress, submit
+from support.api import coordinator, progress, reached, submit
 from support.databases import on_sqlite
 from support.llm_endpoint import Endpoint, Step, gives, item, refuses, reply_text, says
 from support.marks import mostly_long
@@ -179,15 +178,11 @@ def test_a_restart_does_not_close_the_circuit_breaker(database_url: str, endpoin
     for simulations in (1, 9, 17):
         with coordinator(database_url) as client:
             campaign = campaign or submit(client, asks)
-            traffic_worker(client).work(campaign, until=partial(_reached, simulations))
+            traffic_worker(client).work(campaign, until=reached(simulations))
     with coordinator(database_url) as client:
         current = traffic_worker(client).work(campaign)
     assert (current["status"], current["digest"]) == ("finished", digest)
     assert len(endpoint.asked) == 8
-
-
-def _reached(simulations: int, current: dict[str, Any]) -> bool:
-    return bool(current["simulations"] >= simulations)
 
 
 @pytest.mark.long("runs a campaign")

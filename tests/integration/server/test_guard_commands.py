@@ -8,17 +8,15 @@ from typing import Any
 
 import pytest
 from support.api import FakeWorker, coordinator, eventually, expect, progress, submit
+from support.drives import simulate
 from support.guards import stump_guard
 from typer.testing import CliRunner, Result
 
 from brink.cli.commands import app
 from brink.search.analysis import guard_training
 from brink.server.errors import Conflict, InvalidInput
-from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import GuardFileError
 from brink.sim.guard.model import GuardModel, Sensor
-from brink.sim.urban.simulator import BrinkDrive
-from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 pytestmark = pytest.mark.long("simulates drives; guards have unit tests")
 
@@ -40,16 +38,6 @@ OTHER: dict[str, Any] = {
     "budget": {"simulations": 20},
 }
 UNSAFE_SHARE = (0.2, 0.8)
-
-
-def simulate(job: LeasedJob) -> Completed:
-    """Simulate a job in this process."""
-    result = BrinkDrive().run(EpisodeSpec.from_json(job.spec))
-    verdicts = {
-        name: WireVerdict(robustness=one.robustness, unit=one.unit, violated_at_s=one.violated_at_s)
-        for name, one in result.verdicts.items()
-    }
-    return Completed(verdicts=verdicts, objectives=dict(result.objectives), features=dict(result.features))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

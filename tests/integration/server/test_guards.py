@@ -33,18 +33,6 @@ def guarded(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
         yield client
 
 
-@pytest.mark.parametrize("header", [None, "Bearer wrong", "Basic correct-horse", "bearer", SECRET])
-def test_request_without_the_token_is_rejected(guarded: httpx.Client, header: str | None) -> None:
-    with httpx.Client(base_url=guarded.base_url) as stranger:
-        headers = {"Authorization": header} if header else {}
-        for path in ("/api/v1/campaigns", "/metrics", "/nothing", "/docs-files", "/docs/x"):
-            answer = stranger.get(path, headers=headers)
-            assert answer.status_code == 401, path
-            assert answer.headers["WWW-Authenticate"] == "Bearer"
-            assert answer.headers["content-type"] == "application/problem+json"
-        assert stranger.post("/api/v1/campaigns", json=ball(), headers=headers).status_code == 401
-
-
 def test_request_with_the_token_is_answered(guarded: httpx.Client) -> None:
     expect(guarded.post("/api/v1/campaigns", json=ball()), 201)
     assert guarded.get("/metrics").status_code == 200
@@ -164,12 +152,6 @@ def test_change_from_the_same_origin_is_accepted(client: httpx.Client) -> None:
 def test_with_tokens_any_host_name_is_accepted(guarded: httpx.Client) -> None:
     headers = {"Host": "brink.example", "Origin": "https://brink.example"}
     expect(guarded.post("/api/v1/campaigns", json=ball(), headers=headers), 201)
-
-
-def test_trailing_slash_is_not_redirected(client: httpx.Client) -> None:
-    answer = client.get("/api/v1/campaigns/", headers={"Host": "localhost:1"})
-    assert answer.status_code in (404, 405), "a redirect would lead to the host that the client named"
-    assert "location" not in answer.headers
 
 
 HEAD = b"POST /api/v1/campaigns HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"

@@ -5,7 +5,6 @@ import re
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +14,7 @@ import pytest
 import yaml
 from fastapi.responses import JSONResponse, Response
 from sqlalchemy import select, update
-from support.api import coordinator, eventually, expect, progress, submit
+from support.api import coordinator, eventually, expect, progress, reached, submit
 from support.databases import on_sqlite
 from support.llm_endpoint import (
     MODEL,
@@ -124,16 +123,12 @@ def test_restart_repeats_no_request_and_finds_the_same_archive(database_url: str
     for wanted in (3, 10, 19, 1000):
         with coordinator(database_url) as client:
             campaign = campaign or submit(client, asks)
-            current = traffic_worker(client).work(campaign, until=partial(_reached, wanted))
+            current = traffic_worker(client).work(campaign, until=reached(wanted))
     assert current["status"] == "finished"
     with coordinator(database_url) as client:
         assert origins(client, campaign) == expected
         assert progress(client, campaign)["digest"] == digest
     assert len(endpoint.asked) - first == times
-
-
-def _reached(wanted: int, current: dict[str, Any]) -> bool:
-    return bool(current["simulations"] >= wanted)
 
 
 @pytest.mark.long("runs a campaign")
@@ -543,7 +538,7 @@ def test_interrupted_campaign_survives_endpoint_faults(
     for wanted in (1, 11, 19, 1000):
         with coordinator(database_url) as client:
             again = again or submit(client, asks)
-            current = traffic_worker(client).work(again, until=partial(_reached, wanted))
+            current = traffic_worker(client).work(again, until=reached(wanted))
     assert (current["status"], current["failed"]) == ("finished", 0)
     with coordinator(database_url) as client:
         assert origins(client, again) == found

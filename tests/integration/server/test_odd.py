@@ -1,6 +1,5 @@
 """An ODD and three trajectories all the way: search, pairs, replay, export, report, warm start."""
 
-import base64
 import io
 import json
 import shutil
@@ -12,6 +11,7 @@ import httpx
 import numpy as np
 import pytest
 from support.api import FakeWorker, coordinator, expect, progress, submit
+from support.drives import simulate
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -21,9 +21,6 @@ from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.urban_injected import SIMULATOR
-from brink.sim.episode import EpisodeSpec
-from brink.sim.urban.simulator import BrinkDrive
-from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 pytestmark = pytest.mark.long("simulates drives; domains have unit tests")
 
@@ -46,21 +43,6 @@ SEARCH: dict[str, Any] = {
     "budget": {"simulations": 70},
     "algorithm": {"id": "edge@1", "params": {"d_th": 0.02, "eps": 0.05}},
 }
-
-
-def simulate(job: LeasedJob) -> Completed | JobFailed:
-    """Simulate a job in this process."""
-    result = BrinkDrive().run(EpisodeSpec.from_json(job.spec), record=job.record)
-    verdicts = {
-        name: WireVerdict(robustness=one.robustness, unit=one.unit, violated_at_s=one.violated_at_s)
-        for name, one in result.verdicts.items()
-    }
-    return Completed(
-        verdicts=verdicts,
-        objectives=dict(result.objectives),
-        features=dict(result.features),
-        trace=None if result.trace is None else base64.b64encode(result.trace).decode(),
-    )
 
 
 def drive(client: httpx.Client, body: dict[str, Any]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from support.api import FakeWorker, coordinator, expect, submit
+from support.api import FakeWorker, coordinator, expect, solutions, submit
 from support.databases import Databases, on_sqlite
 from support.problems import small_problems
 
@@ -51,13 +51,6 @@ def driven(module_databases: Databases) -> Iterator[tuple[httpx.Client, str]]:
         worker = FakeWorker(client, judge=drive, capabilities=(DRIVES,))
         assert worker.work(campaign)["status"] == "finished"
         yield client, campaign
-
-
-def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = expect(client.get(f"{API}/{campaign}/solutions", params={"limit": 1000}))[
-        "solutions"
-    ]
-    return found
 
 
 WORDS = {

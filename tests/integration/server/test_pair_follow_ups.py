@@ -7,7 +7,7 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, await_erasure, ball, expect, finish, row_counts, submit
+from support.api import FakeWorker, await_erasure, ball, expect, finish, row_counts, solutions, submit
 from support.databases import on_sqlite
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
@@ -66,12 +66,6 @@ def ask(client: httpx.Client, campaign: str, status: int = 201, **wanted: Any) -
 
 def pairs_of(client: httpx.Client, campaign: str) -> dict[str, Any]:
     found: dict[str, Any] = expect(client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01}))
-    return found
-
-
-def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
-    page = expect(client.get(f"{API}/{campaign}/solutions", params={"limit": 1000}))
-    found: list[dict[str, Any]] = page["solutions"]
     return found
 
 

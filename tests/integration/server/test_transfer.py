@@ -14,7 +14,7 @@ import httpx
 import numpy as np
 import pytest
 from sqlalchemy import func, select
-from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, submit
+from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, reached, submit
 from support.databases import SQLITE_THEN_POSTGRES, Databases, databases_for, on_sqlite
 from support.marks import mostly_long
 from support.queue import Queue
@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 from brink.cli.commands import app
 from brink.server.db.engine import open_engines
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow
-from brink.server.errors import Conflict, NotFound, ServerError
+from brink.server.errors import Conflict, ServerError
 from brink.server.operations.export_file import BadFile, open_export
 from brink.server.problems.urban_injected import SIMULATOR
 from brink.sim.episode import EpisodeSpec
@@ -35,10 +35,6 @@ pytestmark = pytest.mark.usefixtures("small_problems")
 
 def run(*arguments: str) -> Any:
     return CliRunner().invoke(app, list(arguments), catch_exceptions=False)
-
-
-def reached(wanted: int) -> Callable[[dict[str, Any]], bool]:
-    return lambda stands: bool(stands["simulations"] >= wanted)
 
 
 def export(database: str, file: Path) -> tuple[str, str]:
@@ -734,18 +730,6 @@ def test_a_verdict_that_its_result_does_not_give_is_refused(
     with pytest.raises(BadFile, match=message):
         run("import", str(forged), "--database", elsewhere)
     assert run("import", str(file), "--database", elsewhere).exit_code == 0
-
-
-def test_which_campaign_is_meant_must_be_clear(database_url: str, tmp_path: Path) -> None:
-    queue = Queue(engines=open_engines(database_url))
-    assert (queue.campaign(1), queue.campaign(1)) == ("00000000", "00000001")
-    queue.engines.dispose()
-    file = str(tmp_path / "x.brink")
-    assert run("export", "00000001", "--out", file, "--database", database_url).exit_code == 0
-    assert run("export", "%", "--out", file, "--database", database_url).exit_code == 2
-    for name, reason in (("0000000", "more than one campaign"), ("ffff", "no such campaign")):
-        with pytest.raises(NotFound, match=reason):
-            run("export", name, "--out", file, "--database", database_url)
 
 
 def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> None:

@@ -166,16 +166,6 @@ def test_known_solutions_are_listed_with_where_they_come_from(client: httpx.Clie
     assert progress(client, earlier)["known"] is None
 
 
-@pytest.mark.long("runs campaigns")
-def test_results_that_a_campaign_started_from_are_passed_on(client: httpx.Client, earlier: str) -> None:
-    second = finish(client, ball(algorithm=RANDOM, start_from={"campaign": earlier}, simulations=20))
-    third = submit(client, ball(algorithm=RANDOM, start_from={"campaign": second}, simulations=20, seed=5))
-    assert progress(client, third)["known"]["results"] == 80
-    sources = {one["campaign"] for one in expect(client.get(f"/api/v1/campaigns/{third}/known"))["solutions"]}
-    assert sources == {earlier, second}
-    expect(client.post(f"/api/v1/campaigns/{third}/cancel"))
-
-
 def test_given_points_are_simulated_first_and_given_results_not_at_all(client: httpx.Client) -> None:
     points = [point(0.25, 0.5), point(-1.5, 1.25)]
     start = {"solutions": [point(0.5, 0.5, -0.3), *points, point(1.9, 1.9, 1.7)]}
@@ -189,21 +179,6 @@ def test_given_points_are_simulated_first_and_given_results_not_at_all(client: h
     listed = expect(client.get(f"/api/v1/campaigns/{campaign}/known"))["solutions"]
     assert [one["verdict"] for one in listed] == ["unsafe", None, None, "safe"]
     assert {(one["campaign"], one["number"]) for one in listed} == {(None, None)}
-
-
-@pytest.mark.long("runs campaigns")
-def test_known_results_count_towards_the_boundary_only_where_the_answer_says_so(
-    client: httpx.Client, earlier: str
-) -> None:
-    campaign = finish(client, ball(start_from={"campaign": earlier}))
-    boundary = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"))
-    assert boundary["with_known"]["results"] == 60
-    assert "Together with the 60 known results that the campaign started from" in boundary["note"]
-    own = archive(client, campaign)
-    assert int(own["neighbours"].max()) <= len(own["numbers"])
-    cold = expect(client.get(f"/api/v1/campaigns/{earlier}/boundary"))
-    assert cold["with_known"] is None
-    assert "known results" not in cold["note"]
 
 
 def test_pairs_of_a_warm_campaign_are_two_drives_of_its_own_under_one_seed(
@@ -268,13 +243,6 @@ def test_a_campaign_that_runs_is_no_source(client: httpx.Client) -> None:
     assert f"campaign {running} is running: wait until it has ended" in error["message"]
     expect(client.post(f"/api/v1/campaigns/{running}/cancel"))
     assert "no evaluated solutions" in error_of(client, ball(start_from={"campaign": running}))["message"]
-
-
-def test_another_space_is_refused_with_what_differs(client: httpx.Client, earlier: str) -> None:
-    body = ball(problem={"id": "line@1"}, algorithm=RANDOM, start_from={"campaign": earlier})
-    error = error_of(client, body)
-    assert error["pointer"] == "/start_from/campaign"
-    assert "searches another space: it has what.y, this one none" in error["message"]
 
 
 BAD = [
