@@ -9,8 +9,8 @@ import pytest
 
 from brink.search import surrogate
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
-from brink.search.algorithms.edge import search
 from brink.search.algorithms.edge import MAX_FAILURES, Bracket, Edge, EdgeConfig, EdgeState, Purpose, Status
+from brink.search.algorithms.edge.planning import _hits
 from brink.search.analysis.pairs import find_pairs
 from brink.search.errors import ConfigError, DocumentError
 from brink.search.pairs import Steps, midpoints
@@ -252,7 +252,7 @@ def test_more_generations_in_flight_are_asked_for_at_once() -> None:
 
 
 def test_missing_scikit_learn_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search, "is_available", lambda: False)
+    monkeypatch.setattr("brink.search.algorithms.edge.search.is_available", lambda: False)
     with pytest.raises(ConfigError, match=r"needs scikit-learn.*\[analysis\]"):
         Edge().check(ROAD, EdgeConfig(), budget=100)
 
@@ -285,4 +285,4 @@ def test_a_partner_that_is_known_already_is_no_miss() -> None:
     state, asked = search(space, answer, budget=150, d_th=0.0, eps=0.001, explore=0.2)
     partners = sum(purpose is Purpose.PARTNER for _, (purpose, _, _) in asked)
     assert sum(state.tries.values()) > partners > 0, "else this shows nothing"
-    assert edge._hits(state) == pytest.approx((0.8 * 20 + len(state.brackets)) / (20 + partners))
+    assert _hits(state) == pytest.approx((0.8 * 20 + len(state.brackets)) / (20 + partners))
