@@ -56,33 +56,6 @@ def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: 
     shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
 
 
-def test_a_point_that_is_clicked_says_which_solution_it_is(site: Served, page: Page, chart: Locator) -> None:
-    number, at = rightmost(expect(site.client.get(f"{API}/campaigns/{site.urban}/map")), chart)
-    chart.hover(position=at)
-    shown(page.get_by_text(f"solution {number}: ")).to_be_visible()
-    chart.click(position=at)
-    panel = page.get_by_role("complementary", name="Selection on the map")
-    shown(panel.get_by_role("heading", name=f"Solution {number}")).to_be_visible()
-    words = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{number}"))["words"]
-    shown(panel).to_contain_text(words)
-    shown(panel.get_by_role("link", name="Open and replay")).to_have_attribute(
-        "href", f"#/campaigns/{site.urban}/solutions/{number}"
-    )
-
-
-def rightmost(told: Any, chart: Locator) -> tuple[int, Any]:
-    """Return the solution that lies farthest to the right on a map that shows all, and where."""
-    box = chart.bounding_box()
-    assert box is not None
-    x, y = told["x"], told["y"]
-    scale = min((box["width"] - 48) / (max(x) - min(x)), (box["height"] - 48) / (max(y) - min(y)))
-    place = max(range(len(x)), key=x.__getitem__)
-    return told["number"][place], {
-        "x": box["width"] / 2 + (x[place] - (max(x) + min(x)) / 2) * scale,
-        "y": box["height"] / 2 - (y[place] - (max(y) + min(y)) / 2) * scale,
-    }
-
-
 def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, page: Page) -> None:
     solutions = boundary(site)["solutions"]
     region = page.get_by_role("region", name="Boundary solutions", exact=True)

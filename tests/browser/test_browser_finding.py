@@ -43,20 +43,6 @@ def test_an_experiment_shows_its_results_and_its_campaigns(site: Served, browse:
     shown(page.locator("table.campaigns tbody tr")).to_have_count(4)
 
 
-def test_an_experiment_shows_the_pairs_of_its_methods(site: Served, browse: Browse) -> None:
-    page = browse(f"#/experiments/{site.experiment}")
-    pairs = page.get_by_role("region", name="Pairs across the boundary")
-    shown(pairs).to_contain_text("Compared on distinct pairs")
-    standings = page.get_by_role("region", name="Pairs of each method on ball@1").locator("tbody tr")
-    shown(standings).to_have_count(2)
-    shown(pairs.locator(".sentences li")).to_contain_text("distinct pairs")
-    pairs.get_by_text("Campaigns", exact=True).click()
-    campaigns = page.get_by_role("region", name="Pairs of each finished campaign")
-    shown(campaigns.locator("tbody tr")).to_have_count(4)
-    campaigns.locator("tbody a").first.click()
-    shown(page.get_by_role("heading", name="Pairs", exact=True)).to_be_visible()
-
-
 def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, browse: Browse) -> None:
     page = browse(f"#/compare?ids={site.urban}")
     shown(page.get_by_text("Choose one more campaign.")).to_be_visible()

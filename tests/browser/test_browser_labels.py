@@ -38,34 +38,6 @@ def labels_of(client: httpx.Client, campaign: str) -> tuple[list[str], str]:
     return read["tags"], read["notes"]
 
 
-def test_campaigns_are_found_by_tags_and_words_and_the_address_keeps_it(
-    own: httpx.Client, three: dict[str, str], visit: Visits
-) -> None:
-    page = visit(origin(own))
-    row = page.get_by_role("row").filter(has_text="alpha")
-    row.get_by_role("button", name="night").click()
-    shown(page.locator("table.campaigns tbody tr")).to_have_count(2)
-    row.get_by_role("button", name="rain").press("Enter")
-    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
-    shown(row.get_by_role("button", name="rain")).to_have_attribute("aria-pressed", "true")
-    page.reload()
-    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
-    chosen = page.get_by_role("list", name="Only campaigns with these tags").get_by_role("listitem")
-    shown(chosen).to_have_text(["night×", "rain×"])
-    chosen.filter(has_text="rain").get_by_role("button").press("Enter")
-    shown(page.locator("table.campaigns tbody tr")).to_have_count(2)
-    shown(page.get_by_label("Find")).to_be_focused()
-    page.get_by_label("Find").fill("DUSK alpha")
-    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
-    page.reload()
-    shown(page.get_by_label("Find")).to_have_value("DUSK alpha")
-    shown(page.locator("table.campaigns tbody tr")).to_have_count(1)
-    assert rows(page) == ["alpha"]
-    page.goto(f"{origin(own)}/#/campaigns?search={three['gamma'][:6]}")
-    shown(page.get_by_role("link", name="gamma")).to_be_visible()
-    assert rows(page) == ["gamma"]
-
-
 def test_tags_and_notes_are_edited_in_place_by_keyboard(
     own: httpx.Client, three: dict[str, str], visit: Visits
 ) -> None:

@@ -1,6 +1,5 @@
 """What a campaign page says first: the finding, the best pairs, what to do next; and results as they come in."""
 
-import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,7 @@ import pytest
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, coordinator, expect, finish, submit
 from support.problems import small_problems
-from support.urban_pairs import SAFE, UNSAFE, judged
 
-from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from browser.served import API, NOBODYS, origin
 from browser.visits import Visits
 
@@ -82,32 +79,6 @@ def test_a_step_is_taken_by_its_button_and_followed_until_it_is_answered(
     FakeWorker(own).work(asked["campaign"])
     shown(confirm).to_have_count(0, timeout=20_000)
     shown(page.get_by_role("region", name="Finding")).to_contain_text("simulated again with other seeds")
-
-
-def test_once_everything_is_answered_a_next_step_opens_the_form_for_another_campaign(
-    own: httpx.Client, visit: Visits
-) -> None:
-    body = {
-        "name": "answered",
-        "problem": {"id": "urban-injected@1"},
-        "budget": {"simulations": 2},
-        "algorithm": {"id": "repeat@1", "params": {"solutions": [SAFE, UNSAFE]}},
-        "execution": {"keep_traces": 0},
-    }
-    campaign = submit(own, body)
-    FakeWorker(own, capabilities=(URBAN,), judge=judged).work(campaign)
-    page = visit(origin(own), f"#/campaigns/{campaign}")
-    steps = page.get_by_role("region", name="What to do next").get_by_role("listitem")
-    shown(
-        steps.get_by_text(f"brink report {campaign} --out report.html --server {origin(own)}")
-    ).to_be_visible()
-    shown(steps.get_by_role("link", name="Search for any violation")).to_be_visible()
-    steps.get_by_role("link", name="Search for tolerances").click()
-    shown(page.get_by_label("Problem", exact=True)).to_have_value("urban-errors@1")
-    shown(page.get_by_label("Algorithm", exact=True)).to_have_value("tolerance@1")
-    shown(page.get_by_label("Cells", exact=True)).to_have_value(re.compile('"short_range"'))
-    page.get_by_role("button", name="Check only").click()
-    shown(page.get_by_text("answered: tolerances is valid")).to_be_visible()
 
 
 def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something_to_show(

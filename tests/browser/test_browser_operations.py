@@ -3,13 +3,13 @@
 import httpx
 import pytest
 from playwright.sync_api import expect as shown
-from support.api import FakeWorker, ball, expect, progress, submit
+from support.api import FakeWorker, ball, expect, submit
 
 from brink.server.states import Scope
 from brink.worker.wire import Completed, JobFailed, LeasedJob
-from browser.served import API, Served, origin
+from browser.served import API, origin
 from browser.test_browser_tokens import token_of
-from browser.visits import Browse, Visits
+from browser.visits import Visits
 
 pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 
@@ -49,32 +49,6 @@ def test_quarantined_job_is_retried_and_done(
     shown(page.get_by_role("region", name="Finding")).to_contain_text("In quarantine2")
     numbers = expect(own.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"]
     assert len([one for one in numbers if one["verdict"] in ("safe", "unsafe")]) == 18
-
-
-def test_quarantined_jobs_are_retried_together(
-    own: httpx.Client, unlucky: tuple[str, int], visit: Visits
-) -> None:
-    page = visit(origin(own), "#/jobs")
-    page.get_by_role("button", name="Retry all 3 listed").click()
-    page.get_by_role("button", name="Retry", exact=True).click()
-    shown(page.get_by_text("3 jobs are back in the queue.")).to_be_visible()
-    shown(page.get_by_text("No job is in quarantine.")).to_be_visible()
-    FakeWorker(own, id="working").work(unlucky[0])
-    assert (progress(own, unlucky[0])["status"], progress(own, unlucky[0])["quarantined"]) == ("finished", 0)
-
-
-def test_jobs_are_chosen_by_state_and_campaign_and_the_address_keeps_it(site: Served, browse: Browse) -> None:
-    page = browse("#/jobs?status=quarantined")
-    many = progress(site.client, site.broken)["quarantined"]
-    shown(page.get_by_role("button", name=f"In quarantine {many}")).to_have_attribute("aria-pressed", "true")
-    shown(page.locator("table.jobs tbody tr")).to_have_count(many)
-    page.get_by_role("button", name="Queued").click()
-    campaign = page.get_by_role("combobox", name="Campaign")
-    campaign.select_option(site.stuck)
-    shown(page.locator("table.jobs tbody tr")).to_have_count(20)
-    page.reload()
-    shown(page.get_by_role("button", name="Queued 20")).to_have_attribute("aria-pressed", "true")
-    shown(campaign).to_have_value(site.stuck)
 
 
 def test_a_worker_is_drained_from_the_page_once_that_is_confirmed(own: httpx.Client, visit: Visits) -> None:

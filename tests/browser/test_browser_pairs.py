@@ -31,21 +31,6 @@ def clock(page: Page) -> float:
     return float(page.locator("output.clock").inner_text().split(" / ")[0])
 
 
-def test_without_a_pair_the_list_says_why_and_other_thresholds_find_some(
-    site: Served, browse: Browse
-) -> None:
-    page = browse(f"#/campaigns/{site.urban}/pairs?eps=0")
-    shown(
-        page.get_by_text("No pair within eps 0: the nearest solutions with opposite verdicts")
-    ).to_be_visible()
-    shown(page.get_by_role("table")).to_have_count(0)
-    page.get_by_label("eps").fill("1")
-    page.get_by_label("d_th").fill("0")
-    page.get_by_label("d_th").press("Enter")
-    shown(page.get_by_role("link", name="Pair 1:")).to_be_visible()
-    assert "eps=1&d_th=0" in page.url
-
-
 def test_the_page_of_a_pair_shows_the_change_both_sides_and_links_to_each(site: Served, pair: Page) -> None:
     found, _ = a_pair(site.client, site.urban)
     shown(pair.get_by_role("region", name="The change", exact=True)).to_contain_text(found["change"][1:])

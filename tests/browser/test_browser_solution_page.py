@@ -83,19 +83,6 @@ def test_scrubber_shows_the_same_picture_for_the_same_moment(solution: Page) -> 
     becomes(sheet, middle)
 
 
-def test_space_toggles_playback_and_a_button_jumps_to_the_violation(solution: Page) -> None:
-    solution.get_by_role("heading", name="Replay", exact=True).scroll_into_view_if_needed()
-    solution.get_by_role("main").focus()
-    solution.keyboard.press("Space")
-    shown(solution.get_by_role("button", name="Pause", exact=True)).to_be_visible()
-    solution.keyboard.press("Space")
-    shown(solution.get_by_role("button", name="Play", exact=True)).to_be_visible()
-    jump = solution.get_by_role("button", name="Go to")
-    seconds = float(jump.inner_text().removeprefix("Go to ").partition(" s")[0])
-    jump.click()
-    assert clock(solution) == pytest.approx(seconds, abs=0.11)
-
-
 def test_page_shows_what_the_api_returns(site: Served, solution: Page) -> None:
     one = unsafe_one(site)
     shown(solution.locator(".head .badge")).to_have_text(one["outcome"])
@@ -128,34 +115,9 @@ def test_episode_without_a_capable_worker_is_made_when_one_appears(
     shown(page.locator("output.clock")).to_have_text("0.0 / 19.9 s")
 
 
-def test_a_car_with_a_guard_shows_its_alarms_on_the_time_bar_and_in_a_chart(
-    own: httpx.Client, visit: Visits
-) -> None:
-    worker = FakeWorker(own, judge=with_guard)
-    campaign = submit(own, ball(execution={"keep_traces": 0}))
-    worker.work(campaign)
-    page = visit(origin(own), f"#/campaigns/{campaign}/solutions/3")
-    worker.report(worker.lease(wait_s=20))
-    chart = page.get_by_role("region", name="Guard over time")
-    shown(chart).to_contain_text("fallback safe-stop@1 intervenes")
-    shown(chart.get_by_role("img", name="The guard's probability of a violation over time")).to_be_visible()
-    bar = page.locator(".scrub .marks")
-    shown(bar.locator("i.guard.alarm")).to_have_count(1)
-    shown(bar.locator("i.guard.fallback")).to_have_attribute("title", "4.5 s–8.0 s: fallback")
-    page.get_by_label("Time in the episode").fill("42")
-    shown(page.locator(".replay-state")).to_contain_text("alarm")
-    page.get_by_label("Time in the episode").fill("60")
-    shown(page.locator(".replay-state")).to_contain_text("fallback")
-
-
 def with_trace(job: LeasedJob) -> Completed | JobFailed:
     outcome = completes(job)
     return outcome.model_copy(update={"trace": TRACE}) if job.record else outcome
-
-
-def with_guard(job: LeasedJob) -> Completed | JobFailed:
-    outcome = completes(job)
-    return outcome.model_copy(update={"trace": GUARDED}) if job.record else outcome
 
 
 def _forget_workers(database: str) -> None:

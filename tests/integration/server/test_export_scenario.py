@@ -4,7 +4,6 @@ import json
 import shutil
 import subprocess
 import sys
-import threading
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.api import FakeWorker, ball, coordinator, expect, finish, listening_coordinator, submit
+from support.api import FakeWorker, ball, coordinator, expect, finish, submit
 from support.drives import simulate
 from support.problems import small_problems
 from support.standards import ScenarioReader, schema_errors
@@ -105,39 +104,6 @@ def test_a_stored_drive_is_exported_as_it_was(driven: Driven, tmp_path: Path) ->
         assert one["robustness"] == pytest.approx(stored["robustness"], abs=1e-4)
         assert one["decides_the_verdict"] == (name == "front-gap@1")
     assert driven.campaign in (out / "README.txt").read_text()
-
-
-def test_a_coordinators_worker_simulates_the_drive(driven: Driven, tmp_path: Path) -> None:
-    stopped = threading.Event()
-    with listening_coordinator(driven.database) as client:
-        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
-
-        def work() -> None:
-            while not stopped.is_set():
-                worker.report(worker.lease(wait_s=0.2))
-
-        thread = threading.Thread(target=work)
-        thread.start()
-        try:
-            told = export(
-                "scenario",
-                driven.campaign,
-                str(SOLUTION),
-                "--server",
-                str(client.base_url),
-                "--out",
-                str(tmp_path),
-                "--ego",
-                "controlled",
-            )
-        finally:
-            stopped.set()
-            thread.join()
-    assert told.exit_code == 0, told.output
-    assert str(tmp_path / "scenario.xosc") in told.stdout.splitlines()
-    scenario = ScenarioReader(ET.parse(tmp_path / "scenario.xosc").getroot())
-    assert scenario.trajectories("ego") == []
-    assert scenario.trajectories("lead")
 
 
 def test_a_problem_without_roads_is_refused_with_those_that_have_some(

@@ -3,7 +3,6 @@
 import csv
 import io
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -11,10 +10,7 @@ import pytest
 from support.api import ball, eventually, expect, listening_coordinator, progress, submit
 from support.databases import Databases, module_on_sqlite
 from support.problems import small_problems
-from typer.testing import CliRunner
 
-import brink
-from brink.cli.commands import app
 from brink.search.analysis import boundary
 from brink.server.campaigns import plan
 
@@ -66,27 +62,6 @@ def test_the_best_thousand_are_listed_and_all_are_counted(client: httpx.Client, 
     table = client.get(f"{API}/{large}/boundary", params={**EVERY, "limit": 5, "format": "csv"}).text
     assert [int(row["number"]) for row in csv.DictReader(io.StringIO(table))] == listed[:5]
     assert read(client, large, 422, limit=1_001)["errors"][0]["pointer"] == "/query/limit"
-
-
-def test_commands_and_data_frames_say_of_how_many(client: httpx.Client, large: str, tmp_path: Path) -> None:
-    server, every = ["--server", str(client.base_url)], ["--t-b", "1", "--d-th", "0"]
-
-    def run(*arguments: str) -> str:
-        found = CliRunner().invoke(app, [*arguments, *every, *server], catch_exceptions=False)
-        assert found.exit_code == 0, found.output
-        return " ".join(found.output.split())
-
-    assert "1,200 distinct boundary solutions" in (shown := run("results", large))
-    assert "and 950 more with --out boundary.csv, and 200 that are not listed" in shown
-    file = tmp_path / "boundary.csv"
-    assert f"{file}: {BEST}" in run("results", large, "--out", str(file)).replace(" /", "/")
-    assert len(file.read_text().splitlines()) == 1_001
-    folder = tmp_path / "evidence"
-    assert f"{BEST}, 0 with replays" in run("evidence", large, "--out", str(folder), "--replays", "0")
-    assert f"{BEST}, one row each, best first" in (folder / "README.md").read_text()
-    result = brink.connect(str(client.base_url)).campaign(large).result()
-    with pytest.warns(UserWarning, match=f"only {BEST}"):
-        assert len(result.boundary(t_b=1, d_th=0)) == 1_000
 
 
 def test_thresholds_that_take_too_long_are_refused_with_a_hint(

@@ -208,23 +208,6 @@ def test_added_harm_of_a_chain_is_how_much_worse_it_is_than_its_worst_part(finis
     assert all(one["added_harm"] is None and one["interacts"] is None for one in never_measured)
 
 
-def test_variants_of_a_solution_end_with_the_solution(finished: Finished) -> None:
-    combinations = finished.get("/combinations")["combinations"]
-    number = finished.get("/solutions", unsafe=True)["solutions"][0]["number"]
-    variants = finished.get(f"/solutions/{number}/variants")
-    assert variants[-1]["number"] == number
-    assert variants[-1]["unsafe"] is True
-    assert variants[-1]["words"] in {one["words"] for one in combinations}
-    assert variants[0]["chain"] == [], "the first variant has no perturbation"
-    scenarios = {
-        str(finished.get(f"/solutions/{one['number']}")["parameters"]["scenario"]) for one in variants
-    }
-    assert len(scenarios) == 1
-    measured = finished.get("/solutions")["solutions"][0]
-    assert measured["verdict"] == "measured"
-    finished.get(f"/solutions/{measured['number']}/variants", 404)
-
-
 def test_problem_without_ordered_techniques_has_no_combinations(client: httpx.Client) -> None:
     body = {
         "name": "m",

@@ -2,7 +2,6 @@
 
 import logging
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -275,15 +274,6 @@ def test_an_episode_that_exceeds_the_grace_period_is_released(coordinator: FakeC
     assert coordinator.queued() == [job]
 
 
-def test_an_idle_worker_stops_at_once(coordinator: FakeCoordinator) -> None:
-    with running_worker(coordinator.url, wait_s=60.0) as running:
-        coordinator.wait_for_outcome(coordinator.add())
-        began_s = time.monotonic()
-        running.worker.stop()
-        assert running.join() == 0
-    assert time.monotonic() - began_s < 5.0
-
-
 def test_a_worker_exits_when_idle(coordinator: FakeCoordinator) -> None:
     coordinator.add()
     with running_worker(coordinator.url, exit_when_idle_s=0.3) as running:
@@ -330,17 +320,6 @@ def test_a_worker_leases_only_jobs_that_it_can_run(coordinator: FakeCoordinator)
         "faulty@1" in request.capabilities and "elsewhere@1" not in request.capabilities
         for request in coordinator.served(LeaseRequest)
     )
-
-
-def test_two_workers_share_a_queue(coordinator: FakeCoordinator) -> None:
-    with running_worker(coordinator.url, worker_id="a"), running_worker(coordinator.url, worker_id="b"):
-        coordinator.wait_until(lambda c: {m.worker.id for m in c.served(LeaseRequest)} == {"a", "b"})
-        for _ in range(30):
-            coordinator.add({"fault": "wait", "slow_s": 0.02})
-        coordinator.wait_for_all()
-    pids = {o.provenance["pid"] for j in coordinator.jobs.values() if isinstance(o := j.outcome, Completed)}
-    assert len(pids) == 2
-    assert {status.status for status in coordinator.statuses} == {"accepted"}
 
 
 def test_a_process_that_cannot_be_restarted_ends_the_worker_and_its_jobs_are_released(
