@@ -1,11 +1,12 @@
 """Shared by all measurements: figures with targets, progress, percentiles, CPU time and memory of processes."""
 
 import os
-import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
+
+import numpy as np
 
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with the name of a part of a measurement, its completed steps and its total steps."""
@@ -62,10 +63,8 @@ def counted(progress: Progress, part: str, total: int) -> Iterator[int]:
 
 
 def percentile(values: Sequence[float], percent: int) -> float:
-    """Return a percentile, interpolated linearly between neighbouring values."""
-    if len(values) == 1:
-        return values[0]
-    return statistics.quantiles(values, n=100, method="inclusive")[percent - 1]
+    """Return a percentile of at least one value, interpolated linearly between neighbouring values."""
+    return float(np.percentile(values, percent))
 
 
 def cpu_seconds(pid: int) -> float:

@@ -7,6 +7,7 @@ are measured where they are installed.
 import asyncio
 import contextlib
 import json
+import math
 import os
 import sys
 import tempfile
@@ -71,7 +72,7 @@ class Throughput:
         batch: Maximum number of jobs per request; for the other systems, number of jobs that a worker prefetches.
         jobs: Number of jobs.
         seconds: Time from the first start to the last stored outcome.
-        lease_p50_ms: Median time of a request that reports and leases; None where there is no such request.
+        lease_p50_ms: Median time of a request that reports and is granted jobs; None without such requests.
         lease_p99_ms: The 99th percentile of these times.
     """
 
@@ -313,16 +314,24 @@ class _BrinkQueue:
         ]
 
     async def _drain(self, workers: int, batch: int, jobs: int) -> Throughput:
-        left = jobs
-        end = 0.0
+        left, start, end = jobs, math.inf, 0.0
 
         async def work(client: LoadClient) -> None:
-            nonlocal left, end
-            held = await client.lease()
-            while held and left > 0:
-                done, held = held, await client.report(held)
-                left -= len(done)
-                end = time.perf_counter()
+            nonlocal left, start, end
+            held: list[dict[str, Any]] = []
+            while left > 0:
+                if held:
+                    done, held = held, await client.report(held)
+                    left -= len(done)
+                    end = time.perf_counter()
+                    continue
+                asked = time.perf_counter()
+                if held := await client.lease():
+                    start = min(start, asked)
+                else:
+                    await asyncio.sleep(
+                        0.01
+                    )  # until the campaign's jobs are queued, or others have reported theirs
 
         async with contextlib.AsyncExitStack() as stack:
             clients = [
@@ -331,17 +340,19 @@ class _BrinkQueue:
                 )
                 for index in range(workers)
             ]
-            start = time.perf_counter()
-            await asyncio.gather(*(work(client) for client in clients))
+            try:
+                await asyncio.wait_for(asyncio.gather(*(work(client) for client in clients)), _TIMEOUT_S)
+            except TimeoutError as error:
+                raise MeasurementFailed(f"{left} of {jobs} jobs were left after {_TIMEOUT_S:g} s") from error
         times_ms = [1e3 * taken_s for client in clients for taken_s in client.times_s]
         return Throughput(
             system=self._name,
             workers=workers,
             batch=batch,
-            jobs=jobs - left,
+            jobs=jobs,
             seconds=end - start,
-            lease_p50_ms=percentile(times_ms, 50),
-            lease_p99_ms=percentile(times_ms, 99),
+            lease_p50_ms=percentile(times_ms, 50) if times_ms else None,
+            lease_p99_ms=percentile(times_ms, 99) if times_ms else None,
         )
 
     async def _pickup_times(self) -> tuple[list[float], list[float]]:
