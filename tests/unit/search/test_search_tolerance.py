@@ -12,7 +12,6 @@ from scipy import stats
 
 from brink.search import curves as analysis
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
-from brink.search.algorithms import tolerance
 from brink.search.algorithms.tolerance import (
     FIRST_SCREENED,
     Layout,
@@ -21,6 +20,7 @@ from brink.search.algorithms.tolerance import (
     Tolerance,
     ToleranceConfig,
     ToleranceState,
+    results,
     tally,
 )
 from brink.search.curves import (
@@ -78,7 +78,7 @@ def smaller_library() -> Iterator[None]:
     """Compare with a fifth of the curves, the search with a quarter, which these coarse checks do with."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(analysis, "LIBRARY", 60_000)
-        patched.setattr(tolerance, "_CURVES", 5_000)
+        patched.setattr(results, "_CURVES", 5_000)
         yield
 
 
