@@ -27,7 +27,7 @@ from benchmarks.measurement import Progress, Row, at_least
 from benchmarks.stand_in import StandInSeeds, serving
 from benchmarks.trials import code_fingerprint
 from brink.report.text import p_text
-from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Origin, Seeded, ask_all
+from brink.search.algorithm import AnyAlgorithm, Candidate, Evaluation, Failed, Origin, Seeded, ask_all
 from brink.search.algorithms.multi_objective import Child
 from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
 from brink.search.algorithms.nsga2 import Mosat, Nsga2
@@ -111,14 +111,14 @@ class OnlyMutants(Mumoea):
         return []
 
 
-AVOIDABLE: Final[Mapping[str, tuple[Algorithm, Any]]] = {
+AVOIDABLE: Final[Mapping[str, tuple[AnyAlgorithm, Any]]] = {
     MAP_ELITES: (Qd(), Qd.config_type()),
     "muMOEA, avoidable": (Mumoea(), MumoeaConfig()),
     "MOSAT, avoidable": (Mosat(), Mosat.config_type()),
     "NSGA-II, avoidable": (Nsga2(), Nsga2.config_type()),
 }
 """Methods that search for violations that a careful driver avoids; random search finds the same in any case."""
-METHODS: Final[Mapping[str, tuple[Algorithm, Any]]] = {
+METHODS: Final[Mapping[str, tuple[AnyAlgorithm, Any]]] = {
     ADAPTIVE: (Mumoea(), MumoeaConfig()),
     "without differential seeds": (Mumoea(), MumoeaConfig(differential="never")),
     ALWAYS: (Mumoea(), MumoeaConfig(differential="always")),

@@ -21,7 +21,7 @@ are not candidates, have no number, and are neither in the archive nor part of t
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -138,7 +138,16 @@ class State(Protocol):
         ...
 
 
-class Algorithm(Protocol):
+C = TypeVar("C")
+"""The settings of an algorithm."""
+S = TypeVar("S", bound=State)
+"""The state of an algorithm."""
+C_contra = TypeVar("C_contra", contravariant=True)
+S_contra = TypeVar("S_contra", bound=State, contravariant=True)
+S_co = TypeVar("S_co", bound=State, covariant=True)
+
+
+class Algorithm(Protocol[C, S]):
     """A search algorithm. Instances hold no state and are cheap to create.
 
     Attributes:
@@ -149,9 +158,9 @@ class Algorithm(Protocol):
 
     id: str
     summary: str
-    config_type: type[Any]
+    config_type: type[C]
 
-    def check(self, space: SearchSpace, config: Any, *, budget: int) -> None:
+    def check(self, space: SearchSpace, config: C, *, budget: int) -> None:
         """Check that the algorithm can run with these arguments.
 
         Args:
@@ -165,7 +174,7 @@ class Algorithm(Protocol):
         """
         ...
 
-    def start(self, space: SearchSpace, config: Any, *, seed: int, budget: int) -> Any:
+    def start(self, space: SearchSpace, config: C, *, seed: int, budget: int) -> S:
         """Return the initial state, with nothing asked for yet.
 
         Args:
@@ -176,7 +185,7 @@ class Algorithm(Protocol):
         """
         ...
 
-    def ask(self, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
+    def ask(self, state: S) -> tuple[S, tuple[Candidate, ...]]:
         """Return the state with one more generation in flight, and that generation.
 
         Raises:
@@ -184,7 +193,7 @@ class Algorithm(Protocol):
         """
         ...
 
-    def tell(self, state: Any, evaluations: Mapping[int, Evaluation]) -> Any:
+    def tell(self, state: S, evaluations: Mapping[int, Evaluation]) -> S:
         """Return the state after the oldest generation in flight was evaluated.
 
         Args:
@@ -197,15 +206,15 @@ class Algorithm(Protocol):
         """
         ...
 
-    def finished(self, state: Any) -> bool:
+    def finished(self, state: S) -> bool:
         """Return whether the search is over: nothing is in flight, and the budget is spent or nothing new is left."""
         ...
 
-    def dump(self, state: Any) -> Document:
+    def dump(self, state: S) -> Document:
         """Return the state, without its archive, as a versioned document."""
         ...
 
-    def load(self, space: SearchSpace, config: Any, document: Document, archive: Archive) -> Any:
+    def load(self, space: SearchSpace, config: C, document: Document, archive: Archive) -> S:
         """Return the state that `dump` stored.
 
         Args:
@@ -220,6 +229,10 @@ class Algorithm(Protocol):
         ...
 
 
+AnyAlgorithm: TypeAlias = Algorithm[Any, Any]
+"""An algorithm that was found by its id, whose types are not known."""
+
+
 @runtime_checkable
 class NeedsObjectives(Protocol):
     """An algorithm that cannot be told evaluations without certain objectives.
@@ -232,19 +245,19 @@ class NeedsObjectives(Protocol):
 
 
 @runtime_checkable
-class Overlapping(Protocol):
+class Overlapping(Protocol[S_contra]):
     """An algorithm that may have several generations in flight; any other has one."""
 
-    def can_ask(self, state: Any) -> bool:
+    def can_ask(self, state: S_contra) -> bool:
         """Return whether a further generation is to be asked for before the pending one is told."""
         ...
 
 
 @runtime_checkable
-class KnowsFlight(Protocol):
+class KnowsFlight(Protocol[C_contra]):
     """An algorithm that knows how many candidates it keeps in flight."""
 
-    def flight(self, config: Any) -> tuple[int, int]:
+    def flight(self, config: C_contra) -> tuple[int, int]:
         """Return the most candidates of one generation, and the most generations in flight at a time.
 
         Args:
@@ -253,7 +266,7 @@ class KnowsFlight(Protocol):
         ...
 
 
-def ask_each(algorithm: Algorithm, state: Any) -> Iterator[tuple[Any, tuple[Candidate, ...]]]:
+def ask_each(algorithm: Algorithm[C, S], state: S) -> Iterator[tuple[S, tuple[Candidate, ...]]]:
     """Ask for every generation that may be in flight now, one after another.
 
     Args:
@@ -268,7 +281,7 @@ def ask_each(algorithm: Algorithm, state: Any) -> Iterator[tuple[Any, tuple[Cand
         yield state, candidates
 
 
-def ask_all(algorithm: Algorithm, state: Any) -> tuple[Any, list[tuple[Candidate, ...]]]:
+def ask_all(algorithm: Algorithm[C, S], state: S) -> tuple[S, list[tuple[Candidate, ...]]]:
     """Ask for every generation that may be in flight now.
 
     Args:
@@ -282,7 +295,7 @@ def ask_all(algorithm: Algorithm, state: Any) -> tuple[Any, list[tuple[Candidate
     return asked[-1][0] if asked else state, [candidates for _, candidates in asked]
 
 
-def _can_ask(algorithm: Algorithm, state: Any) -> bool:
+def _can_ask(algorithm: Algorithm[C, S], state: S) -> bool:
     if isinstance(algorithm, Overlapping):
         return algorithm.can_ask(state)
     return not state.pending and not algorithm.finished(state)
@@ -348,10 +361,12 @@ def nearest_to_boundary(unsafe: BoolArray, robustness: FloatArray) -> IntArray:
 
 
 @runtime_checkable
-class WarmStarts(Protocol):
+class WarmStarts(Protocol[C_contra, S_co]):
     """An algorithm that may start from what is known already."""
 
-    def start_with(self, space: SearchSpace, config: Any, *, seed: int, budget: int, known: Known) -> Any:
+    def start_with(
+        self, space: SearchSpace, config: C_contra, *, seed: int, budget: int, known: Known
+    ) -> S_co:
         """Return the initial state, as `Algorithm.start` does, of a search that starts from what is known.
 
         Its first candidates are the known points. The known results may guide the search, but do not count against
@@ -420,14 +435,14 @@ class Proposal:
 
 
 @runtime_checkable
-class Seeded(Protocol):
+class Seeded(Protocol[S]):
     """An algorithm that may request seeds from outside."""
 
-    def wanted(self, state: Any) -> SeedRequest | None:
+    def wanted(self, state: S) -> SeedRequest | None:
         """Return the seeds needed before the next generation can be asked for, or None."""
         ...
 
-    def seeded(self, state: Any, proposals: Sequence[Proposal]) -> Any:
+    def seeded(self, state: S, proposals: Sequence[Proposal]) -> S:
         """Return the state after receiving the requested proposals, possibly none.
 
         Raises:

@@ -491,7 +491,7 @@ def curves_of(
     """
     found: list[Curve | None] = [None] * len(screenings)
     for is_grossest in (False, True):
-        places = [place for place, one in enumerate(grossest) if one is is_grossest]
+        places = [place for place, flag in enumerate(grossest) if flag is is_grossest]
         if places:
             curves = scaled(library()) if is_grossest else library()
             for start in range(0, len(places), _CELLS_AT_A_TIME):

@@ -43,7 +43,7 @@ def space_of(declared: DeclaredSpace) -> SearchSpace:
             raise SpaceError("expected parameters by name, or by component and name; got both")
         return SearchSpace((_component(ONLY_COMPONENT, declared),))
     parameters = tuple(declared)
-    if not parameters or not all(isinstance(one, Parameter) for one in parameters):
+    if not parameters or not all(isinstance(parameter, Parameter) for parameter in parameters):
         raise SpaceError(f"expected a mapping of names to ranges or choices, got {declared!r}")
     return SearchSpace((Component(ONLY_COMPONENT, parameters),))
 

@@ -147,7 +147,7 @@ class Component:
                 checked |= {name: self.by_name[name].unlimited() for name in rule.names}
         for block in blocks:
             label, numbers = self.by_name[block.label], [self.by_name[name] for name in block.members]
-            if label.odd != block.null_choice and all(one.odd == 0 for one in numbers):
+            if label.odd != block.null_choice and all(number.odd == 0 for number in numbers):
                 raise SpaceError(
                     f"component {self.name}: expected a number other than 0 for {', '.join(block.members)}; "
                     f"to have none of them, fix {block.label} to {block.null_choice}"

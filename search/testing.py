@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from brink.search.algorithm import (
-    Algorithm,
+    AnyAlgorithm,
     Candidate,
     Evaluation,
     Failed,
@@ -159,7 +159,7 @@ def synthetic_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) 
 
 
 def check_algorithm(
-    algorithm: Algorithm,
+    algorithm: AnyAlgorithm,
     space: SearchSpace,
     *,
     budget: int,
@@ -213,7 +213,7 @@ def check_algorithm(
 
 
 def started(
-    algorithm: Algorithm,
+    algorithm: AnyAlgorithm,
     space: SearchSpace,
     config: Any,
     *,
@@ -242,7 +242,7 @@ def started(
 
 
 def play(
-    algorithm: Algorithm,
+    algorithm: AnyAlgorithm,
     space: SearchSpace,
     config: Any,
     evaluate: Evaluate,
@@ -271,7 +271,7 @@ def play(
     return _played(algorithm, state, evaluate, order)
 
 
-def _played(algorithm: Algorithm, state: Any, evaluate: Evaluate, order: int) -> Run:
+def _played(algorithm: AnyAlgorithm, state: Any, evaluate: Evaluate, order: int) -> Run:
     _expect(not state.pending and state.generation == 0, "start: expected nothing asked yet")
     generations: list[tuple[Candidate, ...]] = []
     documents: list[bytes] = []
@@ -355,7 +355,7 @@ def _check_same(run: Run, other: Run, clause: str) -> None:
     _expect(run.documents == other.documents, clause)
 
 
-def _check_order_errors(algorithm: Algorithm, state: Any, evaluate: Evaluate) -> None:
+def _check_order_errors(algorithm: AnyAlgorithm, state: Any, evaluate: Evaluate) -> None:
     _expect(_refuses(lambda: algorithm.tell(state, {})), "tell before ask: expected OrderError")
     once, candidates = algorithm.ask(state)
     evaluations = dict(_evaluations(candidates, evaluate))
@@ -387,7 +387,7 @@ def _refuses(call: Callable[[], object]) -> bool:
 
 
 def _check_reload(
-    algorithm: Algorithm, space: SearchSpace, config: Any, evaluate: Evaluate, run: Run, state: Any
+    algorithm: AnyAlgorithm, space: SearchSpace, config: Any, evaluate: Evaluate, run: Run, state: Any
 ) -> None:
     """Check that a search resumed from the stored state of any generation continues with the same next generation."""
     archive = run.archive

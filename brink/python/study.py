@@ -15,7 +15,7 @@ import numpy as np
 from brink.python.frames import archive_frame, parameter_columns, typed_frame
 from brink.python.start import known_from, start_of
 from brink.search.algorithm import (
-    Algorithm,
+    AnyAlgorithm,
     Candidate,
     Failed,
     Overlapping,
@@ -95,7 +95,7 @@ class Study:
         params: Mapping[str, Any] | None = None,
         start_from: "Mapping[str, Any] | pd.DataFrame | None" = None,
     ) -> None:
-        self._algorithm: Algorithm = make_algorithm(algorithm)
+        self._algorithm: AnyAlgorithm = make_algorithm(algorithm)
         if isinstance(self._algorithm, Seeded):
             raise UnsupportedSpace(
                 f"{algorithm} asks for seeds, which a study cannot give: run it as a campaign"

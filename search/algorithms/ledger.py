@@ -40,10 +40,12 @@ AGGREGATES: Final[Mapping[str, Callable[[Sequence[float]], float]]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryConfig:
-    """Settings of every algorithm that searches for the boundary of the p_th-unsafe region."""
+    """Settings of every algorithm: the neighbourhood in which an archive estimates the unsafe share."""
 
     by_criticality: ClassVar[bool] = False
     """Whether the search is led by the criticality of solutions."""
+    unused: ClassVar[tuple[str, ...]] = ()
+    """Settings that do not affect the search. Campaigns may have them, but forms and lists do not offer them."""
 
     radius: float = setting(
         0.3, label="Neighbourhood radius", help="Maximum distance of a neighbour (delta).", gt=0, le=1
@@ -66,6 +68,10 @@ class BoundaryConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+
+NEIGHBOURHOOD: Final = ("radius", "p_th", "z")
+"""The settings that only a search led by boundary fitness uses; of others, they say how the archive is shown."""
 
 
 def row_keys(rows: FloatArray) -> list[bytes]:
@@ -511,7 +517,7 @@ class LedgerAlgorithm(Generic[C, S]):
 
     id: str
     summary: str
-    config_type: type[Any]
+    config_type: type[C]
     layout: int = 1
 
     def _min_budget(self, space: SearchSpace, config: C) -> int:

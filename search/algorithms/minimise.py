@@ -13,12 +13,13 @@ Source: ours; docs/explanation/pairs.md. Reverting differences one by one is the
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from brink.search.algorithm import Evaluation, Scored
 from brink.search.algorithms.ledger import (
+    NEIGHBOURHOOD,
     BoundaryConfig,
     Ledger,
     LedgerAlgorithm,
@@ -37,6 +38,8 @@ from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MinimiseConfig(BoundaryConfig):
     """Settings of the reduction of pairs."""
+
+    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     safe: list[list[float]] = field(
         default_factory=list, metadata={"help": "Safe sides of the pairs, each as a row of its numbers."}
@@ -301,5 +304,5 @@ def _given(space: SearchSpace, config: MinimiseConfig) -> Reductions:
 def _planned(state: MinimiseState) -> MinimiseState:
     """Return the state with the next trials queued, as far as the budget allows."""
     trials = state.reductions.trials()[: max(0, state.ledger.budget - state.ledger.spent)]
-    seeds = [state.config.seed_numbers[one.pair] if state.config.seed_numbers else None for one in trials]
+    seeds = [state.config.seed_numbers[trial.pair] if state.config.seed_numbers else None for trial in trials]
     return replace(state, ledger=state.ledger.plan([one.row for one in trials], seed_numbers=seeds))

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 import numpy as np
 
 from brink.search.algorithm import Candidate, Evaluation, Origin, Scored
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, stored_rows
+from brink.search.algorithms.ledger import NEIGHBOURHOOD, BoundaryConfig, Ledger, LedgerState, stored_rows
 from brink.search.document import Document
 from brink.search.errors import DocumentError
 from brink.search.pareto import ranks_and_crowding, survivors
@@ -44,6 +44,7 @@ class MultiObjectiveConfig(BoundaryConfig):
     """Settings of all multi-objective searches."""
 
     by_criticality: ClassVar[bool] = True
+    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     population_size: int = setting(
         50, help="Solutions in the population, and children per generation.", ge=4, le=1_000
@@ -365,7 +366,7 @@ def plan_generation(
         return [(row, origin) for row, _ in random_children(genome, count, rng)]
 
     take(children)
-    for breed, rounds in [*((one, _MAX_BREEDINGS) for one in breeders), (drawn, _MAX_FILLS)]:
+    for breed, rounds in [*((breeder, _MAX_BREEDINGS) for breeder in breeders), (drawn, _MAX_FILLS)]:
         for _ in range(rounds):
             if len(chosen) >= wanted:
                 break

@@ -383,7 +383,10 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         """
         drawn = [hostile_solution(genome.road, genome.max_participants, rng) for _ in range(count)]
         return [
-            (genome.row(tuple(prolonged(one, rng) for one in solution), None, rng), Origin.HEURISTIC)
+            (
+                genome.row(tuple(prolonged(participant, rng) for participant in solution), None, rng),
+                Origin.HEURISTIC,
+            )
             for solution in drawn
         ]
 
@@ -520,7 +523,7 @@ def _major_mutant(state: MumoeaState, genome: TrafficGenome, rng: np.random.Gene
     """Return a mutant of a random solution of the population with a major change to every participant."""
     parent = state.population[int(rng.integers(len(state.population)))]
     solution = genome.solution(state.history.rows[parent])
-    changed = tuple(major_change(one, rng) for one in solution)
+    changed = tuple(major_change(participant, rng) for participant in solution)
     return child_of(state, genome, changed, parent, Origin.MUTATION, rng)
 
 
@@ -577,9 +580,9 @@ class _Breeding:
         novelty = self._novelty[np.isfinite(self._novelty)]
         far_m = np.quantile(novelty, 1.0 - _BEST_SHARE) if novelty.size else np.inf
         changed: list[Participant] = []
-        for index, one in enumerate(self._solutions[place]):
+        for index, solution in enumerate(self._solutions[place]):
             good = self._gaps[place, index] <= near_m or self._novelty[place, index] >= far_m
-            changed.append(small_change(one, rng) if good else major_change(one, rng))
+            changed.append(small_change(solution, rng) if good else major_change(solution, rng))
         return self._child(tuple(changed), place, Origin.MUTATION, rng)
 
     def crossed(self, count: int, rng: np.random.Generator) -> list[Child]:
@@ -606,7 +609,9 @@ class _Breeding:
         mother, father = self._solutions[first], self._solutions[second]
         mine = self._best_participant(first)
         # Someone on foot and a vehicle have few actions in common: repair would replace the others.
-        alike = [place for place, one in enumerate(father) if one.on_foot == mother[mine].on_foot]
+        alike = [
+            place for place, participant in enumerate(father) if participant.on_foot == mother[mine].on_foot
+        ]
         yours = int(rng.choice(alike)) if alike else int(rng.integers(len(father)))
         crossed = crossed_genes(mother[mine], father[yours], rng)
         return [

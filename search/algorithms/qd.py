@@ -31,7 +31,14 @@ from typing import Any, ClassVar, Final, assert_never
 import numpy as np
 
 from brink.search.algorithm import Candidate, Evaluation, Niche, Origin, Scored
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState, stored_rows
+from brink.search.algorithms.ledger import (
+    NEIGHBOURHOOD,
+    BoundaryConfig,
+    Ledger,
+    LedgerAlgorithm,
+    LedgerState,
+    stored_rows,
+)
 from brink.search.algorithms.multi_objective import Child, stored_origins
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
@@ -89,6 +96,7 @@ class QdConfig(BoundaryConfig):
     """Settings of MAP-Elites; the shares are relative to each other."""
 
     by_criticality: ClassVar[bool] = True
+    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     generation_size: int = setting(30, help="Solutions per generation.", ge=1, le=1_000)
     in_flight: int = setting(
@@ -184,7 +192,7 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
 
     id = "qd@1"
     summary = "MAP-Elites: as many kinds of violations as possible, the most critical of each."
-    config_type: type[Any] = QdConfig
+    config_type = QdConfig
     layout = 2
 
     def _min_budget(self, space: SearchSpace, config: QdConfig) -> int:
@@ -380,7 +388,7 @@ class _Breeding:
         solution = genome.solution(_row(self._state, parent.number))
         match operator:
             case Operator.SMALL:
-                return tuple(small_change(one, rng) for one in solution)
+                return tuple(small_change(participant, rng) for participant in solution)
             case Operator.MAJOR:
                 place = int(rng.integers(len(solution)))
                 return (*solution[:place], major_change(solution[place], rng), *solution[place + 1 :])

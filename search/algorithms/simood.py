@@ -293,7 +293,11 @@ def explained_of(state: SimoodState) -> list[FloatArray]:
     keys = row_keys(archive.vectors[:, genome.space.slices[genome.index]])
     for key, unsafe in zip(keys, archive.unsafe.tolist(), strict=True):
         verdicts.setdefault(key, []).append(unsafe)
-    simulated = [(one, verdicts[key]) for one in finalists_of(state) if (key := one.tobytes()) in verdicts]
+    simulated = [
+        (finalist, verdicts[key])
+        for finalist in finalists_of(state)
+        if (key := finalist.tobytes()) in verdicts
+    ]
     hazardous = [(one, sum(unsafe) / len(unsafe)) for one, unsafe in simulated if any(unsafe)]
     ranked = sorted(hazardous, key=lambda pair: -pair[1])  # stable: on ties, the better finalist first
     return [one for one, _ in ranked[: state.config.explained]]
@@ -543,7 +547,7 @@ def _with_evaluations(
     """Return the state with individuals or parts queued, to be evaluated as the search evaluates them."""
     question = Question.DATASET if state.config.evaluate == "data" else Question.EPISODE
     scenario = _scenario(state, 0)
-    rows = [_row(genome, scenario, one) for one in individuals]
+    rows = [_row(genome, scenario, individual) for individual in individuals]
     return replace(state, ledger=state.ledger.plan(rows, question, [0] * len(rows)))
 
 
@@ -560,8 +564,12 @@ def _selection(state: SimoodState, genome: ChainGenome) -> SimoodState:
     if _seeks_interaction(state.config, genome):
         asked = set(row_keys(state.parts))
         missing = [
-            [row for part in parts_of(genome.chain(one)) if (row := genome.row(part)).tobytes() not in asked]
-            for one in state.individuals
+            [
+                row
+                for part in parts_of(genome.chain(individual))
+                if (row := genome.row(part)).tobytes() not in asked
+            ]
+            for individual in state.individuals
         ]
         hopeful = np.isnan(state.added_harms) & np.array([bool(rows) for rows in missing], np.bool_)
         preferred = _interacting(state) | hopeful
@@ -592,7 +600,7 @@ def _with_simulations(
     ledger = state.ledger
     repeats = range(state.config.repeats)
     scenarios = [_scenario(state, repeat) for repeat in repeats]
-    rows = [_row(genome, scenarios[repeat], one) for one in individuals for repeat in repeats]
+    rows = [_row(genome, scenarios[repeat], individual) for individual in individuals for repeat in repeats]
     repeat_of = {row.tobytes(): place % len(scenarios) for place, row in enumerate(rows)}
     fresh = ledger.unseen(rows)[: int(max(0, ledger.left))]
     seeds = [repeat_of[row.tobytes()] for row in fresh]
@@ -608,5 +616,5 @@ def _finals(state: SimoodState, genome: ChainGenome) -> SimoodState:
 
 def _explanation(state: SimoodState, genome: ChainGenome) -> SimoodState:
     """Return the state with the parts and other orders of the explained finalists queued."""
-    variants = [variant for one in explained_of(state) for variant in genome.ablations(one)]
+    variants = [variant for explained in explained_of(state) for variant in genome.ablations(explained)]
     return _with_simulations(state, genome, variants, Stage.EXPLANATION)

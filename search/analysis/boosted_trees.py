@@ -108,7 +108,7 @@ class BoostedTrees:
             )
         forest, unseen = _grown(features.in_every_order(vectors), unsafe, parts)
         calibration = calibrated(unseen, unsafe)
-        left_out = 1.0 - float(np.mean([one.fitted.mean() for one in parts]))
+        left_out = 1.0 - float(np.mean([part.fitted.mean() for part in parts]))
         return cls(
             features=features,
             forest=forest,

@@ -194,7 +194,11 @@ def variants_at(verdicts: Mapping[Chain, Verdicts], chain: Chain, number: int) -
         raise KeyError(number)
     variants = [part for size in range(len(chain) + 1) for part in itertools.combinations(chain, size)]
     variants += [order for order in verdicts if order != chain and set(order) == set(chain)]
-    return {one: verdicts[one][places[0]] for one in variants if places[0] in verdicts.get(one, {})}
+    return {
+        variant: verdicts[variant][places[0]]
+        for variant in variants
+        if places[0] in verdicts.get(variant, {})
+    }
 
 
 def tally_by_step(verdicts: Mapping[Chain, Verdicts]) -> dict[Step, tuple[Tally, Tally]]:

@@ -549,8 +549,8 @@ def with_low_controls(repeats: Sequence[Repeat], problem: str | None = None) -> 
     """Return the methods whose control reads low for any seed, on the given problem or, if it is None, on any."""
     return sorted(
         {
-            one.method
-            for one in repeats
-            if one.scores.control and one.scores.control.reads_low and problem in (None, one.problem)
+            repeat.method
+            for repeat in repeats
+            if repeat.scores.control and repeat.scores.control.reads_low and problem in (None, repeat.problem)
         }
     )

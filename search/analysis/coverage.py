@@ -142,7 +142,7 @@ class Coverage:
                 f"the nearest simulated solution is {nearest[place]:.3g} away, "
                 f"but {QUANTILE:.0%} of the simulated ones have another within {self.limit:.3g}"
             )
-        return tuple("; ".join(one) for one in reasons)
+        return tuple("; ".join(reason) for reason in reasons)
 
 
 def _nearest(

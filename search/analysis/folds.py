@@ -157,7 +157,7 @@ def _near(space: SearchSpace, vectors: FloatArray, draws: FloatArray) -> IntArra
     for part, columns, block in metric.blocks(points, points):
         above, left = np.nonzero(block < limit)
         links.append(np.stack([label[above + part.start], label[left + columns.start]]))
-        if sum(one.shape[1] for one in links) > _MAX_LINKS:
+        if sum(link.shape[1] for link in links) > _MAX_LINKS:
             label, links = _merged(label, links), []
     return _merged(label, links)[which.ravel()]
 

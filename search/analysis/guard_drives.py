@@ -152,7 +152,7 @@ def _estimate(name: str, above: FloatArray, below: FloatArray, step: float, conf
     limits = ratio_interval(above, below, step=step, confidence=confidence)
     if limits is None:
         return Estimate(value=value, low=None, high=None)
-    least, most = sorted(offset + sign * one for one in limits)
+    least, most = sorted(offset + sign * limit for limit in limits)
     return Estimate(value=value, low=least, high=most)
 
 

@@ -113,7 +113,7 @@ def fit_horizons(
     divisions = _divisions(drives, rng)
     steps = _Steps.of(drives, max(horizons_s))
     models: list[Any] = []
-    unseen = [np.zeros((len(one.until_s), len(horizons_s))) for one in drives]
+    unseen = [np.zeros((len(drive.until_s), len(horizons_s))) for drive in drives]
     done, total = 0, len(horizons_s) * len(divisions)
     import sklearn.ensemble  # noqa: F401  (loads OpenMP: the limit below finds only libraries that are loaded)
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
@@ -134,7 +134,7 @@ def fit_horizons(
         forest=forest,
         calibration=np.array(
             [
-                calibrated(np.concatenate([one[:, place] for one in unseen]), _labels(drives, horizon_s))
+                calibrated(np.concatenate([row[:, place] for row in unseen]), _labels(drives, horizon_s))
                 for place, horizon_s in enumerate(horizons_s)
             ]
         ),
@@ -269,7 +269,7 @@ class _Steps:
 
 
 def _labels(drives: Sequence[DriveSeries], horizon_s: float) -> BoolArray:
-    labels: BoolArray = np.concatenate([one.until_s <= horizon_s for one in drives])
+    labels: BoolArray = np.concatenate([drive.until_s <= horizon_s for drive in drives])
     return labels
 
 
@@ -279,7 +279,7 @@ def _divisions(drives: Sequence[DriveSeries], rng: np.random.Generator) -> list[
     Raises:
         ValueError: There are too few drives with or without a violation, or too few scenarios and behaviours.
     """
-    violated = np.array([one.violated for one in drives], np.bool_)
+    violated = np.array([drive.violated for drive in drives], np.bool_)
     fewest = int(min(violated.sum(), (~violated).sum()))
     if fewest < LEAST_VIOLATIONS:
         raise ValueError(
@@ -307,8 +307,8 @@ def kinds_of_drives(drives: Sequence[DriveSeries]) -> list[IntArray]:
     are left out.
     """
     behaviours = [
-        ("nothing", place) if one.behaviour is None else ("behaviour", one.behaviour)
-        for place, one in enumerate(drives)
+        ("nothing", place) if drive.behaviour is None else ("behaviour", drive.behaviour)
+        for place, drive in enumerate(drives)
     ]
     kinds = (numbered([one.scenario for one in drives]), numbered(behaviours))
     return [kind for kind in kinds if np.unique(kind).size >= FOLDS]

@@ -287,12 +287,12 @@ class MonitorEvaluation:
             "threshold": self.threshold,
             "witnesses": [
                 {
-                    "name": one.name,
-                    "judgement": asdict(one.metrics)
-                    | {"bins": [_bin_json(part) for part in one.metrics.bins]},
-                    "alarms": [asdict(point) for point in one.operating_points],
+                    "name": predictor.name,
+                    "judgement": asdict(predictor.metrics)
+                    | {"bins": [_bin_json(part) for part in predictor.metrics.bins]},
+                    "alarms": [asdict(point) for point in predictor.operating_points],
                 }
-                for one in self.predictors
+                for predictor in self.predictors
             ],
             "answers": [asdict(count) | {"answer": str(count.answer)} for count in self.answers],
             "unlike": self.unlike,

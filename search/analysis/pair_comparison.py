@@ -269,14 +269,14 @@ def problems_of(repeats: Collection[PairRepeat]) -> list[str]:
 def pair_standings(repeats: Sequence[PairRepeat]) -> list[PairStanding]:
     """Return the pairs of every method on every problem."""
     return [
-        _standing(problem, method, [one.counts for one in ours], computed=ours[0].computed)
+        _standing(problem, method, [repeat.counts for repeat in ours], computed=ours[0].computed)
         for problem in problems_of(repeats)
         for method, ours in by_method(repeats, problem).items()
     ]
 
 
 def _standing(problem: str, method: str, counts: Sequence[PairCounts], *, computed: bool) -> PairStanding:
-    known = 0 if computed else sum(one.is_tried for one in counts)
+    known = 0 if computed else sum(count.is_tried for count in counts)
     return PairStanding(
         problem=problem,
         method=method,
@@ -294,16 +294,16 @@ def _standing(problem: str, method: str, counts: Sequence[PairCounts], *, comput
 
 def measure_of(repeats: Sequence[PairRepeat], problem: str) -> PairMeasure:
     """Return what methods are compared on: confirmed pairs if these are known for every campaign, else all."""
-    ours = [one for one in repeats if one.problem == problem]
-    known = all(one.counts.is_tried and not one.computed for one in ours)
+    ours = [repeat for repeat in repeats if repeat.problem == problem]
+    known = all(repeat.counts.is_tried and not repeat.computed for repeat in ours)
     anything = any(one.counts.tried for one in ours)
     return PairMeasure.CONFIRMED if known and anything else PairMeasure.DISTINCT
 
 
 def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
     """Return a sentence on what methods are compared on, and why."""
-    ours = [one for one in repeats if one.problem == problem]
-    distinct, tried = sum(one.counts.distinct for one in ours), sum(one.counts.tried for one in ours)
+    ours = [repeat for repeat in repeats if repeat.problem == problem]
+    distinct, tried = sum(repeat.counts.distinct for repeat in ours), sum(one.counts.tried for one in ours)
     if measure_of(repeats, problem) is PairMeasure.CONFIRMED:
         return "Compared on confirmed distinct pairs."
     if not distinct:
@@ -337,7 +337,7 @@ def pair_duels(repeats: Sequence[PairRepeat], *, level: float = LEVEL) -> list[P
 def _duels(repeats: Sequence[PairRepeat], problem: str, level: float) -> list[PairDuel]:
     measure = measure_of(repeats, problem)
     values = {
-        method: [float(measure.of(one.counts)) for one in ours]
+        method: [float(measure.of(repeat.counts)) for repeat in ours]
         for method, ours in by_method(repeats, problem).items()
     }
     pairs = list(itertools.combinations(values, 2))

@@ -273,7 +273,9 @@ class ViolationType:
     @property
     def avoided_by(self) -> AvoidedBy | None:
         """How the best driver avoids its violations: by braking if that avoids any; None if that was not recorded."""
-        found = {one.avoided_by for one in self.violations if one.avoidable is self.avoidable}
+        found = {
+            violation.avoided_by for violation in self.violations if violation.avoidable is self.avoidable
+        }
         return next((one for one in AvoidedBy if one in found), None)
 
     @property

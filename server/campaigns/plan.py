@@ -12,7 +12,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from brink.search.algorithm import (
-    Algorithm,
+    AnyAlgorithm,
     Candidate,
     Known,
     KnowsFlight,
@@ -88,7 +88,7 @@ class Plan:
     """
 
     problem: Problem
-    algorithm: Algorithm
+    algorithm: AnyAlgorithm
     config: Any
     neighbourhood: Neighbourhood
     body: CampaignBody

@@ -113,7 +113,7 @@ def with_endpoints(allowed: str, models: Iterable[LlmSettings | None]) -> str:
         allowed: A value of the setting.
         models: Those of a file that its user runs on this machine; None for none.
     """
-    return ",".join(filter(None, [allowed, *(one.endpoint for one in models if one is not None)]))
+    return ",".join(filter(None, [allowed, *(model.endpoint for model in models if model is not None)]))
 
 
 def _entries(text: str) -> Iterator[_Allowed]:
@@ -127,7 +127,7 @@ def _entries(text: str) -> Iterator[_Allowed]:
             )
         if base == _ANY and keys:
             raise InvalidInput.at(VARIABLE, "expected no key after *, which would be sent to any address")
-        if not all(ENV_NAME.fullmatch(one) for one in keys):
+        if not all(ENV_NAME.fullmatch(key) for key in keys):
             raise InvalidInput.at(
                 VARIABLE,
                 f"expected the names of environment variables in capitals after {base}, such as OPENAI_API_KEY, not "

@@ -154,21 +154,21 @@ def _to_json(solution: Solution) -> dict[str, Any]:
     return {
         "participants": [
             {
-                "kind": one.kind.value,
-                "ds_m": _rounded(one.ds_m),
-                "dd_m": _rounded(one.dd_m),
-                "heading": heading_of(one.dyaw_rad).value,
-                "speed_mps": _rounded(one.speed_mps),
+                "kind": participant.kind.value,
+                "ds_m": _rounded(participant.ds_m),
+                "dd_m": _rounded(participant.dd_m),
+                "heading": heading_of(participant.dyaw_rad).value,
+                "speed_mps": _rounded(participant.speed_mps),
                 "actions": [
                     {
                         "action": gene.action.value,
                         "duration_s": _rounded(gene.duration_s),
                         "magnitude": _rounded(gene.magnitude),
                     }
-                    for gene in one.genes
+                    for gene in participant.genes
                 ],
             }
-            for one in solution
+            for participant in solution
         ]
     }
 
@@ -195,8 +195,8 @@ def _read(item: object, max_participants: int, pointer: str) -> Solution | list[
         return [_field_error(one, pointer) for one in error.errors(include_url=False)[:MAX_ITEM_ERRORS]]
     misfits = [
         error
-        for place, one in enumerate(form.participants)
-        for error in _misfits(one, f"{pointer}/participants/{place}")
+        for place, participant in enumerate(form.participants)
+        for error in _misfits(participant, f"{pointer}/participants/{place}")
     ]
     if misfits:
         return misfits[:MAX_ITEM_ERRORS]

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
 
 from brink.extras import install_command
-from brink.search.algorithm import Algorithm
+from brink.search.algorithm import AnyAlgorithm
 from brink.search.errors import ConfigError, OddError, UnsupportedSpace
 from brink.search.odd import limited, odd_of
 from brink.search.slots import slots_of
@@ -152,21 +152,21 @@ def run_plugin(group: str, plugin_id: str, what: str, run: Callable[[], T]) -> T
     return run() if is_own_plugin(group, plugin_id) else USER_CODE.call(plugin_id, what, run)
 
 
-def make_algorithm(algorithm_id: str) -> Algorithm:
+def make_algorithm(algorithm_id: str) -> AnyAlgorithm:
     """Return an algorithm by its id.
 
     Raises:
         InvalidInput: The id is unknown.
         CodeStalled: The plug-in did not return in time; so it may be with every method of the algorithm.
     """
-    factory = cast(Callable[[], Algorithm], _load(ALGORITHMS, algorithm_id, "/algorithm/id", "algorithm"))
+    factory = cast(Callable[[], AnyAlgorithm], _load(ALGORITHMS, algorithm_id, "/algorithm/id", "algorithm"))
     if is_own_plugin(ALGORITHMS, algorithm_id):
         return factory()
     return _made_algorithm(algorithm_id, factory)
 
 
 @lru_cache(maxsize=64)  # an instance holds no state, and lists of campaigns need one for each entry
-def _made_algorithm(algorithm_id: str, factory: Callable[[], Algorithm]) -> Algorithm:
+def _made_algorithm(algorithm_id: str, factory: Callable[[], AnyAlgorithm]) -> AnyAlgorithm:
     return USER_CODE.call(algorithm_id, CONSTRUCTION, lambda: guarded(algorithm_id, factory()))
 
 
@@ -328,11 +328,10 @@ def _describe_problem(problem_id: str) -> dict[str, Any]:
 
 def _describe_algorithm(algorithm_id: str) -> dict[str, Any]:
     algorithm = make_algorithm(algorithm_id)
-    return {
-        "id": algorithm_id,
-        "summary": algorithm.summary,
-        "params": params_model(algorithm.config_type).model_json_schema(),
-    }
+    schema = params_model(algorithm.config_type).model_json_schema()
+    for name in getattr(algorithm.config_type, "unused", ()):
+        schema["properties"].pop(name, None)
+    return {"id": algorithm_id, "summary": algorithm.summary, "params": schema}
 
 
 def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
@@ -353,7 +352,7 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
 
 def _requirement_options(kind: type[Any]) -> list[dict[str, str]]:
     """Return the requirements that a problem takes, each with its meaning; among them `ANY` if it takes that."""
-    options = [one for one in requirement_options() if takes_requirement(kind.id, one["value"])]
+    options = [option for option in requirement_options() if takes_requirement(kind.id, option["value"])]
     if takes_requirement(kind.id, ANY):
         problem = make_problem(kind.id, {"requirement": ANY})
         names = ", ".join(name.split("@")[0].replace("-", " ") for name in problem.requirements)

@@ -58,7 +58,7 @@ def changes_between(
     space = problem.space
     parameters = [parameter for component in space.components for parameter in component.parameters]
     names = space.column_names()
-    rows = [space.join(tuple(one.vectors)) for one in (safe, unsafe)]
+    rows = [space.join(tuple(side.vectors)) for side in (safe, unsafe)]
     known = safe.activity is not None and unsafe.activity is not None
     changes = []
     for unit in units:

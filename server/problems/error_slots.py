@@ -107,7 +107,11 @@ def slots_in(component: Component) -> tuple[Slot, ...]:
             slots.append(
                 Slot(
                     prefix=prefix,
-                    names=tuple(one.name for one in component.parameters if one.name.startswith(prefix)),
+                    names=tuple(
+                        parameter.name
+                        for parameter in component.parameters
+                        if parameter.name.startswith(prefix)
+                    ),
                     none=constraint.null_choice,
                     numbers=constraint.members,
                 )
@@ -119,7 +123,7 @@ class Parts:
     """Which parameters had a part in an episode, to be narrowed from all of them."""
 
     def __init__(self, space: SearchSpace, vectors: Vectors) -> None:
-        self._parameters = [one for component in space.components for one in component.parameters]
+        self._parameters = [parameter for component in space.components for parameter in component.parameters]
         self._columns = {name: column for column, name in enumerate(space.column_names())}
         self.active = np.ones(len(self._columns), dtype=np.bool_)
         self.effective: FloatArray = np.concatenate(

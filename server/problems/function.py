@@ -89,9 +89,9 @@ class Function(SimulatedProblem):
 
     def _unit(self, name: str) -> str:
         for component in self.space.components:
-            for one in component.parameters:
-                if one.name == name and not isinstance(one, Categorical) and one.unit:
-                    return one.unit
+            for parameter in component.parameters:
+                if parameter.name == name and not isinstance(parameter, Categorical) and parameter.unit:
+                    return parameter.unit
         return ""
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:

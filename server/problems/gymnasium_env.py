@@ -264,7 +264,7 @@ class GymnasiumProblem(ErrorSlots[Perturbation]):
         params, decoded = self.params, self.space.decode(tuple(vectors))
         scenario = decoded.get(SCENARIO, {})
         reset_seed = scenario.get(_RESET_SEED, 0 if params.reset_seeds == 1 else None)
-        perturbations: list[Json] = [one.to_json() for one in self.errors(decoded[BEHAVIOUR])]
+        perturbations: list[Json] = [error.to_json() for error in self.errors(decoded[BEHAVIOUR])]
         return EpisodeSpec(
             simulator=SIMULATOR_ID,
             scenario={

@@ -184,19 +184,19 @@ class NpcActions(SimulatedProblem):
     def waypoints(self, vectors: Vectors) -> list[list[list[float]]]:
         """Return station and offset at the end of each action, in m, as one list per road user."""
         points: list[list[list[float]]] = [
-            waypoints(one, self.road).tolist() for one in self.participants(vectors)
+            waypoints(participant, self.road).tolist() for participant in self.participants(vectors)
         ]
         return points
 
     def scripts(self, vectors: Vectors) -> list[Json]:
         """Return the scripts of the road users of a candidate, as in specifications."""
         scripts: list[Json] = []
-        for one in self.participants(vectors):
+        for participant in self.participants(vectors):
             stretches: list[Json] = [
-                stretch_to_json(asdict(stretch), one.genes[stretch.gene].action.value)
-                for stretch in roll_out(one, self.road, self.params.duration_s)
+                stretch_to_json(asdict(stretch), participant.genes[stretch.gene].action.value)
+                for stretch in roll_out(participant, self.road, self.params.duration_s)
             ]
-            scripts.append({"kind": one.kind.value, "stretches": stretches})
+            scripts.append({"kind": participant.kind.value, "stretches": stretches})
         return scripts
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
@@ -247,11 +247,11 @@ class NpcActions(SimulatedProblem):
         component = self.space.components[0]
         place = {parameter.name: index for index, parameter in enumerate(component.parameters)}
         active = np.zeros(component.dimension, dtype=np.bool_)
-        for number, one in enumerate(self.participants(vectors), start=1):
+        for number, participant in enumerate(self.participants(vectors), start=1):
             names = ParameterNames.of(number)
             active[[place[name] for name in (names.kind, *names.start)]] = True
             begins_s = 0.0
-            for gene, of_gene in zip(one.genes, names.genes, strict=False):
+            for gene, of_gene in zip(participant.genes, names.genes, strict=False):
                 active[[place[name] for name in of_gene]] = begins_s < ended_at_s
                 begins_s += gene.duration_s
         return Activity(active=active, effective=np.where(active, vectors[0], 0.0))
@@ -280,7 +280,7 @@ class NpcActions(SimulatedProblem):
             # A standing ego is not to blame for what comes close to it. Results of older versions lack these values.
             objectives[CRITICALITY] = objectives.get("moving_criticality_m", objectives[CRITICALITY])
             closest = outcome.features.get("closest_moving", closest)
-            counted = [one for one in violations if avoidable_of(one) is Avoidable.CAREFUL]
+            counted = [violation for violation in violations if avoidable_of(violation) is Avoidable.CAREFUL]
         if not self.by_gap:
             objectives[CRITICALITY] = robustness
         if violations and not counted:
@@ -313,7 +313,7 @@ class NpcActions(SimulatedProblem):
         """
         if violations:
             ranks = _RANKS if self.params.count == "avoidable" else {}
-            listed = [(one, ranks.get(avoidable_of(one), 0)) for one in violations]
+            listed = [(violation, ranks.get(avoidable_of(violation), 0)) for violation in violations]
         elif isinstance(closest, Mapping):
             listed = [({"requirement": "", "collision": None, **closest}, 1)]
         else:

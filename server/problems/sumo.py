@@ -295,7 +295,7 @@ def _traffic_changes(old: Values, new: Values, changed: Collection[str]) -> list
     names = {name.removeprefix("scenario.") for name in changed if name.startswith("scenario.")}
     parts = []
     if "network" in names:
-        words = [_with_article(NETWORK_WORDS[str(one["network"])]) for one in (new, old)]
+        words = [_with_article(NETWORK_WORDS[str(side["network"])]) for side in (new, old)]
         parts.append(f"the network is {words[0]} instead of {words[1]}")
     if "surface" in names:
         parts.append(f"the road is {new['surface']} instead of {old['surface']}")

@@ -194,10 +194,13 @@ class _Reports:
         label = self._new["label"]
         if label == b.NULL_LABEL:
             label = safe[f"trajectory_{number}.label"]
-        same = [one for one in self._others[1] if one["label"] == label and self._is_seen(one)]
+        same = [other for other in self._others[1] if other["label"] == label and self._is_seen(other)]
         if not same or not self._is_seen(self._new):
             return f"the reported {label}"
-        earlier = sum((one["t0_step"], one["number"]) < (self._new["t0_step"], number) for one in same)
+        earlier = sum(
+            (trajectory["t0_step"], trajectory["number"]) < (self._new["t0_step"], number)
+            for trajectory in same
+        )
         return f"the {_ORDINALS[earlier]} reported {label}"
 
     def _vanished(self) -> str:
@@ -230,7 +233,7 @@ class _Reports:
 
         Empty if no other trajectory of the drive has the label and begins before the step.
         """
-        before = sum(one["label"] == label and one["t0_step"] < until_step for one in others)
+        before = sum(other["label"] == label and other["t0_step"] < until_step for other in others)
         return f"{_ORDINALS[before]} " if before else ""
 
     def _is_seen(self, values: Mapping[str, Any]) -> bool:

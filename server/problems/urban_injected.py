@@ -209,7 +209,7 @@ class UrbanInjected(SlottedBehaviour):
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
     ) -> str:
         """Describe what is different in the unsafe one of two candidates."""
-        old, new = (self.space.decode(tuple(one.vectors)) for one in (safe, unsafe))
+        old, new = (self.space.decode(tuple(side.vectors)) for side in (safe, unsafe))
         verdicts = (unsafe.result or {}).get("verdicts") or {}
         times = [(verdicts.get(name) or {}).get("violated_at_s") for name in self.requirements]
         return words_of_changes(

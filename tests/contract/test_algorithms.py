@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
+from brink.search.algorithm import AnyAlgorithm, Candidate, Evaluation, Failed, Scored
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from brink.search.document import Document
 from brink.search.errors import DocumentError, UnsupportedSpace
@@ -69,9 +69,9 @@ SPACES = {
 }
 
 
-def algorithm(plugin_id: str) -> Algorithm:
+def algorithm(plugin_id: str) -> AnyAlgorithm:
     made: Any = load_plugin(GROUP, plugin_id)
-    instance: Algorithm = made()
+    instance: AnyAlgorithm = made()
     return instance
 
 
@@ -80,7 +80,7 @@ def test_the_projects_own_algorithms_are_registered() -> None:
     assert known <= set(plugin_ids(GROUP))
 
 
-def config_for(checked: Algorithm, space: SearchSpace) -> Any:
+def config_for(checked: AnyAlgorithm, space: SearchSpace) -> Any:
     """Return an algorithm's default settings; where there are none, some solutions or pairs."""
     if checked.id == MINIMISE:
         rng = np.random.default_rng(1)
@@ -212,6 +212,6 @@ class Writable(RandomSearch):
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_contract_catches_what_breaks_it(broken: Algorithm, promise: str) -> None:
+def test_contract_catches_what_breaks_it(broken: AnyAlgorithm, promise: str) -> None:
     with pytest.raises(ContractBroken, match=promise):
         check_algorithm(broken, SPACES["mixed"], budget=150)

@@ -195,7 +195,7 @@ def best_partners(surrogate: Surrogate, unsafe: BoolArray, draws: Sequence[Draws
     """
     if not draws:
         return []
-    rows = np.concatenate([one.rows for one in draws])
+    rows = np.concatenate([draw.rows for draw in draws])
     risk = surrogate.unsafe(rows).reshape(len(draws), -1)
     flips = np.where(unsafe[:, None], 1 - risk, risk)
     partners = []

@@ -8,7 +8,7 @@ import pytest
 
 from brink.search import surrogate
 from brink.search.algorithm import (
-    Algorithm,
+    AnyAlgorithm,
     Candidate,
     Evaluation,
     Failed,
@@ -40,7 +40,7 @@ from brink.search.testing import (
 )
 from brink.sim.catalogue import load_plugin, plugin_ids
 
-ALGORITHMS: Mapping[str, tuple[Algorithm, Any]] = {
+ALGORITHMS: Mapping[str, tuple[AnyAlgorithm, Any]] = {
     "random@1": (RandomSearch(), RandomSearchConfig(generation_size=20, in_flight=3)),
     "ga@1": (GeneticAlgorithm(), GeneticAlgorithmConfig(population_size=20)),
     "mlcshe@1": (Mlcshe(), MlcsheConfig(population_size=8)),

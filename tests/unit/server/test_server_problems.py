@@ -26,7 +26,14 @@ from brink.server.problems.base import (
     SimulatedProblem,
     SupportsSeeds,
 )
-from brink.server.problems.catalogue import PROBLEMS, describe_problems, make_problem
+from brink.server.problems.catalogue import (
+    PROBLEMS,
+    describe_algorithms,
+    describe_problems,
+    make_algorithm,
+    make_params,
+    make_problem,
+)
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
 from brink.server.problems.urban_injected import behaviour_component
 from brink.sim import catalogue
@@ -407,3 +414,11 @@ def test_a_plug_in_that_is_no_subclass_is_refused(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(catalogue._registered, PROBLEMS, {Unrelated.id: Unrelated})
     with pytest.raises(TypeError, match="expected a subclass of SimulatedProblem"):
         make_problem(Unrelated.id, {})
+
+
+def test_settings_that_do_not_affect_a_search_are_accepted_but_not_offered() -> None:
+    offered = {one["id"]: set(one["params"]["properties"]) for one in describe_algorithms()}
+    assert {"radius", "p_th", "z"} <= offered["mlcshe@1"]
+    for name in ("edge@1", "tolerance@1", "qd@1", "nsga2@1", "minimise@1"):
+        assert offered[name].isdisjoint({"radius", "p_th", "z"}), name
+    assert make_params(make_algorithm("edge@1").config_type, {"radius": 0.1}, "").radius == 0.1
