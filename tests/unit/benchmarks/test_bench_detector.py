@@ -1,8 +1,6 @@
 """The measurement of a detector: its figures from known detections, and that it runs."""
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ from typer.testing import CliRunner
 
 from benchmarks.cli import bench
 from benchmarks.detector import (
-    MOSTLY_VISIBLE,
     Accuracy,
     Bin,
     ClassAccuracy,
@@ -20,7 +17,6 @@ from benchmarks.detector import (
     evaluate,
     measure_detector,
 )
-from benchmarks.detector_figure import figure_detector
 from brink.server.errors import InvalidInput
 from brink.sim.perception.boxes import Detections, GroundTruth
 from brink.sim.perception.detector import LABELS
@@ -97,19 +93,6 @@ def test_a_bin_counts_only_the_bodies_within_it() -> None:
     }
 
 
-def test_visible_shares_begin_with_their_lower_end() -> None:
-    got = measured(found(0, 1, 4, 5))
-    assert boxes_in(got.by_visible_share) == {
-        "25% to 50%": [1, 1],
-        "50% to 75%": [1, 1],
-        "75% to 95%": [1, 0],
-        "at least 95%": [1, 2],
-        "at least 75%": [2, 2],
-    }
-    assert got.by_visible_share[MOSTLY_VISIBLE].map == 1.0
-    assert got.clean.map == pytest.approx(reached(2, 4))
-
-
 def test_bodies_outside_a_bin_are_neutral_and_false_detections_count_in_every_bin() -> None:
     people = found(5, 4)
     nowhere = np.array([[0.0, 200.0, 9.0, 240.0]], np.float32)
@@ -156,16 +139,6 @@ def test_genes_are_measured_at_three_levels_and_averaged() -> None:
     assert [row.met for row in got.rows] == [True, True, True, True, True, False]
 
 
-def test_the_document_is_plain_json_with_an_open_end() -> None:
-    document = json.loads(json.dumps(measured(found(*ALL)).to_json(), allow_nan=False))
-    assert document["clean"] == {"map": 1.0, "person_precision": 1.0, "person_recall": 1.0}
-    assert document["by_distance"][3]["classes"].keys() == {"person"}
-    assert document["by_visible_share"][-1]["high"] is None
-    assert document["by_distance"][3]["classes"]["person"].keys() == {"boxes", "average_precision", "recall"}
-    assert [one["highest"]["level"] for one in document["genes"]] == [10, 2]
-    assert document["mean_over_genes"]["middle"]["map"] == 1.0
-
-
 def test_images_without_a_clear_view_of_a_person_are_refused() -> None:
     one = observation(found(*ALL))
     hidden = GroundTruth(labels=one.truth.labels, boxes=one.truth.boxes, ignored=one.truth.labels == PERSON)
@@ -174,14 +147,6 @@ def test_images_without_a_clear_view_of_a_person_are_refused() -> None:
     )
     with pytest.raises(InvalidInput, match="none of the 1 images shows a person clearly"):
         evaluate("a", [people_ignored], seed=0, threshold=0.5, genes=GENES)
-
-
-def test_the_figure_shows_all_genes_and_distances(tmp_path: Path) -> None:
-    figure = figure_detector(measured(found(0, 2, 4, 5)))
-    distances, genes, _ = figure.axes
-    assert [label.get_text() for label in distances.get_xticklabels()][:2] == ["0–5", "5–10"]
-    assert {label.get_text() for label in genes.get_yticklabels()} == {"smoke", "channel dropout"}
-    figure.savefig(tmp_path / "detector.svg")
 
 
 def test_a_measurement_is_reproducible() -> None:
@@ -215,28 +180,3 @@ def test_a_measurement_is_reproducible() -> None:
 def test_invalid_options_are_refused_before_anything_is_rendered(options: list[str], said: str) -> None:
     with pytest.raises(InvalidInput, match=said):
         CliRunner().invoke(bench, ["detector", *options], catch_exceptions=False)
-
-
-@pytest.mark.long("renders ten images and perturbs each of them 44 times")
-def test_the_command_prints_and_draws_all_figures(tmp_path: Path) -> None:
-    picture = tmp_path / "detector.png"
-    ended = CliRunner().invoke(
-        bench,
-        [
-            "detector",
-            "--detector",
-            "brink-det@1",
-            "--images",
-            "10",
-            "--processes",
-            "2",
-            "--json",
-            "--picture",
-            str(picture),
-        ],
-    )
-    document = json.loads(ended.stdout)
-    assert (document["detector"], document["images"], document["seed"]) == ("brink-det@1", 10, 2)
-    assert {one["gene"] for one in document["genes"]} == set(CATALOGUE)
-    assert ended.exit_code == int(any(row["met"] is False for row in document["rows"]))
-    assert picture.stat().st_size > 10_000

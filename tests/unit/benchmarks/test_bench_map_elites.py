@@ -1,14 +1,12 @@
 """The comparison of searches on traffic: violations that reference drivers avoid, and searches for them."""
 
-import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.circumstances import violation
 
-from benchmarks import mumoea
-from benchmarks.mumoea import AVOIDABLE, MAP_ELITES, METHODS, Found, Measures, SearchRun, Task, run_search
+from benchmarks.mumoea import MAP_ELITES, Found, Measures, SearchRun, Task, run_search
 from brink.server.problems.npc_actions import NpcActionsParams
 
 PARAMS = NpcActionsParams(participants=2, duration_s=5.0)
@@ -55,16 +53,6 @@ def test_types_that_a_careful_driver_avoids_by_braking_are_counted_apart() -> No
     assert (measures.careful_types, measures.braking_types) == (2, 1)
 
 
-def test_violations_with_a_standing_ego_are_a_share_of_all() -> None:
-    stands = judged("no", ego={"speed_mps": 0.2})
-    rolls_back = judged("no", ego={"speed_mps": -0.4})
-    measures = Measures.of(
-        search(found(1, stands, judged("careful")), found(2, rolls_back), found(3, stands))
-    )
-    assert measures.standing_share == 0.5
-    assert math.isnan(Measures.of(search()).standing_share)
-
-
 @pytest.mark.parametrize(("method", "seed", "simulations"), [(MAP_ELITES, 4, 20), ("random search", 3, 40)])
 def test_a_search_counts_origins_and_the_time_of_reference_drivers(
     method: str, seed: int, simulations: int, tmp_path: Path
@@ -76,16 +64,3 @@ def test_a_search_counts_origins_and_the_time_of_reference_drivers(
     assert run.failed == 0
     assert run.found
     assert 0.0 < run.reference_cpu_s < run.simulations_cpu_s < run.cpu_s
-
-
-def test_searches_for_avoidable_violations_differ_in_the_problem_alone(tmp_path: Path) -> None:
-    counts = {
-        method: mumoea._problem(
-            Task(method=method, seed=1, simulations=20, params=PARAMS, folder=tmp_path)
-        ).params.count
-        for method in METHODS
-    }
-    assert {method for method, count in counts.items() if count == "avoidable"} == set(AVOIDABLE)
-    for method in ("muMOEA", "MOSAT", "NSGA-II"):
-        (algorithm, config), (other, its) = METHODS[method], METHODS[f"{method}, avoidable"]
-        assert (algorithm.id, config) == (other.id, its)

@@ -1,13 +1,4 @@
-import numpy as np
-
-from benchmarks.search import TARGETS_MS, measure_monitor, measure_steps, mixed_space
-
-
-def test_space_has_the_shape_of_the_case_study() -> None:
-    space = mixed_space()
-    assert space.dimension == 29
-    assert space.categorical.sum() == 9
-    space.check(space.sample(np.random.default_rng(0)))
+from benchmarks.search import TARGETS_MS, measure_monitor, measure_steps
 
 
 def test_measurement_has_a_row_for_each_size_with_its_target() -> None:

@@ -6,19 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from PIL import Image
-from typer.testing import CliRunner
 
 from benchmarks import simood_searches
-from benchmarks.cli import bench
 from benchmarks.measurement import Row
-from benchmarks.simood import harmful_genes_row, measure_simood, prediction_rows
-from benchmarks.simood_costs import Times, time_rows
-from benchmarks.simood_figures import draw_pairs, is_only_together
+from benchmarks.simood import harmful_genes_row, prediction_rows
 from benchmarks.simood_places import CONFIRMATION_PLACES, NamedChain
 from benchmarks.simood_searches import (
     PAPER,
-    Campaign,
     Contest,
     Search,
     Searches,
@@ -26,22 +20,18 @@ from benchmarks.simood_searches import (
     evaluations_of,
     hazard_p_value,
     hazard_rows,
-    interaction_rows,
     random_pairs_row,
     share_words,
-    spread_of,
     unique_genes,
 )
 from benchmarks.trials import Record, Records
-from brink.search.algorithms.simood import Simood, SimoodConfig, explained_of, finalists_of
+from brink.search.algorithms.simood import SimoodConfig, explained_of
 from brink.search.slots import ChainGenome
-from brink.search.testing import example_spaces
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
 from brink.sim.perturbations import CATALOGUE
 
 PARAMS = AebCrossingParams(techniques="brightness, contrast, smoke, dirty")
-SLOTS = example_spaces()["slots"]
 KINDS = ("default fitness", "paper's fitness", "random search with the default fitness")
 
 
@@ -108,41 +98,6 @@ def test_the_unit_of_the_test_is_the_chain() -> None:
     assert hazard_p_value([2 / 3], [2 / 3]) == 1.0
 
 
-def test_spread_of_repeated_searches() -> None:
-    assert spread_of([3.0, 5.0, 7.0]) == (5.0, 2.0, 3.0, 7.0)
-    assert spread_of([4.0]) == (4.0, 0.0, 4.0, 4.0)
-
-
-def test_ratios_with_the_papers_times_say_what_they_include() -> None:
-    times = Times(making_s=0.0, evaluation_s=12.0, episode_s=120.0)
-    rows = by_name(time_rows(60, times, measured=110, episodes=75))
-    ratios = {name.removeprefix("A7 ").replace(", 60 pictures", ""): row.value for name, row in rows.items()}
-    twenty = "whole last population of 20 simulated, as in the paper's sum"
-    assert ratios == {
-        "search alone, times faster": pytest.approx(10.0),
-        "whole last population of 120 simulated, paper's fitness, times faster": pytest.approx(
-            160 * 120 / (160 * 12 + 120 * 120)
-        ),
-        f"{twenty}, paper's fitness, times faster": pytest.approx(7_200 / 3_120),
-        "all 5 finalists in 3 streets, paper's fitness, times faster": pytest.approx(
-            7_200 / (720 + 15 * 120)
-        ),
-        "best 2 in one street, paper's fitness, times faster": pytest.approx(7_200 / 960),
-        f"{twenty}, default fitness, times faster": pytest.approx(13_200 / (1_320 + 20 * 120)),
-        "all 5 finalists in 3 streets, default fitness, times faster": pytest.approx(
-            13_200 / (1_320 + 15 * 120)
-        ),
-        "best 2 in one street, default fitness, times faster": pytest.approx(13_200 / (1_320 + 2 * 120)),
-        "default campaign with its explanation, share of 60 individuals in episodes, without parts or "
-        "explanation": pytest.approx((110 * 12 + 75 * 120) / 7_200),
-    }
-    targeted = [row.what for row in rows.values() if row.target == "at least 10"]
-    assert targeted == [
-        "A7 search alone, 60 pictures, times faster",
-        "A7 best 2 in one street, paper's fitness, 60 pictures, times faster",
-    ]
-
-
 def test_share_of_explained_finalists_that_are_hazardous_by_interaction(tmp_path: Path) -> None:
     rows = by_name(searches(tmp_path).interactions())
     explained = rows_of(tmp_path / "explained.csv")
@@ -164,14 +119,6 @@ def test_share_of_explained_finalists_that_are_hazardous_by_interaction(tmp_path
     assert all(float(row["added_harm"]) >= 0.05 and row["other_order"] == "0 of 5" for row in found)
 
 
-def test_a_share_of_nothing_misses_its_target() -> None:
-    state = Simood().start(SLOTS, SimoodConfig(), seed=1, budget=200)
-    none = Campaign(state=state, explained=[])
-    target, hazardous = interaction_rows("default fitness", [none], 1 / 3, "explained.csv")
-    assert (target.value, target.met, hazardous.value, hazardous.met) == (0.0, False, 0.0, None)
-    assert target.note.startswith("0 of 0 explained")
-
-
 def test_campaigns_of_the_benchmark_explain_what_the_algorithm_explains(tmp_path: Path) -> None:
     found = searches(tmp_path)
     for campaign in found._campaigns("test", replace(SimoodConfig(), repeats=5, explained=3), range(2)):
@@ -188,19 +135,6 @@ def test_searches_that_are_compared_stop_at_the_same_number_of_evaluations(tmp_p
     for config in (PAPER, SimoodConfig(), replace(SimoodConfig(), propose="random")):
         (state,) = found._search("test", [Search(config=config, seed=1, evaluations=70)])
         assert 68 <= evaluations_of(state) <= 70
-
-
-def test_random_pairs_and_finalists_of_random_search_are_compared(tmp_path: Path) -> None:
-    found = searches(tmp_path)
-    rows = by_name(found.against_random())
-    assert len(rows) == 11
-    for which in KINDS[:2]:
-        for name in ("random pairs", "finalists of random search"):
-            assert f"A5 Fisher p of hazardous finalists against {name}, {which}" in rows
-            assert f"A5 hazardous share, difference, finalists against {name}, {which}" in rows
-    asked = found._records.asked  # type: ignore[attr-defined]
-    assert {spec.seed for spec in asked if spec.requirements} == set(CONFIRMATION_PLACES)
-    assert rows["A5 share of hazardous random pairs"].target == "at most 0.5"
 
 
 def test_hazards_are_compared_by_chain_and_by_search() -> None:
@@ -232,11 +166,6 @@ def test_random_pairs_count_once() -> None:
     assert random_pairs_row([{a: 1.0, b: 0.6}]).met is True
 
 
-def test_counts_have_their_wilson_interval() -> None:
-    assert share_words(2, 10) == "2 of 10 (6% to 51%)"
-    assert share_words(0, 0) == "0 of 0"
-
-
 def test_a_gene_is_harmful_if_its_first_level_is_unsafe_in_any_street() -> None:
     shares: dict[NamedChain, float] = {
         ((name, level),): 0.0 for name, gene in CATALOGUE.items() for level in range(1, gene.levels)
@@ -266,15 +195,6 @@ def test_a_measure_predicts_hazards_if_unsafe_chains_measure_worse() -> None:
     assert not prediction_rows(dict.fromkeys(shares, 0.0), measured), "nothing is unsafe"
 
 
-def test_a_default_campaign_counts_all_its_evaluations_and_episodes(tmp_path: Path) -> None:
-    found = searches(tmp_path)
-    campaign = found.default_campaign()
-    asked = found._records.asked  # type: ignore[attr-defined]
-    assert campaign.measured == len({spec.digest() for spec in asked if not spec.requirements})
-    assert campaign.episodes == len({spec.digest() for spec in asked if spec.requirements})
-    assert len(finalists_of(campaign.state)) == 5
-
-
 def test_tables_have_the_spread_of_their_searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simood_searches, "GENERATIONS", (10, 20))
     monkeypatch.setattr(simood_searches, "POPULATIONS", (20,))
@@ -297,37 +217,3 @@ def test_tables_have_the_spread_of_their_searches(tmp_path: Path, monkeypatch: p
     weak, strong = rows_of(tmp_path / "omega.csv")[::-1]
     assert float(weak["mean_intensity"]) < float(strong["mean_intensity"])
     assert all(1 <= float(row["unique_orders"]) <= 12 for row in (weak, strong)), "4 x 3 orders"
-
-
-def test_searches_with_the_papers_fitness_measure_no_parts(tmp_path: Path) -> None:
-    found = searches(tmp_path)
-    for config, parts in ((PAPER, False), (SimoodConfig(), True)):
-        (campaign,) = found._campaigns("test", replace(config, generations=1), range(1))
-        assert bool(len(campaign.state.parts)) is parts
-
-
-def test_an_unknown_detector_is_refused(tmp_path: Path) -> None:
-    command = ["simood", "A1", "--out", str(tmp_path), "--detector", "brnk-det@1"]
-    refused = CliRunner().invoke(bench, command)
-    assert refused.exit_code != 0
-    assert "expected one of brink-det@1" in str(refused.exception)
-
-
-def test_tables_of_a_detector_are_in_a_folder_of_its_name(tmp_path: Path) -> None:
-    rows = measure_simood(["A1"], tmp_path, processes=1, progress=lambda *_: None, detector="brink-det@1")
-    assert (tmp_path / "brink-det@1").is_dir()
-    assert all(row.met for row in rows)
-
-
-def test_pairs_that_are_hazardous_only_together_are_framed(tmp_path: Path) -> None:
-    rain, snow, smoke = ("rain", 5), ("snow", 2), ("smoke", 3)
-    parts: dict[NamedChain, float] = {(rain,): 0.2, (snow,): 0.0, (smoke,): 0.4}
-    together: dict[NamedChain, float] = {(rain, snow): 0.8, (snow, rain): 0.6, (snow, smoke): 1.0}
-    assert [is_only_together(chain, share, parts) for chain, share in together.items()] == [
-        True,
-        False,
-        False,
-    ]
-    draw_pairs(together, parts, tmp_path / "pairs.png")
-    with Image.open(tmp_path / "pairs.png") as picture:
-        assert (0, 114, 178) in {colour for _, colour in picture.convert("RGB").getcolors(1 << 24) or []}

@@ -42,13 +42,29 @@ def line_of(**changes: Any) -> str:
     return screen.file.getvalue()
 
 
-def test_progress_in_a_file_is_one_plain_line_however_narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({}, "12.5 a second, remaining 1 min 24 s, workers 2"),
+        ({"rate_per_s": None, "remaining_s": None, "workers": 0}, "workers none yet"),
+        ({"rate_per_s": None, "remaining_s": None, "cached": 254}, "254 from the cache, workers 2"),
+        (
+            {
+                "rate_per_s": None,
+                "remaining_s": None,
+                "failed": 2,
+                "reported_failed": 3,
+                "failure": "no road",
+            },
+            "workers 2, failed 5 (first: no road)",
+        ),
+    ],
+)
+def test_progress_in_a_file_is_one_plain_line_of_what_is_known(
+    changes: dict[str, Any], line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "30")
-    assert line_of() == "254/1300 simulations, 12.5 a second, remaining 1 min 24 s, workers 2\n"
-
-
-def test_progress_leaves_out_what_is_unknown() -> None:
-    assert line_of(rate_per_s=None, remaining_s=None, workers=0) == "254/1300 simulations, workers none yet\n"
+    assert line_of(**changes) == f"254/1300 simulations, {line}\n"
 
 
 def test_progress_waits_for_the_first_worker_unless_that_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,16 +74,6 @@ def test_progress_waits_for_the_first_worker_unless_that_takes_long(monkeypatch:
     assert line_of(**nothing, status="paused") != ""
     monkeypatch.setattr("brink.api.live.PLAIN_EVERY_S", 0.0)
     assert line_of(**nothing) == "0/1300 simulations, workers none yet\n"
-
-
-def test_results_from_the_cache_are_no_rate() -> None:
-    line = line_of(rate_per_s=None, remaining_s=None, cached=254)
-    assert line == "254/1300 simulations, 254 from the cache, workers 2\n"
-
-
-def test_failures_are_counted_with_the_first_error_before_the_search_is_told() -> None:
-    line = line_of(failed=2, reported_failed=3, failure="invalid: no road here")
-    assert line.endswith(", workers 2, failed 5 (first: invalid: no road here)\n")
 
 
 def test_the_first_failure_is_shown_at_once_in_a_file() -> None:
@@ -115,21 +121,6 @@ def test_steps_in_a_file_are_a_line_now_and_then() -> None:
         "whole, and brackets are no markup"
     )
     assert "\x1b" not in output.getvalue()
-
-
-def test_steps_in_a_file_are_told_soon_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("brink.api.live.FIRST_LINE_S", 0.001)
-    output = Lines(wanted="drawing, ")
-    with Steps(Console(file=output), "drawing"):
-        assert output.complete.wait(20.0)
-    assert output.getvalue().count("\n") == 1, "the next one is due in ten seconds"
-
-
-def test_steps_of_a_short_while_print_nothing_in_a_file() -> None:
-    output = io.StringIO()
-    with Steps(Console(file=output), "drawing"):
-        pass
-    assert output.getvalue() == ""
 
 
 def test_steps_on_a_terminal_are_one_line_that_disappears(monkeypatch: pytest.MonkeyPatch) -> None:

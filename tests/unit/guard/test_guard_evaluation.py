@@ -24,7 +24,6 @@ from brink.guard.evaluation import (
     peak,
     threshold_at,
 )
-from brink.plots.guard import figure_guard
 from brink.search.analysis.folds import divisions
 from brink.search.analysis.guard_training import FittedHorizons
 from brink.search.archive import Archive
@@ -238,14 +237,6 @@ def test_drives_that_end_differently_are_reported() -> None:
     archive.unsafe[7] = True
     with pytest.raises(Conflict, match=r"3 of 100 drives of campaign x end differently.*solutions 0, 1, 7"):
         check_verdicts(drives, (REQUIREMENT,), cast(Archive, archive), "campaign x")
-
-
-def test_the_figure_shows_both_panels() -> None:
-    figure = figure_guard(evaluate(stump_guard(), safe_and_unsafe()))
-    assert [axes.get_title(loc="left") for axes in figure.axes] == [
-        "Predicted violations and false alarms",
-        "Lead time, alarms in 5% of safe drives",
-    ]
 
 
 def test_baselines_confirm_alarms_as_the_guard_does() -> None:

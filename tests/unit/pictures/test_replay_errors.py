@@ -16,7 +16,7 @@ from brink.pictures.scene import (
     is_injected,
     wrong_boxes,
 )
-from brink.pictures.story import error_words, report_word, scenario_words
+from brink.pictures.story import error_words
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDriveErrors
@@ -102,12 +102,6 @@ def test_only_errors_that_report_what_is_not_there_make_ghosts(
     if caption:
         words = ghost_words if ghosts else astray_words
         assert words(scene.trace, 0) == caption
-
-
-def test_the_title_names_the_error(trace: Trace) -> None:
-    assert report_word(trace) == "wrong"
-    assert error_words(trace) == "the lead is reported 1.0 m too far left from 1.0 s on"
-    assert scenario_words(trace).endswith("task: follow the road; " + error_words(trace))
 
 
 def test_a_trace_with_errors_that_cannot_be_read_is_drawn_all_the_same(trace: Trace) -> None:

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from support.traces import guarded, make_trace
 
-from brink.pictures.frame import FramePainter, Layout
-from brink.pictures.guard import guard_words, prevented_pair
-from brink.pictures.pair import pair_story
-from brink.pictures.pair_view import pair_still
-from brink.pictures.style import GUARD_DOES
-from brink.pictures.timeline import timeline_figure
+from brink.pictures.guard import guard_words
 from brink.server.api.episode_views import episode_view
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import Trace
@@ -59,42 +54,6 @@ def test_words_say_alarm_until_the_fallback_intervenes(watched: Trace) -> None:
         "",
     ]
     assert not any(guard_words(make_trace(samples=10)))
-
-
-def test_the_time_bar_has_a_row_for_the_guard(watched: Trace) -> None:
-    plain = make_trace(samples=SAMPLES, violated=False)
-    with_row, without = (np.asarray(FramePainter(one).frame(0)) for one in (watched, plain))
-    layout = Layout.of((960, 540), guarded=True)
-
-    assert layout.time_bar[1] == Layout.of((960, 540)).time_bar[1] - 13
-    bar = with_row[layout.time_bar[1] :]
-    for colour in GUARD_DOES.values():
-        assert (bar == colour).all(axis=2).sum() > 50
-        assert not (without == colour).all(axis=2).any()
-
-
-def test_the_timeline_has_a_band_for_the_guard(watched: Trace) -> None:
-    bands = timeline_figure(watched).axes[2]
-
-    names = [label.get_text() for label in bands.get_yticklabels()]
-    assert names[-1] == "guard"
-    assert "guard" not in [
-        label.get_text() for label in timeline_figure(make_trace(samples=30)).axes[2].get_yticklabels()
-    ]
-
-
-def test_a_prevented_violation_is_told_side_by_side(watched: Trace) -> None:
-    alone = make_trace(samples=SAMPLES)
-
-    pair = prevented_pair(alone, watched, "front-gap@1")
-    story = pair_story(pair)
-
-    assert [part.name for part in story.parts] == ["alone", "guarded"]
-    assert story.parts[0].is_unsafe
-    assert "the fallback brakes at 4.5 s; front gap held" in pair.change
-    assert [mark.time_s for mark in pair.marks] == pytest.approx([4.5])
-    picture = np.asarray(pair_still(pair))
-    assert (picture == GUARD_DOES["fallback"]).all(axis=2).sum() > 50
 
 
 def test_the_api_returns_probabilities_and_states(watched: Trace) -> None:

@@ -3,22 +3,17 @@
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from PIL import Image
 from support.traces import make_trace
 
-from brink.pictures import render
 from brink.pictures.frame import FramePainter
 from brink.pictures.motion import brakings, distances, lane_edge, motion_of, plan_words, scripts_of
 from brink.pictures.pair import pair_story, part_state_words
-from brink.pictures.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
+from brink.pictures.pair_view import PairPainter
 from brink.pictures.reference import Comparison, comparison_of
 from brink.pictures.story import runs
-from brink.pictures.style import INK, VIOLATION
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.episode import Json
@@ -90,13 +85,6 @@ def test_the_words_say_what_the_system_did_and_what_a_careful_driver_does_instea
     )
 
 
-def test_an_ideal_driver_is_called_so() -> None:
-    system = hits_a_person(avoidable="ideal")
-    found = compared(system, driven(stops_at_m=50.0, from_s=4.0, driver="ideal"))
-    assert found.sentences[1].startswith("An ideal driver brakes at 4.0 s")
-    assert "A careful driver" in found.explanation
-
-
 def test_a_driver_who_need_not_brake_says_why_and_is_shown_when_it_passes() -> None:
     system = hits_a_person()
     found = compared(system, driven(stops_at_m=None))
@@ -121,19 +109,6 @@ def test_a_driver_who_need_not_brake_says_why_and_is_shown_when_it_passes() -> N
     assert part_state_words(story, story.parts[1], 7.0) == "end of the route 5.0 s"
 
 
-def test_a_standing_driver_who_is_hit_is_said_to_be_hit() -> None:
-    found = compared(hits_a_person(), driven(stops_at_m=PERSON_M - HALF_CAR_M + 0.3))
-    assert found.driven.startswith("brakes at 3.5 s and stands when pedestrian-1 walks into it at ")
-
-
-def test_what_the_driver_violates_in_turn_is_said() -> None:
-    reference = driven(stops_at_m=50.0)
-    near = np.where(reference.time_s >= 9.0 - 1e-4, -0.2, 3.0).astype(np.float32)
-    reference = replace(reference, robustness={**reference.robustness, "front-gap@2": near})
-    found = compared(hits_a_person(), reference)
-    assert found.driven.endswith(" m short of pedestrian-1 (violated the front gap at 9.0 s)")
-
-
 def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
     system = hits_a_person(gap_too=True)
     found = compared(system, driven(stops_at_m=50.0), ("no-collision@1", "front-gap@2"))
@@ -143,30 +118,6 @@ def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
     assert found.others == ""
     gap = compared(system, driven(stops_at_m=50.0), "front-gap@2")
     assert (gap.system, gap.about.requirement) == ("came within 1.5 m of lead at 6.5 s", "front-gap@2")
-
-
-@pytest.mark.parametrize(
-    ("requirement", "words"),
-    [("front-gap@2", "1.5 m required\nwhile moving"), ("front-gap@1", "1.5 m required"), ("progress@1", "")],
-)
-def test_the_chart_says_which_front_gap_is_required(requirement: str, words: str) -> None:
-    system = hits_a_person(gap_too=True)
-    robustness = dict(system.robustness)
-    robustness[requirement] = robustness.pop("front-gap@2")
-    avoidable: dict[str, Json] = dict.fromkeys(robustness, "careful")
-    about: dict[str, Json] = {**system.about, AVOIDABLE: avoidable}
-    system = replace(system, robustness=robustness, about=about)
-    assert pair_story(compared(system, driven(stops_at_m=50.0)).pair(system)).gap_required == words
-
-
-def test_what_comes_later_is_no_part_of_the_headline() -> None:
-    system = hits_a_person()
-    late = np.where(system.time_s >= 9.0 - 1e-4, -0.1, 0.5).astype(np.float32)
-    system = replace(system, robustness={**system.robustness, "lane-keeping@1": late})
-    found = compared(system, driven(stops_at_m=50.0))
-    assert found.system == "hit pedestrian-1 at 7.0 s"
-    assert found.others == "The system then left the lane at 9.0 s."
-    assert found.others in found.pair(system).facts
 
 
 def test_who_moves_up_while_waiting_stays_behind_and_brakes_once() -> None:
@@ -219,24 +170,6 @@ def test_what_nobody_avoids_is_shown_alone_and_says_so() -> None:
     assert comparison_of(make_trace(violated=False)) is None
 
 
-def test_both_drives_are_side_by_side_with_the_systems_on_the_left(tmp_path: Path) -> None:
-    system = replace(hits_a_person(), reference=driven(stops_at_m=50.0))
-    pair = compared(system, driven(stops_at_m=50.0)).pair(system)
-    story = pair_story(pair)
-    assert [part.name for part in story.parts] == ["system", "careful"]
-    assert [part.is_unsafe for part in story.parts] == [True, False]
-    assert story.moment_s == pytest.approx(7.0)
-    left, right = (part_state_words(story, part, 7.0) for part in story.parts)
-    assert right == "0.0 m/s, waits, 8.5 m from pedestrian-1"
-    assert "pedestrian-1" in left
-    picture = np.asarray(pair_still(pair))
-    red = np.flatnonzero((picture == VIOLATION).all(axis=2).sum(axis=0) > 200)
-    assert red.size > 0
-    assert red.max() < STILL_WIDTH_PX / 2, "only the system's drive has a red frame"
-    with Image.open(render(system, tmp_path / "both.png")) as image:
-        assert image.width == STILL_WIDTH_PX
-
-
 def test_a_film_begins_shortly_before_the_driver_brakes() -> None:
     late = hits_a_person(at_s=16.0)
     late = replace(late, reference=driven(stops_at_m=50.0, from_s=9.0))
@@ -261,30 +194,6 @@ def test_the_edge_of_the_lane_is_drawn_where_the_margin_has_it(side: float) -> N
     assert edge[:, 1] == pytest.approx(-1.75 + side * half_lane_m, abs=0.01)
     assert np.abs(edge[:, 0] - ego[100, 0]).max() < 11.0
     assert lane_edge(replace(trace, robustness={}), 100, 9.0) is None
-
-
-def test_a_film_has_a_thin_frame_after_recovery_and_marks_the_counterpart_to_the_end() -> None:
-    system = hits_a_person(gap_too=True)
-    near = np.where((system.time_s >= 6.5 - 1e-4) & (system.time_s < 8.0), -0.2, 3.0).astype(np.float32)
-    held = np.full_like(near, 3.0)
-    system = replace(system, robustness={"front-gap@2": near, "no-collision@1": held}, events=())
-    reference = driven(stops_at_m=50.0)
-    painter = PairPainter(compared(system, reference).pair(system))
-
-    def frame(time_s: float) -> NDArray[np.uint8]:
-        return np.asarray(painter.frame(int(np.abs(painter.time_s - time_s).argmin())))
-
-    def edge_px(picture: NDArray[np.uint8]) -> int:
-        """Return how wide the crimson edge at the left of the system's map is."""
-        row = picture[250, : painter.size[0] // 4]
-        return int((row == VIOLATION).all(axis=1)[:40].sum())
-
-    assert [edge_px(frame(time_s)) for time_s in (5.0, 7.0, 9.0)] == [0, 4, 1]
-    right = frame(float(painter.time_s[-1]))[110:400, painter.size[0] // 2 + 20 : -20]
-    assert float(painter.time_s[-1]) > float(reference.time_s[-1]) + 1.0
-    lead = reference.actors[0]
-    assert lead.name == "lead"
-    assert (right == INK).all(axis=2).sum() > 200, "the counterpart is outlined and named"
 
 
 @cache

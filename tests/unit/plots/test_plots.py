@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -28,15 +28,12 @@ from brink.plots import (
     write_campaign_figures,
 )
 from brink.plots.campaign import figure_fronts, recorded_diversities
-from brink.plots.embedding import MAP_BOTTOM_PX, MAP_LEFT_PX
-from brink.plots.inputs import VerdictWords
 from brink.plots.style import WIDTH_PX
 from brink.search.algorithm import Scored
 from brink.search.algorithms.multi_objective import CRITICALITY
 from brink.search.algorithms.nsga2 import Nsga2, Nsga2Config
 from brink.search.analysis.boundary import dbs, dbs_grid, distinct_boundary, strict_dbs
 from brink.search.analysis.dependence import dependences
-from brink.search.analysis.pairs import find_pairs
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.similarity import own_plane
 from brink.search.archive import Archive, Neighbourhood
@@ -148,11 +145,6 @@ def check_size_and_ink(image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -
     assert 0.005 < (image < 200).any(axis=2).mean() < 0.6
 
 
-@pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
-def test_figures_have_the_right_width_and_are_not_blank(make: MakeFigure) -> None:
-    check_size_and_ink(pixels(figure_of(make, mixed_campaign)))
-
-
 def test_dbs_lines_end_at_the_dbs_of_the_archive() -> None:
     inputs = mtq_campaign()
     figure = figure_of(figure_dbs, mtq_campaign)
@@ -221,39 +213,6 @@ def test_own_coordinates_of_different_units_fill_a_square() -> None:
     assert own_plane(MIXED) is None
 
 
-def test_map_says_what_verdicts_are_about() -> None:
-    plain = mixed_campaign()
-    others = np.zeros(len(plain.archive), np.bool_)
-    others[np.flatnonzero(~plain.archive.unsafe)[:29]] = True
-    about = VerdictWords(
-        held="front gap held",
-        other="front gap held, another requirement violated",
-        violated="violated the front gap",
-        others=others,
-    )
-    figure = figure_embedding(replace(plain, words=about))
-    text, safe = words(figure), int((~plain.archive.unsafe).sum())
-    assert f"front gap held: {safe - 29}" in text
-    assert "front gap held,\nanother requirement violated: 29" in text
-    assert "violated the front gap: " in text
-    assert "safe:" not in text
-    colours = np.asarray(scattered(figure.axes[0], "solutions").get_facecolor())
-    assert len(np.unique(colours, axis=0)) == 3
-    assert len(np.unique(colours[others], axis=0)) == 1
-    with pytest.raises(ValueError, match="entries in others"):
-        replace(plain, words=replace(about, others=others[:3]))
-
-
-def test_map_tells_unknown_ground_from_ground_at_p_th() -> None:
-    figure = figure_of(figure_embedding, mixed_campaign)
-    assert "too few simulations nearby to tell" in words(figure)
-    hatched = [patch for axes in figure.axes for patch in axes.patches if patch.get_hatch()]
-    assert len(hatched) == 2, "the ground of the map, and its key"
-    image = pixels(figure)
-    corner = image[-MAP_BOTTOM_PX - 40 : -MAP_BOTTOM_PX - 4, MAP_LEFT_PX + 4 : MAP_LEFT_PX + 40]
-    assert (corner < 250).all(axis=2).mean() > 0.9, "not white"
-
-
 def test_map_rings_the_distinct_boundary_solutions_best_first() -> None:
     inputs = mtq_campaign()
     axes = figure_of(figure_embedding, mtq_campaign).axes[0]
@@ -285,32 +244,6 @@ def test_map_of_a_search_for_pairs_rings_and_lists_these() -> None:
     assert {str(number) for sides in pairs for number in sides} <= set(text.splitlines())
 
 
-def test_map_of_a_search_that_found_no_pair_says_so() -> None:
-    assert "distinct pairs: none" in words(figure_embedding(replace(mtq_campaign(), pairs=())))
-
-
-def test_pairs_of_unknown_solutions_are_refused() -> None:
-    with pytest.raises(ValueError, match="expected numbers of solutions in the archive, got 999"):
-        replace(mtq_campaign(120), pairs=((3, 999),))
-
-
-def test_map_has_a_legend_for_dots_and_rings() -> None:
-    inputs = mtq_campaign()
-    text = words(figure_of(figure_embedding, mtq_campaign))
-    unsafe = int(inputs.archive.unsafe.sum())
-    assert f"safe: {len(inputs.archive) - unsafe}" in text
-    assert f"unsafe: {unsafe}" in text
-    count = distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th).size
-    assert f"distinct boundary solutions: {count}\n" in text
-    assert f"strict: {strict_dbs(inputs.archive, inputs.t_b, inputs.d_th)}" in text
-
-
-def test_map_names_the_parameter_that_separates_an_axis() -> None:
-    axes = figure_of(figure_embedding, mixed_campaign).axes[0]
-    assert "mostly behaviour: label" in axes.get_xlabel()
-    assert "mostly scenario: weather" in axes.get_ylabel()
-
-
 def test_fitness_is_scored_with_the_results_known_at_the_time() -> None:
     inputs = mtq_campaign()
     x, best = line(figure_of(figure_fitness, mtq_campaign).axes[0], "best")
@@ -320,16 +253,6 @@ def test_fitness_is_scored_with_the_results_known_at_the_time() -> None:
         known = inputs.archive.first(end)
         assert low == pytest.approx(known.fitness.min())
         assert middle == pytest.approx(np.median(known.fitness))
-
-
-def test_unsafe_shares_of_generations_add_up() -> None:
-    inputs = mtq_campaign()
-    axes = figure_of(figure_fitness, mtq_campaign).axes[1]
-    x, so_far = line(axes, "so far")
-    assert so_far[-1] == pytest.approx(inputs.archive.unsafe.mean())
-    dots = np.asarray(axes.collections[0].get_offsets())
-    sizes = np.diff([0, *x])
-    assert (dots[:, 1] * sizes).sum() == pytest.approx(inputs.archive.unsafe.sum())
 
 
 def test_panels_show_the_share_of_each_choice_without_an_interval() -> None:
@@ -403,11 +326,6 @@ def test_degenerate_campaigns_give_readable_figures(make: MakeFigure, inputs: Ca
     assert (pixels(figure) < 200).any(axis=2).mean() > 0.002
 
 
-def test_map_without_boundary_solutions_says_so() -> None:
-    assert "none yet" in words(figure_embedding(_few(120, unsafe=True)))
-    assert "no solutions evaluated" in words(figure_embedding(_few(0, unsafe=True)))
-
-
 def test_inconsistent_inputs_are_rejected() -> None:
     good = mtq_campaign(60)
     with pytest.raises(ValueError, match=r"generation_ends: expected ascending counts up to 60"):
@@ -416,6 +334,8 @@ def test_inconsistent_inputs_are_rejected() -> None:
         )
     with pytest.raises(ValueError, match=r"space: expected 2 parameters"):
         CampaignFigures(archive=good.archive, space=MIXED, title="", generation_ends=(60,), t_b=0.1, d_th=0.1)
+    with pytest.raises(ValueError, match="expected numbers of solutions in the archive, got 999"):
+        replace(good, pairs=((3, 999),))
 
 
 TRAFFIC = SearchSpace((participants_component("npcs", 2, RoadLimits()),))
@@ -450,16 +370,6 @@ def test_recomputed_diversity_equals_that_of_the_search() -> None:
         assert (np.diff(heights) > 0).all() or len(heights) == 1
 
 
-def test_fronts_name_what_criticality_is() -> None:
-    rows = [TRAFFIC.join(TRAFFIC.sample(np.random.default_rng(seed))) for seed in range(3)]
-    fronts = [
-        figure_fronts("npcs", TRAFFIC, np.stack(rows), [3], np.array([1.0, -1.0, 2.0]), CONFIG, by_gap=by_gap)
-        for by_gap in (True, False)
-    ]
-    labels = [figure.axes[0].get_xlabel() for figure in fronts]
-    assert ["gap" in label for label in labels] == [True, False]
-
-
 def test_fronts_leave_out_solutions_whose_violations_do_not_count() -> None:
     rows = np.stack([TRAFFIC.join(TRAFFIC.sample(np.random.default_rng(seed))) for seed in range(4)])
     criticality = np.array([1.0, 250.0, 2.0, 250.0])
@@ -468,11 +378,6 @@ def test_fronts_leave_out_solutions_whose_violations_do_not_count() -> None:
     assert {*dots[:, 0].tolist(), *front.tolist()} == {1.0, 2.0}
     told = [text.get_text() for text in axes.figure.texts]
     assert any("Without the 2 whose violations" in words for words in told)
-
-
-def test_fronts_without_a_generation_say_so() -> None:
-    figure = figure_fronts("npcs", TRAFFIC, np.empty((0, TRAFFIC.dimension)), [], np.empty(0), CONFIG)
-    assert any("no generation" in text.get_text() for axes in figure.axes for text in axes.texts)
 
 
 def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:
@@ -486,31 +391,10 @@ def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
-def test_figures_of_the_boundary_are_left_out_after_a_search_for_pairs(tmp_path: Path) -> None:
-    files = write_campaign_figures(replace(mtq_campaign(120), pairs=()), tmp_path)
+@pytest.mark.parametrize("change", [{"pairs": ()}, {"searched_boundary": False}])
+def test_another_search_has_no_figures_of_the_boundary(change: dict[str, Any], tmp_path: Path) -> None:
+    files = write_campaign_figures(replace(mtq_campaign(120), **change), tmp_path)
     assert [path.name for path in files] == ["map.png", "parameters.png"]
-
-
-def test_a_search_for_something_else_has_no_figures_of_the_boundary(tmp_path: Path) -> None:
-    inputs = replace(mtq_campaign(120), searched_boundary=False)
-    files = write_campaign_figures(inputs, tmp_path)
-    assert [path.name for path in files] == ["map.png", "parameters.png"]
-    drawn = figure_embedding(inputs)
-    legends = [text.get_text() for legend in drawn.legends for text in legend.get_texts()]
-    ticks = [label.get_text() for axes in drawn.axes for label in axes.get_xticklabels()]
-    told = "\n".join([*(text.get_text() for text in drawn.texts), *legends, *ticks])
-    assert "unsafe" in told
-    assert not any(word in told for word in ("ring", "boundary", "fitness", "p_th")), told
-    assert not any(str(one.get_gid()).startswith("ring") for axes in drawn.axes for one in axes.collections)
-
-
-@pytest.mark.long("draws every figure twice")
-def test_equal_campaigns_give_equal_files_without_changing_global_state(tmp_path: Path) -> None:
-    before = dict(mpl.rcParams)
-    first = write_campaign_figures(mtq_campaign(120), tmp_path / "a")
-    second = write_campaign_figures(mtq_campaign(120), tmp_path / "b")
-    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
-    assert dict(mpl.rcParams) == before
 
 
 @pytest.mark.long("draws every figure twice")
@@ -533,29 +417,6 @@ def test_an_unknown_format_is_rejected_before_drawing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"formats: expected some of png, svg; got 'pdf'"):
         write_campaign_figures(mtq_campaign(60), tmp_path / "out", formats=("pdf",))
     assert not (tmp_path / "out").exists()
-
-
-def test_a_pair_of_two_numbers_is_drawn_to_scale_in_its_own_plane() -> None:
-    inputs = mtq_campaign()
-    pair = find_pairs(inputs.archive, inputs.space, eps=0.02, d_th=0.05).pairs[0]
-    figure = figure_pair(
-        inputs,
-        PairFigure(
-            safe=pair.safe.number, unsafe=pair.unsafe.number, change="x 0.73 -> 0.74", facts=("checked",)
-        ),
-    )
-    whole, close = figure.axes
-    assert whole.get_aspect() == close.get_aspect() == 1.0
-    assert whole.get_xlim() == whole.get_ylim() == (0, 1)
-    rows = {
-        int(number): row for number, row in zip(inputs.archive.numbers, inputs.archive.vectors, strict=True)
-    }
-    safe, unsafe = rows[pair.safe.number], rows[pair.unsafe.number]
-    middle = (safe + unsafe) / 2
-    assert np.mean(close.get_xlim()) == pytest.approx(middle[0])
-    drawn = [point for one in close.collections for point in np.asarray(one.get_offsets()).tolist()]
-    assert safe.tolist() in drawn
-    assert unsafe.tolist() in drawn
 
 
 def test_a_pair_of_a_mixed_problem_has_a_row_for_each_difference() -> None:

@@ -10,17 +10,17 @@ import pytest
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def build(folder: Path, *options: str) -> list[str]:
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
     """Build a wheel and return the paths in it."""
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder), *options]
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     (wheel,) = folder.glob("*.whl")
-    return zipfile.ZipFile(wheel).namelist()
+    return set(zipfile.ZipFile(wheel).namelist())
 
 
-def test_a_wheel_holds_the_package_and_its_metadata_and_nothing_else(tmp_path: Path) -> None:
-    names = build(tmp_path)
-
+def test_a_wheel_holds_the_package_and_its_metadata_and_nothing_else(names: set[str]) -> None:
     assert {name.split("/")[0] for name in names} == {"brink", "brink_boundary-1.0.0.dist-info"}
     modules = {name for name in names if name.endswith(".py")}
     assert modules == {
@@ -30,9 +30,7 @@ def test_a_wheel_holds_the_package_and_its_metadata_and_nothing_else(tmp_path: P
     }
 
 
-def test_a_wheel_holds_the_page_the_templates_the_weights_and_the_type_marker(tmp_path: Path) -> None:
-    names = set(build(tmp_path))
-
+def test_a_wheel_holds_the_page_the_templates_the_weights_and_the_type_marker(names: set[str]) -> None:
     tracked = subprocess.run(
         ["git", "ls-files", "brink/report/templates", "server/dashboard/static", "sim/perception/weights"],
         cwd=ROOT,

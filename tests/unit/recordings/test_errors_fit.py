@@ -12,14 +12,7 @@ import yaml
 
 from brink.recordings.fit_errors import FEWEST_DRIVES, TYPES, fit_errors
 from brink.recordings.recording import RecordingError
-from brink.report.errors import (
-    Violations,
-    agreement_words,
-    campaign_yaml,
-    error_rows,
-    error_sentences,
-    errors_yaml,
-)
+from brink.report.errors import campaign_yaml, error_rows, error_sentences, errors_yaml
 from brink.search.errors import ConfigError
 from brink.search.streams import episode_seed
 from brink.server.campaigns.body import CampaignBody
@@ -345,26 +338,3 @@ def test_a_document_that_cannot_be_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         UrbanFittedParams(errors=edited(change))
-
-
-def violations(unsafe: int, low: float, high: float) -> Violations:
-    return Violations(
-        campaign=f"c{unsafe}",
-        name=f"n{unsafe}",
-        problem="urban-fitted@1",
-        unsafe=unsafe,
-        drives=1000,
-        replicates=20,
-        low=low,
-        high=high,
-    )
-
-
-def test_agreement_is_said_in_words() -> None:
-    one, near, far = violations(30, 0.02, 0.04), violations(38, 0.028, 0.05), violations(90, 0.075, 0.11)
-    assert agreement_words(one, near).startswith(
-        "The two agree as far as these drives tell: their difference is -0.80"
-    )
-    assert agreement_words(one, far).startswith(
-        "The two differ: drives of n90 violate more often than those of n30"
-    )

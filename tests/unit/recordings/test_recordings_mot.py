@@ -90,16 +90,6 @@ def test_one_drive_with_several_detectors_does_not_count_several_times(tmp_path:
         read_recording(tmp_path)
 
 
-def test_a_box_that_reaches_beyond_the_image_is_refused_or_clipped(tmp_path: Path) -> None:
-    sequence(tmp_path, "S", "1,2,-19,51,40,100,1,1,1\n", "")
-    with pytest.raises(
-        RecordingError, match=r"gt\.txt:1: the box -20 to 20.* beyond the image of 640 x 480 px"
-    ):
-        read_recording(tmp_path)
-    (walker,) = read_recording(tmp_path, options=ReadOptions(clip=True)).drives["S"].images[0.0].road_users
-    assert (walker.sides, walker.truncation) == (Sides(0, 20, 50, 150), 0.5)
-
-
 @pytest.mark.parametrize(
     ("truth", "found", "info", "words"),
     [
@@ -109,6 +99,7 @@ def test_a_box_that_reaches_beyond_the_image_is_refused_or_clipped(tmp_path: Pat
         ("", f"6,2,{WALKER},1", INFO, r"det\.txt:1: frame: expected a number between 1 and 5, got 6"),
         ("", f"1e99,2,{WALKER},1", INFO.replace("seqLength=5", ""), "frame: expected a number from 1"),
         ("1,2,3,4,-5,6,1,1,1", "", INFO, "got a negative size"),
+        ("1,2,-19,51,40,100,1,1,1", "", INFO, "the box -20 to 20.* beyond the image of 640 x 480 px"),
         (f"1,2,{WALKER},1,1,1\n1,2,{WALKER},1,1,1", "", INFO, ":2: id '2' occurs twice at 0 s"),
         (f"1,2,{WALKER},1,14,1", "", INFO, "label: expected one of .*; got '14' .*--classes 14=vehicle"),
         (f"1,2,{WALKER},1,1,70", "", INFO, "visible_share: expected a share between 0 and 1, got 70"),

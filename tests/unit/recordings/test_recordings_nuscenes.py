@@ -7,16 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
-from typer.testing import CliRunner
 
-from brink.cli.commands import app
 from brink.recordings.camera import CameraModel
-from brink.recordings.fit_errors import FEWEST_DRIVES
 from brink.recordings.formats import nuscenes
 from brink.recordings.measure import observe
 from brink.recordings.reading import read_recording
-from brink.recordings.recording import ClassMeaning, ReadOptions, Recording, RecordingError, RoadUser
+from brink.recordings.recording import ReadOptions, Recording, RecordingError, RoadUser
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.urban.detection_errors import ErrorType, Target
 
@@ -196,24 +192,6 @@ def test_lead_that_is_lost_for_two_seconds_is_missed_for_two_seconds(tmp_path: P
     assert detection.left_m == drive.images[0.0].road_users[0].left_m
 
 
-def test_errors_are_fitted_to_a_folder_of_scenes_by_one_command(tmp_path: Path) -> None:
-    tables: dict[str, list[dict[str, Any]]] = {}
-    for scene in range(FEWEST_DRIVES):
-        for table, rows in _tables(OBJECTS).items():
-            for row in rows:
-                tokens = {key: f"{scene}-{value}" for key, value in row.items() if key.endswith("token")}
-                tokens |= {key: row[key] for key in ("visibility_token",) if key in row}
-                tables.setdefault(table, []).append(row | tokens)
-        tables["scene"][-1]["name"] = f"scene-{scene:04d}"
-    names = {f"{scene}-{one}": "car" for scene in range(FEWEST_DRIVES) for one in ("lead", "behind")}
-    detections, truth = _write(tmp_path, tables, _results(tables, names))
-    command = ["errors", "fit", str(detections), "--truth", str(truth), "--threshold", "0.5"]
-    done = CliRunner().invoke(app, [*command, "--out", str(tmp_path / "errors.yaml")])
-    assert done.exit_code == 0, (done.output, done.exception)
-    fitted = yaml.safe_load((tmp_path / "errors.yaml").read_text())
-    assert (fitted["drives"], fitted["detector"]) == (FEWEST_DRIVES, "results")
-
-
 def _users(recording: Recording, time_s: float = 0.0) -> dict[str, RoadUser]:
     return {one.track: one for one in recording.drives["scene-0001"].images[time_s].road_users}
 
@@ -262,18 +240,6 @@ def test_categories_are_road_users_regions_to_ignore_or_things(
     image = read_recording(*_write(tmp_path, tables, _results(tables, {}))).drives["scene-0001"].images[0.0]
     assert [one.label for one in image.road_users] == [meaning] * isinstance(meaning, ObstacleLabel)
     assert len(image.ignored) == (meaning == "region")
-
-
-@pytest.mark.parametrize("name", ["bicycle", "vehicle.bicycle"])
-def test_user_says_what_cyclists_are(tmp_path: Path, name: str) -> None:
-    tables = _tables({"it": ("vehicle.bicycle", [20.0, 1.0], (1.0, 2.0, 1.5), 0.0)})
-    paths = _write(tmp_path, tables, _results(tables, {"it": "bicycle"}))
-    recording = read_recording(*paths)
-    assert recording.dropped == {"detections of the class bicycle, which is ignored": IMAGES}
-    options = ReadOptions(classes={**ReadOptions().classes, name: ClassMeaning.PERSON})
-    image = read_recording(*paths, options=options).drives["scene-0001"].images[0.0]
-    assert [one.label for one in image.road_users] == [ObstacleLabel.PERSON]
-    assert [one.label for one in image.detections] == [ObstacleLabel.PERSON] * (name == "bicycle")
 
 
 def test_scenes_without_results_are_left_out_and_said(tmp_path: Path) -> None:

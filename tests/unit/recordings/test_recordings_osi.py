@@ -8,21 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from mcap.writer import CompressionType, Writer
-from typer.testing import CliRunner
 
-from brink.cli.commands import app
 from brink.recordings import osi_traces
 from brink.recordings.camera import CameraModel
-from brink.recordings.fit_errors import FEWEST_DRIVES
 from brink.recordings.formats import osi
-from brink.recordings.measure import observe
 from brink.recordings.reading import read_recording
-from brink.recordings.recording import ClassMeaning, ReadOptions, RecordedDrive, Recording, RecordingError
+from brink.recordings.recording import ReadOptions, RecordedDrive, Recording, RecordingError
 from brink.search.errors import MissingExtra
 from brink.sim.driving.interface import ObstacleLabel
-from brink.sim.urban.detection_errors import ErrorType, Target
+from brink.sim.urban.detection_errors import Target
 
 Message = list[tuple[int, Any]]
 """Numbers of fields, and their values: a message, a whole number, or a floating-point number."""
@@ -232,26 +227,6 @@ def test_traces_become_a_drive_with_boxes_in_the_driving_systems_image(
         assert detection.sides == pytest.approx(one.sides)
 
 
-def test_lead_that_is_lost_for_two_seconds_is_missed_for_two_seconds(tmp_path: Path) -> None:
-    recording = read_recording(*_traces(tmp_path))
-    drive = _drive(recording)
-    undetected = [
-        time_s
-        for time_s, image in sorted(drive.images.items())
-        if all(one.distance_m != pytest.approx(26.7) for one in image.detections)
-    ]
-    assert undetected == pytest.approx([STEP_S * number for number in MISSED])
-    assert all(len(image.road_users) == len(THINGS) for image in drive.images.values())
-    (observed,) = observe(recording, threshold=0.5)
-    misses = {target: by[ErrorType.MISS] for target, by in observed.measured.errors.magnitudes.items()}
-    assert misses == {
-        Target.LEAD: pytest.approx(2.0),
-        Target.ONCOMING: 0.0,
-        Target.PEDESTRIAN: 0.0,
-        Target.EVERYBODY: 0.0,
-    }
-
-
 @pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize("truth", ["SensorView", "GroundTruth"])
 def test_mcap_file_with_both_channels_is_the_same_drive(
@@ -289,19 +264,6 @@ def test_folders_are_paired_by_name(tmp_path: Path) -> None:
         )
 
 
-def test_errors_are_fitted_to_a_folder_of_traces_by_one_command(tmp_path: Path) -> None:
-    for name in range(FEWEST_DRIVES):
-        _write(tmp_path / f"{name}_sd.osi", _reports())
-        _write(tmp_path / f"{name}_sv.osi", _views())
-    out = tmp_path / "errors.yaml"
-    done = CliRunner().invoke(app, ["errors", "fit", str(tmp_path), "--format", "osi", "--out", str(out)])
-    assert done.exit_code == 0, (done.output, done.exception)
-    assert "4 drives have exactly the true boxes of another (1 those of 0, for one)" in " ".join(
-        done.output.split()
-    )
-    assert yaml.safe_load(out.read_text())["drives"] == FEWEST_DRIVES
-
-
 def test_lane_is_the_hosts_by_assignment_or_straight_ahead(tmp_path: Path) -> None:
     things = {
         1: _Thing(50.0, 9.0, lane=5),
@@ -318,18 +280,6 @@ def test_road_user_behind_a_nearer_one_is_hidden(tmp_path: Path) -> None:
     things = {1: _Thing(20.0, 0.0, size=(8.0, 2.5, 3.0)), 2: _Thing(30.0, 0.0)}
     drive = _drive(read_recording(*_traces(tmp_path, things=things)))
     assert {one.track: one.occlusion for one in drive.images[0.0].road_users} == {"1": 0, "2": 2}
-
-
-def test_cyclists_are_ignored_unless_the_user_says_what_they_are(tmp_path: Path) -> None:
-    paths = _traces(tmp_path, things={1: _Thing(20.0, 1.0, kind=(VEHICLE, BICYCLE))})
-    recording = read_recording(*paths)
-    image = _drive(recording).images[0.0]
-    assert (image.road_users, len(image.ignored), image.detections) == ([], 1, [])
-    assert recording.dropped == {"detections of the class bicycle, which is ignored": IMAGES}
-    options = ReadOptions(classes={**ReadOptions().classes, "bicycle": ClassMeaning.PERSON})
-    image = _drive(read_recording(*paths, options=options)).images[0.0]
-    assert [one.label for one in image.road_users] == [ObstacleLabel.PERSON]
-    assert [one.label for one in image.detections] == [ObstacleLabel.PERSON]
 
 
 def test_detection_without_score_or_size(tmp_path: Path) -> None:

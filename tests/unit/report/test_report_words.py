@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from brink.report.campaign_words import constants, count, ranges, requirement_words, share
+from brink.report.campaign_words import constants, ranges, share
 from brink.search.analysis.dependence import parameter_columns
 from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
-from brink.sim.catalogue import requirement_ids
 
 
 @pytest.mark.parametrize(
@@ -15,10 +14,6 @@ from brink.sim.catalogue import requirement_ids
 )
 def test_a_share_is_never_rounded_to_none_or_all(part: int, whole: int, words: str) -> None:
     assert share(part, whole) == words
-
-
-def test_a_count_has_the_right_noun() -> None:
-    assert [count(number, "pair") for number in (0, 1, 1300)] == ["0 pairs", "1 pair", "1,300 pairs"]
 
 
 def test_parameters_that_differ_in_digits_alone_share_a_row() -> None:
@@ -48,14 +43,6 @@ def test_parameters_that_differ_in_digits_alone_share_a_row() -> None:
     ]
 
 
-def test_parameters_that_were_varied_have_their_titles() -> None:
-    component = Component(
-        "users", (Real("p1.v", 0, 15, title="user 1: speed"), Real("p2.v", 0, 15, title="user 2: speed"))
-    )
-    (both,) = ranges(parameter_columns(SearchSpace((component,)), np.array([[1.0, 2.0], [3.0, 4.0]])))
-    assert both.names == "user *: speed (2 parameters)"
-
-
 def test_only_what_occurred_was_varied() -> None:
     kind = Categorical("type", ("none", "miss", "late", "ghost"))
     dormant = Dormant(label="type", null_choice="none", members=("severity", "onset_s"))
@@ -72,15 +59,3 @@ def test_only_what_occurred_was_varied() -> None:
         ("onset_s", "4 s"),
         ("distance_m", "had no part"),
     ]
-
-
-@pytest.mark.parametrize("requirement", requirement_ids())
-def test_every_requirement_says_what_it_demands(requirement: str) -> None:
-    words = requirement_words(requirement)
-    assert words[0].isupper()
-    assert words.endswith(".")
-    assert "`" not in words
-
-
-def test_an_unknown_requirement_says_nothing() -> None:
-    assert requirement_words("none@1") == ""

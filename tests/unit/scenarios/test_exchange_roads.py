@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support.standards import NetworkReader, RoadReader, number, schema_errors
 
-from brink.scenarios.opendrive import DRY_FRICTION, opendrive
+from brink.scenarios.opendrive import opendrive
 from brink.scenarios.street_network import street_network
 from brink.scenarios.urban_network import UrbanGround, reach_of, urban_network
 from brink.sim.aeb.specification import AebScenario, Occluder
@@ -27,7 +27,6 @@ from brink.sim.world.road import (
 )
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, Weather
 from brink.sim.world.scenery import BEFORE_M, BEYOND_M, fixtures
-from brink.sim.world.weather import conditions
 
 CREATED_AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 OPENDRIVE = "opendrive_17_core.xsd"
@@ -47,10 +46,6 @@ def along(
 ) -> list[tuple[float, float, float]]:
     count = math.ceil((to_m - from_m) / every_m)
     return [line.pose_at(from_m + (to_m - from_m) * index / count) for index in range(count + 1)]
-
-
-def near_junction(road: Road, station_m: float) -> bool:
-    return any(abs(station_m - junction.station_m) < 9.0 for junction in road.junctions)
 
 
 def main_roads(network: NetworkReader) -> list[RoadReader]:
@@ -312,33 +307,6 @@ def test_roads_reach_beyond_every_road_user() -> None:
     for x_m, y_m in points[:3]:
         assert network.lanes_at(x_m, y_m)[0].across_m < 0.1
     assert network.lanes_at(*points[3]) == [], "off the road"
-
-
-def test_dry_friction_of_driving_lanes_is_the_worlds() -> None:
-    _, network = exported((RoadCurve.LEFT, 0, 1))
-    assert conditions(TimeOfDay.NIGHT, Weather.CLOUDY).friction == DRY_FRICTION
-    for road in network.roads.values():
-        material = road.lanes[-1].find("material")
-        assert material is not None
-        assert number(material, "friction") == DRY_FRICTION
-
-
-def test_the_speed_limit_is_written() -> None:
-    _, network = exported((RoadCurve.STRAIGHT, 1, 2))
-    limits = {(one.attrib["max"], one.attrib["unit"]) for one in network.root.iter("speed")}
-    assert limits == {("30.0", "km/h")}
-
-
-def test_dashes_of_the_middle_line_begin_where_the_world_has_them() -> None:
-    _, network = exported((RoadCurve.RIGHT, 1, 1))
-    from_m = -BEFORE_M
-    for part in main_roads(network):
-        (line,) = part.element.iterfind("lanes/laneSection/center/lane/roadMark/type/line")
-        begins_m = from_m + number(line, "sOffset")
-        period_m = number(line, "length") + number(line, "space")
-        assert math.remainder(begins_m + BEFORE_M, period_m) == pytest.approx(0.0, abs=1e-6)
-        assert 0.0 <= number(line, "sOffset") < period_m
-        from_m += part.length_m + 2.0 * junction_reach_m(network, part)
 
 
 def test_the_emergency_brakes_street_is_one_straight_road(tmp_path: Path) -> None:

@@ -199,11 +199,3 @@ def test_an_actor_without_room_is_left_out(
     replayed(trace, tmp_path, monkeypatch)
     assert len(world.actors) == 40
     assert "no room for parked-" in capsys.readouterr().out
-
-
-def test_the_script_says_that_it_was_never_run_in_carla(tmp_path: Path) -> None:
-    write_openscenario(
-        urban_drive(0), ORIGIN, tmp_path, ego=EgoControl.RECORDED, created_at=datetime(2026, 1, 1, tzinfo=UTC)
-    )
-    text = (tmp_path / "replay_in_carla.py").read_text()
-    assert "It has never been run in CARLA." in text.split('"""')[1]

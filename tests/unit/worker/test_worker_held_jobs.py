@@ -1,5 +1,6 @@
 """Every held job is in one place until the coordinator acknowledges its outcome; prefetching stays in bounds."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import pytest
@@ -197,34 +198,21 @@ def test_a_report_is_bounded_in_bytes_but_a_single_large_outcome_is_sent() -> No
     assert [outcome.leased.job for outcome in report(held).outcomes] == [2, 3]
 
 
-def test_outcomes_of_a_refused_report_are_sent_singly_and_the_culprit_becomes_an_error() -> None:
+@pytest.mark.parametrize("answer", [HeldJobs.handle_refusal, HeldJobs.handle_fault])
+def test_outcomes_of_a_refused_report_are_sent_singly_and_the_culprit_becomes_an_error(
+    answer: Callable[[HeldJobs, Report, str], None],
+) -> None:
     held = held_jobs(Clock())
     held.add(grant(1, 2))
     for _ in range(2):
         finish(held, take(held))
-    held.handle_refusal(report(held), "422")
-    alone = report(held)
-    assert [outcome.leased.job for outcome in alone.outcomes] == [1]
-    assert alone.room == 0
-    held.handle_refusal(alone, "422 too strange")
-    again = report(held)
-    assert isinstance(again.outcomes[0].outcome, JobFailed)
-    accept(held, again)
-    assert [outcome.leased.job for outcome in report(held).outcomes] == [2]
-
-
-def test_outcome_at_which_the_coordinator_fails_alone_becomes_an_error() -> None:
-    held = held_jobs(Clock())
-    held.add(grant(1, 2))
-    for _ in range(2):
-        finish(held, take(held))
-    held.handle_fault(report(held), "500")
+    answer(held, report(held), "no")
     alone = report(held)
     assert ([outcome.leased.job for outcome in alone.outcomes], alone.room) == ([1], 0)
-    held.handle_fault(alone, "500 no idea")
+    answer(held, alone, "too strange")
     error = report(held)
     assert isinstance(error.outcomes[0].outcome, JobFailed)
-    assert "500 no idea" in error.outcomes[0].outcome.message
+    assert "too strange" in error.outcomes[0].outcome.message
     accept(held, error)
     assert [outcome.leased.job for outcome in report(held).outcomes] == [2]
 

@@ -17,7 +17,7 @@ from brink.worker.log import (
     environment_format,
     log_fields,
 )
-from brink.worker.settings import WorkerSettings, new_worker_id
+from brink.worker.settings import WorkerSettings
 
 
 def record(**fields: Any) -> logging.LogRecord:
@@ -140,12 +140,6 @@ def test_the_token_is_not_part_of_the_repr() -> None:
     assert "hush" not in repr(WorkerSettings(server="http://c", token="hush"))
 
 
-def test_worker_ids_are_unique_and_short_enough_for_the_wire() -> None:
-    ids = {new_worker_id() for _ in range(100)}
-    assert len(ids) == 100
-    assert max(map(len, ids)) <= 64
-
-
 def test_a_text_line_is_one_line_with_its_fields() -> None:
     record = logging.makeLogRecord(
         {
@@ -158,15 +152,3 @@ def test_a_text_line_is_one_line_with_its_fields() -> None:
     )
     line = LineFormatter(worker="w-1").format(record)
     assert line.endswith('WARNING brink.worker.loop: two lines worker=w-1 job=7 reason="no luck"')
-
-
-def test_a_text_line_is_followed_by_its_stack() -> None:
-    try:
-        json.loads("{")
-    except ValueError as error:
-        record = logging.makeLogRecord(
-            {"msg": "broken", "exc_info": (type(error), error, error.__traceback__)}
-        )
-    first, *stack = LineFormatter(worker="w-1").format(record).split("\n")
-    assert "broken worker=w-1" in first
-    assert "JSONDecodeError" in stack[-1]
