@@ -175,12 +175,6 @@ def test_with_truth_nothing_is_perturbed() -> None:
     assert truth.activity(candidate(BIAS), {"perturbed_steps": []}) is None
 
 
-def test_a_candidate_has_words() -> None:
-    assert CART_POLE.words(candidate(BIAS)) == (
-        "CartPole-v1, low -0.05, high 0.05, reset seed 3; pole angle biased by +0.05 from step 20 on for 100 steps"
-    )
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -208,15 +202,6 @@ def test_a_change_has_words(old: dict[str, Any], new: dict[str, Any], expected: 
     assert change(candidate({**BIAS, **old}), candidate({**BIAS, **new})) == expected
 
 
-def test_a_perturbation_that_comes_or_goes_and_a_scenario_have_words() -> None:
-    words = "pole angle biased by +0.05 from step 20 on for 100 steps"
-    assert change(candidate(), candidate(BIAS)) == words
-    assert change(candidate(BIAS), candidate()) == f"without {words}"
-    assert change(candidate(), candidate(**{"reset.low": -0.1, "reset_seed": 4})) == (
-        "low -0.1 instead of -0.05; reset seed 4 instead of 3"
-    )
-
-
 def test_only_perturbations_that_had_an_effect_are_active() -> None:
     freeze = {**BIAS, "type": "freeze"}
     found = CART_POLE.activity(candidate(freeze, BIAS), {"perturbed_steps": [[20, 30], None]})
@@ -231,13 +216,6 @@ def test_only_perturbations_that_had_an_effect_are_active() -> None:
     assert idle is not None
     assert describe_candidate(CART_POLE, candidate(BIAS), idle).endswith(f"; not perturbed; {NO_PART}")
     assert CART_POLE.activity(candidate(BIAS), {}) is None
-
-
-def test_the_example_finds_its_problem() -> None:
-    campaign = yaml.safe_load((ROOT / "examples" / "gymnasium.yaml").read_text())
-    assert isinstance(
-        make_problem(campaign["problem"]["id"], campaign["problem"]["params"]), GymnasiumProblem
-    )
 
 
 @pytest.mark.parametrize(

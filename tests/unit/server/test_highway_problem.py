@@ -1,20 +1,17 @@
 """The problem of highway-env: episodes, activity and words."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from brink.search.pairs import Steps
-from brink.search.space import Categorical
 from brink.server.api.episode_views import episode_view
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import NO_PART, SimulatedSolution, activity_of, describe_candidate
-from brink.server.problems.catalogue import check_extra, make_problem
+from brink.server.problems.catalogue import make_problem
 from brink.server.problems.changes import change_words, changes_between
 from brink.server.problems.error_slots import NO_ERROR
 from brink.server.problems.highway import HighwayPerception, HighwayPerceptionParams
@@ -30,7 +27,6 @@ from brink.sim.episode import Verdict
 from brink.sim.trace import Trace
 from brink.worker.wire import Completed
 
-ROOT = Path(__file__).resolve().parents[3]
 HIGHWAY = HighwayPerception(HighwayPerceptionParams())
 SCENARIO: dict[str, Any] = {
     "road": "highway",
@@ -146,15 +142,6 @@ def test_the_verdict_is_the_worst_of_the_requirements() -> None:
     assert (lenient.unsafe, lenient.robustness) == (False, 0.3)  # type: ignore[union-attr]
 
 
-def test_the_space_has_the_chosen_roads_and_errors() -> None:
-    problem = HighwayPerception(HighwayPerceptionParams(roads=["merge"], errors=1, duration_s=10.0))
-    road = problem.space.components[0].parameters[0]
-    assert isinstance(road, Categorical)
-    assert road.choices == ("merge",)
-    assert problem.space.components[1].dimension == 6
-    assert problem.space.components[1].interchangeable == ()
-
-
 @pytest.mark.parametrize(
     ("params", "pointer", "expected"),
     [
@@ -172,22 +159,6 @@ def test_wrong_parameters_are_refused(params: dict[str, Any], pointer: str, expe
     (error,) = refused.value.errors
     assert error.pointer == pointer
     assert expected in error.message
-
-
-def test_a_missing_extra_is_named_with_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("brink.server.problems.catalogue.find_spec", lambda module: None)
-    with pytest.raises(InvalidInput) as refused:
-        check_extra(HIGHWAY)
-    (error,) = refused.value.errors
-    assert "highway-perception@1 needs the highway extra, which is not installed: " in error.message
-    assert "[highway]" in error.message
-
-
-def test_a_candidate_has_words() -> None:
-    assert (
-        HIGHWAY.words(candidate(MISS))
-        == f"{WORDS}; the vehicle ahead is not perceived for 1.2 s from 4.2 s on"
-    )
 
 
 @pytest.mark.parametrize(
@@ -220,27 +191,6 @@ def test_a_candidate_has_words() -> None:
 )
 def test_a_change_of_an_error_has_words(old: dict[str, Any], new: dict[str, Any], expected: str) -> None:
     assert change(candidate({**MISS, **old}), candidate({**MISS, **new})) == expected
-
-
-def test_an_error_that_comes_or_goes_has_words() -> None:
-    words = "the vehicle ahead is not perceived for 1.2 s from 4.2 s on"
-    assert change(candidate(), candidate(MISS)) == words
-    assert change(candidate(MISS), candidate()) == f"without the error that {words}"
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"goal": "left"}, "the ego goes left instead of straight"),
-        ({"lanes": 4}, "4 lanes instead of 3"),
-        ({"ego_speed": 0.9}, "the ego starts at 27 m/s instead of 30 m/s"),
-        ({"target_speed": 1.0}, "the ego aims at 30 m/s instead of 36 m/s"),
-        ({"density": 1.2}, "traffic density 120% instead of 100% of the usual"),
-        ({"road": "merge", "lanes": 4}, "on a road of the kind merge instead of highway"),
-    ],
-)
-def test_a_change_of_the_scenario_has_words(changes: dict[str, Any], expected: str) -> None:
-    assert change(candidate(MISS), candidate(MISS, **changes)) == expected
 
 
 def test_only_parameters_that_had_a_part_are_active() -> None:
@@ -295,13 +245,6 @@ def test_every_error_has_a_scale_and_words(kind: ErrorType) -> None:
     assert scale.words(0.5) in HIGHWAY.error_words(choices, scale.words(0.5))
     assert "crossing" in HIGHWAY.error_words(choices, "1")
     assert HIGHWAY.severity_scale({"behaviour.error_1.type": NO_ERROR}) is None
-
-
-def test_the_example_finds_its_problem() -> None:
-    campaign = yaml.safe_load((ROOT / "examples" / "highway.yaml").read_text())
-    problem = make_problem(campaign["problem"]["id"], campaign["problem"]["params"])
-    assert isinstance(problem, HighwayPerception)
-    assert problem.params.errors == 1
 
 
 def test_the_dashboard_shows_an_episode_with_its_ghost_and_its_words() -> None:

@@ -7,14 +7,13 @@ import pytest
 from support.api import ball
 
 from brink.cli.options import read_odd
-from brink.python.campaign import Campaign, body_of
 from brink.search.odd import odd_of
 from brink.search.parameters import Categorical
 from brink.server.campaigns.body import CampaignBody, parse_body, stored_body
 from brink.server.campaigns.plan import make_plan
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import SimulatedProblem
-from brink.server.problems.catalogue import describe_problems, make_problem
+from brink.server.problems.catalogue import make_problem
 
 WEATHER = {"scenario.weather": ["clear", "hard_rain"]}
 URBAN = {
@@ -51,11 +50,6 @@ def test_every_problem_takes_an_odd(problem: str, odd: dict[str, Any]) -> None:
     assert odd_of(made.space)
     for _ in range(20):
         made.space.check(made.space.sample(rng))
-
-
-def test_every_schema_has_the_odd() -> None:
-    for one in describe_problems():
-        assert one["params"]["properties"]["odd"]["type"] == "object", one["id"]
 
 
 def within(problem: str, odd: dict[str, Any]) -> CampaignBody:
@@ -124,12 +118,6 @@ def test_limits_of_the_command_line_replace_those_of_the_file() -> None:
     body = parse_body(URBAN).within_odd({"scenario.weather": "clear", "scenario.pedestrians": 0})
     assert body.problem.params["odd"] == {"scenario.weather": "clear", "scenario.pedestrians": 0}
     assert parse_body(URBAN).within_odd({}) == parse_body(URBAN)
-
-
-def test_a_campaign_in_python_has_an_odd() -> None:
-    made = body_of(Campaign(problem="urban-injected@1", simulations=20, odd=WEATHER))
-    assert made.problem.params == {"odd": WEATHER}
-    assert body_of(Campaign(problem="mtq@1", simulations=20)).problem.params == {}
 
 
 def test_a_later_field_does_not_change_the_hashes_of_older_submissions() -> None:

@@ -1,6 +1,5 @@
 """Which parameters had a part in an episode, and the values that they had there."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from support.marks import mostly_long
 
 from brink.server.problems.base import NO_PART, Activity, activity_of, describe_candidate
-from brink.server.problems.catalogue import make_problem
 from brink.server.problems.npc_actions import NpcActions
 from brink.server.problems.urban_injected import UrbanInjected
 from brink.sim.catalogue import make_simulator
@@ -163,12 +161,6 @@ def test_what_was_not_recorded_is_unknown(result: dict[str, Any] | None) -> None
     assert describe_candidate(URBAN, vectors, None).endswith("reported: person 2.0-22.0 s")
 
 
-def test_a_problem_without_a_record_is_unknown() -> None:
-    problem = make_problem("mtq@1", {})
-    vectors = problem.space.sample(np.random.default_rng(1))
-    assert activity_of(problem, vectors, outcome()) is None
-
-
 def run(vectors: Any, seed: int) -> EpisodeResult:
     return make_simulator(URBAN.needs).run(URBAN.episode(vectors, seed))
 
@@ -198,12 +190,6 @@ def test_inactive_parameters_do_not_change_the_episode(number: int) -> None:
     assert again.objectives == result.objectives
     same = {name: value for name, value in result.features.items() if name != "delivered_steps"}
     assert {name: value for name, value in again.features.items() if name != "delivered_steps"} == same
-
-
-def test_the_oracle_injects_nothing() -> None:
-    spec = URBAN.episode(candidate(NONE, NONE), 3)
-    result = make_simulator(URBAN.needs).run(replace(spec, behaviour={"mode": "oracle"}))
-    assert "delivered_steps" not in result.features
 
 
 def test_actions_that_begin_after_the_end_are_inactive() -> None:

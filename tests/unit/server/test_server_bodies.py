@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from brink.search.algorithms.edge import EdgeConfig
-from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH, parse_body
+from brink.server.campaigns.body import parse_body
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
 from brink.server.experiments.pairs import check_pairs
@@ -20,10 +19,6 @@ PLAIN: dict[str, Any] = {
     "algorithm": {"id": "random@1"},
     "budget": {"simulations": 100},
 }
-
-
-def test_pairs_are_those_of_the_search_by_default() -> None:
-    assert (EdgeConfig().eps, EdgeConfig().d_th) == (DEFAULT_EPS, DEFAULT_PAIRS_D_TH)
 
 
 def test_newer_fields_change_the_hash_only_if_they_are_set() -> None:

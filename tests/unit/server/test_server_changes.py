@@ -286,17 +286,6 @@ def test_boxes_are_not_compared_after_the_safe_drive_has_ended() -> None:
     )
 
 
-def test_a_long_description_is_cut_to_what_differs_most() -> None:
-    safe = drive(report("person", 20, 60), report("vehicle", 30, 200))
-    unsafe = unsafe_drive(
-        report("person", 25, 60, x_min_0_px=320.0), report("vehicle", 30, 200, x_min_0_px=200.0)
-    )
-    assert words(safe, unsafe) == (
-        "the reported vehicle spans 0.0 to 3.4 m left of straight ahead instead of 0.0 to 1.7 m left "
-        "(at 3.0 s), and 2 more differences"
-    )
-
-
 def test_a_report_after_the_violation_makes_no_other_one_the_first() -> None:
     late = report("person", 150, 200)
     assert words(drive(report("person", 12, 60), late), unsafe_drive(report("person", 10, 60), late)) == (
@@ -411,11 +400,6 @@ def test_values_are_shown_in_digits_that_tell_them_apart(
     first: Any, second: Any, expected: tuple[str, str]
 ) -> None:
     assert different(first, second) == expected
-
-
-def test_the_urban_problem_explains_what_reported_means() -> None:
-    assert URBAN.terms_of_changes.startswith("reported: ")
-    assert not Mtq(Mtq.params_type()).terms_of_changes
 
 
 @pytest.mark.parametrize(

@@ -120,26 +120,6 @@ def origins(answer: Answer) -> list[str]:
     return [proposal.origin.value for proposal in answer.proposals]
 
 
-def test_a_valid_reply_takes_one_call(endpoint: Endpoint) -> None:
-    endpoint.then(GOOD)
-    log = MemoryLog()
-    answer = asking(llm_settings(endpoint, input_price=1.0, output_price=10.0), log)
-    assert origins(answer) == ["llm"] * WANTED
-    assert answer.words == "language model: 4 of 4 usable"
-    [call] = log.calls.values()
-    assert (call.key, call.outcome, call.mode, call.requests) == (
-        CallKey(3, 0),
-        Outcome.OK,
-        Mode.JSON_SCHEMA,
-        1,
-    )
-    assert call.cost == pytest.approx((900 * 1.0 + 100 * 10.0) / 1e6)
-    assert call.error is None
-    assert call.raw is not None
-    assert log.spent() == Spent(requests=1, tokens=1000, priced=call.cost or 0.0)
-    assert SYSTEM in endpoint.asked[0].prompt
-
-
 @dataclass(frozen=True)
 class Case:
     """The behaviour of the endpoint, and the expected answer."""
@@ -415,23 +395,6 @@ def test_the_circuit_breaker_leaves_out_a_repair_turn(endpoint: Endpoint) -> Non
     assert "(repair circuit_open: the circuit breaker is open: 2 failed calls in a row; " in answer.words
 
 
-def test_calls_that_were_not_made_do_not_count_as_failed(endpoint: Endpoint) -> None:
-    settings, log = llm_settings(endpoint, max_calls=1), MemoryLog()
-    endpoint.then(GOOD)
-    for number in range(4):
-        asking(settings, log, seeds(number))
-    assert log.outcomes == ["ok", *["over_budget"] * 3]
-    assert log.breaker() == Breaker()
-
-
-def test_a_truncated_reply_without_a_complete_solution_is_a_failed_call(endpoint: Endpoint) -> None:
-    endpoint.always = says(reply_text(items(1))[:60], finish="length")
-    log = MemoryLog()
-    answer = asking(llm_settings(endpoint), log)
-    assert log.outcomes == ["invalid", "invalid"]
-    assert "the reply reached max_tokens (4096); /solutions/0: expected JSON" in answer.words
-
-
 def in_real_time(settings: LlmSettings, log: MemoryLog) -> tuple[Answer, float]:
     """Ask with real pauses; return also how long it took, in seconds."""
 
@@ -539,20 +502,6 @@ def test_unknown_usage_counts_as_the_worst_case_and_is_marked(endpoint: Endpoint
     assert log.spent().estimated_tokens == log.spent().tokens == call.usage.total
 
 
-def test_max_calls_limits_the_turns_of_a_request(endpoint: Endpoint) -> None:
-    endpoint.then(says("no"), GOOD)
-    log = MemoryLog()
-    answer = asking(llm_settings(endpoint, max_calls=1), log)
-    assert log.outcomes == ["invalid", "over_budget"]
-    assert (
-        "repair over_budget: all 1 requests of max_calls are used up; the last call failed: /: expected"
-        in answer.words
-    )
-    assert len(endpoint.asked) == log.spent().requests == 1
-    over = log.calls[CallKey(3, 1)]
-    assert (over.requests, over.usage, over.cost, over.raw) == (0, None, 0.0, None)
-
-
 @pytest.mark.parametrize(
     ("step", "what"), [(cut("x"), "connection broken"), (refuses(500, "no"), "HTTP 500")]
 )
@@ -599,20 +548,6 @@ def test_token_and_cost_limits_are_checked_before_sending(endpoint: Endpoint, li
     raised = llm_settings(endpoint, **{name: 1000 * limit for name, limit in limits.items()})
     assert asking(raised, log).words == answer.words, "a resumed campaign takes the same path"
     assert endpoint.asked == []
-
-
-def test_limits_apply_to_the_whole_campaign(endpoint: Endpoint) -> None:
-    endpoint.then(GOOD, GOOD)
-    settings, log = llm_settings(endpoint, max_calls=1), MemoryLog()
-    assert len(asking(settings, log).proposals) == WANTED
-    later = SeedRequest(number=4, count=WANTED)
-
-    async def run() -> Answer:
-        async with LlmClient(settings, access=access_to(settings)) as client:
-            return await ask(later, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
-
-    assert asyncio.run(run()).words == "language model not asked: all 1 requests of max_calls are used up"
-    assert len(endpoint.asked) == 1
 
 
 def test_a_repair_turn_that_is_not_stored_is_repeated(endpoint: Endpoint) -> None:

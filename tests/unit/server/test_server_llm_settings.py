@@ -24,24 +24,6 @@ def refused(**changes: Any) -> tuple[str, str]:
     return error.pointer, everything
 
 
-def test_defaults_match_the_documentation() -> None:
-    given = settings()
-    assert (given.temperature, given.top_p, given.seed, given.max_tokens) == (0.8, 1.0, None, 4096)
-    assert (given.timeout_s, given.retries, given.max_wait_s, given.max_calls) == (120.0, 4, 120.0, 50)
-    assert given.token_field == "max_tokens"
-    assert given.delay_limit_s == 240.0
-    optional = (
-        given.api_key_env,
-        given.max_delay_s,
-        given.max_total_tokens,
-        given.max_cost,
-        given.input_price,
-        given.output_price,
-    )
-    assert set(optional) == {None}
-    assert not given.priced
-
-
 def test_the_delay_limit_is_twice_the_timeout_unless_it_is_set() -> None:
     assert settings(timeout_s=900).delay_limit_s == 1800
     assert settings(timeout_s=5).delay_limit_s == 60
@@ -159,7 +141,3 @@ def test_max_cost_requires_both_prices(prices: dict[str, float], missing: str) -
     pointer, everything = refused(max_cost=5.0, **prices)
     assert pointer == "/max_cost"
     assert f"expected {missing} too" in everything
-
-
-def test_zero_is_a_valid_price() -> None:
-    assert settings(max_cost=5.0, input_price=0.0, output_price=0).priced

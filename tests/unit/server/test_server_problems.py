@@ -19,13 +19,7 @@ from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
-from brink.server.problems.base import (
-    MeasuresOnData,
-    NoParams,
-    ReportsViolations,
-    SimulatedProblem,
-    SupportsSeeds,
-)
+from brink.server.problems.base import NoParams
 from brink.server.problems.catalogue import (
     PROBLEMS,
     describe_algorithms,
@@ -35,7 +29,6 @@ from brink.server.problems.catalogue import (
     make_problem,
 )
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
-from brink.server.problems.urban_injected import behaviour_component
 from brink.sim import catalogue
 from brink.sim.aeb.specification import AebScenario, Behaviour, Options
 from brink.sim.encounter.specification import EncounterScenario
@@ -107,14 +100,6 @@ def test_the_chosen_hazard_gives_the_verdict(hazard: str, robustness: float) -> 
     assert isinstance(got, Scored)
     assert (got.unsafe, got.robustness, got.objectives["alpha"]) == (robustness < 0, robustness, 0.4)
     assert AEB.measurement(completed) == Measured(objectives={"alpha": 0.4})
-
-
-def test_the_aeb_problem_implements_its_protocols() -> None:
-    assert isinstance(AEB, SimulatedProblem)
-    assert isinstance(AEB, MeasuresOnData)
-    assert AebCrossing(AebCrossingParams(perturbations=3)).space.dimension == 12
-    with pytest.raises(ConfigError, match="perturbations"):
-        AebCrossingParams(perturbations=9)
 
 
 AEB_BODY: dict[str, Any] = {
@@ -343,31 +328,9 @@ def test_results_of_old_campaigns_can_still_be_read() -> None:
     assert {"front-gap@1", "front-gap@2"} <= set(spec.requirements)
 
 
-def test_the_npc_problem_implements_its_protocols() -> None:
-    assert isinstance(NPC, SimulatedProblem)
-    assert isinstance(NPC, ReportsViolations)
-    assert isinstance(NPC, SupportsSeeds)
-    assert NPC.needs == "brink-encounter@1"
-    camera = NpcActions(NpcActionsParams(sight="detector"))
-    assert camera.needs == "brink-encounter-camera@2"
-    spec = camera.episode(camera.space.sample(np.random.default_rng(1)), 1)
-    assert spec.behaviour == {"mode": "detector", "detector": "brink-det@2", "threshold": 0.6}
-    assert NpcActions(NpcActionsParams(sight="detector", detector="nobody@1")).wrong_inputs()
-    assert NPC.wrong_inputs() == []
-
-
 def test_a_requirement_that_the_road_cannot_violate_is_rejected() -> None:
     with pytest.raises(ConfigError, match="no other road has lights"):
         NpcActionsParams(violation="red-light@1", road_curve="straight")
-
-
-def test_catalogue_says_which_algorithm_to_begin_with_and_what_a_form_cannot_submit() -> None:
-    problems = {one["id"]: one for one in describe_problems()}
-    assert problems["urban-injected@1"]["first_algorithm"] == "edge@1"
-    assert problems["npc-actions@1"]["first_algorithm"] == "mumoea@1"
-    assert [name for name, one in problems.items() if one["python_only"]] == ["function@1"]
-    measuring = [name for name, one in problems.items() if one["measures_detector"]]
-    assert measuring == ["urban-camera@1", "urban-fitted@1"]
 
 
 def test_catalogue_offers_the_requirements_that_a_problem_takes() -> None:
@@ -380,26 +343,6 @@ def test_catalogue_offers_the_requirements_that_a_problem_takes() -> None:
     }
     assert offered["urban-injected@1"][-1] == "any"
     assert "lane-keeping@1" not in offered["sumo-drivers@1"], "SUMO does not measure it"
-
-
-def test_most_random_boxes_have_the_smallest_side_by_repair() -> None:
-    # Sides in the wrong order (1/2 of all) and shorter ones (m - m^2/2, where m is the share of 50 px in the image)
-    # become 50 px: 56.1% of widths and 58.0% of heights, so 81.5% of boxes on either axis and 32.5% on both (ADR 10).
-    component, rng = behaviour_component(30.0), np.random.default_rng(1)
-    names = [parameter.name for parameter in component.parameters]
-    smallest = []
-    for _ in range(1_200):
-        values = dict(zip(names, component.sample(rng).tolist(), strict=True))
-        for box in (f"trajectory_{trajectory}.{{}}_{end}_px" for trajectory in (1, 2) for end in (0, 1)):
-            if values[f"{box[:12]}.label"] != 0:  # null
-                sides = [
-                    values[box.format(f"{axis}_max")] - values[box.format(f"{axis}_min")] for axis in "xy"
-                ]
-                smallest.append([abs(side - 50.0) < 1e-9 for side in sides])
-    found = np.array(smallest)
-    assert len(found) > 3_000
-    assert found.mean(axis=0).tolist() == pytest.approx([0.561, 0.580], abs=0.03)
-    assert (found.any(axis=1).mean(), found.all(axis=1).mean()) == pytest.approx((0.815, 0.325), abs=0.03)
 
 
 def test_a_plug_in_that_is_no_subclass_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -159,21 +159,6 @@ def report(folder: Path) -> str:
     )
 
 
-def test_the_report_agrees_with_the_tables(report: str) -> None:
-    mean = np.mean(values(Line(problem="gap", method="GA", control=False), Measure.DBS, 3, 1))
-    assert "30 of 33 campaigns have finished" in report
-    assert f"{mean:.1f} [" in report
-    assert "**MLCSHE** and **GA**" in report
-    assert "MLCSHE finds more" in report
-    assert "The control of RS <b> **reads low**" in report
-    assert report.count("![") == 8
-    for d_th in PAPER_D_THS:
-        assert (
-            f"![strict DBS by share of the budget at d_th {d_th:g}](strict-by-budget-{d_th:g}.png)" in report
-        )
-    assert "![DBS by d_th](dbs-by-distance.png)" in report
-
-
 def rows_below(report: str, heading: str, measure: str = "DBS") -> list[list[str]]:
     """Return the cells of the table below a heading of the section of a measure, without names of columns."""
     section = re.split(r"^## ", report, flags=re.MULTILINE)
@@ -324,19 +309,6 @@ def with_pairs(folder: Path, tried: tuple[bool, ...]) -> str:
     )
 
 
-def test_pairs_come_first_and_say_what_they_are(tmp_path: Path) -> None:
-    text = with_pairs(tmp_path, (True, True, True))
-    assert text.index("## Pairs across the boundary") < text.index("strict DBS")
-    assert "Compared on confirmed distinct pairs." in text
-    assert re.search(
-        r"\*\*MLCSHE\*\* and \*\*GA\*\*: [\d.]+ confirmed distinct pairs against [\d.]+, A12", text
-    )
-    assert "not tried" not in text
-    assert "It takes 15 drives of a side" in text
-    assert "wrong with a probability of at most 5%" in text
-    assert (tmp_path / "pairs.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_pairs_that_were_not_tried_are_no_zeros(tmp_path: Path) -> None:
     text = with_pairs(tmp_path, (True, True, False))
     [row] = [line for line in text.splitlines() if line.startswith("| **RS <b>** |") and "not tried" in line]
@@ -404,16 +376,4 @@ def test_every_box_is_written_with_its_time(tmp_path: Path) -> None:
         ["0.0", "seen", "vehicle"],
         ["0.1", "seen", "person"],
         ["0.1", "said", "vehicle"],
-    ]
-
-
-def test_legend_of_many_methods_has_one_entry_for_all_controls() -> None:
-    few = EXPERIMENT_FIGURES["by-distance"](REPEATS, "gap", Measure.DBS).legends[0].get_texts()
-    assert [text.get_text() for text in few] == [*METHODS, *(f"{method}, control" for method in METHODS)]
-    more = [*REPEATS, *(replace(repeat, method=f"{repeat.method} 2") for repeat in REPEATS)]
-    many = EXPERIMENT_FIGURES["by-distance"](more, "gap", Measure.DBS).legends[0].get_texts()
-    assert [text.get_text() for text in many] == [
-        *METHODS,
-        *(f"{method} 2" for method in METHODS),
-        "controls",
     ]

@@ -8,7 +8,7 @@ import pytest
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.testing import example_spaces
 from brink.server.dashboard import solution_map
-from brink.server.dashboard.solution_map import drawn_rows, evenly_spaced, fitted_count, make_map
+from brink.server.dashboard.solution_map import drawn_rows, fitted_count, make_map
 
 SPACE = example_spaces()["mixed"]
 
@@ -81,8 +81,3 @@ def test_a_large_map_is_thinned_without_removing_points(monkeypatch: pytest.Monk
     assert 60 <= len(ended) <= 100
     nearest = np.argsort(WHOLE.fitness, kind="stable")[:40]
     assert np.isin(nearest, ended).all(), "solutions near the boundary are always drawn"
-
-
-def test_evenly_spaced_positions_include_the_first_and_the_last() -> None:
-    assert evenly_spaced(5, 10).tolist() == [0, 1, 2, 3, 4]
-    assert evenly_spaced(1000, 5).tolist() == [0, 249, 499, 749, 999]

@@ -9,13 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brink.search.pairs import Steps
-from brink.search.space import Categorical
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import NO_PART, Activity, SimulatedSolution, activity_of, describe_candidate
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.changes import change_words, changes_between
 from brink.server.problems.error_slots import NO_ERROR
-from brink.server.problems.sumo import RECORDED, SumoDrivers, SumoDriversParams
+from brink.server.problems.sumo import SumoDrivers, SumoDriversParams
 from brink.sim.adapters.sumo.specification import MAGNITUDES, Drive, ErrorType, Network
 from brink.sim.catalogue import make_simulator
 
@@ -62,27 +61,6 @@ def test_every_candidate_becomes_an_episode_that_the_simulator_accepts(
     if drive.error is not None:
         assert drive.error.magnitude == MAGNITUDES[drive.error.type].at(float(values["severity"]))
     assert problem.words(vectors) == drive.words
-
-
-def test_an_episode_records_all_requirements() -> None:
-    spec = ANYWHERE.episode(candidate(FAR), 7)
-    assert (spec.simulator, spec.seed, spec.duration_s) == ("sumo@1", 7, 60.0)
-    assert spec.requirements == RECORDED
-    assert ANYWHERE.requirements == ("front-gap@1", "no-collision@1")
-    assert SumoDrivers(SumoDriversParams(requirement="any")).requirements == RECORDED
-
-
-def test_the_defaults_of_algorithms_name_parameters_and_choices() -> None:
-    defaults = ANYWHERE.algorithm_defaults
-    parameters = {
-        f"{component.name}.{one.name}": one
-        for component in ANYWHERE.space.components
-        for one in component.parameters
-    }
-    assert defaults["severity"] in parameters
-    for name, value in {**defaults["fixed"], **defaults["truth"], **defaults["grossest"]}.items():
-        one = parameters[name]
-        assert value in one.choices if isinstance(one, Categorical) else one.low <= value <= one.high
 
 
 @pytest.mark.parametrize(
@@ -241,13 +219,6 @@ def change(old: tuple[Any, ...], new: tuple[Any, ...]) -> str:
 )
 def test_changes_have_words(error: dict[str, Any], traffic: dict[str, Any], words: str) -> None:
     assert change(candidate(FAR), candidate({**FAR, **error}, {**TRAFFIC, **traffic})) == words
-
-
-def test_changes_to_and_from_nothing_have_words() -> None:
-    assert change(candidate(NONE), candidate(FAR)).startswith("from 3.0 s on, the ego perceives")
-    assert change(candidate(FAR), candidate(NONE)).startswith("there is no error (in the safe drive, from")
-    assert change(candidate(FAR, CALM), candidate(FAR)) == "the vehicle ahead brakes"
-    assert change(candidate(FAR), candidate(FAR, CALM)) == "the vehicle ahead does not brake"
 
 
 @pytest.mark.long("needs SUMO")

@@ -101,27 +101,3 @@ def test_what_had_no_part_is_not_described() -> None:
     changed = acting(replace(CAR, ds_m=55.0), 3, duration_s=6.0)
     told = words(drive(CAR, active=active), drive(changed, active=active))
     assert told == "car 1 starts 55 m ahead instead of 43 m"
-
-
-def test_candidates_far_apart_are_told_by_the_number_of_changes() -> None:
-    other = replace(
-        WALKER,
-        ds_m=-20.0,
-        dd_m=-4.0,
-        speed_mps=2.0,
-        genes=tuple(Gene(action=Action.CROSS, duration_s=4.0, magnitude=2.0) for _ in range(3)),
-    )
-    moved = replace(
-        CAR, ds_m=-30.0, speed_mps=9.0, genes=tuple(replace(one, duration_s=4.0) for one in CAR.genes)
-    )
-    told = words(drive(CAR, WALKER), drive(moved, other))
-    assert told == (
-        "15 changes in 2 road users, the largest: pedestrian 2 starts 20 m behind instead of 30 m ahead; their 3rd "
-        "action (crossing the road) is added; car 1 starts 30 m behind instead of 43 m ahead"
-    )
-
-
-def test_parameters_have_titles() -> None:
-    titles = PROBLEM.space.titles()
-    assert titles["road_users.p1.ds_m"] == "road user 1: start along the road"
-    assert titles["road_users.p2.a5.duration_s"] == "road user 2, action 5: duration"
