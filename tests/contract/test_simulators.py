@@ -1,12 +1,18 @@
 """Simulators pass the contract suite, and the suite rejects broken simulators."""
 
+import hashlib
+import inspect
 import itertools
+import json
 import math
+import os
 import random
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,9 +20,10 @@ import pytest
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
 from brink.sim.adapters.function import FUNCTION, FunctionSimulator, simulator_of, write_function
-from brink.sim.catalogue import SIMULATORS, Simulator, load_plugin
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
+from brink.sim.catalogue import SIMULATORS, Simulator, load_plugin, make_simulator
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.perturbations import CATALOGUE
 from brink.sim.testing import ContractBroken, check_simulator
 
 PROBLEMS: dict[str, dict[str, object]] = {
@@ -49,6 +56,56 @@ def test_passes_the_contract_suite(problem_id: str) -> None:
             replace(specs[0], duration_s=1e9),
         ],
     )
+
+
+def digest(document: Any) -> str:
+    """Return a digest of everything that an episode results in but its provenance."""
+    spec = EpisodeSpec.from_json(document)
+    result = make_simulator(spec.simulator).run(spec, record=True)
+    verdicts = {name: [one.robustness, one.violated_at_s] for name, one in result.verdicts.items()}
+    text = json.dumps([verdicts, dict(result.objectives), dict(result.features)], sort_keys=True)
+    return hashlib.sha256(text.encode() + (result.trace or b"")).hexdigest()
+
+
+ELSEWHERE = f"""
+import hashlib, json, sys
+from typing import Any
+from brink.sim.catalogue import make_simulator
+from brink.sim.episode import EpisodeSpec
+{inspect.getsource(digest)}
+print(json.dumps([digest(document) for document in json.load(sys.stdin)]))
+"""
+
+
+def brief(problem_id: str) -> EpisodeSpec:
+    """Return a short episode of a problem; images are perturbed with every gene."""
+    problem = make_problem(problem_id, PROBLEMS.get(problem_id, {}))
+    assert isinstance(problem, SimulatedProblem)
+    (spec,) = episodes(problem, 1)
+    if problem_id == "aeb-crossing@1":
+        genes: list[Json] = [{"gene": name, "level": 1} for name in CATALOGUE]
+        return replace(spec, duration_s=0.15, behaviour={**spec.behaviour, "perturbations": genes})
+    return replace(spec, duration_s=min(spec.duration_s, 6.0))
+
+
+@pytest.mark.parametrize(
+    "problems",
+    [
+        (*PROBLEMS, "urban-camera@1", "aeb-crossing@1", "npc-actions@1"),
+        pytest.param(("sumo-drivers@1",), marks=pytest.mark.long("needs SUMO")),
+    ],
+)
+def test_another_process_gives_the_same_bytes(problems: tuple[str, ...]) -> None:
+    documents = [brief(problem).to_json() for problem in problems]
+    there = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE],
+        input=json.dumps(documents),
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONHASHSEED": "77"},
+    )
+    assert json.loads(there.stdout.splitlines()[-1]) == [digest(document) for document in documents]
 
 
 def test_functions_pass_the_contract_suite(tmp_path: Path) -> None:

@@ -5,15 +5,7 @@ import pytest
 
 from brink.sim.episode import Verdict
 from brink.sim.requirements import CollisionKind
-from brink.sim.verdict import (
-    EpisodeVerdict,
-    Impact,
-    clock_words,
-    drives_held,
-    held_words,
-    unsafe_words,
-    violated_words,
-)
+from brink.sim.verdict import EpisodeVerdict, Impact, clock_words, violated_words
 
 SIX = ("front-gap@1", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")
 
@@ -43,20 +35,6 @@ def test_the_requirements_that_decide_come_first() -> None:
     assert found.unsafe
     assert found.words() == "had a collision at 5.0 s; left the lane at 3.0 s"
     assert [one.decides for one in found.violated] == [True, False]
-
-
-def test_several_requirements_decide_together() -> None:
-    deciding = ("front-gap@1", "no-collision@1")
-    assert EpisodeVerdict.of(verdicts(), {}, deciding).words() == "front gap held, no collision"
-    found = EpisodeVerdict.of(verdicts(no_collision=7.0), {}, deciding)
-    assert (found.unsafe, found.words()) == (True, "had a collision at 7.0 s")
-    assert EpisodeVerdict.of(verdicts(), {}, SIX).words() == "all 6 requirements held"
-    assert EpisodeVerdict.of(verdicts(progress=None), {}, SIX).words() == "stood still too long"
-
-
-def test_without_a_deciding_requirement_only_violations_are_named() -> None:
-    assert EpisodeVerdict.of(verdicts(), {}, ()).words() == ""
-    assert EpisodeVerdict.of(verdicts(red_light=1.0), {}, ()).words() == "ran a red light at 1.0 s"
 
 
 @pytest.mark.parametrize("kind", CollisionKind)
@@ -115,13 +93,3 @@ def test_people_walk_into_a_car() -> None:
 def test_a_time_has_the_same_words_whatever_the_type_of_the_number() -> None:
     assert {clock_words(6.85), clock_words(float(np.float32(6.85))), clock_words(6.9)} == {"6.9 s"}
     assert clock_words(12.84) == "12.8 s"
-
-
-def test_requirements_of_plug_ins_are_named_by_their_id() -> None:
-    assert held_words(["keep-left@2"]) == "keep left held"
-    assert violated_words("keep-left@2") == unsafe_words(["keep-left@2"]) == "violated keep left"
-    assert drives_held(["front-gap@1", "keep-left@2"]) == "held the front gap and held keep left"
-    assert (drives_held(SIX), unsafe_words(SIX)) == (
-        "held all 6 requirements",
-        "violated at least one of 6 requirements",
-    )

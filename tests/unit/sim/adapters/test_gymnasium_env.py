@@ -2,8 +2,6 @@
 
 import math
 import random
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -250,48 +248,6 @@ def test_global_generators_are_seeded_and_restored(simulator: GymnasiumSimulator
     assert random.random() == wanted
     assert simulator.run(integrator()).features == first
     assert simulator.run(integrator(seed=2)).features != first
-
-
-FRESH = """
-import json, sys
-from brink.sim.catalogue import make_simulator
-from brink.sim.episode import EpisodeSpec
-result = make_simulator("gymnasium@1").run(EpisodeSpec.from_json(json.loads(sys.argv[1])))
-print(result.verdicts, result.features)
-"""
-
-
-def test_a_fresh_process_gives_the_same_result(
-    simulator: GymnasiumSimulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv(PLUGINS_VARIABLE)
-    spec = cart_pole(perturbation(type="noise", dimension=3, magnitude=0.6, from_step=0, steps=300))
-    result = simulator.run(spec)
-    printed = subprocess.run(
-        [sys.executable, "-W", "error", "-c", FRESH, spec.canonical_json()],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    ).stdout.strip()
-    assert printed == f"{result.verdicts} {result.features}"
-
-
-def test_there_is_no_trace(simulator: GymnasiumSimulator) -> None:
-    assert simulator.run(cart_pole(), record=True).trace is None
-
-
-def test_other_environments_run(simulator: GymnasiumSimulator) -> None:
-    for name in ("Pendulum-v1", "MountainCarContinuous-v0", "Acrobot-v1"):
-        spec = cart_pole(policy=f"{HERE}:push")
-        result = simulator.run(replace(spec, scenario={**spec.scenario, "environment": name}))
-        assert result.features["steps"] == 300
-
-
-def push(observation: NDArray[np.float32]) -> Any:
-    """Return an action for environments with one continuous action, or with three discrete ones."""
-    assert observation.dtype == np.float32
-    return 1 if len(observation) == 6 else np.array([0.1], np.float32)
 
 
 CASES: list[tuple[dict[str, Any], str]] = [

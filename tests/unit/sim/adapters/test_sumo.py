@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,28 +116,6 @@ def test_equal_episodes_are_equal_after_others_and_with_and_without_a_trace(simu
         assert content(replace(recorded, trace=None)) == content(result)
 
 
-def test_equal_episodes_are_equal_in_a_fresh_process(simulator: Simulator) -> None:
-    program = (
-        "import sys, json\n"
-        "from brink.sim.catalogue import make_simulator\n"
-        "from brink.sim.episode import EpisodeSpec\n"
-        "from test_sumo import content\n"
-        "simulator = make_simulator('sumo@1')\n"
-        "specs = [EpisodeSpec.from_json(one) for one in json.load(sys.stdin)]\n"
-        "print(json.dumps([content(simulator.run(spec, record=True)) for spec in specs]))\n"
-    )
-    specs = some_episodes()[1:3]
-    found = subprocess.run(
-        [sys.executable, "-c", program],
-        input=json.dumps([spec.to_json() for spec in specs]),
-        text=True,
-        capture_output=True,
-        check=True,
-        cwd=Path(__file__).parent,
-    )
-    assert json.loads(found.stdout) == [content(simulator.run(spec, record=True)) for spec in specs]
-
-
 @pytest.mark.parametrize("network", NETWORKS)
 def test_without_an_error_the_ego_keeps_all_requirements_in_traffic_without_collisions(
     simulator: Simulator, network: str
@@ -202,18 +178,6 @@ def test_errors_of_the_fleet_act_on_other_vehicles(simulator: Simulator) -> None
     assert fleet.features["crashes"] > alone.features["crashes"]
 
 
-def test_the_lead_brakes_at_the_incident(simulator: Simulator) -> None:
-    calm = simulator.run(specification("motorway", incident=None))
-    tense = simulator.run(specification("motorway", incident=(5.0, 6.0)))
-    assert calm.features["incident_at_s"] is None
-    assert tense.features["incident_at_s"] == pytest.approx(5.0)
-    assert gap_of(tense) < gap_of(calm)
-
-
-def gap_of(result: EpisodeResult) -> float:
-    return result.verdicts["front-gap@1"].robustness
-
-
 def test_a_collision_ends_the_episode_and_is_in_the_trace(simulator: Simulator) -> None:
     result = simulator.run(specification("ring", error_of(ErrorType.MISS)), record=True)
     assert result.features["ended"] == "collision"
@@ -242,20 +206,6 @@ def test_the_trace_shows_the_gap_that_the_requirement_measured(simulator: Simula
         "the vehicle ahead brakes at 4.0 m/s² from 12.0 s on; "
         "from 3.0 s on, the ego perceives things ahead 90% too far away for 25.0 s"
     )
-
-
-@pytest.mark.parametrize("network", NETWORKS)
-def test_a_trace_stays_small_and_near_the_ego(simulator: Simulator, network: str) -> None:
-    result = simulator.run(specification(network), record=True)
-    assert result.trace is not None
-    assert len(result.trace) < 400_000
-    trace = Trace.from_bytes(result.trace)
-    for surface in trace.scene:
-        apart_m = np.hypot(*(surface.points[:, None] - trace.ego[None, ::20, :2]).transpose(2, 0, 1))
-        assert apart_m.min() < 200.0
-    for actor in trace.actors:
-        apart_m = np.hypot(*(actor.motion[:, :2] - trace.ego[:, :2]).T)
-        assert np.nanmax(apart_m) < 120.0
 
 
 def test_an_ego_that_perceives_a_red_light_too_late_runs_it(simulator: Simulator) -> None:

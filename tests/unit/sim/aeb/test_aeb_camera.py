@@ -15,14 +15,9 @@ import numpy as np
 import pytest
 from aeb_episodes import spec
 from numpy.typing import NDArray
-from PIL import Image
 from support.marks import mostly_long
 
 from benchmarks.training.images import render_frames
-from brink.pictures import ReplayError, render
-from brink.pictures.frame import FramePainter
-from brink.pictures.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
-from brink.pictures.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
 from brink.sim import catalogue
 from brink.sim.aeb import dataset
 from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
@@ -199,19 +194,6 @@ def test_several_processes_render_the_pictures_of_a_single_one(monkeypatch: pyte
     assert found == large + list(labelled_frames(Split.TEST, 11, seed=1, width_px=320))
 
 
-def test_no_more_pictures_are_drawn_than_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[int] = []
-
-    def of_a_street(*_: object) -> Iterator[int]:
-        for picture in range(dataset.FRAMES_A_STREET):
-            drawn.append(picture)
-            yield picture
-
-    monkeypatch.setattr(dataset, "_street_frames", of_a_street)
-    wanted = dataset.FRAMES_A_STREET + 3
-    assert len(list(labelled_frames(Split.TEST, wanted))) == len(drawn) == wanted
-
-
 FRAMES = 4
 
 
@@ -254,23 +236,6 @@ def test_alpha_is_one_for_truth_and_zero_for_nothing(monkeypatch: pytest.MonkeyP
     result = EVALUATOR.run(evaluation())
     assert result.objectives == {"alpha": pytest.approx(1.0), "decision_accuracy": 1.0}
     assert result.verdicts == {}
-
-
-def test_the_images_of_an_evaluation_have_the_width_asked_for(known: Known) -> None:
-    small: dict[str, Json] = {"dataset": "simulator", "frames": FRAMES, "width_px": 320}
-    EVALUATOR.run(replace(evaluation(), scenario=small))
-    assert {picture.shape for picture in known.shown} == {(180, 320, 3)}
-
-
-def test_the_second_gene_is_applied_to_the_result_of_the_first(known: Known) -> None:
-    EVALUATOR.run(evaluation(perturbations=FLARE))
-    both, known.shown = known.shown, []
-    EVALUATOR.run(evaluation(perturbations=FLARE[1:]))
-    assert not any(np.array_equal(a, b) for a, b in zip(both, known.shown, strict=True))
-    pipeline = Pipeline(parse_perturbations(FLARE), seed=0)
-    assert all(
-        np.array_equal(pipeline(f.picture, i), s) for i, (f, s) in enumerate(zip(frames(), both, strict=True))
-    )
 
 
 @pytest.mark.parametrize(
@@ -379,42 +344,6 @@ def test_a_film_can_be_rescored_at_another_threshold(trace: Trace) -> None:
     assert sure.alpha == unsure.alpha
     assert unsure.recall >= sure.recall
     assert np.isnan(rescore(film, 0.99).precision), "no detection has this score"
-
-
-def test_every_frame_has_boxes_and_every_second_a_picture(trace: Trace) -> None:
-    film = film_of(trace)
-    frames = len(trace.time_s) - 1
-    assert film.samples.tolist() == list(range(0, frames, 2))
-    assert np.diff(film.found.first)[:frames].tolist() == [2] * frames
-
-
-def test_the_picture_is_drawn_with_boxes_and_regions(trace: Trace, tmp_path: Path) -> None:
-    painter = FramePainter(trace)
-    picture = np.asarray(painter.camera(0)).reshape(-1, 3)
-    for colour in (SEEN_ON_PICTURE, FOUND_ON_PICTURE):
-        assert (picture == colour).all(axis=1).any()
-    files = [render(trace, tmp_path / f"film{suffix}") for suffix in (".png", ".mp4")]
-    with Image.open(files[0]) as picture_file:
-        assert picture_file.size[0] == 1280
-    assert files[1].stat().st_size > 10_000
-
-
-def test_episodes_side_by_side_show_the_same_moments(trace: Trace) -> None:
-    one = side_by_side([Row(words="snow 3/5", trace=trace)], title="one")
-    both = side_by_side(
-        [Row(words="nothing", trace=trace), Row(words="snow 3/5, then rain 5/5", trace=trace)]
-    )
-    assert both.width == one.width
-    assert both.height - one.height == TILE_PX[1] + MARGIN
-    pixels = np.asarray(both)
-    assert np.array_equal(
-        pixels[HEADER_PX : HEADER_PX + TILE_PX[1], -TILE_PX[0] :],
-        pixels[HEADER_PX + TILE_PX[1] + MARGIN : HEADER_PX + 2 * TILE_PX[1] + MARGIN, -TILE_PX[0] :],
-    )
-    with pytest.raises(ReplayError, match="recorded camera images in every episode"):
-        side_by_side([Row(words="x", trace=replace(trace, film=None))])
-    with pytest.raises(ReplayError, match="at least one episode to show"):
-        side_by_side([])
 
 
 @pytest.mark.parametrize(("noise", "every"), [(0, 2), (255, 8)])

@@ -88,11 +88,6 @@ def test_boxes_count_from_12_by_6_px_of_an_image_of_640_by_360() -> None:
     assert too_small(boxes / np.float32(2), 320, 180).tolist() == [False, True, True]
 
 
-def test_a_fallen_tree_is_labelled_as_a_vehicle() -> None:
-    tree = body(1, BodyKind.FALLEN_TREE, 15.0, 0.0, (6.0, 0.8, 0.8))
-    assert label(tree).truth.labels.tolist() == [VEHICLE]
-
-
 @pytest.mark.parametrize("width_px", [320, 640])
 def test_episodes_and_data_sets_have_the_same_ground_truth(
     width_px: int, monkeypatch: pytest.MonkeyPatch

@@ -42,13 +42,6 @@ def test_furniture_stands_on_the_pavements_and_in_nobodys_way(crossing_m: float)
     assert kinds == set(FurnitureKind)
 
 
-def test_the_same_seed_gives_the_same_furniture_and_another_seed_other_furniture() -> None:
-    scenario = SCENARIO
-    first, again, other = (make_street(scenario, seed).scene.furniture for seed in (3, 3, 4))
-    assert first == again
-    assert first != other
-
-
 def test_furniture_hides_bodies_and_has_no_label() -> None:
     street = make_street(SCENARIO, 5)
     light = Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLOUDY)

@@ -16,6 +16,7 @@ from brink.sim.driving.interface import (
 )
 from brink.sim.driving.settings import DrivingSettings
 from brink.sim.driving.system import ModularDriving
+from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import LaneRoute
@@ -150,36 +151,6 @@ def _front_gap(
 
 def _clearance(ego: EgoCar, body: Body) -> float:
     """Return the distance of two rectangles, 0 if they overlap."""
-    ours = _corners(ego.x_m, ego.y_m, ego.yaw_rad, ego.length_m, ego.width_m)
-    theirs = _corners(body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m)
-    if math.hypot(ego.x_m - body.x_m, ego.y_m - body.y_m) > 15.0:
-        return 10.0
-    if any(_inside(p, theirs) for p in ours) or any(_inside(p, ours) for p in theirs):
-        return 0.0
-    pairs = [(p, theirs) for p in ours] + [(p, ours) for p in theirs]
-    return min(_to_edges(p, polygon) for p, polygon in pairs)
-
-
-def _corners(x: float, y: float, yaw: float, length: float, width: float) -> list[tuple[float, float]]:
-    c, s = math.cos(yaw), math.sin(yaw)
-    return [
-        (x + a * length / 2 * c - b * width / 2 * s, y + a * length / 2 * s + b * width / 2 * c)
-        for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    ]
-
-
-def _inside(point: tuple[float, float], polygon: list[tuple[float, float]]) -> bool:
-    signs = []
-    for (x1, y1), (x2, y2) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-        signs.append((x2 - x1) * (point[1] - y1) - (y2 - y1) * (point[0] - x1) >= 0)
-    return all(signs) or not any(signs)
-
-
-def _to_edges(point: tuple[float, float], polygon: list[tuple[float, float]]) -> float:
-    least = math.inf
-    for (x1, y1), (x2, y2) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-        dx, dy = x2 - x1, y2 - y1
-        share = ((point[0] - x1) * dx + (point[1] - y1) * dy) / (dx * dx + dy * dy)
-        share = min(max(share, 0.0), 1.0)
-        least = min(least, math.hypot(point[0] - x1 - share * dx, point[1] - y1 - share * dy))
-    return least
+    ours = Rectangle(ego.x_m, ego.y_m, ego.yaw_rad, 0.5 * ego.length_m, 0.5 * ego.width_m)
+    theirs = Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)
+    return max(0.0, signed_gap_m(ours, theirs))

@@ -118,13 +118,6 @@ def test_overtakes_a_standing_vehicle_when_the_oncoming_lane_is_clear() -> None:
     assert max(done.offset_m) < 4.2
 
 
-def test_overtakes_from_a_standstill_with_enough_clearance() -> None:
-    done = drive(road(), [standing(60.0)], duration_s=20.0, speed_mps=0.0, station_m=51.5)
-    assert done.station_m[-1] > 80.0
-    assert min(done.clearance_m) > 1.2
-    assert min(c for c, d in zip(done.clearance_m, done.offset_m, strict=True) if d < 2.0) > 1.5
-
-
 def test_overtakes_only_after_oncoming_traffic_has_passed() -> None:
     oncoming = [comes(130.0 + 35.0 * n) for n in range(3)]
     done = drive(road(), [standing(60.0), *oncoming], duration_s=35.0)
@@ -177,11 +170,6 @@ def test_does_not_slow_down_for_a_person_on_the_pavement() -> None:
     assert min(done.speed_mps) > 7.5
 
 
-def test_reacts_only_to_perceived_obstacles() -> None:
-    done = drive(STRAIGHT, [standing(80.0)], oracle=False, duration_s=15.0)
-    assert min(done.clearance_m) == 0.0
-
-
 def reaction(box: Box | None, *, until_s: float = 99.0, route: object = STRAIGHT) -> Drive:
     assert isinstance(route, type(STRAIGHT))
     return drive(
@@ -220,27 +208,6 @@ def approaching(time_s: float, middle_m: float) -> tuple[Box, ...]:
         8.0 * time_s, 0.0, 0.0, Body(ObstacleLabel.VEHICLE, 60.0, middle_m, 0.0, 4.5, 1.8, 1.5)
     )
     return () if seen is None else (seen[0],)
-
-
-def test_the_label_of_a_ghost_decides_between_following_and_stopping() -> None:
-    follows = reaction(ghost(ObstacleLabel.VEHICLE, 360.0, 440.0, 250.0, 360.0))
-    stops = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 360.0))
-    assert follows.speed_mps[-1] > 2.0
-    assert PlanMode.YIELD in stops.modes()
-    assert stops.station_m[-1] < follows.station_m[-1]
-
-
-def test_the_height_of_a_ghost_above_the_horizon_determines_its_distance() -> None:
-    tall = reaction(ghost(ObstacleLabel.VEHICLE, 360.0, 440.0, 100.0, 280.0))
-    small = reaction(ghost(ObstacleLabel.VEHICLE, 360.0, 440.0, 225.0, 280.0))
-    assert tall.station_m[-1] < small.station_m[-1]
-
-
-def test_continues_when_a_ghost_disappears() -> None:
-    stays = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 480.0))
-    goes = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 480.0), until_s=7.0)
-    assert stays.speed_mps[-1] == 0.0
-    assert goes.speed_mps[-1] > 5.0
 
 
 def test_equal_observations_give_equal_commands() -> None:

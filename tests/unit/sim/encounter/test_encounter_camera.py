@@ -8,7 +8,6 @@ import pytest
 from support.marks import mostly_long
 from test_encounter_simulator import BRAKES, KEEPS, spec, stretch, user
 
-from brink.server.problems.npc_actions import NpcActionsParams
 from brink.sim.driving.camera import Camera
 from brink.sim.encounter.camera import BrinkEncounterCamera, EncounterCamera
 from brink.sim.encounter.simulator import BrinkEncounter
@@ -66,17 +65,6 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     assert car.x_max_px - car.x_min_px == pytest.approx(400 * 1.8 / 11.5, abs=10)
     persons = [middle for label, middle, _ in found if label == "person"]
     assert any(middle == pytest.approx(400 + 400 * 3.0 / 12.7, abs=12) for middle in persons)
-
-
-@pytest.mark.parametrize("curve", mostly_long(RoadCurve, [], "drives with a camera"))
-def test_an_empty_road_causes_no_violation_at_the_default_threshold(curve: RoadCurve) -> None:
-    away = user("pedestrian", {**KEEPS, "d_m": 45.0})
-    told = seen(away, duration_s=20.0)
-    place: dict[str, Json] = {"road_curve": curve.value, "road_id": 1, "road_length": 0}
-    threshold = NpcActionsParams().threshold
-    there = replace(told, scenario={**told.scenario, **place}, behaviour={**DETECTOR, "threshold": threshold})
-    verdicts = BrinkEncounterCamera().run(there).verdicts
-    assert [name for name, verdict in verdicts.items() if verdict.robustness < 0] == []
 
 
 @pytest.mark.parametrize("curve", list(RoadCurve))

@@ -355,13 +355,6 @@ def test_reference_drivers_cope_where_the_driving_system_does(
     assert hit[Driver.IDEAL] == 0
 
 
-def test_equal_specifications_give_equal_results() -> None:
-    person = road_user("pedestrian", s_m=40.0, d_m=-3.5, heading_rad=1.57, speed_mps=1.2)
-    spec = with_driver(encounter(person), Driver.CAREFUL)
-    first, second = BrinkEncounter().run(spec), BrinkEncounter().run(spec)
-    assert (first.verdicts, first.features) == (second.verdicts, second.features)
-
-
 @pytest.mark.parametrize("behaviour", [{"mode": "detector"}, {"mode": "reference", "driver": "reckless"}])
 def test_other_behaviours_are_refused(behaviour: dict[str, Any]) -> None:
     spec = replace(encounter(), behaviour=behaviour)

@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,17 +18,9 @@ from brink.sim.driving.interface import (
     PlanMode,
     PlanState,
 )
-from brink.sim.guard.features import (
-    ALL_FEATURES,
-    FAR_M,
-    FEATURES,
-    MAX_TTC_S,
-    NO_BOX_M,
-    FeatureExtractor,
-    KnownConditions,
-)
+from brink.sim.guard.features import FAR_M, MAX_TTC_S, NO_BOX_M, FeatureExtractor
 from brink.sim.guard.interface import RangeScan
-from brink.sim.guard.range_features import RANGE_M, closing_mps, sector_of
+from brink.sim.guard.range_features import RANGE_M, closing_mps
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import LaneRoute
 
@@ -154,23 +145,6 @@ def test_the_stop_line_is_read_from_the_map_and_the_light_as_reported() -> None:
     assert named(FeatureExtractor(straight()), observed(0), COAST, CRUISE)["line_m"] == 80.0
 
 
-def test_ego_plan_and_conditions_are_passed_on() -> None:
-    extractor = FeatureExtractor(straight(), KnownConditions(rain=0.3, wet=1.0, dark=0.45))
-    braking = Command(accel_mps2=-3.0, steer_rad=0.1)
-    yields = PlanState(mode=PlanMode.YIELD, target_speed_mps=2.0, target_offset_m=-0.5)
-    named(extractor, observed(0, speed_mps=8.0), COAST, CRUISE)
-    found = named(extractor, observed(1, speed_mps=7.5), braking, yields)
-    assert (found["rain"], found["wet"], found["dark"]) == (about(0.3), 1, about(0.45))
-    assert found["speed_change_1s_mps"] == about(-0.5)
-    assert (found["command_mps2"], found["least_command_1s_mps2"]) == (-3, -3)
-    assert found["plan_curvature_per_m"] == about(math.tan(0.1) / 2.7)
-    assert (found["mode_yield"], found["mode_cruise"]) == (1, 0)
-    assert found["target_minus_speed_mps"] == about(-5.5)
-    assert found["brakes_without_box"] == 1
-    unknown = named(FeatureExtractor(straight()), observed(0), COAST, None)
-    assert (unknown["rain"], unknown["target_offset_m"], unknown["mode_cruise"]) == (-1, 0, 0)
-
-
 def test_features_depend_on_the_past_alone() -> None:
     rng = np.random.default_rng(4)
     moments = [
@@ -267,18 +241,6 @@ def test_a_scan_of_another_sensor_is_refused() -> None:
 )
 def test_closing_speed_is_the_slope_since_the_last_jump(distances_m: list[float], expected: float) -> None:
     assert closing_mps(distances_m) == pytest.approx(expected)
-
-
-def test_sectors_run_from_left_to_right() -> None:
-    assert [sector_of(angle) for angle in (20.0, 8.0, 0.0, -8.0, -20.0)] == [0, 1, 2, 3, 4]
-    assert sector_of(31.0) is sector_of(-31.0) is None
-
-
-def test_names_are_unique_and_those_of_the_range_sensor_come_last() -> None:
-    assert len(set(ALL_FEATURES)) == len(ALL_FEATURES)
-    assert ALL_FEATURES[: len(FEATURES)] == FEATURES
-    assert all(name.startswith("range_") for name in ALL_FEATURES[len(FEATURES) :])
-    assert not any(old == new for old, new in pairwise(ALL_FEATURES))
 
 
 def test_a_guard_needs_numpy_alone() -> None:

@@ -19,7 +19,6 @@ from brink.sim.perception.detector import (
     CheckedDetector,
     FileDetector,
     NetworkDetector,
-    UltralyticsDetector,
     find_detector,
     fit_picture,
     load_file_detector,
@@ -285,13 +284,6 @@ def test_networks_of_another_size_or_kind_are_refused(
         load_file_detector(name)
 
 
-def test_pictures_keep_their_aspect_ratio() -> None:
-    canvas, scale = fit_picture(np.full((360, 640, 3), 200, np.uint8), (320, 192))
-    assert (canvas.shape, scale) == ((192, 320, 3), 0.5)
-    assert (canvas[:180] == 200).all()
-    assert (canvas[180:] != 200).all()
-
-
 @pytest.mark.parametrize(
     "picture",
     [
@@ -392,15 +384,6 @@ def test_labels_that_are_nan_and_scores_that_are_logits_are_refused(
     assert FileDetector(_ThreeArrays([0.9], [1.0]), "net").detect(BRIGHT).labels.tolist() == [1]
     with pytest.raises(InvalidDetections, match=f"^net: {message}"):
         FileDetector(_ThreeArrays(scores, labels), "net")
-
-
-@pytest.mark.parametrize("picture", [BRIGHT[:, :, 0], BRIGHT.astype(np.float32)], ids=["grey", "float"])
-def test_ultralytics_gets_rgb_pictures_only(picture: NDArray[Any]) -> None:
-    detector = UltralyticsDetector.__new__(
-        UltralyticsDetector
-    )  # without the package, which is not a dependency
-    with pytest.raises(DetectorError, match=r"expected uint8 of shape \(h, w, 3\), got"):
-        detector.detect(picture)
 
 
 class _BrokenSession:

@@ -40,12 +40,3 @@ def perturb(frame: Frame, gene: str, level: int, *, seed: int = 0, field: int = 
 
 def digest(frame: Frame) -> str:
     return hashlib.sha256(np.ascontiguousarray(frame).tobytes()).hexdigest()
-
-
-def all_digests() -> str:
-    """Return one digest a line for the highest level of each gene, in the order of the catalogue."""
-    frame = street()
-    return "\n".join(
-        digest(perturb(frame, gene.name, gene.levels - 1, seed=9, field=1, index=4))
-        for gene in CATALOGUE.values()
-    )

@@ -195,19 +195,6 @@ def test_the_catalogue_can_be_read_without_opencv() -> None:
     assert install_command("vision") in said
 
 
-SIZES = [(48, 64), (192, 320), (359, 641), (720, 1280), (400, 120), (16, 16)]
-
-
-@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[1]}x{size[0]}")
-def test_every_size_works_at_representative_levels(size: tuple[int, int]) -> None:
-    frame = np.random.default_rng(2).integers(30, 220, (*size, 3), dtype=np.uint8)
-    for gene in CATALOGUE.values():
-        for level in gene.representative_levels:
-            perturbed = perturb(frame, gene.name, level)
-            assert (perturbed.shape, perturbed.dtype) == (frame.shape, frame.dtype), gene.name
-            assert not np.array_equal(perturbed, frame), (gene.name, level)
-
-
 @settings(deadline=None)
 @given(
     st.integers(16, 90),

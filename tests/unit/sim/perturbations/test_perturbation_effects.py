@@ -12,7 +12,7 @@ from support.marks import mostly_long
 
 from brink.sim.perturbations import CATALOGUE, Frame
 from brink.sim.perturbations.layers import composite_white, darken_complement, to_layer
-from brink.sim.perturbations.lens import broken_lens, sun_flare, transmission
+from brink.sim.perturbations.lens import transmission
 from brink.sim.perturbations.weather import count_discs, draw_discs
 
 
@@ -131,80 +131,6 @@ def test_brightness_adds_and_contrast_multiplies_with_clipping(level: int) -> No
     assert np.abs(perturb(frame, "contrast", level) - steeper).max() <= 0.51
 
 
-def flakes(level: int, seed: int) -> tuple[Frame, np.ndarray, np.ndarray]:
-    """Return snow in the dark, how bright its flakes are above the veil, and the areas of the flakes in px."""
-    snowy = perturb(grey(0), "snow", level, seed=seed)
-    above = snowy[..., 0].astype(int) - int(np.median(snowy))
-    _, _, stats, _ = cv2.connectedComponentsWithStats((above > 30).astype(np.uint8))
-    return snowy, above, stats[1:, cv2.CC_STAT_AREA]
-
-
-def test_snow_falls_at_several_depths_and_more_of_it_at_every_level() -> None:
-    shares, counts = [], []
-    for level in range(1, 6):
-        _, above, areas = flakes(level, seed=0)
-        shares.append((above > 30).mean())
-        counts.append(len(areas))
-        assert np.percentile(areas, 20) < 12
-        assert areas.max() > 20 * np.median(areas), "few flakes are near"
-    assert (np.diff(shares) > 0).all(), shares
-    assert counts[0] > 300
-    assert counts[2] > 2.5 * counts[0]
-
-
-def test_all_flakes_fall_in_the_direction_of_the_wind() -> None:
-    directions = []
-    for seed in range(6):
-        _, above, _ = flakes(1, seed)
-        _, labels = cv2.connectedComponents((above > 30).astype(np.uint8))
-        sizes = np.bincount(labels.ravel())
-        angles = []
-        for label in np.flatnonzero((sizes > 60) & (sizes < 400)).tolist():
-            ys, xs = np.nonzero(labels == label)
-            values, vectors = np.linalg.eigh(np.cov(xs, ys))
-            if values[1] > 4 * values[0]:
-                angles.append(np.arctan(vectors[0, 1] / vectors[1, 1]))
-        assert len(angles) >= 30
-        assert np.subtract(*np.percentile(angles, [75, 25])) < 0.3
-        directions.append(np.median(angles))
-    assert np.ptp(directions) > 0.3, "the wind differs from frame to frame"
-
-
-@pytest.mark.parametrize("level", range(1, 6))
-def test_settled_snow_and_the_veil_lighten_what_is_dark_and_lower_the_contrast(level: int) -> None:
-    value = CATALOGUE["snow"].value(level)
-    assert value is not None
-    opacity = 0.5 * (value - 1) / 4
-    for before in (0, 30, 60, 200, 240):  # below and above every threshold that may be drawn
-        veil = min(215, 70 + 1.1 * before)
-        settled = 0.25 * (min(255, value * before) - before) if before < 73 else 0
-        expected = opacity * veil + (1 - opacity) * (before + settled)
-        after = np.median(perturb(grey(before), "snow", level))
-        assert after == pytest.approx(expected, abs=2)
-    smooth = [cv2.GaussianBlur(f, (0, 0), 6) for f in (street(360), perturb(street(360), "snow", level))]
-    assert smooth[1].std() < (1 - 0.6 * opacity) * smooth[0].std()
-
-
-def test_snow_at_night_is_no_lighter_than_by_day() -> None:
-    for level in (1, 3, 5):
-        assert perturb(night(360), "snow", level).mean() < 0.6 * perturb(street(360), "snow", level).mean()
-
-
-def test_rain_changes_more_from_drizzle_to_torrent_and_with_a_wet_lens() -> None:
-    frame = grey(40)
-    clear = 0.7 * 40
-    wetted = []
-    for level in range(1, 6):
-        rainy = [perturb(frame, "rain", level, seed=seed).astype(float) for seed in range(2)]
-        wetted.append(np.mean([np.abs(r - clear).mean() for r in rainy]))
-        if level <= 3:
-            background = np.mean([np.abs(r - clear).max(axis=2) <= 1 for r in rainy])
-            assert background > 0.2  # pixels without drops are only darkened
-    drizzle, heavy, torrential, heavy_wet, torrential_wet = wetted
-    assert drizzle < heavy < torrential < torrential_wet
-    assert heavy < heavy_wet
-
-
 def scaled_in_hls(frame: Frame, factor: float) -> Frame:
     hls = cv2.cvtColor(frame, cv2.COLOR_RGB2HLS)
     hls[:, :, 1] = cv2.convertScaleAbs(hls[:, :, 1], alpha=factor)
@@ -247,14 +173,6 @@ def test_smoke_in_closed_form_equals_compositing_disc_by_disc(opacity: float) ->
     assert np.abs(closed - naive_smoke(frame, centres, radii, opacity)).max() <= 1.5
 
 
-def test_smoke_is_densest_at_the_centre() -> None:
-    whitened = np.mean(
-        [perturb(grey(0, 180, 320), "smoke", 5, seed=seed)[..., 0] for seed in range(30)], axis=0
-    )
-    centre = whitened[70:110, 130:190].mean()
-    assert centre > 2 * np.mean([whitened[:20, :40].mean(), whitened[-20:, -40:].mean()])
-
-
 def test_flare_transmission_is_the_product_over_its_rings() -> None:
     n, radius = 40, 400.0
     ring = np.linspace(1, radius, n)
@@ -264,36 +182,6 @@ def test_flare_transmission_is_the_product_over_its_rings() -> None:
     np.testing.assert_allclose(transmission(radius, distances, n), naive, atol=1e-12)
     assert naive[0] == 0  # white in the middle
     assert naive[-2:] == [1, 1]
-
-
-def test_the_source_of_a_flare_lies_in_the_upper_half_and_ghosts_add_light() -> None:
-    dark = grey(0, 180, 320)
-    for seed in range(10):
-        flared = sun_flare(dark, 400, np.random.default_rng(seed))
-        ys, xs = np.nonzero((flared == 255).all(axis=2))
-        assert ys.mean() <= 105, seed
-        assert xs.size > 0
-
-
-def test_a_broken_lens_only_brightens_and_its_cracks_reach_far() -> None:
-    frame = grey(60)
-    for seed in range(6):
-        cracked = broken_lens(frame, 0.8, np.random.default_rng(seed))
-        assert (cracked >= frame).all()
-        hit = (cracked > 120).any(axis=2)
-        assert 0.002 < hit.mean() < 0.2
-        ys, xs = np.nonzero(hit)
-        assert max(np.ptp(ys), np.ptp(xs)) > 300
-
-
-def test_dirt_darkens_and_mist_lowers_contrast() -> None:
-    bright = grey(220)
-    for seed in range(2):
-        dirtied = perturb(bright, "dirty", 10, seed=seed)
-        assert (dirtied <= bright).all()
-        assert 0.05 < (dirtied < 200).any(axis=2).mean() < 0.8
-        misted = perturb(street(360), "condensation", 10, seed=seed)
-        assert misted.std() < 0.8 * street(360).std()
 
 
 def test_effects_scale_with_the_frame_size() -> None:

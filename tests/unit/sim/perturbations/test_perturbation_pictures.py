@@ -8,8 +8,8 @@ import pytest
 from drawn_street import draw_street
 from perturbed_pictures import blocks
 
-from brink.sim.perturbations import CATALOGUE, InvalidFrame
-from brink.sim.perturbations.pictures import contact_sheet, read_picture, write_picture
+from brink.sim.perturbations import InvalidFrame
+from brink.sim.perturbations.pictures import read_picture, write_picture
 
 
 def test_the_street_is_reproducible_in_any_size() -> None:
@@ -17,17 +17,6 @@ def test_the_street_is_reproducible_in_any_size() -> None:
     assert draw_street().shape == (720, 1280, 3)
     assert draw_street(90).shape == (90, 160, 3)
     assert len(np.unique(draw_street())) > 200
-
-
-def test_a_sheet_shows_three_levels_of_each_gene() -> None:
-    picture = blocks(90)
-    genes = [CATALOGUE["smoke"], CATALOGUE["channel_dropout"], CATALOGUE["rain"]]
-    one = contact_sheet(picture, genes[:1], tile_width=160)
-    assert 3 * 160 < one.shape[1] < 3 * 160 + 60
-    assert contact_sheet(picture, genes, tile_width=160).shape[0] == pytest.approx(3 * one.shape[0], abs=30)
-    assert contact_sheet(picture, genes, tile_width=160, genes_per_row=2).shape[1] == 2 * one.shape[1]
-    assert np.array_equal(contact_sheet(picture, genes, seed=3), contact_sheet(picture, genes, seed=3))
-    assert not np.array_equal(contact_sheet(picture, genes, seed=3), contact_sheet(picture, genes, seed=4))
 
 
 def test_a_picture_survives_its_file(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brink.sim.bullet.engine import Box, Engine, process_engine
+from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.requirements import CollisionKind
 from brink.sim.urban.facts import Facts
 from brink.sim.world.pedestrians import Phase
@@ -66,46 +67,11 @@ def test_clearance_agrees_with_rectangle_geometry(x_m: float, y_m: float, yaw_ra
     engine.move(other, x_m, y_m, yaw_rad, 1.5)
     found = engine.closest(one, other, 50.0)
     assert found is not None
-    expected_m = rectangle_gap_m(x_m, y_m, yaw_rad)
+    expected_m = signed_gap_m(Rectangle(0.0, 0.0, 0.0, 2.0, 1.0), Rectangle(x_m, y_m, yaw_rad, 2.0, 1.0))
     if expected_m > 1e-3:
         assert found.clearance_m == pytest.approx(expected_m, abs=2e-3)
     else:
         assert found.clearance_m < 2e-3
-
-
-def rectangle_gap_m(x_m: float, y_m: float, yaw_rad: float) -> float:
-    """Return the distance of a 4 x 2 rectangle at the origin to another one, 0 if they overlap."""
-    corners = [(2.0, 1.0), (-2.0, 1.0), (-2.0, -1.0), (2.0, -1.0)]
-    cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
-    other = [(x_m + a * cos_yaw - b * sin_yaw, y_m + a * sin_yaw + b * cos_yaw) for a, b in corners]
-    if separated_by_no_axis(corners, other):
-        return 0.0
-    return min(
-        min(corner_to_edges_m(p, other) for p in corners), min(corner_to_edges_m(p, corners) for p in other)
-    )
-
-
-def separated_by_no_axis(a: list[tuple[float, float]], b: list[tuple[float, float]]) -> bool:
-    for shape in (a, b):
-        for i in range(2):
-            ux, uy = shape[i + 1][0] - shape[i][0], shape[i + 1][1] - shape[i][1]
-            first = [x * ux + y * uy for x, y in a]
-            second = [x * ux + y * uy for x, y in b]
-            if max(first) < min(second) or max(second) < min(first):
-                return False
-    return True
-
-
-def corner_to_edges_m(point: tuple[float, float], shape: list[tuple[float, float]]) -> float:
-    best = math.inf
-    for i in range(4):
-        (ax, ay), (bx, by) = shape[i], shape[(i + 1) % 4]
-        share = ((point[0] - ax) * (bx - ax) + (point[1] - ay) * (by - ay)) / math.dist(
-            (ax, ay), (bx, by)
-        ) ** 2
-        share = min(max(share, 0.0), 1.0)
-        best = min(best, math.dist(point, (ax + share * (bx - ax), ay + share * (by - ay))))
-    return best
 
 
 def test_front_gap_is_the_bumper_to_bumper_distance_in_corridor(world: UrbanWorld, engine: Engine) -> None:

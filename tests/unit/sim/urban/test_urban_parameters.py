@@ -15,7 +15,6 @@ from brink.sim.urban.behaviour import (
     BehaviourMode,
     DetectorBehaviour,
     InjectedTrajectory,
-    trajectory_ranges,
 )
 from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 
@@ -140,14 +139,6 @@ def test_an_invalid_trajectory_is_rejected_with_its_field(changes: dict[str, obj
 def test_an_unknown_mode_is_rejected() -> None:
     with pytest.raises(InvalidEpisode, match="did you mean 'oracle'"):
         DetectorBehaviour.from_json({"mode": "oracel"})
-
-
-def test_ranges_follow_the_order_of_the_genome() -> None:
-    ranges = trajectory_ranges(30.0)
-    assert tuple(ranges) == TRAJECTORY_FIELDS[1:]
-    assert ranges["t1_step"][:2] == (0.0, 300.0)
-    assert ranges["x_max_1_px"] == (0.0, 800.0, "px")
-    assert ranges["y_min_0_px"] == (0.0, 600.0, "px")
 
 
 def test_parameters_can_be_read_without_loading_the_physics() -> None:

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import astuple
 
 import pytest
 from hypothesis import given
@@ -10,11 +9,10 @@ from hypothesis import strategies as st
 
 from brink.sim.driving.interface import LightState
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.road import CYCLE_S, LENGTHS_M, Road, SignalPlan, build_road, ego_route, stream_lane
-from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, Weather
-from brink.sim.world.scenery import fixtures, scene_surfaces
+from brink.sim.world.road import CYCLE_S, SignalPlan, build_road, ego_route, stream_lane
+from brink.sim.world.scenario import DrivingTask, RoadCurve
+from brink.sim.world.scenery import fixtures
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.weather import conditions
 
 curvatures = st.one_of(st.just(0.0), st.floats(1 / 60, 1 / 8), st.floats(-1 / 8, -1 / 60))
 pieces = st.lists(
@@ -82,18 +80,6 @@ ROADS = [
 ]
 
 
-@pytest.mark.parametrize("length", range(3))
-def test_roads_have_roughly_their_nominal_length(length: int) -> None:
-    for curve in RoadCurve:
-        assert build_road(curve, 0, length).forward.length_m == pytest.approx(LENGTHS_M[length], rel=0.05)
-
-
-def test_the_three_roads_of_a_shape_differ() -> None:
-    for curve in RoadCurve:
-        styles = {build_road(curve, road_id, 1).style for road_id in range(3)}
-        assert len(styles) == 3
-
-
 @pytest.mark.parametrize("task", list(DrivingTask))
 def test_routes_have_no_gaps_and_lead_where_the_task_says(task: DrivingTask) -> None:
     turned = {
@@ -149,16 +135,6 @@ def test_no_fixture_stands_on_a_lane() -> None:
                 assert not inside, (road.curve, fixture)
 
 
-def test_scenes_contain_every_kind_of_surface() -> None:
-    kinds = {surface.kind for road in ROADS for surface in scene_surfaces(road)}
-    assert kinds == {"road", "pavement", "marking", "crossing", "stop-line", "building", "parked-car", "tree"}
-
-
-def test_equal_roads_are_the_same_object() -> None:
-    road: Road = build_road(RoadCurve.LEFT, 1, 2)
-    assert build_road(RoadCurve.LEFT, 1, 2) is road
-
-
 @given(st.floats(0, CYCLE_S), st.floats(0, 200))
 def test_one_direction_is_always_red(phase_s: float, time_s: float) -> None:
     plan = SignalPlan(phase_s=phase_s)
@@ -174,25 +150,6 @@ def test_red_lasts_for_the_predicted_time(phase_s: float, time_s: float) -> None
         assert plan.main_at(time_s + left_s + 1e-6) is LightState.GREEN
     else:
         assert left_s == 0.0
-
-
-def test_friction_depends_on_the_road_surface() -> None:
-    expected = {
-        Weather.CLEAR: 0.9,
-        Weather.CLOUDY: 0.9,
-        Weather.WET: 0.6,
-        Weather.WET_CLOUDY: 0.6,
-        Weather.MEDIUM_RAIN: 0.5,
-        Weather.HARD_RAIN: 0.4,
-    }
-    for weather, friction in expected.items():
-        assert conditions(TimeOfDay.NOON, weather).friction == friction
-    assert 0.5 < conditions(TimeOfDay.NOON, Weather.SOFT_RAIN).friction < 0.6
-
-
-def test_each_combination_of_time_and_weather_is_distinct() -> None:
-    kinds = {astuple(conditions(t, w)) for t, w in itertools.product(TimeOfDay, Weather)}
-    assert len(kinds) == len(TimeOfDay) * len(Weather)
 
 
 def test_random_streams_are_independent() -> None:

@@ -73,12 +73,6 @@ def test_a_vehicle_stops_behind_a_standing_one() -> None:
     assert 1.0 < gap_m < 5.0
 
 
-def test_an_unobstructed_vehicle_reaches_its_desired_speed() -> None:
-    free = vehicle(0.0, speed_mps=0.0)
-    drive([free], 25.0)
-    assert free.speed_mps == pytest.approx(STYLE.speed_mps, rel=0.02)
-
-
 def test_a_vehicle_waits_at_its_stop_point_as_long_as_it_has_to() -> None:
     waiting = vehicle(10.0, stops=(StopPoint(60.0, lambda _, time_s: time_s < 20.0),))
     drive([waiting], 19.0)
@@ -165,15 +159,6 @@ def test_a_walker_lets_a_car_pass_and_then_crosses() -> None:
     assert on_foot.phase is Phase.ALONG
 
 
-def test_a_walker_stays_on_the_pavement() -> None:
-    on_foot = walker(None)
-    for _ in range(300):
-        on_foot.look(0.0, [])
-        on_foot.move()
-    assert on_foot.offset_m == 5.0
-    assert on_foot.station_m == pytest.approx(40.0 + 300 * 0.13)
-
-
 def test_every_scenario_has_a_lead_vehicle_and_uniquely_named_road_users() -> None:
     for curve, road_id, task in itertools.product(RoadCurve, range(3), DrivingTask):
         world = make_world(
@@ -195,18 +180,6 @@ def test_other_vehicles_do_not_drive_through_each_other() -> None:
             for a, b in itertools.combinations(world.vehicles, 2):
                 if (a.x_m - b.x_m) ** 2 + (a.y_m - b.y_m) ** 2 < 1.6**2:
                     pytest.fail(f"{curve} {seed}: {a.name} and {b.name} at {step * STEP_S} s")
-
-
-@pytest.mark.parametrize("curve", list(RoadCurve))
-@pytest.mark.parametrize("road_id", [0, 1, 2])
-def test_every_vehicle_has_its_own_desired_speed(curve: RoadCurve, road_id: int) -> None:
-    road = replace(SCENARIO, pedestrians=0, road_curve=curve, road_id=road_id, road_length=1)
-    scenario = replace(road, driving_task=DrivingTask.FIRST_EXIT)
-    for seed in range(3):
-        vehicles = make_world(scenario, seed).vehicles
-        shares = {"joining": 0.8, "pulling-out": 0.7, "local": 0.55}
-        speeds = [vehicle.style.speed_mps / shares.get(vehicle.name, 1.0) for vehicle in vehicles]
-        assert len({round(speed, 9) for speed in speeds}) == len(vehicles)
 
 
 def far_away_ego(world: UrbanWorld) -> None:
@@ -309,15 +282,3 @@ def test_a_car_joins_a_lane_only_in_a_gap() -> None:
 def test_a_lane_is_free_unless_somebody_on_it_is_about_to_arrive(other: Vehicle, free: bool) -> None:
     asking = parked(0.0, -6.0)
     assert lane_is_free([other, asking], asking, 0.0, 0.0, 0.0) is free
-
-
-def test_the_lead_vehicle_slows_down_repeatedly() -> None:
-    world = make_world(replace(SCENARIO, road_id=0, pedestrians=0), 4)
-    lead = world.vehicles[0]
-    speeds = []
-    for step in range(560):
-        world.advance(step)
-        speeds.append(lead.speed_mps)
-    assert max(speeds) > 7.5
-    dips = sum(a >= 6.0 > b for a, b in itertools.pairwise(speeds))
-    assert dips >= 2
