@@ -117,12 +117,6 @@ def test_metric_of_a_space_uses_its_ranges_and_categories() -> None:
     assert Metric.of_component(space, 1).between(rows[:, 2:], rows[:, 2:])[0, 1] == 1.0
 
 
-def test_no_rows_give_no_distances() -> None:
-    metric = Metric(RANGES, CATEGORICAL)
-    assert metric.between(random_rows(0, 1), random_rows(3, 1)).shape == (0, 3)
-    assert metric.between(random_rows(3, 1), random_rows(0, 1)).shape == (3, 0)
-
-
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
@@ -164,11 +158,6 @@ def test_fitness_needs_a_minimum_number_of_solutions(t_b: float, fewest: int) ->
         return float(boundary_fitness(unsafe, np.full(unsafe.size, evaluated), 0.1).min())
 
     assert next(n for n in range(1, 5_000) if best(n) <= t_b) == fewest
-
-
-def test_all_safe_neighbourhood_approaches_one_ninth() -> None:
-    fitness = boundary_fitness(np.array([0]), np.array([10**7]), 0.1)
-    assert fitness[0] == pytest.approx(1 / 9, abs=1e-6)
 
 
 def test_limits_of_unanimous_neighbourhoods_are_exact() -> None:
@@ -329,33 +318,12 @@ def test_a_distance_equal_to_the_radius_counts_as_near() -> None:
     assert archive.unsafe_neighbours.tolist() == [1, 1, 1]
 
 
-def test_first_solutions_are_scored_without_later_ones() -> None:
-    rows, unsafe = solutions(60)
-    steps = grown_in_steps(rows, unsafe, [25])
-    assert np.array_equal(steps[-1].first(25).fitness, steps[1].fitness)
-
-
 def test_other_verdicts_change_only_the_unsafe_counts() -> None:
     rows, unsafe = solutions(60)
     archive = grown_in_steps(rows, unsafe, [])[-1]
     flipped = archive.with_verdicts(~unsafe, np.ones(60))
     assert np.array_equal(flipped.neighbours, archive.neighbours)
     assert np.array_equal(flipped.unsafe_neighbours, archive.neighbours - archive.unsafe_neighbours)
-
-
-def test_distances_between_positions_are_those_of_the_metric() -> None:
-    rows, unsafe = solutions(20)
-    archive = grown_in_steps(rows, unsafe, [])[-1]
-    expected = Metric.of_space(SPACE).between(rows[[3, 1]], rows[[0, 5, 19]])
-    assert np.array_equal(archive.distances([3, 1], [0, 5, 19]), expected)
-
-
-def test_empty_archive_has_no_solutions() -> None:
-    archive = Archive.empty(SPACE, NEAR)
-    assert len(archive) == 0
-    assert archive.vectors.shape == (0, SPACE.dimension)
-    assert archive.fitness.shape == (0,)
-    assert archive.latest_rows is None
 
 
 def test_repeated_numbers_are_rejected() -> None:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from brink.search.analysis import boundary
 from brink.search.analysis.boundary import (
-    by_p_th,
-    by_radius,
     dbs,
     dbs_by_budget,
     dbs_grid,
@@ -198,21 +196,10 @@ def test_first_solutions_have_the_figures_they_had_then(count: int) -> None:
         np.testing.assert_array_equal(getattr(first, name), getattr(then, name))
 
 
-def test_solutions_beyond_the_budget_are_not_counted() -> None:
-    points = list(dbs_by_budget(random_archive(300, missing=(3,)), 200, (0.5, 1.0)))
-    assert [(point.simulations, point.evaluated) for point in points] == [(100, 99), (200, 199)]
-
-
 @pytest.mark.parametrize("fractions", [(0.0, 1.0), (0.5, 0.5), (0.9, 0.1), (1.1,)])
 def test_fractions_that_do_not_ascend_in_the_unit_interval_are_rejected(fractions: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="fractions"):
         next(dbs_by_budget(random_archive(20), 20, fractions))
-
-
-def test_empty_archive_has_no_boundary() -> None:
-    empty = Archive.empty(SPACE, Neighbourhood(radius=0.3, p_th=0.1))
-    assert distinct_boundary(empty, 1.0, 0.1).size == 0
-    assert dbs_grid(empty).dbs.sum() == 0
 
 
 @pytest.mark.parametrize(("radius", "p_th"), [(0.3, 0.25), (0.45, 0.1), (0.2, 0.3), (0.3, 0.1)])
@@ -221,18 +208,6 @@ def test_rescored_archive_equals_one_built_with_those_settings(radius: float, p_
     assert found.neighbourhood == expected.neighbourhood
     for name in ("numbers", "unsafe", "neighbours", "unsafe_neighbours", "interval", "fitness"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-def test_sensitivity_gives_the_figures_of_other_settings() -> None:
-    for found in (
-        by_radius(noisy_archive(), (0.2, 0.4), t_b=0.15, d_th=0.2),
-        by_p_th(noisy_archive(), (0.05, 0.2), t_b=0.15, d_th=0.2),
-    ):
-        for one in found:
-            known = noisy_archive(one.radius, one.p_th)
-            assert (one.dbs, one.strict_dbs) == (dbs(known, 0.15, 0.2), strict_dbs(known, 0.15, 0.2))
-            assert one.near == (known.fitness <= 0.15).sum()
-            assert one.neighbours == np.median(known.neighbours)
 
 
 def test_settings_out_of_range_are_rejected() -> None:
@@ -256,22 +231,6 @@ def blind_space_archive(unsafe: NDArray[np.bool_], rows: NDArray[np.float64] = R
     return Archive.empty(BLIND_SPACE, near).grown(
         np.arange(len(rows)), rows, unsafe, np.where(unsafe, -1.0, 1.0), keep_rows=False
     )
-
-
-def by_scenario(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the true risk of the synthetic landscape, a function of the scenario."""
-    risk: NDArray[np.float64] = 0.1 + 0.2 * rows[:, 0] + 0.15 * (rows[:, 1] == 2)
-    return risk
-
-
-def test_scenario_risk_is_estimated_from_the_archive() -> None:
-    truth = by_scenario(ROWS)
-    archive = blind_space_archive(np.random.default_rng(1).random(len(ROWS)) < truth)
-    risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
-    estimate = risk.probability(ROWS[:, :4])
-    assert np.corrcoef(estimate, truth)[0, 1] > 0.85
-    assert np.abs(estimate - truth).mean() < 0.08
-    assert estimate.mean() == pytest.approx(archive.unsafe.mean(), abs=0.01)
 
 
 def test_estimate_is_shrunk_towards_similar_scenarios() -> None:
@@ -301,16 +260,6 @@ def test_redrawn_verdicts_ignore_the_behaviour() -> None:
     assert np.mean(share) == pytest.approx(unsafe.mean(), abs=0.02)
 
 
-def test_control_of_a_landscape_without_behaviour_resembles_it() -> None:
-    archive = blind_space_archive(np.random.default_rng(2).random(len(ROWS)) < by_scenario(ROWS))
-    risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
-    shares = archive.unsafe_neighbours / archive.neighbours
-    for draw in range(3):
-        blind = blind_archive(archive, risk, seed=1, draw=draw)
-        assert np.array_equal(blind.neighbours, archive.neighbours)
-        assert np.corrcoef(blind.unsafe_neighbours / blind.neighbours, shares)[0, 1] > 0.8
-
-
 def test_equal_seeds_and_draws_give_equal_controls() -> None:
     archive = blind_space_archive(np.random.default_rng(2).random(len(ROWS)) < 0.4)
     risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
@@ -319,12 +268,6 @@ def test_equal_seeds_and_draws_give_equal_controls() -> None:
     assert not np.array_equal(first.unsafe, other.unsafe)
     assert np.array_equal(first.unsafe, first.robustness < 0)
     assert np.array_equal(first.vectors, archive.vectors)
-
-
-def test_repeats_are_the_mean_evaluations_per_scenario() -> None:
-    risk = ScenarioRisk.fitted(blind_space_archive(ROWS[:, 4] < 0.5), BLIND_SPACE)
-    different = len(np.unique(ROWS[:, BLIND_SPACE.slices[0]], axis=0))
-    assert risk.repeats == pytest.approx(len(ROWS) / different)
 
 
 def test_empty_archive_has_no_risk() -> None:

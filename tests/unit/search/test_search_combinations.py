@@ -6,13 +6,7 @@ from typing import TypeAlias
 import numpy as np
 import pytest
 
-from brink.search.analysis.combinations import (
-    Combination,
-    combinations,
-    tally_by_step,
-    variants_at,
-    verdicts_by_chain,
-)
+from brink.search.analysis.combinations import Combination, combinations, variants_at, verdicts_by_chain
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import Chain, Step, slots_of
@@ -135,13 +129,6 @@ def test_variants_at_a_solution_were_simulated_in_its_place() -> None:
     }
     with pytest.raises(KeyError):
         variants_at(verdicts, (NOISE, BLUR), 2)
-
-
-def test_steps_are_tallied_alone_and_with_others() -> None:
-    verdicts = verdicts_by_chain(
-        SPACE, archive_of([(0, (NOISE, BLUR), True), (0, (BLUR,), False), (1, (BLUR,), True)])
-    )
-    assert tally_by_step(verdicts) == {NOISE: ((0, 0), (1, 1)), BLUR: ((1, 2), (1, 1))}
 
 
 def test_a_space_without_slots_is_rejected() -> None:

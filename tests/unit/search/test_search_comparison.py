@@ -54,20 +54,6 @@ def test_effect_of_behaviour_is_stated_only_beyond_the_control(
     assert expected in sentence
 
 
-def test_solutions_that_are_left_out_are_named() -> None:
-    (sentence,) = control_summaries([row(7, beyond=12), row(2, repeats=6.0, beyond=12)], 0.1, 0.2)
-    assert "strict DBS 7 within the budget, without the 12 solutions beyond it;" in sentence
-    (sentence,) = control_summaries([row(7), row(2, repeats=6.0)], 0.1, 0.2)
-    assert "beyond" not in sentence
-
-
-def test_campaigns_without_a_control_are_skipped() -> None:
-    assert control_summaries([row(3), row(4), row(1, repeats=5.0)], 0.1, 0.2)[0].startswith(
-        "night: strict DBS 4"
-    )
-    assert control_summaries([row(3)], 0.1, 0.2) == []
-
-
 GA, RS, GA_CONTROL = (
     Line(problem="gap", method=method, control=control)
     for method, control in (("GA", False), ("RS", False), ("GA", True))
@@ -115,13 +101,6 @@ def test_conclusion_follows_from_the_test_and_the_control(
 
 def test_line_below_its_control_shows_no_effect_of_behaviour() -> None:
     assert "no more than" in conclusion(duel(GA_CONTROL, 0.001, 0.01, 0.1), 7.0, 12.0, ())
-
-
-def test_level_of_significance_can_be_chosen() -> None:
-    assert duel(RS, 0.02, 0.03, 0.9).differs
-    assert "it may be chance" in conclusion(duel(RS, 0.001, 0.03, 0.9, level=0.01), 12.0, 7.0, ())
-    assert not duel(RS, 0.02, 0.03, 0.9, level=0.01).differs
-    assert "no difference" in conclusion(duel(RS, 0.02, 0.03, 0.9, level=0.01), 12.0, 7.0, ())
 
 
 def repeats_of(**methods: list[list[float]]) -> list[Repeat]:
@@ -174,20 +153,6 @@ def test_differences_at_tenths_of_the_budget_are_those_of_the_means() -> None:
     assert lead_words(lead) == (
         "+1.0 at 10% of the budget, +10.0 at 100%, furthest apart at 100% (+10.0); "
         "significant at 0.01, without correction, from 10% on"
-    )
-
-
-def test_a_lead_that_is_lost_again_is_reported_by_tenths() -> None:
-    ours = repeats_of(
-        a=[[5.0, 9.0, *[3.0] * 7, 3.0 + seed] for seed in range(10)],
-        b=[[5.0, 1.0, *[3.0] * 7, 5.0 + seed] for seed in range(10)],
-    )
-    lead = leads(ours, "gap", Measure.DBS, 0.3)[0]
-    assert lead.p_values[0] is None, "equal"
-    assert lead.significant() == [False, True, *[False] * 8]
-    assert lead_words(lead) == (
-        "0.0 at 10% of the budget, -2.0 at 100%, furthest apart at 20% (+8.0); "
-        "significant at 0.01, without correction, at 20% only"
     )
 
 

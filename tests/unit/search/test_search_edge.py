@@ -120,11 +120,6 @@ def test_kept_brackets_are_tight_and_across_the_boundary(mtq: EdgeState) -> None
         assert steps.is_tight(rows[bracket.safe], rows[bracket.unsafe], 0.002)
 
 
-def test_the_budget_is_spent_exactly_and_few_brackets_are_left_open(mtq: EdgeState) -> None:
-    assert len(mtq.archive) == 600
-    assert len(with_status(mtq, Status.OPEN)) <= 0.15 * len(mtq.brackets)
-
-
 def test_a_bracket_is_narrowed_under_one_episode_seed(chancy: tuple[EdgeState, list[Ask]]) -> None:
     state, asked = chancy
     seeds = {candidate.number: candidate.seed_number for candidate, _ in asked}
@@ -244,13 +239,6 @@ def test_without_an_unsafe_solution_it_explores_in_full_generations() -> None:
     assert (len(asked), state.ledger.generation) == (400, 20)
 
 
-def test_more_generations_in_flight_are_asked_for_at_once() -> None:
-    algorithm = Edge()
-    state = algorithm.start(ROAD, EdgeConfig(generation_size=10, in_flight=5), seed=1, budget=400)
-    state, generations = ask_all(algorithm, state)
-    assert [len(generation) for generation in generations] == [10] * 5
-
-
 def test_missing_scikit_learn_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("brink.search.algorithms.edge.search.is_available", lambda: False)
     with pytest.raises(ConfigError, match=r"needs scikit-learn.*\[analysis\]"):
@@ -260,18 +248,6 @@ def test_missing_scikit_learn_is_named_with_its_extra(monkeypatch: pytest.Monkey
 def test_an_unknown_component_is_named_with_what_was_meant() -> None:
     with pytest.raises(ConfigError, match=r"vary: expected all or the name of a component.*behaviour"):
         Edge().check(ROAD, EdgeConfig(vary="behavior"), budget=100)
-
-
-def test_settings_are_those_of_the_documented_defaults() -> None:
-    given = dataclasses.asdict(EdgeConfig())
-    assert {name: given[name] for name in ("eps", "d_th", "explore", "margin", "checks", "vary")} == {
-        "eps": 0.02,
-        "d_th": 0.2,
-        "explore": 0.4,
-        "margin": 0.2,
-        "checks": 1,
-        "vary": "all",
-    }
 
 
 def test_a_partner_that_is_known_already_is_no_miss() -> None:

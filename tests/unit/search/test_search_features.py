@@ -86,21 +86,6 @@ def test_equivalent_orders_swap_whole_parts(count: int, orders: int) -> None:
     )
 
 
-def test_urban_trajectories_are_interchangeable() -> None:
-    features = Features.of_space(URBAN)
-    rows = np.array([URBAN.join(URBAN.sample(np.random.default_rng(i))) for i in range(20)])
-    assert features.is_symmetric
-    swapped = rows[:, features.orders[1]]
-    for row in swapped:
-        URBAN.check(URBAN.split(row))
-    assert (features.of_rows(rows, 1) == features.of_rows(swapped)).all()
-    assert (swapped[:, 7:18] == rows[:, 18:29]).all()
-    both, other = features.in_every_order(rows), features.in_every_order(swapped)
-    assert (both == other[::-1]).all()
-    assert len(features.names()) == both.shape[2]
-    assert not Features.of_space(MIXED).is_symmetric
-
-
 @pytest.mark.parametrize(("count", "orders"), [(1, 1), (2, 2), (3, 6), (4, 4), (6, 6)])
 def test_more_trajectories_are_shown_in_few_orders(count: int, orders: int) -> None:
     space = UrbanInjected(UrbanInjectedParams(trajectories=count)).space

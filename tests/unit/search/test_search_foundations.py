@@ -32,20 +32,6 @@ class MoreSettings(Settings):
     mode: str = setting("fast", help="A mode.", choices=("fast", "exact"))
 
 
-def test_field_metadata_holds_help_unit_and_bounds() -> None:
-    share, count, *_ = dataclasses.fields(Settings)
-    assert dict(share.metadata) == {"help": "A share.", "unit": "", "ge": 0, "lt": 1}
-    assert count.metadata["unit"] == "cars"
-    assert count.default == 3
-    mode = dataclasses.fields(MoreSettings)[-1]
-    assert mode.metadata["choices"] == ("fast", "exact")
-
-
-def test_values_inside_their_bounds_are_accepted() -> None:
-    assert Settings(share=0, count=10).share == 0
-    assert MoreSettings(gap_m=1).gap_m == 1
-
-
 @pytest.mark.parametrize(
     ("changes", "field", "message"),
     [
@@ -103,19 +89,10 @@ def test_episode_seeds_are_exact_as_doubles(seed: int, number: int) -> None:
     assert value == episode_seed(seed, number)
 
 
-def test_episode_seeds_of_a_campaign_are_unique() -> None:
-    assert len({episode_seed(5, number) for number in range(5000)}) == 5000
-
-
 @pytest.mark.parametrize(("seed", "index"), [(-1, 0), (0, -1)])
 def test_negative_positions_are_rejected(seed: int, index: int) -> None:
     with pytest.raises(ValueError, match=">= 0"):
         generator(seed, Stream.START, index)
-
-
-def test_stream_numbers_are_unique() -> None:
-    assert len(Stream) == len(set(Stream))
-    assert np.all(np.array(list(Stream)) < 1000)
 
 
 JSON_VALUES = st.recursive(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from brink.search.analysis.ground import FAINT, Ground, ground_of, is_telling, tint_of
+from brink.search.analysis.ground import FAINT, Ground, ground_of, is_telling
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.space import Component, FloatArray, Real, SearchSpace
 
@@ -28,10 +28,6 @@ def at(grid: FloatArray, x: float, y: float) -> float:
     return float(grid[round(10 * y), round(10 * x)])
 
 
-def test_the_middle_of_the_scale_is_the_threshold_probability() -> None:
-    assert tint_of(np.array([0.0, P_TH / 2, P_TH, 1.0]), P_TH) == pytest.approx([0.0, 0.25, 0.5, 1.0])
-
-
 def test_few_safe_neighbours_are_unknown_and_neither_safe_nor_on_the_boundary() -> None:
     archive, found = ground({(2.0, 2.0): (10, 0), (8.0, 8.0): (60, 0)})
     assert is_telling(archive).tolist() == [False] * 10 + [True] * 60
@@ -45,8 +41,3 @@ def test_boundary_and_unsafe_region_are_clear_with_few_neighbours_of_both_verdic
     assert (at(found.clarity, 2, 2), at(found.clarity, 8, 8)) == pytest.approx((1, 1))
     assert at(found.tint, 2, 2) == pytest.approx(0.5)
     assert at(found.tint, 8, 8) > 0.9
-
-
-def test_nothing_is_known_far_from_all_solutions() -> None:
-    _, found = ground({(2.0, 2.0): (10, 5)})
-    assert at(found.clarity, 8, 8) == pytest.approx(0, abs=1e-6)

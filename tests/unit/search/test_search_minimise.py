@@ -128,13 +128,6 @@ def test_a_failed_simulation_leaves_a_pair_undecided() -> None:
     assert state.reductions.is_undecided(0)
 
 
-def test_a_spent_budget_claims_nothing() -> None:
-    state, asked = run(by_cars_and_delay, (SAFE, UNSAFE), budget=2)
-    assert len(asked) == 2
-    assert not state.reductions.is_minimal(0)
-    assert not state.reductions.is_undecided(0)
-
-
 @pytest.mark.parametrize("told", [0, 3, 1000])
 def test_the_state_follows_from_the_stored_verdicts(told: int) -> None:
     pairs = (SAFE, UNSAFE), (SAFE, row("fog", 4, "person", 0, 80, 0.0, 700.0, 1.9))

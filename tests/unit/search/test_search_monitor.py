@@ -125,15 +125,6 @@ def test_monitor_survives_storage(tmp_path: Path) -> None:
     assert again.ask(decoded) == monitor.ask(decoded)
 
 
-def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows, unsafe = plane(400)
-    monkeypatch.setattr(neighbours, "MAX_LEARNED", 150)
-    monkeypatch.setattr(neighbours, "MAX_PREDICTED", 100)
-    first, again = (Monitor.fitted(PLANE, rows, unsafe, threshold=0.5, seed=3) for _ in range(2))
-    assert (weights_of(first) == weights_of(again)).all()
-    assert len(first) == 400, "a fitted monitor uses all solutions"
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.special import logit
-from sklearn.ensemble import HistGradientBoostingClassifier
 
 from brink.search.analysis import boosted_trees
-from brink.search.analysis.boosted_trees import SHRINKAGE, TREES, BoostedTrees
+from brink.search.analysis.boosted_trees import BoostedTrees
 from brink.search.analysis.coverage import Coverage
 from brink.search.analysis.monitor import Answer, Model, Monitor, default_model
 from brink.search.analysis.monitor_evaluation import classification_metrics, evaluate_monitor
@@ -104,14 +103,6 @@ def test_same_seed_gives_the_same_trees() -> None:
     assert one.to_json() == other.to_json()
 
 
-def test_trees_are_compared_with_neighbours(monitor: Monitor) -> None:
-    found = evaluate_monitor(monitor, *drawn(300, 8))
-    assert [one.name for one in found.predictors] == ["monitor", "majority", "neighbours"]
-    ours, majority, _ = (one.metrics.brier for one in found.predictors)
-    assert ours < majority
-    assert (found.model, found.left_out) == (Model.TREES, {})
-
-
 def test_missing_scikit_learn_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     rows, unsafe = drawn(60, 1)
     assert default_model(unsafe) is Model.TREES
@@ -149,19 +140,6 @@ def test_what_near_duplicates_tell_about_each_other_is_not_taken_for_accuracy() 
     risks = fitted.score(drawn(500, 4)[0])
     assert np.abs(risks.probability - verdicts.mean()).max() < 0.2
     assert ((risks.low <= 0.4) & (risks.high >= 0.4)).mean() > 0.9
-
-
-def test_a_single_model_of_all_solutions_is_used_as_single_models_are_calibrated() -> None:
-    rows, unsafe = drawn(80, 1)
-    trees = Monitor.fitted(BOXES, rows, unsafe, threshold=0.3, model=Model.TREES).estimator
-    assert isinstance(trees, BoostedTrees)
-    shown, fresh = (trees.features.in_every_order(one) for one in (rows, drawn(30, 2)[0]))
-    whole = HistGradientBoostingClassifier(
-        max_iter=TREES, l2_regularization=SHRINKAGE, early_stopping=False, random_state=0
-    ).fit(np.concatenate(shown), np.tile(unsafe, len(shown)))
-    score = np.mean([whole.decision_function(one) for one in fresh], axis=0)
-    intercept, slope = trees.calibration
-    assert logit(trees.estimate(drawn(30, 2)[0], 1.96)[0]) == pytest.approx(intercept + slope * score)
 
 
 def test_trees_of_an_earlier_version_score_as_they_did(monitor: Monitor) -> None:

@@ -20,7 +20,6 @@ from brink.search.algorithms.multi_objective import (
     MultiObjectiveState,
     diversities,
     gap_objective,
-    plan_generation,
 )
 from brink.search.algorithms.mumoea import (
     Crossover,
@@ -42,7 +41,7 @@ from brink.search.space import Categorical, Component, FloatArray, SearchSpace
 from brink.search.testing import check_algorithm
 from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.motion import Distance, encounter_distances, matched_distances, roll_out
-from brink.search.traffic.participants import MAX_ACTIONS, Action, Gene, RoadLimits
+from brink.search.traffic.participants import RoadLimits
 from brink.search.traffic.variation import (
     MOTIFS,
     PATTERNS,
@@ -51,8 +50,6 @@ from brink.search.traffic.variation import (
     crossed_uniformly,
     hostile_solution,
     major_change,
-    person_crosses,
-    prolonged,
     small_change,
 )
 
@@ -158,12 +155,6 @@ def test_every_solution_records_its_origin() -> None:
     assert Origin.HEURISTIC not in {randomly.history.origin(n) for n in range(len(randomly.history))}
 
 
-def test_later_generations_find_more_violations() -> None:
-    state = run(replace(SMALL, initial="random"), 12)
-    unsafe = state.history.unsafe
-    assert unsafe[-48:].mean() > unsafe[:24].mean()
-
-
 def test_diversity_is_the_distance_to_recent_solutions() -> None:
     state = run(replace(SMALL, lately=2, distance="paper"), 5)
     number = state.population[0]
@@ -215,16 +206,6 @@ def test_generations_without_a_new_kind_of_violation_trigger_differential_seeds(
     assert MUMOEA.wanted(state) is not None
     assert state.kinds == {"a", "b"}
     assert stuck == [0, 1, 0, 1, 0]
-
-
-def test_prolonged_patterns_begin_like_the_pattern() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        for one in hostile_solution(ROAD, 3, rng):
-            longer = prolonged(one, rng)
-            assert longer.genes[: len(one.genes)] == one.genes
-            assert len(longer.genes) <= MAX_ACTIONS
-            assert replace(longer, genes=one.genes) == one
 
 
 def test_an_unchanged_front_triggers_differential_seeds() -> None:
@@ -286,15 +267,6 @@ def test_rejected_seeds_are_sent_back_and_finally_replaced_by_major_mutants() ->
     assert MUMOEA.wanted(state) is None
     assert Origin.LLM not in state.queue_origins
     assert state.queue_origins[:4] == (Origin.MUTATION,) * 4
-
-
-def test_patterns_replace_seeds_when_nobody_answers() -> None:
-    config = replace(SMALL, seeder="llm", initial="random", differential="always")
-    state = run(config, 1)
-    assert MUMOEA.wanted(state) is not None
-    state = MUMOEA.seeded(state, [])
-    assert MUMOEA.wanted(state) is None
-    assert set(state.queue_origins) <= {Origin.HEURISTIC, Origin.MUTATION, Origin.CROSSOVER}
 
 
 def test_seeds_must_be_as_far_from_known_solutions_as_these_are_apart() -> None:
@@ -372,24 +344,6 @@ def test_crossed_actions_are_cut_at_the_same_place_and_none_is_lost(seed: int) -
     assert replace(daughter, genes=father.genes) == father
 
 
-def test_crossed_participants_are_of_like_kind_if_the_other_parent_has_one() -> None:
-    rng = np.random.default_rng(1)
-    changes = Gene(action=Action.CHANGE_LEFT, duration_s=2.0, magnitude=0.5)
-    crosses = Gene(action=Action.CROSS, duration_s=2.0, magnitude=1.5)
-    seeds = []
-    for number in range(12):
-        (car,), (walker,) = PATTERNS[0](ROAD, rng), person_crosses(ROAD, rng)
-        pair = (replace(car, genes=(changes,) * (2 + number % 6)), replace(walker, genes=(crosses,) * 3))
-        seeds.append(Proposal(solution=GENOME.repaired(pair, rng), origin=Origin.LLM))
-    state = run(replace(SMALL, seeder="llm", differential="never"), 1, seeds)
-    assert Origin.CROSSOVER in state.queue_origins
-    for candidate, origin in zip(state.ledger.queue, state.queue_origins, strict=True):
-        if origin is Origin.CROSSOVER:
-            # Repair turns a vehicle's `cross` into `keep`, and a pedestrian's `change_left` into `cross`.
-            kept = {gene.action for one in GENOME.rule.decode(candidate.vectors[1]) for gene in one.genes}
-            assert kept == {Action.CHANGE_LEFT, Action.CROSS}
-
-
 def _bred(children: int, **changes: Any) -> tuple[MultiObjectiveState, list[tuple[FloatArray, Origin]]]:
     """Return a state, and children that NSGA-II breeds from its population with other probabilities."""
     config = Nsga2Config(population_size=12, **changes)
@@ -424,22 +378,6 @@ def test_children_that_equal_a_parent_are_bred_again_then_replaced_by_mutants() 
         assert len(state.history) == 72
         assert set(origins) == {Origin.MUTATION} | ({Origin.CROSSOVER} if config is usual else set())
         assert len({row.tobytes() for row in state.history.rows}) == 72
-
-
-def test_random_solutions_that_fill_a_generation_are_counted_as_immigrants() -> None:
-    state = told(Nsga2(), Nsga2().start(SPACE, Nsga2Config(population_size=12), seed=1, budget=1_000))
-    known = [(state.history.rows[number], Origin.CROSSOVER) for number in state.population]
-    asked = []
-
-    def breed(count: int) -> list[tuple[FloatArray, Origin]]:
-        asked.append(count)
-        return known
-
-    idle = replace(state, ledger=state.ledger.plan([]))
-    filled = plan_generation(idle, known, GENOME, np.random.default_rng(1), [breed])
-    assert filled.queue_origins == (Origin.IMMIGRANT,) * 12
-    assert set(asked) == {12}
-    assert {state.history.origin(number) for number in range(12)} == {Origin.RANDOM}
 
 
 def test_a_search_that_an_older_version_began_cannot_be_continued() -> None:

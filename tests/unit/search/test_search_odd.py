@@ -6,11 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brink.search.analysis.coverage import Coverage
-from brink.search.analysis.monitor import Monitor
-from brink.search.errors import OddError, SpaceError
+from brink.search.errors import OddError
 from brink.search.features import equivalent_orders
 from brink.search.metric import Metric
-from brink.search.odd import limited, odd_of, odd_sentence, odd_words
+from brink.search.odd import limited, odd_of
 from brink.search.operators import mutated, offspring
 from brink.search.shorthand import space_from
 from brink.search.slots import Slots
@@ -59,23 +58,6 @@ def test_an_odd_is_written_with_its_full_names_in_one_form() -> None:
         odd_of(limited(MIXED, {"scenario.weather": ["dry", "wet", "fog"], "behaviour.delay": {"min": 0}}))
         == {}
     )
-
-
-def test_an_odd_in_words_names_each_limit_with_its_unit() -> None:
-    assert odd_words(WITHIN) == (
-        "scenario: weather is wet or fog; scenario: cars is 1 to 2; behaviour: start is 20 to 90 step; "
-        "behaviour: left is 100 to 130 px; behaviour: right is 0 to 170 px; behaviour: delay is 0.5 s"
-    )
-    assert (
-        odd_sentence(WITHIN)
-        == f"All of this is within the ODD: {odd_words(WITHIN)}. Nothing outside it was simulated."
-    )
-    assert odd_words(MIXED) == odd_sentence(MIXED) == ""
-
-
-def test_numbered_parameters_with_the_same_limit_share_a_clause() -> None:
-    assert odd_words(parts(3, {"scene.box_*.c": "g"})) == "scene: box c (each) is g"
-    assert odd_words(parts(3, {"scene.box_2.c": "g"})) == "scene: box 2 c is g"
 
 
 @given(st.lists(FLOATS, min_size=8, max_size=8), st.integers(0, 99))
@@ -285,19 +267,6 @@ def test_a_monitor_says_what_is_outside_the_odd_that_it_learned() -> None:
     assert "scenario.weather dry is outside the ODD (wet or fog)" in reason
     assert "scenario.cars is outside the ODD (1 to 2)" in reason
     assert "behaviour.delay is outside the ODD (0.5 s)" in reason
-
-
-def test_a_stored_monitor_knows_its_odd() -> None:
-    space = limited(example_spaces()["numeric"], {"scenario.gap": {"min": 10, "max": 20}})
-    rng = np.random.default_rng(3)
-    rows = np.array([space.join(space.sample(rng)) for _ in range(40)])
-    made = Monitor.fitted(space, rows, rows[:, 0] > 15, threshold=0.5, z=1.96, seed=1)
-    read = Monitor.from_json(made.to_json())
-    assert odd_of(read.space) == odd_of(space)
-    asked = {"scenario": {"gap": 45.0, "speed": 0.0}, "behaviour": {"noise": 0.5, "lag": 3}}
-    assert "scenario.gap is outside the ODD (10 to 20 m)" in read.ask(asked).unlike
-    with pytest.raises(SpaceError, match=r"in \[1, 60\]"):
-        read.ask({**asked, "scenario": {"gap": 99.0, "speed": 0.0}})
 
 
 def test_a_box_can_be_held_in_a_part_of_the_image() -> None:

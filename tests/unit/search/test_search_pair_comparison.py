@@ -132,19 +132,3 @@ def test_methods_are_compared_on_confirmed_pairs_only_if_all_are_known() -> None
     partly = repeats({**known, "a": [counts(99), *known["a"][1:]], "nothing": none})
     assert measure_of(partly, "gap") is PairMeasure.DISTINCT
     assert "confirmed or not: only" in measure_words(partly, "gap")
-
-
-@pytest.mark.parametrize(
-    ("ours", "words"),
-    [
-        (repeats({"a": [counts(3)], "b": [counts(0)]}), "none of them was simulated again"),
-        (repeats({"a": [counts(0)], "b": [counts(0)]}), "No method found any pair."),
-        (repeats({"a": [counts(3)], "b": [counts(0)]}, computed=True), "there is nothing to confirm"),
-        (repeats({"a": [counts(3, tried=3)], "b": [counts(0)]}), "Compared on confirmed distinct pairs."),
-    ],
-)
-def test_it_is_said_what_methods_are_compared_on(ours: list[PairRepeat], words: str) -> None:
-    assert words in measure_words(ours, "gap")
-    confirmed = measure_of(ours, "gap") is PairMeasure.CONFIRMED
-    assert confirmed == ("on confirmed" in words)
-    assert {duel.measure for duel in pair_duels(ours)} == {measure_of(ours, "gap")}

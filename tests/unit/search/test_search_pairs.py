@@ -127,10 +127,6 @@ def test_a_difference_may_have_had_a_part_in_one_drive_alone() -> None:
     assert (found.tight, found.without_part) == (1, 0)
 
 
-def test_pairs_in_one_verdict_alone_do_not_exist() -> None:
-    assert numbers(archive_of((BASE, False), (changed(gap=51.0), False))) == []
-
-
 def test_the_pairs_are_those_of_a_plain_search() -> None:
     rng, steps = np.random.default_rng(3), Steps(SPACE)
     rows: list[FloatArray] = [SPACE.join(SPACE.sample(rng)) for _ in range(40)]
@@ -217,19 +213,3 @@ def test_a_pair_is_narrowed_in_valid_steps_until_it_is_tight(name: str) -> None:
             safe, unsafe = (middle, unsafe) if rng.random() < 0.5 else (safe, middle)
         else:
             pytest.fail("not narrowed in 200 steps")
-
-
-def test_few_parameters_differ_in_the_end() -> None:
-    space, rng = example_spaces()["mixed"], np.random.default_rng(1)
-    steps, left = Steps(space), []
-    for _ in range(20):
-        safe = space.join(space.sample(rng))
-        drawn = space.join(space.sample(rng))
-        unsafe = space.join(space.repair(space.split(np.where(space.categorical, safe, drawn)), rng))
-        while not steps.is_tight(safe, unsafe, 0.02):
-            middle = steps.between(safe, unsafe, rng)
-            if middle is None:
-                break
-            safe, unsafe = (middle, unsafe) if rng.random() < 0.5 else (safe, middle)
-        left.append(len(steps.differing(safe, unsafe)))
-    assert np.mean(left) <= 2

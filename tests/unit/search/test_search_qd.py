@@ -1,6 +1,6 @@
 """MAP-Elites on traffic: elites by niche, how children are made, what is refused when a state is restored."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,6 @@ import pytest
 from brink.search.algorithm import Candidate, Evaluation, Failed, Niche, Origin, Scored, ask_all
 from brink.search.algorithms.multi_objective import gap_objective
 from brink.search.algorithms.qd import Elite, Operator, Qd, QdConfig, QdState, parents_of, with_elites
-from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
 from brink.search.space import Categorical, Component, SearchSpace
@@ -70,17 +69,6 @@ def played(
     return state, candidates
 
 
-def niches_of(candidates: Sequence[Candidate], rank: int) -> set[tuple[str, ...]]:
-    evaluations = [behaved(one) for one in candidates]
-    return {
-        niche.name
-        for evaluation in evaluations
-        if isinstance(evaluation, Scored)
-        for niche in evaluation.niches
-        if niche.rank == rank
-    }
-
-
 def test_every_niche_keeps_its_best_solution() -> None:
     state, candidates = played(QD, SMALL, budget=150)
     best: dict[tuple[str, ...], tuple[int, float, int]] = {}
@@ -91,16 +79,6 @@ def test_every_niche_keeps_its_best_solution() -> None:
             best[niche.name] = min(key, best.get(niche.name, key))
     found = {one.niche.name: (one.niche.rank, one.niche.value, one.number) for one in state.elites}
     assert found == best
-
-
-def test_elites_only_improve() -> None:
-    state = QD.start(SPACE, SMALL, seed=2, budget=150)
-    while not QD.finished(state):
-        state, _ = ask_all(QD, state)
-        before = {one.niche.name: (one.niche.rank, one.niche.value) for one in state.elites}
-        state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
-        after = {one.niche.name: (one.niche.rank, one.niche.value) for one in state.elites}
-        assert all(after[name] <= value for name, value in before.items())
 
 
 def by_luck(candidate: Candidate) -> Evaluation:
@@ -175,23 +153,6 @@ def test_solutions_without_a_verdict_are_never_elites() -> None:
     assert not failed & {elite.number for elite in state.elites}
 
 
-def test_variants_of_elites_find_more_niches_than_random_draws() -> None:
-    _, ours = played(QD, SMALL, budget=250)
-    _, random = played(RandomSearch(), RandomSearchConfig(), budget=250)
-    assert len(niches_of(ours, 0)) > 1.5 * len(niches_of(random, 0))
-
-
-def test_equal_seeds_give_equal_searches_and_others_do_not() -> None:
-    first, again, other = (played(QD, SMALL, budget=60, seed=seed)[0] for seed in (1, 1, 2))
-    assert QD.dump(first).to_bytes() == QD.dump(again).to_bytes()
-    assert QD.dump(first).to_bytes() != QD.dump(other).to_bytes()
-
-
-@pytest.mark.parametrize("budget", [1, 7, 33])
-def test_budget_is_spent_and_not_exceeded(budget: int) -> None:
-    assert len(played(QD, SMALL, budget=budget)[1]) == budget
-
-
 def test_origins_are_those_of_all_solutions_in_flight_and_in_the_queue() -> None:
     state = QD.start(SPACE, replace(SMALL, in_flight=3), seed=1, budget=100)
     state, generations = ask_all(QD, state)
@@ -202,83 +163,10 @@ def test_origins_are_those_of_all_solutions_in_flight_and_in_the_queue() -> None
     assert len(state.queue_origins) == 30
 
 
-def origins_of(config: QdConfig, budget: int) -> list[Origin]:
-    """Return the origin of each candidate, by number."""
-    state = QD.start(SPACE, config, seed=1, budget=budget)
-    origins: list[Origin] = []
-    while not QD.finished(state):
-        state, _ = ask_all(QD, state)
-        origins += state.queue_origins[: len(state.pending)]
-        state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
-    return origins
-
-
-def test_first_solutions_are_random_and_later_ones_follow_the_shares() -> None:
-    origins = origins_of(replace(SMALL, share_pattern=0.1), 300)
-    assert set(origins[:20]) == {Origin.RANDOM}
-    share = {origin: origins[20:].count(origin) / len(origins[20:]) for origin in set(origins)}
-    assert set(share) == {Origin.RANDOM, Origin.HEURISTIC, Origin.MUTATION, Origin.CROSSOVER, Origin.AGAIN}
-    assert share[Origin.MUTATION] > share[Origin.CROSSOVER] > share[Origin.HEURISTIC]
-
-
 def only(operator: Operator) -> QdConfig:
     """Return settings that use a single operator."""
     shares: dict[str, Any] = {f"share_{one}": float(one is operator) for one in Operator}
     return replace(SMALL, **shares)
-
-
-def children_of(config: QdConfig) -> list[tuple[Solution, QdState]]:
-    """Return the first variants of elites, each with the state that it was bred from."""
-    state = QD.start(SPACE, replace(config, in_flight=1), seed=3, budget=60)
-    children: list[tuple[Solution, QdState]] = []
-    while not QD.finished(state):
-        bred_from = state
-        state, candidates = QD.ask(state)
-        if candidates[0].number >= config.initial:
-            new = [one for one in candidates if one.number not in bred_from.again]
-            children += [(solution_of(one), bred_from) for one in new]
-        state = QD.tell(state, {one.number: behaved(one) for one in candidates})
-    return children
-
-
-def differing(parent: Solution, child: Solution) -> int:
-    return sum(one != other for one, other in zip(parent, child, strict=True))
-
-
-def test_major_changes_apply_to_one_participant_of_an_elite() -> None:
-    for child, state in children_of(only(Operator.MAJOR)):
-        rows = [state.archive.vectors[state.archive.numbers == elite.number][0] for elite in state.elites]
-        parents = [parent for row in rows if len(parent := GENOME.solution(row)) == len(child)]
-        assert 1 in {differing(parent, child) for parent in parents}
-
-
-def test_small_changes_keep_the_actions() -> None:
-    for child, state in children_of(only(Operator.SMALL)):
-        known = {
-            tuple(tuple(gene.action for gene in one.genes) for one in GENOME.solution(row))
-            for row in state.archive.vectors
-        }
-        assert tuple(tuple(gene.action for gene in one.genes) for one in child) in known
-
-
-def actions(solution: Solution) -> list[list[str]]:
-    return [[gene.action.value for gene in one.genes] for one in solution]
-
-
-def test_rare_behaviour_is_varied_most() -> None:
-    config = replace(only(Operator.SMALL), generation_size=40, in_flight=1, near=0.0)
-    state = QD.start(SPACE, config, seed=3, budget=120)
-    state, _ = QD.ask(state)
-    told = {one.number: behaved(one) for one in state.pending}
-    rare = parents_of(QD.tell(state, told).elites)[0][0]
-    forged = tuple(replace(one, hits=1 if one == rare else 1000) for one in QD.tell(state, told).elites)
-    # No results are told in between, so the next generation is bred from the forged elites.
-    state, candidates = QD.ask(replace(QD.tell(state, told), elites=forged))
-    state = QD.tell(state, {one.number: Failed(reason="synthetic") for one in candidates})
-    parent = GENOME.solution(state.archive.vectors[state.archive.numbers == rare.number][0])
-    _, children = QD.ask(state)
-    bred = [actions(solution_of(one)) == actions(parent) for one in children]
-    assert np.mean(bred) > 0.8
 
 
 def elite(name: str, rank: int, value: float, hits: int = 1) -> Elite:

@@ -30,12 +30,6 @@ def test_every_round_has_every_solution() -> None:
     assert all(c.seed_number is None for c in run.candidates)  # each has its own seed
 
 
-def test_a_generation_is_at_least_one_round() -> None:
-    config = RepeatsConfig(solutions=GIVEN, generation_size=1)
-    run = play(Repeats(), SPACE, config, synthetic_verdicts(SPACE), seed=1, budget=16)
-    assert [len(generation) for generation in run.generations] == [7, 7, 2]
-
-
 def test_any_stored_state_can_be_resumed() -> None:
     config = RepeatsConfig(solutions=GIVEN, generation_size=7)
     verdicts = synthetic_verdicts(SPACE, failing=0.3)

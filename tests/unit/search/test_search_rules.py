@@ -89,16 +89,6 @@ def test_an_inactive_parameter_counts_as_inactive_whatever_its_value() -> None:
     assert any(one.endswith(" s or inactive") for one in conditions(~recorded[:, 2] | (rows[:, 2] <= 6.0)))
 
 
-def test_best_rule_covers_exactly_the_region() -> None:
-    rows = drawn(300)
-    inside = (rows[:, 3] <= 4) & (rows[:, 1] == 1)
-    rules = found(rows, inside)
-    best = rules.rules[0]
-    assert set(best.conditions) == {"scenario.night is yes", "behaviour.misses at most 4"}
-    assert best.share == 1.0
-    assert best.inside == rules.held_out_inside
-
-
 def test_random_region_gets_no_better_than_chance() -> None:
     rng = np.random.default_rng(3)
     rows = drawn(500)

@@ -20,7 +20,7 @@ from brink.search.algorithms.simood import (
 from brink.search.errors import ConfigError, DocumentError
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.search.testing import check_algorithm, example_spaces, play
+from brink.search.testing import check_algorithm, example_spaces
 
 SPACE = example_spaces()["slots"]
 SIMOOD = Simood()
@@ -146,21 +146,6 @@ def test_population_keeps_its_size_and_never_gets_worse() -> None:
     assert best == sorted(best, reverse=True)
 
 
-def test_breeding_beats_random_draws_of_equal_number() -> None:
-    def mean_fitness(propose: str, seed: int) -> float:
-        state, _ = run_to_end(generations=60, propose=propose, seed=seed)
-        return float(state.fitness.mean())
-
-    wins = sum(mean_fitness("ga", seed) < mean_fitness("random", seed) for seed in range(8))
-    assert wins >= 7
-
-
-def test_every_individual_is_valid() -> None:
-    _, generations = run_to_end(generations=60, mutation_probability=0.9)
-    for candidate in (c for generation in generations for c in generation):
-        SPACE.check(candidate.vectors)
-
-
 def test_single_point_crossover_keeps_slots_whole() -> None:
     state, generations = run_to_end(mutation_probability=0.0, generations=1, population_size=2)
     parents = state.individuals[:2]
@@ -181,21 +166,6 @@ def test_failed_evaluations_never_become_finalists() -> None:
     assert np.isinf(state.alphas).any()
     finalists = next(g for g in generations if g[0].question is Question.EPISODE)
     assert all(candidate.vectors[1][0] != 1 for candidate in finalists)
-
-
-def test_budget_is_reserved_for_the_finalists() -> None:
-    state, generations = run_to_end(budget=20 + 7 + 15, explained=0, interaction="none")
-    assert sum(map(len, generations)) == 42
-    assert len(generations[-1]) == 15
-    assert len(state.archive) == 15
-
-
-def test_search_can_run_in_the_simulator() -> None:
-    state, generations = run_to_end(evaluate="episode", finalists=2, repeats=2, explained=0)
-    assert all(c.question is Question.EPISODE for generation in generations for c in generation)
-    assert len({c.vectors[0].tobytes() for generation in generations[:-1] for c in generation}) == 1
-    assert len(generations[-1]) == 2, "the individuals were already simulated at repeat 0"
-    assert len(state.archive) == sum(map(len, generations))
 
 
 @pytest.mark.parametrize(
@@ -324,28 +294,6 @@ def test_fitness_of_a_chain_that_does_not_interact_is_what_it_lacks_behind_the_w
         assert fitness == pytest.approx(expected if added_harm >= 0.05 else worst + lacking)
 
 
-def weak_parts_strong_together(candidate: Candidate) -> Evaluation:
-    """Return an alpha of which blur (1) and any other do much harm, dirt (3) and snow (2) only together."""
-    first, strong, second, weak = candidate.vectors[1].tolist()
-    if {first, second} == {2.0, 3.0} and strong and weak:
-        alpha = 0.4
-    elif 1.0 in (first, second):
-        alpha = 0.25 if strong and weak else 0.35
-    else:
-        alpha = 0.9
-    if candidate.question is Question.DATASET:
-        return Measured(objectives={"alpha": alpha})
-    return Scored(unsafe=alpha < 0.5, robustness=alpha - 0.5, objectives={"alpha": alpha})
-
-
-def test_with_added_harm_weak_parts_count_for_more_than_a_harmful_one() -> None:
-    for seed in range(3):
-        state, _ = run_to_end(weak_parts_strong_together, seed=seed, generations=60, interaction="added_harm")
-        assert {float(step) for step in finalists_of(state)[0][[0, 2]]} == {2.0, 3.0}
-        state, _ = run_to_end(weak_parts_strong_together, seed=seed, generations=60, interaction="fitness")
-        assert 1.0 in finalists_of(state)[0][[0, 2]], "alpha .25, by .1 less than blur alone"
-
-
 def one_after_another(candidate: Candidate) -> Evaluation:
     """Return the least of two alphas: the more intense technique does all the harm, so that nothing interacts."""
     alpha = 1.0 - 0.8 * float(max(candidate.vectors[1][[1, 3]]))
@@ -373,15 +321,6 @@ def test_where_nothing_interacts_the_papers_fitness_decides(propose: str) -> Non
         population = paper[list(state.population)]
         assert list(population) == sorted(population)
         assert list(population) == pytest.approx(sorted(paper)[:20]), "the best ever bred or drawn"
-
-
-def test_where_nothing_interacts_breeding_is_as_good_as_with_the_papers_fitness() -> None:
-    def best(seed: int, **changes: Any) -> float:
-        state, _ = run_to_end(one_after_another, seed=seed, generations=60, **changes)
-        return float(paper_fitness(state)[list(state.population)].mean())
-
-    for seed in range(4):
-        assert best(seed) == best(seed, interaction="none") < best(seed, propose="random")
 
 
 @pytest.mark.parametrize("interaction", ["added_harm", "fitness"])
@@ -424,14 +363,6 @@ def test_only_parts_of_possible_finalists_are_evaluated_for_the_choice_of_finali
     assert searched == list(range(len(searched))), "parts come after the search"
     known = ~np.isnan(state.added_harms)
     assert 5 <= known.sum() < len(state.individuals)
-
-
-def test_parts_stay_within_the_budget() -> None:
-    for interaction, least in (("finalists", 105), ("fitness", 135), ("added_harm", 135)):
-        state, generations = run_to_end(interacting, interaction=interaction, budget=least)
-        assert sum(map(len, generations)) <= least
-        assert len({c.vectors[1].tobytes() for c in generations[-1]}) >= 1
-        assert len(finalists_of(state)) == 5
 
 
 def test_chain_with_a_part_that_could_not_be_measured_does_not_interact() -> None:
@@ -528,11 +459,3 @@ def test_a_document_with_too_few_values_is_refused(name: str) -> None:
     damaged = dataclasses.replace(document, arrays={**document.arrays, name: document.arrays[name][:-1]})
     with pytest.raises(DocumentError, match=f"^{name}: expected [0-9]+ values, got [0-9]+$"):
         SIMOOD.load(SPACE, state.config, damaged, state.archive)
-
-
-def test_seeds_give_different_searches() -> None:
-    first, second = (
-        play(SIMOOD, SPACE, SimoodConfig(), answered, seed=seed, budget=BUDGET).documents[-1]
-        for seed in (1, 2)
-    )
-    assert first != second

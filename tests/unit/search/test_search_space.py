@@ -182,20 +182,6 @@ def test_negative_zero_becomes_zero_so_that_equal_solutions_have_equal_bytes() -
     assert free.encode({"x": -0.0}).tobytes() == np.zeros(1).tobytes()
 
 
-def test_samples_cover_the_whole_space() -> None:
-    rng = np.random.default_rng(1)
-    rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(2000)])
-    assert np.bincount(rows[:, 0].astype(int)).min() > 550
-    assert np.bincount(rows[:, 1].astype(int)).min() > 300
-    assert np.quantile(rows[:, 7], [0.1, 0.5, 0.9]) == pytest.approx([0.2, 1.0, 1.8], abs=0.1)
-    dormant = rows[:, 2] == 0
-    assert 550 < np.count_nonzero(dormant) < 790
-    assert np.all(rows[dormant, 3:7] == 0)
-    lengths = rows[~dormant, 4] - rows[~dormant, 3]
-    assert lengths.min() == 5
-    assert np.mean(lengths) == pytest.approx(30, abs=3)
-
-
 def test_splitting_a_joined_row_gives_the_same_vectors() -> None:
     vectors = SPACE.sample(np.random.default_rng(0))
     row = SPACE.join(vectors)
@@ -205,22 +191,6 @@ def test_splitting_a_joined_row_gives_the_same_vectors() -> None:
     assert SPACE.categorical.tolist() == [True, False, True, False, False, False, False, False]
     assert SPACE.ranges.tolist() == [1, 4, 1, 90, 90, 800, 800, 2]
     assert SPACE.column_names()[:3] == ("scenario.weather", "scenario.cars", "behaviour.label")
-
-
-def test_description_is_complete_plain_json() -> None:
-    text = json.dumps(SPACE.describe())
-    for word in (
-        "scenario",
-        "weather",
-        "fog",
-        "px",
-        "dormant",
-        "duration",
-        "extent",
-        "horizon",
-        '"high": 800.0',
-    ):
-        assert word in text
 
 
 def valid() -> dict[str, dict[str, object]]:
@@ -351,18 +321,6 @@ def test_unusable_names_and_choices_are_rejected() -> None:
     part = Component("part", PAIR)
     with pytest.raises(SpaceError, match="distinct names"):
         SearchSpace((part, part))
-
-
-def test_size_counts_the_solutions_of_a_finite_space() -> None:
-    assert example_spaces()["categorical"].size == 3**6 * 2**8
-    assert SPACE.components[0].size == 15
-    assert math.isinf(SPACE.size)
-
-
-def test_default_mutation_sigma_is_a_tenth_of_the_range() -> None:
-    assert Real("x", -1.0, 1.0).mutation_sigma == pytest.approx(0.2)
-    assert Integer("i", 0, 900).mutation_sigma == pytest.approx(90)
-    assert Real("x", 0.0, 800.0, "px", sigma=40.0).mutation_sigma == 40.0
 
 
 TECHNIQUES = ("noise", "blur", "rain")

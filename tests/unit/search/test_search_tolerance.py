@@ -23,17 +23,7 @@ from brink.search.algorithms.tolerance import (
     results,
     tally,
 )
-from brink.search.curves import (
-    LEVELS,
-    Counts,
-    Curve,
-    Screening,
-    curves_of,
-    library,
-    severities,
-    severity_at,
-    weights,
-)
+from brink.search.curves import LEVELS, Counts, Curve, Screening, curves_of, library, severities, severity_at
 from brink.search.document import Document
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.space import Categorical, Component, Dormant, FloatArray, Real, SearchSpace
@@ -130,10 +120,6 @@ def test_every_curve_of_the_library_is_a_share_that_begins_at_zero() -> None:
     assert 0.05 < falling < 0.2
 
 
-def test_a_smaller_library_is_the_beginning_of_a_larger_one() -> None:
-    assert np.array_equal(library(60_000)[:5_000], library(5_000))
-
-
 def test_severity_at_a_limit_is_interpolated_and_infinite_where_it_is_not_reached() -> None:
     shares = np.vstack([severities() * 0.32, severities() * 0.04, np.where(severities() >= 0.5, 0.4, 0.0)])
     assert severity_at(shares, 0.05) == pytest.approx([0.05 / 0.32, np.inf, 15 / 32 + 0.125 / 32])
@@ -183,41 +169,6 @@ def test_fresh_drives_lie_in_the_predicted_interval() -> None:
         low, high = known.predicted(levels, rng, 0.95)
         hits.append(low <= int((rng.random(40) < curve[levels]).sum()) <= high)
     assert np.mean(hits) >= 0.85
-
-
-def test_more_drives_narrow_the_interval() -> None:
-    rng = np.random.default_rng(1)
-    curve = steps(0.5, 0.4)
-    widths = []
-    for drives in (30, 1_000):
-        (known,) = rated(simulated(curve, drives, rng))
-        widths.append(min(known.tolerated.high, 1.0) - known.tolerated.low)
-    assert widths[1] < widths[0] / 2
-
-
-def test_an_interval_is_no_narrower_than_its_curves_support() -> None:
-    rng = np.random.default_rng(6)
-    curves = [steps(at, 0.4, 0.05) for at in (0.3, 0.5, 0.7)]
-    for curve, known in zip(
-        curves, rated(joined([simulated(one, 20_000, rng) for one in curves])), strict=True
-    ):
-        assert len(np.unique(known.draws, axis=0)) > 1_000
-        assert 0.005 < known.tolerated.width < 0.08
-        true = float(severity_at(curve[None], 0.05)[0])
-        assert known.tolerated.value == pytest.approx(true, abs=known.tolerated.width)
-
-
-def test_an_error_without_effect_is_tolerated_throughout() -> None:
-    counts = Counts.empty(1)
-    counts.drives[0, -1] = 200
-    (known,) = rated(counts)
-    assert np.isinf(known.tolerated.low)
-    assert known.high[-1] < 0.05
-
-
-def test_without_drives_the_weights_are_those_of_the_prior() -> None:
-    likely = weights(Counts.empty(2), library(1_000))
-    assert likely == pytest.approx(np.full((2, 1_000), 1e-3))
 
 
 def test_a_screened_curve_is_the_share_of_vulnerable_drives_times_the_curve_among_them() -> None:
@@ -457,12 +408,6 @@ def test_leaks_count_in_their_own_group_and_at_their_own_severity() -> None:
             assert curve.tolerated.low - 0.05 <= reached <= curve.tolerated.high + 0.05, cell
 
 
-def test_a_search_without_a_grossest_error_does_not_screen(played: Played) -> None:
-    assert played.layout.groups == ()
-    assert len(played.jobs(Purpose.SCREENING)) == 0
-    assert played.tally.screenings == ()
-
-
 def test_simulations_go_where_the_limit_may_be_reached(played: Played) -> None:
     adaptive, uniform = played, play(design="uniform")
     widths = []
@@ -473,19 +418,6 @@ def test_simulations_go_where_the_limit_may_be_reached(played: Played) -> None:
     drives = uniform.tally.counts.drives
     assert np.ptp(drives.sum(axis=1)) <= 1
     assert set(np.flatnonzero(drives.sum(axis=0)) + 1) == set(range(4, 33, 4))
-
-
-def test_the_random_design_draws_severities_by_chance() -> None:
-    drives = play(design="random").tally.counts.drives
-    assert np.ptp(drives.sum(axis=1)) <= 1
-    assert (drives.sum(axis=0) > 0).sum() > 25
-
-
-def test_the_search_ends_when_all_intervals_are_narrow_enough() -> None:
-    ended = play(6_000, width=0.35)
-    assert 500 < len(ended.asked) < 4_000
-    curves = ended.curves
-    assert max(min(c.tolerated.high, 1.1) - min(c.tolerated.low, 1.1) for c in curves) < 0.4
 
 
 def test_failed_drives_count_nowhere_and_are_not_repeated() -> None:
@@ -560,22 +492,6 @@ def test_a_space_without_severity_is_refused() -> None:
     space = SearchSpace((Component("scenario", (Real("gap", 1.0, 60.0, "m"),)),))
     with pytest.raises(UnsupportedSpace, match="severity"):
         Tolerance().check(space, ToleranceConfig(), budget=1_000)
-
-
-def test_few_vulnerable_drives_of_few_screened_leave_the_answer_open() -> None:
-    few = screening_of(3, 40, audits={LEVELS: (100, 0)})
-    (curve,) = curves_of(Counts.empty(1), [few], [False], limit=0.05, confidence=0.9)
-    assert np.isfinite(curve.tolerated.low)
-
-
-def test_all_vulnerable_drives_violate_with_the_grossest_error(screened: Played) -> None:
-    for cell, curve in zip(screened.layout.cells, screened.curves, strict=True):
-        if screened.layout.is_grossest(cell):
-            share = screened.tally.screenings[cell.group or 0]
-            vulnerable = share.vulnerable / share.screened
-            leaking = (1.0 - vulnerable) * share.leak(np.array([0.5]))[0]
-            assert curve.median[-1] == pytest.approx(vulnerable + leaking, abs=0.03)
-            assert curve.drives[-1] == 0
 
 
 def test_an_audited_drive_that_violates_anyway_is_no_leak(screened: Played) -> None:

@@ -211,21 +211,6 @@ def test_oncoming_vehicle_approaches_and_changes_left_into_the_egos_lane() -> No
     assert ends == pytest.approx(np.array([[24.0, 0.0]]))
 
 
-def test_cut_in_ends_in_the_egos_lane_at_a_lower_speed() -> None:
-    stretches = roll_out(vehicle(timed(Action.CUT_IN, 2.0, 1.0), ds_m=10.0, dd_m=0.6), ROAD)
-    s_m, d_m, speed = stretches[-1].end
-    assert (s_m, d_m, speed) == pytest.approx((24.0, 0.0, 6.0))
-
-
-def test_vehicle_keeps_its_top_speed_and_the_carriageway() -> None:
-    stretches = roll_out(
-        vehicle(timed(Action.ACCELERATE, 6.0, 3.0), timed(Action.CHANGE_RIGHT, 2.0, 1.0), speed_mps=14.0),
-        ROAD,
-    )
-    assert stretches[-1].end[2] == MAX_SPEEDS_MPS[Kind.CAR]
-    assert stretches[-1].end[1] == pytest.approx(-0.85)  # half of 3.5 m less half of 1.8 m
-
-
 def test_pedestrian_crosses_to_the_far_pavement_and_waits() -> None:
     stretches = roll_out(person(timed(Action.CROSS, 6.0, 2.2), timed(Action.CROSS, 6.0, 2.2)), ROAD)
     first = [stretch for stretch in stretches if stretch.gene == 0]
@@ -335,28 +320,6 @@ def test_distance_at_equal_times_depends_on_what_is_driven_not_on_how_it_is_writ
     assert encounter_distances(literal, literal)[0, 1] > 0.0
 
 
-def test_more_actions_make_random_solutions_no_farther_apart_at_equal_times() -> None:
-    def drawn(actions: int) -> list[tuple[Participant, ...]]:
-        return [
-            (
-                vehicle(
-                    *(timed(Action.KEEP, float(rng.uniform(0.5, 6.0))) for _ in range(actions)),
-                    ds_m=float(rng.uniform(20.0, 50.0)),
-                    speed_mps=float(rng.uniform(0.0, 12.0)),
-                ),
-            )
-            for rng in map(np.random.default_rng, range(20))
-        ]
-
-    def mean(measure: Distance, actions: int) -> float:
-        rollouts = Rollouts.of(drawn(actions), 1, ROAD, measure)
-        return float(encounter_distances(rollouts, rollouts)[np.triu_indices(20, 1)].mean())
-
-    # The same participants up to the number of their actions: 2 or 8 of them, which change nothing.
-    assert mean(Distance.PAPER, 8) > 3.0 * mean(Distance.PAPER, 2)
-    assert mean(Distance.TIME, 8) == pytest.approx(mean(Distance.TIME, 2))
-
-
 MAX_COUNT = 3
 
 
@@ -437,10 +400,3 @@ def _by_hand(first: Rollouts, second: Rollouts) -> float:
             costs.append(float(np.linalg.norm(a[:shared] - b[:shared], axis=1).mean()))
         totals.append(sum(costs) + UNMATCHED_M * (len(many) - len(few)))
     return min(totals) / len(many)
-
-
-def test_no_solutions_give_no_distances() -> None:
-    none = rollouts_of()
-    assert encounter_distances(none, rollouts_of([AHEAD])).shape == (0, 1)
-    assert participant_distances(none, rollouts_of([AHEAD])).shape == (0, MAX_COUNT)
-    assert matched_distances(none, rollouts_of([AHEAD])).shape == (0, 1)

@@ -14,7 +14,6 @@ from brink.search.algorithm import (
     Failed,
     Known,
     Scored,
-    WarmStarts,
     ask_all,
     nearest_to_boundary,
 )
@@ -38,7 +37,6 @@ from brink.search.testing import (
     stored_and_restored,
     synthetic_verdicts,
 )
-from brink.sim.catalogue import load_plugin, plugin_ids
 
 ALGORITHMS: Mapping[str, tuple[AnyAlgorithm, Any]] = {
     "random@1": (RandomSearch(), RandomSearchConfig(generation_size=20, in_flight=3)),
@@ -164,34 +162,12 @@ def test_known_results_are_neither_archived_nor_paid_for(name: str) -> None:
     assert np.array_equal(run.archive.neighbours, again.neighbours)
 
 
-@pytest.mark.usefixtures("few_trees")
-@each_algorithm
-def test_what_is_known_decides_what_is_asked_for(name: str) -> None:
-    algorithm, config = ALGORITHMS[name]
-    space = example_spaces()["numeric"]
-    judge = synthetic_verdicts(space, failing=0.0)
-    asked = [
-        [
-            space.join(c.vectors).tobytes()
-            for c in play(algorithm, space, config, judge, seed=1, budget=100, known=known).candidates
-        ]
-        for known in (None, known_in(space, 60))
-    ]
-    assert asked[0] != asked[1] or name == "random@1"  # random draws depend on nothing
-
-
 @each_algorithm
 def test_points_beyond_the_budget_are_refused(name: str) -> None:
     algorithm, config = ALGORITHMS[name]
     space = example_spaces()["numeric"]
     with pytest.raises(ConfigError, match="budget: expected at least the 101 simulations"):
         started(algorithm, space, config, seed=1, budget=100, known=known_in(space, 0, points=101))
-
-
-@pytest.mark.parametrize("plugin_id", sorted(set(plugin_ids("brink.algorithms")) - set(ALGORITHMS)))
-def test_other_algorithms_do_not_claim_to_support_it(plugin_id: str) -> None:
-    made: Any = load_plugin("brink.algorithms", plugin_id)
-    assert not isinstance(made(), WarmStarts)
 
 
 def test_the_contract_notices_points_that_do_not_come_first() -> None:
@@ -357,13 +333,6 @@ def test_no_pair_is_looked_for_where_known_results_are_one(earlier: EdgeRun) -> 
     )
     assert len(after)
     assert (Metric.of_space(MTQ_SPACE).between(after, before) >= ROUND["d_th"] - ROUND["eps"]).all()
-
-
-def test_known_results_of_one_verdict_leave_the_search_to_explore() -> None:
-    known = known_in(MTQ_SPACE, 50, evaluate=lambda _: Scored(unsafe=False, robustness=1.0))
-    state, asked = run_edge(1, known, lambda _: Scored(unsafe=False, robustness=1.0), budget=80)
-    assert {purpose for _, purpose in asked} == {Purpose.EXPLORE}
-    assert len(state.archive) == 80
 
 
 def test_solutions_whose_known_results_differ_are_no_anchors() -> None:
