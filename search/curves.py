@@ -90,12 +90,12 @@ def library(curves: int | None = None) -> NDArray[np.float32]:
 
 @cache
 def _library(curves: int) -> NDArray[np.float32]:
-    found = np.empty((curves, LEVELS + 1), np.float32)
+    drawn = np.empty((curves, LEVELS + 1), np.float32)
     for start in range(0, curves, _MOST_AT_A_TIME):
         part = curves_at(_library_points(start // _MOST_AT_A_TIME))
-        found[start : start + len(part)] = part[: curves - start]
-    found.flags.writeable = False
-    return found
+        drawn[start : start + len(part)] = part[: curves - start]
+    drawn.flags.writeable = False
+    return drawn
 
 
 def _library_points(number: int) -> FloatArray:
@@ -157,8 +157,8 @@ def weights(counts: Counts, curves: NDArray[np.float32]) -> FloatArray:
         curves: The library.
     """
     likely = _log_likelihoods(counts, curves)
-    found = np.exp(likely - likely.max(axis=1, keepdims=True))
-    return np.asarray(found / found.sum(axis=1, keepdims=True))
+    likelihood = np.exp(likely - likely.max(axis=1, keepdims=True))
+    return np.asarray(likelihood / likelihood.sum(axis=1, keepdims=True))
 
 
 def _log_likelihoods(counts: Counts, curves: NDArray[np.floating]) -> FloatArray:
@@ -431,8 +431,8 @@ class Screening:
         from scipy.stats import beta  # slow to import
 
         rest = self.screened - self.vulnerable
-        found: FloatArray = beta.ppf(at, self.vulnerable + 0.5, rest + 0.5)
-        return found
+        share: FloatArray = beta.ppf(at, self.vulnerable + 0.5, rest + 0.5)
+        return share
 
     def leak(self, at: FloatArray) -> FloatArray:
         """Return quantiles of the share of the other drives that leak at severity 1, shape ``(len(at),)``.
@@ -489,7 +489,7 @@ def curves_of(
         limit: Share of caused violations whose severity is wanted.
         confidence: Probability that an interval covers the truth, in (0, 1).
     """
-    found: list[Curve | None] = [None] * len(screenings)
+    estimated: list[Curve | None] = [None] * len(screenings)
     for is_grossest in (False, True):
         places = [place for place, flag in enumerate(grossest) if flag is is_grossest]
         if places:
@@ -503,10 +503,10 @@ def curves_of(
                     if screening is not None:
                         rng = generator(_LIBRARY_SEED, Stream.TOLERANCE, 5, place)
                         draws = screening.all_drives(draws, *screening.draw(DRAWS, rng))
-                    found[place] = _curve(
+                    estimated[place] = _curve(
                         counts.drives[place], counts.caused[place], draws, limit=limit, confidence=confidence
                     )
-    return [curve for curve in found if curve is not None]
+    return [curve for curve in estimated if curve is not None]
 
 
 def _posterior_draws(

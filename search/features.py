@@ -24,7 +24,6 @@ from brink.search.space import (
     Extent,
     FloatArray,
     IntArray,
-    Parameter,
     SearchSpace,
     frozen_array,
 )
@@ -87,10 +86,6 @@ def _component_orders(component: Component, start: int) -> Iterator[IntArray]:
         yield swapped
 
 
-def _parameters(space: SearchSpace) -> list[Parameter]:
-    return [parameter for component in space.components for parameter in component.parameters]
-
-
 def _columns(component: Component, start: int) -> dict[str, int]:
     return {parameter.name: start + place for place, parameter in enumerate(component.parameters)}
 
@@ -135,7 +130,7 @@ class Features:
             pairs.append((columns[0], columns[1]))
         array = np.array(orders)
         straight = np.arange(space.dimension)
-        parameters = [parameter.describe() | {"name": ""} for parameter in _parameters(space)]
+        parameters = [parameter.describe() | {"name": ""} for parameter in space.parameters]
         if (
             array.shape != (len(orders), space.dimension)
             or not np.issubdtype(array.dtype, np.integer)
@@ -149,7 +144,7 @@ class Features:
             )
         choices = [
             (column, code)
-            for column, parameter in enumerate(_parameters(space))
+            for column, parameter in enumerate(space.parameters)
             if isinstance(parameter, Categorical)
             for code in range(len(parameter.choices))
         ]
@@ -169,12 +164,12 @@ class Features:
 
     def names(self) -> tuple[str, ...]:
         """Return a name for each feature."""
-        columns, parameters = self.space.column_names(), _parameters(self.space)
-        found = [columns[c] for c in self._numeric]
+        columns, parameters = self.space.column_names(), self.space.parameters
+        named = [columns[c] for c in self._numeric]
         for column, code in zip(self._categories.tolist(), self._codes.tolist(), strict=True):
-            found.append(f"{columns[column]}={parameters[column].decode(code)}")
+            named.append(f"{columns[column]}={parameters[column].decode(code)}")
         pairs = [f"{columns[low]}..{columns[high]}" for low, high in self.ties]
-        return (*found, *(f"middle of {pair}" for pair in pairs), *(f"length of {pair}" for pair in pairs))
+        return (*named, *(f"middle of {pair}" for pair in pairs), *(f"length of {pair}" for pair in pairs))
 
     def of_rows(self, rows: FloatArray, order: int = 0) -> FeatureArray:
         """Return the features of complete solutions, shape ``(n, features)``.

@@ -58,12 +58,12 @@ def limited(space: SearchSpace, odd: Mapping[str, object]) -> SearchSpace:
             components.append(component.limited({name: limit for name, (_, limit) in own.items()}))
         except SpaceError as error:
             raise OddError(None, str(error)) from None
-    found = SearchSpace(tuple(components))
-    if found.size <= 1:
+    within = SearchSpace(tuple(components))
+    if within.size <= 1:
         raise OddError(
             None, "fixes every parameter: expected at least two different solutions within the ODD"
         )
-    return found
+    return within
 
 
 def _named(space: SearchSpace, given: object) -> list[str]:
@@ -71,15 +71,15 @@ def _named(space: SearchSpace, given: object) -> list[str]:
     names = space.column_names()
     if not isinstance(given, str):
         raise OddError(str(given), f"expected the name of a parameter, got {given!r}")
-    found = [name for name in names if fnmatchcase(name, given)] if "*" in given else [given]
-    if not found or found[0] not in names:
+    matching = [name for name in names if fnmatchcase(name, given)] if "*" in given else [given]
+    if not matching or matching[0] not in names:
         close = did_you_mean(given, names)
         close = "" if close.startswith("; known") else close
         known = ", ".join(names[:_MOST_NAMED]) + (
             f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         )
         raise OddError(given, f"unknown parameter {given!r}{close}; known: {known}")
-    return found
+    return matching
 
 
 def odd_of(space: SearchSpace) -> dict[str, Limit]:

@@ -87,7 +87,7 @@ class Steps:
         Args:
             eps: Largest distance of a tight pair that differs in more than one step.
         """
-        parameters = [p for component in self.space.components for p in component.parameters]
+        parameters = self.space.parameters
         steps = [
             share if isinstance(p, Categorical) else share / p.range
             for p, share in zip(parameters, self._share.tolist(), strict=True)
@@ -121,15 +121,15 @@ class Steps:
             columns = [column for unit in order[:cut] for column in unit]
             row = np.array(safe)
             row[columns] = unsafe[columns]
-            found = self._valid_between(row, safe, unsafe)
-            if found is not None:
-                return found
+            middle = self._valid_between(row, safe, unsafe)
+            if middle is not None:
+                return middle
         length = self.distance(safe, unsafe) if len(units) == 1 else 0.0
         share = _WITHIN * eps / length if eps < length < 2 * eps else 0.5
         for place in rng.permutation(len(units)):
-            found = self._halfway(safe, unsafe, units[place], share)
-            if found is not None:
-                return found
+            middle = self._halfway(safe, unsafe, units[place], share)
+            if middle is not None:
+                return middle
         return None
 
     def _halfway(
@@ -141,26 +141,28 @@ class Steps:
             return None
         row = np.array(safe)
         row[columns] = safe[columns] + share * (unsafe[columns] - safe[columns])
-        found = self._valid_between(row, safe, unsafe)
-        if found is not None or len(columns) == 1:
-            return found
+        middle = self._valid_between(row, safe, unsafe)
+        if middle is not None or len(columns) == 1:
+            return middle
         for column in columns:  # whole numbers that are tied together may be one step apart each
             row = np.array(safe)
             row[column] = unsafe[column]
-            found = self._valid_between(row, safe, unsafe)
-            if found is not None:
-                return found
+            middle = self._valid_between(row, safe, unsafe)
+            if middle is not None:
+                return middle
         return None
 
     def _valid_between(self, row: FloatArray, safe: FloatArray, unsafe: FloatArray) -> FloatArray | None:
         """Return the repaired row if it lies between two others and differs from both."""
         rng = np.random.Generator(np.random.PCG64(0))  # not drawn from: no number is missing
-        found = self.space.join(self.space.repair(self.space.split(row), rng))
-        if np.array_equal(found, safe) or np.array_equal(found, unsafe):
+        repaired = self.space.join(self.space.repair(self.space.split(row), rng))
+        if np.array_equal(repaired, safe) or np.array_equal(repaired, unsafe):
             return None
-        inside = (np.minimum(safe, unsafe) <= found) & (found <= np.maximum(safe, unsafe))
+        inside = (np.minimum(safe, unsafe) <= repaired) & (repaired <= np.maximum(safe, unsafe))
         return (
-            found if inside[~self.space.categorical].all() and self._labels_of(found, safe, unsafe) else None
+            repaired
+            if inside[~self.space.categorical].all() and self._labels_of(repaired, safe, unsafe)
+            else None
         )
 
     def _labels_of(self, row: FloatArray, safe: FloatArray, unsafe: FloatArray) -> bool:

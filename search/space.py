@@ -306,10 +306,10 @@ class Component:
         """
         values = self._values(vector)
         labels = [p for p in self.parameters if isinstance(p, Categorical)]
-        found = [(p.name, problem) for p in labels if (problem := p.problem(values[p.name]))]
-        if not found:
-            found = list(self._value_problems(values)) or list(self._constraint_problems(values))
-        for name, problem in found:
+        violations = [(p.name, problem) for p in labels if (problem := p.problem(values[p.name]))]
+        if not violations:
+            violations = list(self._value_problems(values)) or list(self._constraint_problems(values))
+        for name, problem in violations:
             yield f"{self.name}.{name}: {problem}"
 
     def _value_problems(self, values: Values) -> Iterator[tuple[str, str]]:
@@ -414,7 +414,7 @@ class SearchSpace:
         names = [component.name for component in self.components]
         if not names or len(set(names)) < len(names):
             raise SpaceError(f"expected at least one component, with distinct names; got {names}")
-        parameters = [p for component in self.components for p in component.parameters]
+        parameters = self.parameters
         ends = np.cumsum([component.dimension for component in self.components]).tolist()
         starts = [0, *ends[:-1]]
         categorical = [isinstance(p, Categorical) for p in parameters]
@@ -428,6 +428,11 @@ class SearchSpace:
     def size(self) -> float:
         """Number of different solutions ignoring constraints; infinite with a real parameter."""
         return float(np.prod([component.size for component in self.components]))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameter of each entry of a row."""
+        return tuple(parameter for component in self.components for parameter in component.parameters)
 
     def column_names(self) -> tuple[str, ...]:
         """Return ``component.parameter`` for each entry of a row."""
@@ -455,7 +460,7 @@ class SearchSpace:
             count: Number of rows.
             rng: Source of the draws.
         """
-        parameters = [p for component in self.components for p in component.parameters]
+        parameters = self.parameters
         low = np.array([0.0 if isinstance(p, Categorical) else p.least for p in parameters])
         width = np.array([1.0 if isinstance(p, Categorical) else float(p.most - p.least) for p in parameters])
         choices = np.array([len(p.codes) if isinstance(p, Categorical) else 1 for p in parameters])
@@ -531,7 +536,7 @@ class SearchSpace:
 
     def unlimited(self) -> "SearchSpace":
         """Return the space without its ODD; interchangeable parts that the ODD told apart stay told apart."""
-        if all(parameter.odd is None for component in self.components for parameter in component.parameters):
+        if all(parameter.odd is None for parameter in self.parameters):
             return self
         return SearchSpace(
             tuple(

@@ -284,13 +284,13 @@ class Ledger:
         Returns:
             Shape ``(n,)``; infinite for an individual without an evaluated solution.
         """
-        found: dict[bytes, list[float]] = {key: [] for key in row_keys(individuals)}
+        by_individual: dict[bytes, list[float]] = {key: [] for key in row_keys(individuals)}
         evidence = self.evidence
         for key, fitness in zip(row_keys(evidence.vectors[:, index]), evidence.fitness.tolist(), strict=True):
-            if key in found:
-                found[key].append(fitness)
+            if key in by_individual:
+                by_individual[key].append(fitness)
         combined = AGGREGATES[aggregate]
-        values = {key: combined(one) if one else np.inf for key, one in found.items()}
+        values = {key: combined(one) if one else np.inf for key, one in by_individual.items()}
         return np.array([values[key] for key in row_keys(individuals)])
 
     def dump(self, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Document:

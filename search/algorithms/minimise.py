@@ -102,8 +102,8 @@ class Reductions:
 
     def trials(self) -> tuple[Trial, ...]:
         """Return the next trial of each pair that has one left."""
-        found = (self.trial(pair) for pair in range(len(self)))
-        return tuple(trial for trial in found if trial is not None)
+        candidates = (self.trial(pair) for pair in range(len(self)))
+        return tuple(trial for trial in candidates if trial is not None)
 
     def trial(self, pair: int) -> Trial | None:
         """Return the next trial of a pair: the untried unit with the largest share of the distance; None if none."""
@@ -163,11 +163,11 @@ class Reductions:
         woken = space.dormant(unsafe) & ~space.dormant(row)
         row[woken] = safe[woken]
         rng = np.random.Generator(np.random.PCG64(0))  # not drawn from: no number is missing
-        found = space.join(space.repair(space.split(row), rng))
-        left = set(self.steps.differing(found, safe))
+        reverted = space.join(space.repair(space.split(row), rng))
+        left = set(self.steps.differing(reverted, safe))
         if not left or not left < set(self.steps.differing(unsafe, safe)):
             return None
-        return found
+        return reverted
 
 
 def most_trials(reductions: Reductions) -> int:

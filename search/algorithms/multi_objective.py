@@ -309,12 +309,12 @@ def diversities(
         rollouts.take([place[number] for number in numbers]), rollouts.take([place[n] for n in recent])
     )
     itself = np.asarray(numbers)[:, None] == np.asarray(recent)[None, :]
-    found = np.zeros(len(numbers))
+    values = np.zeros(len(numbers))
     for row in range(len(numbers)):
         others = distances[row][~itself[row]]
         if others.size:
-            found[row] = others.mean() if config.diversity == "mean" else others.min()
-    return found
+            values[row] = others.mean() if config.diversity == "mean" else others.min()
+    return values
 
 
 def random_children(genome: TrafficGenome, count: int, rng: np.random.Generator) -> list[Child]:

@@ -386,12 +386,12 @@ def _known_qualities(state: SimoodState, genome: ChainGenome) -> dict[Chain, flo
 def _added_harms(state: SimoodState, genome: ChainGenome, places: range) -> FloatArray:
     """Return the added harm of the individuals at some positions, NaN where they are unknown."""
     known = _known_qualities(state, genome)
-    found = []
+    harms = []
     for place, quality in zip(places, _qualities(state.config, state.alphas[places]).tolist(), strict=True):
         chain = genome.chain(state.individuals[place])
         value = added_harm(chain, {**known, chain: quality}) if np.isfinite(quality) else None
-        found.append(np.nan if value is None else value)
-    return np.array(found, np.float64)
+        harms.append(np.nan if value is None else value)
+    return np.array(harms, np.float64)
 
 
 def _positions(state: SimoodState) -> dict[bytes, int]:

@@ -60,8 +60,8 @@ def avoided_by_of(violation: Mapping[str, Any]) -> AvoidedBy | None:
     Args:
         violation: Its circumstances, as reported by the encounter simulators.
     """
-    found = violation.get("avoided_by")
-    return next((one for one in AvoidedBy if one == found), None)
+    recorded = violation.get("avoided_by")
+    return next((one for one in AvoidedBy if one == recorded), None)
 
 
 def by_words(avoidable: Avoidable | None) -> str:
@@ -88,5 +88,5 @@ def avoidable_of(violation: Mapping[str, Any]) -> Avoidable | None:
     Args:
         violation: Its circumstances, as reported by the encounter simulators.
     """
-    found = violation.get("avoidable")
-    return next((one for one in Avoidable if one == found), None)
+    recorded = violation.get("avoidable")
+    return next((one for one in Avoidable if one == recorded), None)

@@ -158,12 +158,12 @@ class BoostedTrees:
 
     def to_document(self) -> dict[str, Any]:
         """Return the model as a JSON object."""
-        found = {
+        document = {
             "calibration": self.calibration.tolist(),
             "covariance": self.covariance.tolist(),
             "forest": self.forest.to_document(),
         }
-        return found if self.inflation is None else found | {"inflation": self.inflation}
+        return document if self.inflation is None else document | {"inflation": self.inflation}
 
     def estimate(self, rows: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return unsafe probabilities and the lower and upper limits of their intervals, each of shape ``(m,)``.
@@ -278,8 +278,8 @@ def calibrated(score: FloatArray, unsafe: BoolArray) -> FloatArray:
         return float(np.sum(np.logaddexp(0.0, log_odds) - target * log_odds)), gradient
 
     # A negative slope would mean that the trees are worse than guessing; then only the intercept is kept.
-    found = minimize(loss, np.array([0.0, 1.0]), jac=True, bounds=[(None, None), (0.0, None)])
-    return frozen_array(found.x)
+    fit = minimize(loss, np.array([0.0, 1.0]), jac=True, bounds=[(None, None), (0.0, None)])
+    return frozen_array(fit.x)
 
 
 def _targets(unsafe: BoolArray) -> FloatArray:

@@ -207,9 +207,9 @@ def dbs_grid(
             break
         near = [taken[archive.fitness[taken] <= t_b] for t_b in t_bs]
         counts[d_th] = [(place.size, int(np.count_nonzero(evidence[place]))) for place in near]
-    found = tuple(d_th for d_th in d_ths if d_th in counts)
-    both = np.array([counts[d_th] for d_th in found], np.int64).reshape(len(found), len(t_bs), 2)
-    return DbsGrid(t_bs=tuple(t_bs), d_ths=found, dbs=both[:, :, 0].T, strict=both[:, :, 1].T)
+    counted = tuple(d_th for d_th in d_ths if d_th in counts)
+    both = np.array([counts[d_th] for d_th in counted], np.int64).reshape(len(counted), len(t_bs), 2)
+    return DbsGrid(t_bs=tuple(t_bs), d_ths=counted, dbs=both[:, :, 0].T, strict=both[:, :, 1].T)
 
 
 def dbs_by_budget(

@@ -88,14 +88,14 @@ def verdicts_by_chain(space: SearchSpace, archive: Archive) -> dict[Chain, dict[
     """
     genome = ChainGenome.of(space)
     part = space.slices[genome.index]
-    found: dict[Chain, dict[bytes, Verdict]] = {}
+    verdicts: dict[Chain, dict[bytes, Verdict]] = {}
     for number, row, unsafe in zip(
         archive.numbers.tolist(), archive.vectors, archive.unsafe.tolist(), strict=True
     ):
         chain = genome.chain(row[part])
         place = np.delete(row, np.arange(part.start, part.stop)).tobytes()
-        found.setdefault(chain, {}).setdefault(place, Verdict(number, bool(unsafe)))
-    return found
+        verdicts.setdefault(chain, {}).setdefault(place, Verdict(number, bool(unsafe)))
+    return verdicts
 
 
 def combinations(verdicts: Mapping[Chain, Verdicts]) -> list[Combination]:
@@ -103,9 +103,9 @@ def combinations(verdicts: Mapping[Chain, Verdicts]) -> list[Combination]:
     by_steps: dict[frozenset[Step], list[Chain]] = {}
     for chain in verdicts:
         by_steps.setdefault(frozenset(chain), []).append(chain)
-    found = [_combination(chain, verdicts, by_steps) for chain in verdicts if len(chain) > 1]
+    combined = [_combination(chain, verdicts, by_steps) for chain in verdicts if len(chain) > 1]
     return sorted(
-        found,
+        combined,
         key=lambda one: (
             not one.only_together,
             not one.order_matters,

@@ -265,15 +265,15 @@ class Duel:
 
 def lines_of(repeats: Sequence[Repeat]) -> dict[Line, list[tuple[int, Figures]]]:
     """Return the seeds and figures of each row of the tables: all methods, then all controls."""
-    found: dict[Line, list[tuple[int, Figures]]] = {}
+    lines: dict[Line, list[tuple[int, Figures]]] = {}
     for repeat in repeats:
         line = Line(problem=repeat.problem, method=repeat.method, control=False)
-        found.setdefault(line, []).append((repeat.seed, repeat.scores.figures))
+        lines.setdefault(line, []).append((repeat.seed, repeat.scores.figures))
     for repeat in repeats:
         if repeat.scores.control is not None:
             line = Line(problem=repeat.problem, method=repeat.method, control=True)
-            found.setdefault(line, []).append((repeat.seed, repeat.scores.control.figures))
-    return found
+            lines.setdefault(line, []).append((repeat.seed, repeat.scores.control.figures))
+    return lines
 
 
 def standings(repeats: Sequence[Repeat]) -> list[Standing]:
@@ -306,12 +306,12 @@ def duels(repeats: Sequence[Repeat], *, level: float = LEVEL) -> list[Duel]:
         level: Adjusted p-value up to which a difference is significant, in (0, 1).
     """
     lines = lines_of(repeats)
-    found: list[Duel] = []
+    played: list[Duel] = []
     for problem in dict.fromkeys(line.problem for line in lines):
         for measure in Measure:
             pairs = list(_pairs(lines, problem))
-            found += compared_lines(lines, pairs, measure, t_bs=PAPER_T_BS, d_ths=PAPER_D_THS, level=level)
-    return found
+            played += compared_lines(lines, pairs, measure, t_bs=PAPER_T_BS, d_ths=PAPER_D_THS, level=level)
+    return played
 
 
 def _pairs(lines: Mapping[Line, object], problem: str) -> Iterator[tuple[Line, Line]]:

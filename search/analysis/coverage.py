@@ -113,7 +113,7 @@ class Coverage:
         if len(rows) > 1:
             nearest = _nearest(metric, metric.points(rows[sampled]), points, sampled, owner)
             limit = float(np.quantile(nearest, QUANTILE))
-        parameters = [p for component in space.components for p in component.parameters]
+        parameters = space.parameters
         unseen = tuple(
             part
             for column, (name, parameter) in enumerate(zip(space.column_names(), parameters, strict=True))

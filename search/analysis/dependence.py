@@ -136,8 +136,8 @@ def dependences(space: SearchSpace, archive: Archive, recorded: BoolArray | None
         recorded: Which parameters had a part in each episode, as in `parameter_columns`.
     """
     columns = parameter_columns(space, archive.vectors, recorded)
-    found = [_dependence(column, archive.unsafe) for column in columns]
-    return sorted(found, key=lambda dependence: -dependence.strength)
+    by_column = [_dependence(column, archive.unsafe) for column in columns]
+    return sorted(by_column, key=lambda dependence: -dependence.strength)
 
 
 def _dependence(column: ParameterColumn, verdicts: BoolArray) -> Dependence:
@@ -223,12 +223,12 @@ def axis_meanings(
         points: Their points on the map, shape ``(n, 2)``.
     """
     columns = parameter_columns(space, vectors)
-    found: list[AxisMeaning | None] = []
+    meanings: list[AxisMeaning | None] = []
     for axis in (0, 1):
         scored = [AxisMeaning(title=c.title, explained=_explained(c, points[:, axis])) for c in columns]
         best = max(scored, key=lambda meaning: meaning.explained, default=None)
-        found.append(best if best is not None and best.explained >= LEAST_EXPLAINED else None)
-    return found[0], found[1]
+        meanings.append(best if best is not None and best.explained >= LEAST_EXPLAINED else None)
+    return meanings[0], meanings[1]
 
 
 def _explained(column: ParameterColumn, place: FloatArray) -> float:

@@ -179,10 +179,10 @@ class _Bins:
 
     def indices(self, features: HalfArray | SingleArray) -> SingleArray:
         """Return the bin of each value, of the same shape."""
-        found = np.empty(features.shape, np.float32)
+        bins = np.empty(features.shape, np.float32)
         for place, edges in enumerate(self.edges):
-            found[:, place] = np.searchsorted(edges, features[:, place].astype(np.float64), side="left")
-        return found
+            bins[:, place] = np.searchsorted(edges, features[:, place].astype(np.float64), side="left")
+        return bins
 
     def unbinned(self, forest: Forest) -> Forest:
         """Return trees that were fitted to bins as trees that compare features."""

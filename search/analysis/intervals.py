@@ -142,5 +142,5 @@ def clustered(influence: FloatArray, kinds: Sequence[IntArray]) -> FloatArray:
     common = np.unique(np.stack(kinds, axis=1), axis=0, return_inverse=True)[1].ravel()
     total = sum((of(kind) for kind in kinds), -(len(kinds) - 1) * of(common))
     values, vectors = np.linalg.eigh(total)
-    found: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return found
+    covariance: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return covariance

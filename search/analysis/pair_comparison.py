@@ -254,11 +254,11 @@ class PairDuel:
 
 def by_method(repeats: Sequence[PairRepeat], problem: str) -> dict[str, list[PairRepeat]]:
     """Return the campaigns on a problem by method, in the order of the experiment."""
-    found: dict[str, list[PairRepeat]] = {}
+    grouped: dict[str, list[PairRepeat]] = {}
     for repeat in repeats:
         if repeat.problem == problem:
-            found.setdefault(repeat.method, []).append(repeat)
-    return found
+            grouped.setdefault(repeat.method, []).append(repeat)
+    return grouped
 
 
 def problems_of(repeats: Collection[PairRepeat]) -> list[str]:

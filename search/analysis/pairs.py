@@ -164,14 +164,14 @@ def find_pairs(
     is_safe, is_unsafe = solutions.unsafe == 0, solutions.unsafe == solutions.evaluated
     steps = Steps(space)
     rows = archive.vectors[solutions.first]
-    found = _tight(rows, steps, np.flatnonzero(is_safe), np.flatnonzero(is_unsafe), eps)
-    differs = _differ_in_a_part(archive, solutions, found, had_part)
-    without_part = len(found) - int(differs.sum())
-    found = found.at(np.flatnonzero(differs))
-    repeated = np.minimum(solutions.seeds[found.safe], solutions.seeds[found.unsafe]) >= 2
+    tight = _tight(rows, steps, np.flatnonzero(is_safe), np.flatnonzero(is_unsafe), eps)
+    differs = _differ_in_a_part(archive, solutions, tight, had_part)
+    without_part = len(tight) - int(differs.sum())
+    tight = tight.at(np.flatnonzero(differs))
+    repeated = np.minimum(solutions.seeds[tight.safe], solutions.seeds[tight.unsafe]) >= 2
     numbers = archive.numbers[solutions.first]
-    found = found.at(np.lexsort((numbers[found.unsafe], numbers[found.safe], found.distance, ~repeated)))
-    taken = found.at(_distinct(rows, found, steps, d_th))
+    tight = tight.at(np.lexsort((numbers[tight.unsafe], numbers[tight.safe], tight.distance, ~repeated)))
+    taken = tight.at(_distinct(rows, tight, steps, d_th))
 
     def side(place: int) -> Side:
         first = int(solutions.first[place])
@@ -195,7 +195,7 @@ def find_pairs(
                 taken.safe.tolist(), taken.unsafe.tolist(), taken.distance.tolist(), strict=True
             )
         ),
-        tight=len(found),
+        tight=len(tight),
         without_part=without_part,
         chancy=int((~is_safe & ~is_unsafe).sum()),
         safe=int(is_safe.sum()),
@@ -248,12 +248,12 @@ def nearest_opposites(archive: Archive, space: SearchSpace) -> Opposites | None:
     unsafe = solutions.first[solutions.unsafe == solutions.evaluated]
     if not len(safe) or not len(unsafe):
         return None
-    metric, found = Metric.of_space(space), []
+    metric, nearest = Metric.of_space(space), []
     for part in _chunks(safe, len(unsafe)):
         distances = metric.between(archive.vectors[part], archive.vectors[unsafe])
         row, column = np.unravel_index(int(distances.argmin()), distances.shape)
-        found.append((float(distances[row, column]), int(part[row]), int(unsafe[column])))
-    distance, one, other = min(found)
+        nearest.append((float(distances[row, column]), int(part[row]), int(unsafe[column])))
+    distance, one, other = min(nearest)
     return Opposites(safe=int(archive.numbers[one]), unsafe=int(archive.numbers[other]), distance=distance)
 
 
@@ -280,7 +280,7 @@ def _tight(rows: FloatArray, steps: Steps, safe: IntArray, unsafe: IntArray, eps
         TooManyPairs: There are too many.
     """
     nothing = np.empty(0, np.int64)
-    found: list[_Candidates] = [_Candidates(safe=nothing, unsafe=nothing, distance=np.empty(0))]
+    blocks: list[_Candidates] = [_Candidates(safe=nothing, unsafe=nothing, distance=np.empty(0))]
     limit, total = steps.largest_tight(eps) * (1 + 1e-9), 0
     for part in _chunks(safe, max(1, len(unsafe))):
         distances = steps.metric.between(rows[part], rows[unsafe])
@@ -288,13 +288,13 @@ def _tight(rows: FloatArray, steps: Steps, safe: IntArray, unsafe: IntArray, eps
         a, b = np.nonzero(distances <= limit)
         some = _Candidates(safe=part[a], unsafe=unsafe[b], distance=distances[a, b])
         some = some.at(np.flatnonzero(_are_tight(rows, steps, some, eps)))
-        found.append(some)
+        blocks.append(some)
         total += len(some)
         _check_few(total, eps)
     return _Candidates(
-        safe=np.concatenate([one.safe for one in found]),
-        unsafe=np.concatenate([one.unsafe for one in found]),
-        distance=np.concatenate([one.distance for one in found]),
+        safe=np.concatenate([one.safe for one in blocks]),
+        unsafe=np.concatenate([one.unsafe for one in blocks]),
+        distance=np.concatenate([one.distance for one in blocks]),
     )
 
 

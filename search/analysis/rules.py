@@ -214,14 +214,14 @@ def _half(inside: BoolArray, groups: IntArray, state: int) -> BoolArray | None:
 def _leaves(
     tree: Any, features: Sequence[_Feature], table: FloatArray, inside: BoolArray
 ) -> tuple[Rule, ...]:
-    found: list[Rule] = []
+    rules: list[Rule] = []
 
     def walk(node: int, rows: BoolArray, bounds: Mapping[int, tuple[float, float]]) -> None:
         left, right = tree.children_left[node], tree.children_right[node]
         if left == right:
             if rows.any():
                 conditions, count = _conditions(bounds, features), int(rows.sum())
-                found.append(Rule(conditions=conditions, solutions=count, inside=int(inside[rows].sum())))
+                rules.append(Rule(conditions=conditions, solutions=count, inside=int(inside[rows].sum())))
             return
         column, level = int(tree.feature[node]), float(tree.threshold[node])
         least, most = bounds.get(column, (-math.inf, math.inf))
@@ -230,7 +230,7 @@ def _leaves(
         walk(right, rows & ~below, {**bounds, column: (max(least, level), most)})
 
     walk(0, np.ones(len(table), np.bool_), {})
-    return tuple(sorted(found, key=lambda rule: (-rule.share, -rule.solutions)))
+    return tuple(sorted(rules, key=lambda rule: (-rule.share, -rule.solutions)))
 
 
 def _conditions(bounds: Mapping[int, tuple[float, float]], features: Sequence[_Feature]) -> tuple[str, ...]:

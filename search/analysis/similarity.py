@@ -134,7 +134,7 @@ COMPARABLE = 10.0
 
 def own_plane(space: SearchSpace) -> Plane | None:
     """Return the plane of a problem with exactly two parameters, both numbers; None for any other problem."""
-    parameters = [parameter for component in space.components for parameter in component.parameters]
+    parameters = space.parameters
     numbers = [parameter for parameter in parameters if isinstance(parameter, Number)]
     if len(parameters) != 2 or len(numbers) != 2:
         return None

@@ -145,11 +145,11 @@ def niche_of(violation: Mapping[str, Any]) -> tuple[str, ...] | None:
         The niche; None if a circumstance is missing or malformed.
     """
     try:
-        found = signature_of(violation)
+        signature = signature_of(violation)
     except (LookupError, TypeError, ValueError) as error:
         log.warning("ignored invalid circumstances: %r", error)
         return None
-    return found.sector, found.other, found.ego, found.place
+    return signature.sector, signature.other, signature.ego, signature.place
 
 
 def is_at_fault(violation: Mapping[str, Any]) -> bool:
@@ -267,16 +267,16 @@ class ViolationType:
     @property
     def avoidable(self) -> Avoidable | None:
         """The best of what its violations are; None if that was measured for none of them."""
-        found = {violation.avoidable for violation in self.violations}
-        return next((one for one in Avoidable if one in found), None)
+        kinds = {violation.avoidable for violation in self.violations}
+        return next((one for one in Avoidable if one in kinds), None)
 
     @property
     def avoided_by(self) -> AvoidedBy | None:
         """How the best driver avoids its violations: by braking if that avoids any; None if that was not recorded."""
-        found = {
+        kinds = {
             violation.avoided_by for violation in self.violations if violation.avoidable is self.avoidable
         }
-        return next((one for one in AvoidedBy if one in found), None)
+        return next((one for one in AvoidedBy if one in kinds), None)
 
     @property
     def instances(self) -> int:

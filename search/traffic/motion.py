@@ -266,13 +266,13 @@ def positions(participant: Participant, road: RoadLimits) -> FloatArray:
     """
     stretches = iter(roll_out(participant, road, HORIZON_S))
     current = next(stretches)
-    found = []
+    sampled = []
     for step in range(_TIMES):
         time_s = step * STEP_S
         while time_s > current.from_s + current.lasts_s and (following := next(stretches, None)) is not None:
             current = following
-        found.append(current.position(min(time_s - current.from_s, current.lasts_s)))
-    return np.array(found)
+        sampled.append(current.position(min(time_s - current.from_s, current.lasts_s)))
+    return np.array(sampled)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

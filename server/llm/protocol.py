@@ -411,14 +411,14 @@ def error_text(raw: str) -> str:
 
 def _error_message(document: dict[str, Any]) -> str:
     for name in ("error", "detail", "message"):
-        found = document.get(name)
-        if isinstance(found, dict):
-            found = found.get("message")
-        elif isinstance(found, list):
-            messages = [one.get("msg") for one in found if isinstance(one, dict)]
-            found = "; ".join(message for message in messages if isinstance(message, str))
-        if isinstance(found, str) and found.strip():
-            return found
+        reported = document.get(name)
+        if isinstance(reported, dict):
+            reported = reported.get("message")
+        elif isinstance(reported, list):
+            messages = [one.get("msg") for one in reported if isinstance(one, dict)]
+            reported = "; ".join(message for message in messages if isinstance(message, str))
+        if isinstance(reported, str) and reported.strip():
+            return reported
     return ""
 
 

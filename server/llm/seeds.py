@@ -103,12 +103,12 @@ async def ask(
     turns = _Turns(request.number, RoadChecker(road, max_participants), log, client, deadline_s)
     asked = question(request, road, max_participants, system)
     first = await turns.take(asked, request.count)
-    found = first.parsed.solutions
-    proposals = [Proposal(solution=solution, origin=Origin.LLM) for solution in found]
-    missing = request.count - len(found)
+    usable = first.parsed.solutions
+    proposals = [Proposal(solution=solution, origin=Origin.LLM) for solution in usable]
+    missing = request.count - len(usable)
     second = None
     if missing and first.parsed.errors and first.call.outcome is not Outcome.DECLINED:
-        second = await turns.take(repair(asked, found, first.parsed.errors, missing), missing, found)
+        second = await turns.take(repair(asked, usable, first.parsed.errors, missing), missing, usable)
         proposals += [Proposal(solution=s, origin=Origin.LLM_REPAIR) for s in second.parsed.solutions]
     return Answer(
         proposals=tuple(proposals),

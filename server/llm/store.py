@@ -167,8 +167,8 @@ class CampaignCalls:
     def find(self, key: CallKey) -> StoredCall | None:
         """Return a call, or None if it was never made."""
         with self._engines.reader.connect() as connection:
-            found = list_calls(connection, self._campaign_id, key)
-        return found[0] if found else None
+            stored = list_calls(connection, self._campaign_id, key)
+        return stored[0] if stored else None
 
     def store(self, call: StoredCall) -> None:
         """Store a call durably, retrying while the database is not writable, because it has been paid for.

@@ -172,16 +172,16 @@ def _made_algorithm(algorithm_id: str, factory: Callable[[], AnyAlgorithm]) -> A
 
 def algorithms_that(supports: type[Any]) -> list[str]:
     """Return the ids of the algorithms that have a protocol's methods, without plug-ins that cannot be loaded."""
-    found = []
+    able = []
     for algorithm_id in plugin_ids(ALGORITHMS):
         try:
             if isinstance(make_algorithm(algorithm_id), supports):
-                found.append(algorithm_id)
+                able.append(algorithm_id)
         except Exception:
             if is_own_plugin(ALGORITHMS, algorithm_id):
                 raise
             log.exception("plug-in cannot be loaded", extra={"plugin": algorithm_id})
-    return found
+    return able
 
 
 def uses_user_code(problem_id: str, algorithm_id: str) -> bool:
@@ -408,9 +408,9 @@ def _first_algorithm(problem: Problem) -> str:
 
 def _finds(problem: Problem) -> list[str]:
     """Return the kinds of findings of a problem besides its boundary, named like their routes."""
-    found = ["violations"] if isinstance(problem, ReportsViolations) else []
+    kinds = ["violations"] if isinstance(problem, ReportsViolations) else []
     try:
         slots_of(problem.space)
     except UnsupportedSpace:
-        return found
-    return [*found, "combinations"]
+        return kinds
+    return [*kinds, "combinations"]

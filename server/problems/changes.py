@@ -56,7 +56,7 @@ def changes_between(
         units: Columns in which they differ; see `brink.search.pairs.Steps.differing`.
     """
     space = problem.space
-    parameters = [parameter for component in space.components for parameter in component.parameters]
+    parameters = space.parameters
     names = space.column_names()
     rows = [space.join(tuple(side.vectors)) for side in (safe, unsafe)]
     known = safe.activity is not None and unsafe.activity is not None

@@ -123,7 +123,7 @@ class Parts:
     """Which parameters had a part in an episode, to be narrowed from all of them."""
 
     def __init__(self, space: SearchSpace, vectors: Vectors) -> None:
-        self._parameters = [parameter for component in space.components for parameter in component.parameters]
+        self._parameters = space.parameters
         self._columns = {name: column for column, name in enumerate(space.column_names())}
         self.active = np.ones(len(self._columns), dtype=np.bool_)
         self.effective: FloatArray = np.concatenate(

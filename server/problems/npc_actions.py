@@ -298,8 +298,8 @@ class NpcActions(SimulatedProblem):
     def _robustness(outcome: Completed, requirement: str) -> float:
         """Return the robustness of a requirement; results of old campaigns have it by its former id."""
         former = {new: old for old, new in FORMER.items()}
-        found = outcome.verdicts.get(requirement) or outcome.verdicts[former.get(requirement, requirement)]
-        return found.robustness
+        verdict = outcome.verdicts.get(requirement) or outcome.verdicts[former.get(requirement, requirement)]
+        return verdict.robustness
 
     def _niches(
         self, violations: Sequence[Mapping[str, Any]], closest: Any, value: float

@@ -182,12 +182,12 @@ class _Reports:
             return [_Clause(self._vanished())]
         if not self._is_seen(old):
             return [_Clause(self._appeared())]
-        found = []
+        parts = []
         if "label" in self._changed:
-            found.append(
+            parts.append(
                 _Clause(f"a {new['label']} is reported instead of a {old['label']} from {_seconds(new)}")
             )
-        return [*found, *self._times(), *self._boxes()]
+        return [*parts, *self._times(), *self._boxes()]
 
     def _name(self, number: int, safe: Mapping[str, Any]) -> str:
         """Return what the trajectory reports, such as ``the reported person``, told apart from others like it."""
@@ -369,19 +369,19 @@ def _upright(
         return []
     if was is None or now is None:
         return [_Clause("is elsewhere in the image", max(abs(lower), abs(upper)))]
-    found = []
+    clauses = []
     if abs(now.ahead_m - was.ahead_m) >= _LEAST_M:
         old_m, new_m = _different(was.ahead_m, now.ahead_m)
-        found.append(
+        clauses.append(
             _Clause(f"is {new_m} m ahead instead of {old_m} m", abs(lower) if lowered else abs(upper))
         )
     elif lowered:
-        found.append(_Clause(f"is {'lower' if lower > 0 else 'higher'} in the image", abs(lower)))
+        clauses.append(_Clause(f"is {'lower' if lower > 0 else 'higher'} in the image", abs(lower)))
     if raised and was.by_lower_edge and now.by_lower_edge:
         old_m, new_m = _different(was.tall_m, now.tall_m)
         # The height tells the driving system nothing where the lower edge tells the distance.
-        found.append(_Clause(f"is {new_m} m tall instead of {old_m} m", 0.0))
-    return found
+        clauses.append(_Clause(f"is {new_m} m tall instead of {old_m} m", 0.0))
+    return clauses
 
 
 def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -159,14 +159,14 @@ def _drawn(state: EdgeState, anchors: Mapping[int, int], draws: int, *index: int
     """
     archive, space = state.ledger.archive, state.ledger.space
     varied, metric = varied_columns(space, state.config), Metric.of_space(space)
-    found = {}
+    drawn = {}
     for number, place in anchors.items():
         attempt = state.tries.get(number, 0)
         row = archive.vectors[place]
         rng = generator(state.ledger.seed, Stream.EDGE, *index, number, attempt)
         rows = redrawn_rows(space, row, varied, draws, rng)
-        found[number] = Draws(attempt, rows, metric.between(row[None], rows)[0])
-    return found
+        drawn[number] = Draws(attempt, rows, metric.between(row[None], rows)[0])
+    return drawn
 
 
 def _best_of_draws(

@@ -323,11 +323,11 @@ class Layout:
 
     def groups_of(self, rows: FloatArray) -> IntArray:
         """Return the group that each row screens a drive of, shape ``(n,)``; -1 for none."""
-        found = self._places(rows, self._codes_of_groups)
-        return np.where(rows[:, self.severity] == 1.0, found, -1)
+        groups = self._places(rows, self._codes_of_groups)
+        return np.where(rows[:, self.severity] == 1.0, groups, -1)
 
     def _places(self, rows: FloatArray, codes_of: Sequence[tuple[tuple[float, ...], int]]) -> IntArray:
-        found = np.full(len(rows), -1, np.int64)
+        places = np.full(len(rows), -1, np.int64)
         is_true = self.without_error(rows)
         for place, (codes, condition) in enumerate(codes_of):
             is_here = ~is_true
@@ -335,8 +335,8 @@ class Layout:
                 is_here &= rows[:, column] == code
             for column, allowed in self._limits[condition].items():
                 is_here &= np.isin(rows[:, column], allowed)
-            found[is_here] = place
-        return found
+            places[is_here] = place
+        return places
 
     def without_error(self, rows: FloatArray) -> BoolArray:
         """Return which rows are drives without an error, shape ``(n,)``."""

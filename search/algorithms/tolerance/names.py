@@ -17,25 +17,25 @@ class Names:
 
     def __init__(self, space: SearchSpace) -> None:
         self.columns = space.column_names()
-        self.parameters = [p for component in space.components for p in component.parameters]
+        self.parameters = space.parameters
 
     def column(self, setting_name: str, name: str) -> int:
         """Return the column of a parameter, given its name or the last parts of it."""
-        found = [
+        matching = [
             place
             for place, column in enumerate(self.columns)
             if column == name or column.endswith("." + name)
         ]
-        exact = [place for place in found if self.columns[place] == name]
-        found = exact or found
-        if len(found) == 1:
-            return found[0]
-        if not found:
+        exact = [place for place in matching if self.columns[place] == name]
+        matching = exact or matching
+        if len(matching) == 1:
+            return matching[0]
+        if not matching:
             short = {column.split(".", 1)[-1] for column in self.columns}
             raise ConfigError(
                 setting_name, f"unknown parameter {name!r}{did_you_mean(name, [*self.columns, *short])}"
             )
-        meant = ", ".join(self.columns[place] for place in found)
+        meant = ", ".join(self.columns[place] for place in matching)
         raise ConfigError(setting_name, f"{name!r} may be any of {meant}: expected one of these")
 
     def value(self, setting_name: str, name: str, value: str | float) -> float:

@@ -62,8 +62,8 @@ class Plan:
 
     def add_error(self, cell: int, level: int, drive: int | None = None, *, audit: bool = False) -> None:
         """Plan a drive of a cell, by default the next one."""
-        found = self._layout.cells[cell]
+        owner = self._layout.cells[cell]
         number = int(self.planned[cell]) if drive is None else drive
         self.planned[cell] += 1
         purpose = Purpose.AUDIT if audit else Purpose.ERROR
-        self._add(purpose, cell, found.population, number, found.choices, level)
+        self._add(purpose, cell, owner.population, number, owner.choices, level)

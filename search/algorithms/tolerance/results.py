@@ -129,8 +129,8 @@ class Results:
         """
         limit = self._state.config.limit
         if group is None:
-            found = np.minimum(severity_at(curves, limit), BEYOND)
-            return found[None], found
+            reached = np.minimum(severity_at(curves, limit), BEYOND)
+            return reached[None], reached
         screening = self._tally.screenings[group]
         vulnerable = screening.vulnerable_share(_QUANTILES)
         leak = screening.leak(_QUANTILES[_SHUFFLED])
@@ -145,8 +145,8 @@ class Results:
 
     def _vulnerable(self, group: int) -> float:
         """Return the estimated share of vulnerable drives of a group."""
-        found = self._tally.screenings[group]
-        return (found.vulnerable + 0.5) / (found.screened + 1.0)
+        screening = self._tally.screenings[group]
+        return (screening.vulnerable + 0.5) / (screening.screened + 1.0)
 
     def plan_adaptively(self, plan: Plan, rng: np.random.Generator) -> None:
         """Plan drives where they narrow the intervals of tolerated severities most for what they cost."""

@@ -38,5 +38,5 @@ class ToleranceState(LedgerState):
     @property
     def drives(self) -> list[int]:
         """The drive of each candidate, by its number."""
-        found: list[int] = self.jobs[:, 2].tolist()
-        return found
+        drives: list[int] = self.jobs[:, 2].tolist()
+        return drives
