@@ -202,6 +202,14 @@ def decode_json_at(text: str, start: int) -> tuple[object, int]:
         raise BadJson(error.msg if isinstance(error, json.JSONDecodeError) else "malformed") from None
 
 
+def _decoded(text: str) -> object:
+    """Decode untrusted JSON; None if it is not one value."""
+    try:
+        return decode_json(text)
+    except BadJson:
+        return None
+
+
 class Mode(StrEnum):
     """How a request specifies the form of the reply, strictest first.
 
@@ -400,10 +408,7 @@ def _tokens(value: object) -> int | None:
 
 def error_text(raw: str) -> str:
     """Return the message of an error body in any of the usual forms, or else its text, on one short line."""
-    try:
-        document = decode_json(raw)
-    except BadJson:
-        document = None
+    document = _decoded(raw)
     message = _error_message(document) if isinstance(document, dict) else ""
     text = "".join(letter if letter.isprintable() else " " for letter in (message or raw)[: 8 * _ERROR_CHARS])
     return " ".join(text.split())[:_ERROR_CHARS] or "nothing"
@@ -424,10 +429,7 @@ def _error_message(document: dict[str, Any]) -> str:
 
 def parse_models(raw: str) -> tuple[str, ...] | None:
     """Return the model names of a model list in any of the usual forms, or None if it is not a list."""
-    try:
-        document: Any = decode_json(raw)
-    except BadJson:
-        return None
+    document: Any = _decoded(raw)
     if isinstance(document, dict):
         document = next((document[name] for name in ("data", "models") if document.get(name)), [])
     if not isinstance(document, list):
@@ -457,12 +459,7 @@ def parse_retry_after(headers: Mapping[str, str], now: datetime) -> float | None
 
 def embedded_status(raw: str) -> int | None:
     """Return the error status in the body of a 2xx response, or None: some gateways put upstream errors there."""
-    if '"error"' not in raw:
-        return None
-    try:
-        document = decode_json(raw)
-    except BadJson:
-        return None
+    document = _decoded(raw) if '"error"' in raw else None
     if not isinstance(document, dict) or document.get("choices") or not document.get("error"):
         return None
     code = document["error"].get("code") if isinstance(document["error"], dict) else None
