@@ -9,6 +9,7 @@ problems have in common: which slots had a part in an episode, and what differs 
 from abc import abstractmethod
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Final, Generic, Protocol, TypeGuard, TypeVar
 
 import numpy as np
@@ -159,9 +160,9 @@ class SlottedBehaviour(SimulatedProblem):
     records_activity = True
     acted_feature: ClassVar[str] = ERROR_STEPS
 
-    @property
+    @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """The slots of the behaviour."""
+        """The slots of the behaviour, which an ODD does not change."""
         return slots_in(self.space.components[-1])
 
     def narrow_scenario(self, parts: Parts, scenario: Values, features: Mapping[str, Any]) -> None:
