@@ -24,13 +24,13 @@ from benchmarks.trials import code_fingerprint
 from brink.guard.drives import Drive, Recorders, load_drives, random_specs, save_drives
 from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, GuardEvaluation, evaluate
 from brink.guard.fitting import fit
+from brink.guard.model import GuardModel, Sensor
+from brink.guard.monitor import ModelGuard
 from brink.search.algorithm import Scored, ask_all
 from brink.search.streams import episode_seed
 from brink.server.problems.catalogue import make_algorithm, make_params
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.episode import EpisodeSpec
-from brink.sim.guard.model import GuardModel, Sensor
-from brink.sim.guard.monitor import ModelGuard
 
 CODE: Final = ("sim",)
 """Code that determines what an episode gives; which episodes run is compared by digest."""
@@ -325,7 +325,7 @@ class GuardBench:
 
     def _step_ms(self, model: GuardModel) -> float:
         """Return the mean CPU time of a perception step of a guard, without the range sensor's own computation."""
-        from brink.sim.urban.guard_recorder import observe_drive  # loads the physics engine
+        from brink.guard.recorder import observe_drive  # loads the physics engine
 
         spent_s, steps = 0.0, 0
         for spec in random_specs(self._problem, TIMED_DRIVES, FRESH_SEED):

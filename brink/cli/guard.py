@@ -37,6 +37,7 @@ from brink.guard.drives import (
 )
 from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, LEADS_S, GuardEvaluation, PredictorResult, evaluate
 from brink.guard.fitting import fit as fit_guard
+from brink.guard.model import GuardModel, Sensor
 from brink.guard.seen import SeenDrives
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
@@ -44,7 +45,6 @@ from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import REQUIREMENTS, plugin_ids
 from brink.sim.episode import EpisodeSpec
-from brink.sim.guard.model import GuardModel, Sensor
 
 FRESH_SEED = 2_001
 """Seed of fresh drives; seeds of campaigns are usually small."""

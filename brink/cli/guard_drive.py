@@ -23,6 +23,7 @@ from brink.guard.loop import (
     record_drive_trace,
     thresholds_around,
 )
+from brink.guard.model import GuardModel
 from brink.guard.seen import SeenDrives
 from brink.guard.sight import LEAD_S, WINDOW_S, Reported
 from brink.search.analysis.guard_drives import Estimate, GuardWorth
@@ -35,9 +36,7 @@ from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import Json
-from brink.sim.guard.fallback import DEFAULT_FALLBACK
-from brink.sim.guard.model import GuardModel
-from brink.sim.guard.option import FILE, GUARDS, GuardOption
+from brink.sim.guard.option import DEFAULT_FALLBACK, FILE, GUARDS, GuardOption
 
 MOST_PICTURES: Final = 20
 _WORDS: Final = {

@@ -16,6 +16,7 @@ from typing import Any, Final, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.guard.features import ALL_FEATURES, FEATURES_ID
 from brink.packed import read_arrays
 from brink.search.analysis.guard_training import DriveSeries
 from brink.search.archive import Archive
@@ -25,9 +26,8 @@ from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
 from brink.sim.catalogue import with_sources
+from brink.sim.driving.interface import PERCEPTION_STEP_S
 from brink.sim.episode import EpisodeSpec, Json, Verdict
-from brink.sim.guard.features import ALL_FEATURES, FEATURES_ID
-from brink.sim.guard.features import STEP_S as STEP_S
 from brink.user_file import read_file
 from brink.worker.pool import process_pool, single_threaded
 
@@ -90,7 +90,7 @@ class Drive:
             features: Number of features, from the first.
         """
         at_s = self.first_violation_s(requirements)
-        times_s: FloatArray = STEP_S * np.arange(len(self.features), dtype=np.float64)
+        times_s: FloatArray = PERCEPTION_STEP_S * np.arange(len(self.features), dtype=np.float64)
         kept = np.ones(times_s.size, np.bool_) if at_s is None else times_s < at_s
         return DriveSeries(
             features=self.features[kept, :features],
@@ -298,7 +298,7 @@ def _recorded(
 
 def record_one(spec: EpisodeSpec) -> Drive:
     """Run one episode in this process and return the recorded drive."""
-    from brink.sim.urban.guard_recorder import record_drive  # loads the physics engine
+    from brink.guard.recorder import record_drive  # loads the physics engine
 
     recorded = record_drive(spec)
     return Drive(

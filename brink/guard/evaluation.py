@@ -25,16 +25,17 @@ from typing import Any, Final, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.guard.drives import STEP_S, Drive
+from brink.guard.drives import Drive
+from brink.guard.model import GuardModel, Sensor
+from brink.guard.monitor import Alarm
+from brink.guard.time_to_collision import box_times_s, range_times_s
 from brink.search.analysis.folds import Division, divisions
 from brink.search.analysis.guard_training import DriveSeries, kinds_of_drives
 from brink.search.analysis.intervals import share_interval
 from brink.search.analysis.monitor_evaluation import classification_metrics
 from brink.search.space import BoolArray, FloatArray, IntArray
 from brink.server.errors import Conflict
-from brink.sim.guard.model import GuardModel, Sensor
-from brink.sim.guard.monitor import Alarm
-from brink.sim.guard.time_to_collision import box_times_s, range_times_s
+from brink.sim.driving.interface import PERCEPTION_STEP_S
 
 LEADS_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
 LEAD_S: Final = 1.5
@@ -370,7 +371,7 @@ def confirmed(scores: FloatArray, steps: int) -> FloatArray:
 
 def peak(strengths: FloatArray, before_s: float = np.inf) -> float:
     """Return the highest confirmed score at or before a time; -inf if there is none."""
-    last = strengths.size if np.isinf(before_s) else int(np.floor(before_s / STEP_S + 1e-6)) + 1
+    last = strengths.size if np.isinf(before_s) else int(np.floor(before_s / PERCEPTION_STEP_S + 1e-6)) + 1
     return float(strengths[: max(last, 0)].max(initial=-np.inf))
 
 
@@ -438,7 +439,7 @@ def _own_alarms(
     for warned, one, scores in zip(raised, watched, deciding, strict=True):
         alarm = Alarm(model.alarm)
         states = np.array([alarm.step(score) for score in scores.tolist()], np.bool_)
-        starts = np.flatnonzero(states & ~np.concatenate([[False], states[:-1]])) * STEP_S
+        starts = np.flatnonzero(states & ~np.concatenate([[False], states[:-1]])) * PERCEPTION_STEP_S
         if one.violated_at_s is None:
             warned[:] = bool(starts.size)
             alarms += starts.size
@@ -461,7 +462,7 @@ def _own_alarms(
         false_interval=false_interval,
         recent=recent / int(violated.sum()),
         median_lead_s=float(np.median(leads)) if leads else None,
-        false_per_hour=alarms / (steps * STEP_S / 3600.0),
+        false_per_hour=alarms / (steps * PERCEPTION_STEP_S / 3600.0),
         on_share=on / steps,
     )
 
@@ -471,7 +472,7 @@ def _is_recent(violated_at_s: float, starts_s: NDArray[np.floating[Any]], states
     ahead_s = violated_at_s - starts_s
     if ((ahead_s >= LEAD_S - 1e-9) & (ahead_s <= RECENT_S)).any():
         return True
-    step = int(np.floor((violated_at_s - LEAD_S) / STEP_S + 1e-6))
+    step = int(np.floor((violated_at_s - LEAD_S) / PERCEPTION_STEP_S + 1e-6))
     return 0 <= step < states.size and bool(states[step])
 
 
@@ -481,7 +482,7 @@ def _accuracies(
     until_s = np.concatenate(
         [
             (np.inf if one.violated_at_s is None else one.violated_at_s)
-            - STEP_S * np.arange(len(one.features))
+            - PERCEPTION_STEP_S * np.arange(len(one.features))
             for one in watched
         ]
     )[::STEPS_APART]

@@ -8,11 +8,11 @@ import numpy as np
 from brink import __version__
 from brink.guard.drives import Drive
 from brink.guard.evaluation import FALSE_ALARMS, confirmed, peak, threshold_at
+from brink.guard.model import AlarmRule, GuardModel, Sensor, calibrated_probabilities
 from brink.guard.seen import ABOUT, SeenDrives
 from brink.search.analysis.guard_training import fit_horizons
 from brink.search.streams import Stream, generator
 from brink.server.errors import Conflict
-from brink.sim.guard.model import AlarmRule, GuardModel, Sensor, calibrated_probabilities
 
 HORIZONS_S: Final = (1.0, 2.0, 3.0)
 CONFIRM_STEPS: Final = 2

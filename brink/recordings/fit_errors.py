@@ -21,8 +21,7 @@ from scipy import stats
 
 from brink.recordings.recording import RecordingError
 from brink.search.streams import Stream, generator
-from brink.sim.driving.interface import ObstacleLabel
-from brink.sim.urban.behaviour import PERCEPTION_STEP_S
+from brink.sim.driving.interface import PERCEPTION_STEP_S, ObstacleLabel
 from brink.sim.urban.error_draws import LONG_AGO, age_class, bin_of, group_of
 from brink.sim.urban.error_meter import ErrorMeter, Sample
 from brink.sim.urban.error_process import (

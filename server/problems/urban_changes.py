@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.driving.obstacles import depth_m
 from brink.sim.driving.settings import LocalisationSettings
 from brink.sim.urban import behaviour as b
@@ -163,7 +163,7 @@ class _Reports:
         self._changed = changed
         self._others = tuple(_others(number, values) for values in (safe, unsafe))
         end_s = float("inf") if violated_at_s is None else violated_at_s
-        self._end_step = end_s / b.PERCEPTION_STEP_S
+        self._end_step = end_s / PERCEPTION_STEP_S
         self._last_step = min(self._end_step, ended_at_step)
         self._unsafe_ended_at_step = unsafe_ended_at_step
         self._who = self._name(number, safe)
@@ -465,7 +465,7 @@ def _seconds(values: Mapping[str, Any]) -> str:
 
 
 def _s(step: float) -> str:
-    return f"{step * b.PERCEPTION_STEP_S:.1f}"
+    return f"{step * PERCEPTION_STEP_S:.1f}"
 
 
 def _plain(word: Any) -> str:

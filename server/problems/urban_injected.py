@@ -32,6 +32,7 @@ from brink.server.problems.requirements import check_requirements, chosen_requir
 from brink.server.problems.urban_changes import words_of_changes
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
+from brink.sim.driving.interface import PERCEPTION_STEP_S
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.urban import behaviour as b
 from brink.sim.world.scenario import (
@@ -255,7 +256,7 @@ class UrbanInjected(SlottedBehaviour):
 def _last_step(one: SimulatedSolution) -> float | None:
     """Return the perception step at which a drive ended; None if that was not recorded."""
     ended_at_s = ((one.result or {}).get("features") or {}).get("ended_at_s")
-    return ended_at_s / b.PERCEPTION_STEP_S if isinstance(ended_at_s, int | float) else None
+    return ended_at_s / PERCEPTION_STEP_S if isinstance(ended_at_s, int | float) else None
 
 
 def scenario_of(values: Mapping[str, Any]) -> dict[str, Json]:

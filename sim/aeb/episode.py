@@ -17,8 +17,7 @@ from brink.sim.bullet.engine import BodyId, Box, Engine
 from brink.sim.plane import half_extents_m
 from brink.sim.rendering.scene import Body, BodyKind
 from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
-from brink.sim.world.ego import STEP_S as PHYSICS_STEP_S
-from brink.sim.world.ego import EgoCar
+from brink.sim.world.ego import PHYSICS_STEP_S, EgoCar
 
 NEAR_M: Final = 8.0
 CREEPING_MPS: Final = 0.05

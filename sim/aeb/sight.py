@@ -13,13 +13,13 @@ from brink.sim.aeb.scores import Scores, reported, score_episode
 from brink.sim.aeb.street import Street
 from brink.sim.driving.camera import Body as Prism
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, Detections, GroundTruth
 from brink.sim.perception.detector import LABELS, Detector
 from brink.sim.perturbations import Mode, Perturbation, Pipeline
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import Body, BodyKind, Light, PictureCamera, Viewpoint
-from brink.sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, PERCEPTION_STEP_S, InjectedTrajectory
+from brink.sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, InjectedTrajectory
 from brink.sim.world.ego import EgoCar
 
 Picture: TypeAlias = NDArray[np.uint8]

@@ -17,7 +17,7 @@ from pathlib import Path
 import pybullet
 
 from brink.sim.bullet.engine import Engine
-from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, STEP_S, CarModel
+from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, PHYSICS_STEP_S, CarModel
 
 WHEEL_RADIUS_M = 0.32
 WHEEL_KG = 25.0
@@ -76,7 +76,7 @@ class WheeledCar:
         self._prepare(friction, speed_mps)
 
     def _make_ground(self) -> None:
-        pybullet.setTimeStep(STEP_S / SUBSTEPS, physicsClientId=self._client)
+        pybullet.setTimeStep(PHYSICS_STEP_S / SUBSTEPS, physicsClientId=self._client)
         pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=self._client)
         shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         ground = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
@@ -149,13 +149,13 @@ class WheeledCar:
             physicsClientId=client,
         )
         steer_goal = min(max(steer_rad, -m.steer_limit_rad), m.steer_limit_rad)
-        most = m.steer_rate_radps * STEP_S
+        most = m.steer_rate_radps * PHYSICS_STEP_S
         for _ in range(steps):
             self.steer_rad += min(max(steer_goal - self.steer_rad, -most), most)
             top = min(m.engine_mps2, m.power_w / (m.mass_kg * max(self.speed_mps, 1.0)))
             goal = min(max(accel_mps2, -m.brake_mps2), top)
             lag_s = m.brake_lag_s if goal < self._drive_mps2 else m.engine_lag_s
-            self._drive_mps2 += (goal - self._drive_mps2) * STEP_S / lag_s
+            self._drive_mps2 += (goal - self._drive_mps2) * PHYSICS_STEP_S / lag_s
             self._actuate()
             before = self.speed_mps
             torque = 0.5 * max(self._drive_mps2, 0.0) * m.mass_kg * WHEEL_RADIUS_M
@@ -216,7 +216,7 @@ class WheeledCar:
         self.yaw_rad += (heading - self.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
         self.x_m, self.y_m, self.yaw_rate_radps = x_m, y_m, yaw_rate
         self.speed_mps = max(vx * math.cos(self.yaw_rad) + vy * math.sin(self.yaw_rad), 0.0)
-        self.accel_mps2 = (self.speed_mps - speed_before_mps) / STEP_S
+        self.accel_mps2 = (self.speed_mps - speed_before_mps) / PHYSICS_STEP_S
 
 
 @cache

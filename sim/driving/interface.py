@@ -9,7 +9,12 @@ of a frozen dataclass. Create them with keywords.
 """
 
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
+
+CONTROL_STEP_S: Final = 0.05
+"""A driving system runs this often."""
+PERCEPTION_STEP_S: Final = 0.1
+"""Its detectors report this often."""
 
 
 class ObstacleLabel(StrEnum):

@@ -21,6 +21,7 @@ from enum import StrEnum
 from typing import Final, NamedTuple
 
 from brink.sim.driving.interface import (
+    CONTROL_STEP_S,
     Command,
     EgoState,
     LightReading,
@@ -35,7 +36,6 @@ from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Verdict
 from brink.sim.plane import half_extents_m
 from brink.sim.world.ego import GRAVITY_MPS2
-from brink.sim.world.world import STEP_S
 
 COLLISION: Final = "no-collision@1"
 AFTERWARDS_S: Final = 5.0
@@ -341,10 +341,10 @@ class ReferenceDriving:
         if self._braking_since_s is None:
             alert = time_s - self._calm_since_s < ALERT_S
             wait_s = 0.0 if alert else reactions.risk_perception_s + reactions.delay_s
-            if time_s - self._risk_since_s < wait_s - 0.5 * STEP_S:
+            if time_s - self._risk_since_s < wait_s - 0.5 * CONTROL_STEP_S:
                 return 0.0
             self._braking_since_s = time_s
-        since_s = time_s - self._braking_since_s + STEP_S
+        since_s = time_s - self._braking_since_s + CONTROL_STEP_S
         build_up = 1.0 if reactions.build_up_s == 0.0 else min(1.0, since_s / reactions.build_up_s)
         return self._hardest_mps2 * build_up
 

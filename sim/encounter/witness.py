@@ -8,14 +8,13 @@ import math
 from collections import deque
 from typing import Final, NamedTuple
 
-from brink.sim.driving.interface import DrivingSystem, PlanMode
+from brink.sim.driving.interface import CONTROL_STEP_S, DrivingSystem, PlanMode
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Json, JsonObject
 from brink.sim.plane import Rectangle, half_extents_m, signed_gap_m
 from brink.sim.requirements import STANDS_BELOW_MPS, WorldSample
 from brink.sim.trace import ACTION
 from brink.sim.urban.recorder import Recorder
-from brink.sim.world.world import STEP_S
 
 NEARBY_M: Final = 15.0
 """Without a collision, the nearest road user within this distance is the counterpart of a violation."""
@@ -26,7 +25,7 @@ IN_WAY_M: Final = 35.0
 _COUNTERPART_AHEAD: Final = ("front-gap@1", "front-gap@2")
 """Requirements whose counterpart is the road user in the ego's way, even if others are nearer."""
 
-_LOOKBACK: Final = round(0.5 / STEP_S)
+_LOOKBACK: Final = round(0.5 / CONTROL_STEP_S)
 _JUNCTION_M: Final = 12.0
 _CROSSING_M: Final = 4.0
 _CURVED_1PM: Final = 1e-3
@@ -231,7 +230,7 @@ class EncounterWitness:
         return index if gap_m < NEARBY_M else None
 
     def _moment(self, sample: WorldSample) -> _Moment:
-        over_s = max(STEP_S, (len(self._history) - 1) * STEP_S)
+        over_s = max(CONTROL_STEP_S, (len(self._history) - 1) * CONTROL_STEP_S)
         return _Moment(sample=sample, plan=self._mode, before=self._history[0], over_s=over_s)
 
     def _other(self, index: int, sample: WorldSample) -> _OtherThen:
@@ -246,7 +245,7 @@ class EncounterWitness:
             action=user.stretch.action,
             speed_mps=user.speed_mps,
             before_mps=speeds[0],
-            over_s=max(STEP_S, (len(speeds) - 1) * STEP_S),
+            over_s=max(CONTROL_STEP_S, (len(speeds) - 1) * CONTROL_STEP_S),
             in_way_s=0.0 if since_s is None else sample.time_s - since_s,
         )
 

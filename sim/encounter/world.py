@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from brink.sim.driving.interface import CONTROL_STEP_S
 from brink.sim.encounter.specification import EncounterScenario, Kind, Script, Stretch
 from brink.sim.world.ego import EgoCar, EgoMotion
 from brink.sim.world.line import ReferenceLine
@@ -18,7 +19,7 @@ from brink.sim.world.scenario import DrivingTask
 from brink.sim.world.streams import Stream, generator
 from brink.sim.world.vehicle import CAR, VAN, VehicleSize
 from brink.sim.world.weather import Conditions, conditions
-from brink.sim.world.world import START_SPEED_MPS, STEP_S, RoadUser, leaves_road_m, signal_plan
+from brink.sim.world.world import START_SPEED_MPS, RoadUser, leaves_road_m, signal_plan
 
 SIZES: Final = {
     Kind.CAR: CAR,
@@ -158,7 +159,7 @@ class EncounterWorld:
     def advance(self, step: int) -> None:
         """Advance all scripted road users by one step."""
         for user in self.road_users:
-            user.advance(step, STEP_S, self.road_users)
+            user.advance(step, CONTROL_STEP_S, self.road_users)
 
     def grade_at(self, station_m: float) -> float:
         """Return the grade of the ego's route at a station; only the main road slopes."""

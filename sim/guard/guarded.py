@@ -12,10 +12,16 @@ fallback before the driving system knows the guard's reading of the step before.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from brink.sim.driving.interface import Command, DrivingSystem, Observation, PerceivedObstacle, PlanState
+from brink.sim.driving.interface import (
+    CONTROL_STEP_S,
+    Command,
+    DrivingSystem,
+    Observation,
+    PerceivedObstacle,
+    PlanState,
+)
 from brink.sim.episode import Json
-from brink.sim.guard.fallback import CONTROL_STEP_S, Fallback
-from brink.sim.guard.interface import Guard, GuardReading, RangeScan
+from brink.sim.guard.interface import Fallback, Guard, GuardReading, RangeScan
 
 
 class Guarded:

@@ -14,29 +14,27 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, Protocol, Self, cast
+from typing import Any, Final, Protocol, Self, cast
 
 from brink.sim.catalogue import load_plugin, plugin_ids
 from brink.sim.driving.interface import DrivingSystem, Route
 from brink.sim.episode import Json, JsonObject, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.fallback import (
-    DEFAULT_FALLBACK,
-    FALLBACKS,
-    NO_FALLBACK,
-    fallback_settings,
-    make_fallback,
-)
-from brink.sim.guard.features import KnownConditions
 from brink.sim.guard.guarded import Guarded
-from brink.sim.guard.interface import Guard, RangeScan
-from brink.sim.guard.model import MAX_FILE_BYTES, GuardModel, Sensor
-from brink.sim.guard.monitor import ModelGuard
-from brink.sim.guard.setting import Settings, settings_to_json
+from brink.sim.guard.interface import Fallback, Guard, KnownConditions, RangeScan
+from brink.sim.guard.setting import Settings, settings_from_json, settings_to_json
 from brink.user_file import read_file
 
 GUARDS: Final = "brink.guards"
 """Entry points: `MakeGuard`."""
+GUARD_FILES: Final = "brink.guard_files"
+"""Entry points: functions that return the `MakeGuard` in a file."""
+FITTED: Final = "fitted@1"
+MAX_FILE_BYTES: Final = 64 * 1024**2
+FALLBACKS: Final = "brink.fallbacks"
+"""Entry points: classes that are made with their settings, whose type is the attribute ``settings_type``."""
+DEFAULT_FALLBACK: Final = "safe-stop@1"
+NO_FALLBACK: Final = "none@1"
 OPTION: Final = "guard"
 FILE: Final = "file:"
 _FIELDS: Final = ("guard", "digest", "threshold", "fallback", "settings")
@@ -257,24 +255,41 @@ def _maker(guard: str, digest: str = "") -> MakeGuard:
         ) from None
 
 
-class _Fitted:
-    """Makes guards from a fitted model."""
-
-    def __init__(self, model: GuardModel) -> None:
-        self._model = model
-        self.needs_scan = model.sensor is Sensor.RANGE
-        self.own_threshold = model.alarm.threshold
-
-    def __call__(self, route: Route, conditions: KnownConditions, threshold: float | None) -> Guard:
-        """Return a new guard, which raises the alarm from a threshold on."""
-        model, rule = self._model, self._model.alarm
-        if threshold is not None:
-            release = threshold * rule.release / rule.threshold if rule.threshold > 0.0 else 0.0
-            model = replace(model, alarm=replace(rule, threshold=threshold, release=min(release, threshold)))
-        return ModelGuard(model, route, conditions)
-
-
 @lru_cache(maxsize=4)
 def _from_file(file: Path, _digest: str) -> MakeGuard:
     """Return what makes the guard in a file; read once while its content does not change."""
-    return _Fitted(GuardModel.load(file))
+    return cast(Callable[[Path], MakeGuard], load_plugin(GUARD_FILES, FITTED))(file)
+
+
+def fallback_settings(fallback_id: str, document: Mapping[str, Json], where: str = "settings") -> Settings:
+    """Return the settings of a fallback; those that are not given have their defaults.
+
+    Args:
+        fallback_id: Its versioned id.
+        document: The given settings.
+        where: Name of the settings in error messages.
+
+    Raises:
+        InvalidEpisode: No fallback has this id, or a setting is unknown or out of range.
+    """
+    kind: type[Settings] = _factory(fallback_id).settings_type
+    return settings_from_json(where, kind, document)
+
+
+def make_fallback(fallback_id: str, settings: Settings) -> Fallback:
+    """Return a new fallback for one drive.
+
+    Raises:
+        InvalidEpisode: No fallback has this id.
+    """
+    return cast(Callable[[Settings], Fallback], _factory(fallback_id))(settings)
+
+
+def _factory(fallback_id: str) -> Any:
+    try:
+        return load_plugin(FALLBACKS, fallback_id)
+    except KeyError:
+        known = plugin_ids(FALLBACKS)
+        raise InvalidEpisode(
+            f"fallback: expected one of {', '.join(known)}; got {fallback_id!r}{nearest(fallback_id, known)}"
+        ) from None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
-from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.episode import Json, JsonObject, check_fields, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
 
@@ -17,7 +17,6 @@ IMAGE_HEIGHT_PX = 600
 MIN_BOX_PX = 50.0
 """Minimum width and height of a sampled box; an episode accepts any box with a positive extent."""
 
-PERCEPTION_STEP_S = 0.1
 DEFAULT_DURATION_S = 30.0
 MIN_DURATION_SHARE = 1.0 / 18.0
 """Minimum duration of a sampled trajectory, as a share of the episode."""

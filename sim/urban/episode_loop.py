@@ -13,6 +13,8 @@ from typing import Protocol, TypeAlias
 from brink.sim.bullet.engine import Engine
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import (
+    CONTROL_STEP_S,
+    PERCEPTION_STEP_S,
     Box,
     Command,
     DrivingSystem,
@@ -22,16 +24,11 @@ from brink.sim.driving.interface import (
     Observation,
 )
 from brink.sim.requirements import Requirement, WorldSample
-from brink.sim.urban.behaviour import (
-    PERCEPTION_STEP_S,
-    BehaviourMode,
-    DetectorBehaviour,
-    last_perception_step,
-)
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, last_perception_step
 from brink.sim.urban.facts import Facts
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.world import EGO_STEPS, STEP_S, World, bodies_of
+from brink.sim.world.world import EGO_STEPS, World, bodies_of
 
 Detects: TypeAlias = Callable[[float], tuple[Box, ...]]
 """Returns the detections of an obstacle detector at a simulated time."""
@@ -162,7 +159,7 @@ class Sensing:
         )
 
 
-CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / STEP_S)
+CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / CONTROL_STEP_S)
 STANDS_BELOW_MPS = 0.1
 
 
@@ -256,7 +253,7 @@ def run_loop(
         sample = loop.step(step)
         if (sample.collision is not None or sample.goal_reached) and not to_the_end:
             break
-    loop.close((step + 1) * STEP_S)
+    loop.close((step + 1) * CONTROL_STEP_S)
     return loop.outcome()
 
 
@@ -284,7 +281,7 @@ class _Loop:
         ego.set_grade(world.grade_at(self.sample.station_m))
         ego.drive(command.accel_mps2, command.steer_rad, EGO_STEPS)
         world.advance(step)
-        self.sample = sample = self.facts.measure((step + 1) * STEP_S)
+        self.sample = sample = self.facts.measure((step + 1) * CONTROL_STEP_S)
         recorder, witness = self.recorder, self.witness
         if witness is not None:
             witness.see(sample, self.driving)
@@ -305,7 +302,7 @@ class _Loop:
 
     def _decide(self, step: int) -> Command:
         """Give the driving system its observation and return its command."""
-        time_s = step * STEP_S
+        time_s = step * CONTROL_STEP_S
         sensing = self.sensing
         if step % CONTROL_PER_PERCEPTION:
             state = sensing.localise(None)
@@ -335,6 +332,6 @@ class _Loop:
             last=sample,
             way_m=sample.station_m,
             least_front_gap_m=self.least_front_m,
-            stood_s=self.standing * STEP_S,
+            stood_s=self.standing * CONTROL_STEP_S,
             delivered=tuple(self.sensing.delivered),
         )

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from brink.sim.driving.camera import Body, Camera, Sighting
-from brink.sim.driving.interface import Box, ObstacleLabel
-from brink.sim.urban.behaviour import PERCEPTION_STEP_S
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.urban.detection_errors import (
     GHOSTS,
     MAGNITUDES,

@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from brink.sim.driving.interface import ObstacleLabel
-from brink.sim.urban.behaviour import PERCEPTION_STEP_S
+from brink.sim.driving.interface import PERCEPTION_STEP_S, ObstacleLabel
 from brink.sim.urban.error_process import (
     AGES_S,
     AT_ONCE,

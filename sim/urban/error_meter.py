@@ -30,10 +30,9 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.driving.obstacles import overlap
 from brink.sim.episode import Json
-from brink.sim.urban.behaviour import PERCEPTION_STEP_S
 from brink.sim.urban.detection_errors import RELEVANT_M, ErrorType, Target
 
 MEASURES: Final = "measured_errors"

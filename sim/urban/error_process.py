@@ -18,10 +18,9 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.driving.interface import PERCEPTION_STEP_S, ObstacleLabel
 from brink.sim.episode import Json, JsonObject, check_fields, parse_integer, parse_number
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.behaviour import PERCEPTION_STEP_S
 
 FloatArray = NDArray[np.float64]
 

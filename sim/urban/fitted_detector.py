@@ -10,15 +10,10 @@ from typing import Final
 import numpy as np
 
 from brink.sim.driving.camera import Body, Camera, Sighting
-from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.episode import EpisodeSpec, Json, check_fields, parse_integer
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.behaviour import (
-    PERCEPTION_STEP_S,
-    BehaviourMode,
-    DetectorBehaviour,
-    last_perception_step,
-)
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, last_perception_step
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.episode_loop import Detects, Outcome
 from brink.sim.urban.erroneous_detector import Observer, Scene, clipped, ghost_bodies, relabelled

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.episode import EpisodeSpec
-from brink.sim.guard.features import KnownConditions
-from brink.sim.guard.interface import RangeScan
-from brink.sim.guard.range_features import RANGE_M, SECTOR_EDGES_DEG
+from brink.sim.guard.interface import RANGE_M, SECTOR_EDGES_DEG, KnownConditions, RangeScan
 from brink.sim.urban.behaviour import last_perception_step
 from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.scenery import fixtures

@@ -14,7 +14,7 @@ from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discar
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import DrivingSystem
+from brink.sim.driving.interface import PERCEPTION_STEP_S, DrivingSystem
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
@@ -23,13 +23,7 @@ from brink.sim.guard.option import OPTION as GUARD
 from brink.sim.guard.option import GuardOption, option_of
 from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.urban.behaviour import (
-    DELIVERED,
-    PERCEPTION_STEP_S,
-    BehaviourMode,
-    DetectorBehaviour,
-    steps_to_json,
-)
+from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, steps_to_json
 from brink.sim.urban.detection_errors import ERROR_STEPS, DetectionError, errors_from_json
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.erroneous_detector import ErroneousDetector

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-STEP_S = 0.01
+PHYSICS_STEP_S = 0.01
 GRAVITY_MPS2 = 9.81
 
 
@@ -164,7 +164,7 @@ class EgoCar:
         x, y, yaw, v = self.x_m, self.y_m, self.yaw_rad, self.speed_mps
         drive, accel, steer, yaw_rate = self._drive_mps2, self.accel_mps2, self.steer_rad, self.yaw_rate_radps
         steer_goal = min(max(steer_rad, -m.steer_limit_rad), m.steer_limit_rad)
-        turn_most = m.steer_rate_radps * STEP_S
+        turn_most = m.steer_rate_radps * PHYSICS_STEP_S
         half_load = 0.5 * GRAVITY_MPS2
         transfer = m.gravity_height_m / m.wheelbase_m
         friction, brakes = self._friction, -m.brake_mps2
@@ -177,7 +177,7 @@ class EgoCar:
             if v > slow_mps:
                 top = m.power_w / (m.mass_kg * v)
             goal = top if accel_mps2 > top else brakes if accel_mps2 < brakes else accel_mps2
-            drive += (goal - drive) * STEP_S / (m.brake_lag_s if goal < drive else m.engine_lag_s)
+            drive += (goal - drive) * PHYSICS_STEP_S / (m.brake_lag_s if goal < drive else m.engine_lag_s)
             # Per unit of mass, an axle's grip is friction times its share of gravity.
             shift = transfer * accel
             grip_front = friction * (half_load - shift)
@@ -201,18 +201,18 @@ class EgoCar:
             accel = force - self._grade_mps2 - m.drag_1pm * v * v
             if v <= 0.0 and accel < 0.0:
                 accel = 0.0
-            faster = v + accel * STEP_S
+            faster = v + accel * PHYSICS_STEP_S
             if faster < 0.0:
-                accel, faster = -v / STEP_S, 0.0
+                accel, faster = -v / PHYSICS_STEP_S, 0.0
             middle = 0.5 * (v + faster)
             yaw_rate = side / v if v > 0.1 else wanted_rate
             # Without slip, the centre of the wheelbase moves at an angle to the heading.
-            course = yaw + 0.5 * yaw_rate * STEP_S
+            course = yaw + 0.5 * yaw_rate * PHYSICS_STEP_S
             if v > 0.1:
                 course += 0.5 * m.wheelbase_m * yaw_rate / v
-            x += middle * cos(course) * STEP_S
-            y += middle * sin(course) * STEP_S
-            yaw += yaw_rate * STEP_S
+            x += middle * cos(course) * PHYSICS_STEP_S
+            y += middle * sin(course) * PHYSICS_STEP_S
+            yaw += yaw_rate * PHYSICS_STEP_S
             v = faster
         self.x_m, self.y_m, self.yaw_rad, self.speed_mps = x, y, yaw, v
         self._drive_mps2, self.accel_mps2, self.steer_rad, self.yaw_rate_radps = drive, accel, steer, yaw_rate

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from brink.sim.driving.camera import Body
-from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.driving.interface import CONTROL_STEP_S, ObstacleLabel
 from brink.sim.world.ego import EgoCar, EgoMotion, MakeEgo
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M, Phase, Walker, make_people
 from brink.sim.world.road import (
@@ -25,7 +25,6 @@ from brink.sim.world.traffic import Surroundings, make_traffic
 from brink.sim.world.vehicle import Mover, Vehicle, VehicleSize
 from brink.sim.world.weather import Conditions, conditions
 
-STEP_S = 0.05
 START_SPEED_MPS = 6.0
 EGO_STEPS = 5
 """100 Hz steps of the ego per step of the world."""
@@ -87,7 +86,7 @@ class World(Protocol):
         ...
 
     def advance(self, step: int) -> None:
-        """Advance all road users except the ego by `STEP_S`; steps count from 0."""
+        """Advance all road users except the ego by `CONTROL_STEP_S`; steps count from 0."""
         ...
 
     def grade_at(self, station_m: float) -> float:
@@ -122,12 +121,12 @@ class UrbanWorld:
     leaves_road_m: float
 
     def advance(self, step: int) -> None:
-        """Advance all road users except the ego by `STEP_S`.
+        """Advance all road users except the ego by `CONTROL_STEP_S`.
 
         Args:
             step: Number of the step, from 0.
         """
-        time_s = step * STEP_S
+        time_s = step * CONTROL_STEP_S
         in_the_way: list[Mover] | None = None
         for vehicle in self.vehicles:
             if vehicle.looks_at(step):
@@ -136,7 +135,7 @@ class UrbanWorld:
                     in_the_way = [*self.movers, *crossing]
                 vehicle.look(time_s, in_the_way)
         for vehicle in self.vehicles:
-            vehicle.move(time_s, STEP_S)
+            vehicle.move(time_s, CONTROL_STEP_S)
         if step % 2 == 0:
             turn = step // 2 % 2
             for index, walker in enumerate(self.walkers):

@@ -6,9 +6,9 @@ import numpy as np
 
 from brink.forest import Forest
 from brink.guard.drives import Drive, behaviour_of, scenario_of
+from brink.guard.features import ALL_FEATURES
+from brink.guard.model import AlarmRule, GuardModel, Sensor
 from brink.sim.episode import EpisodeSpec
-from brink.sim.guard.features import ALL_FEATURES
-from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
 
 REQUIREMENT = "front-gap@1"
 

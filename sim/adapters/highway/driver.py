@@ -19,7 +19,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from brink.sim.adapters.highway.specification import STEPS_PER_S
 
-STEP_S: Final = 1.0 / STEPS_PER_S
+HIGHWAY_STEP_S: Final = 1.0 / STEPS_PER_S
 GIVE_WAY_WITHIN_M: Final = 45.0
 """Distance from the line at which the driver begins to look whether it must give way."""
 BRAKES_MPS2: Final = 6.0
@@ -65,7 +65,9 @@ class _Forwards(IDMVehicle):  # type: ignore[misc]  # (highway-env has no types)
         """Decide on steering and acceleration."""
         super().act()
         if not self.crashed:
-            self.action["acceleration"] = max(self.action["acceleration"], -max(self.speed, 0.0) / STEP_S)
+            self.action["acceleration"] = max(
+                self.action["acceleration"], -max(self.speed, 0.0) / HIGHWAY_STEP_S
+            )
 
 
 class Traffic(_Models, _Forwards):
@@ -110,7 +112,7 @@ class Driver(_Models, _Forwards):
         self.waits = watches and self._must_give_way()
         if self.waits:
             slowed_mps2 = -_WARY_MPS2 if distance_m is None else self._stopping_mps2(distance_m)
-            slowed_mps2 = max(slowed_mps2, -max(self.speed, 0.0) / STEP_S)
+            slowed_mps2 = max(slowed_mps2, -max(self.speed, 0.0) / HIGHWAY_STEP_S)
             self.action["acceleration"] = max(-BRAKES_MPS2, min(self.action["acceleration"], slowed_mps2))
 
     def _to_line_m(self) -> float | None:

@@ -15,7 +15,14 @@ from highway_env.envs.merge_env import MergeGenericEnv
 from highway_env.envs.roundabout_env import RoundaboutGenericEnv
 from highway_env.road.lane import LineType
 
-from brink.sim.adapters.highway.driver import STEP_S, Driver, Ego, perceived_road, perceived_vehicle, wrapped
+from brink.sim.adapters.highway.driver import (
+    HIGHWAY_STEP_S,
+    Driver,
+    Ego,
+    perceived_road,
+    perceived_vehicle,
+    wrapped,
+)
 from brink.sim.adapters.highway.perception import Body
 from brink.sim.adapters.highway.specification import (
     STEPS_PER_S,
@@ -230,7 +237,7 @@ class HighwayWorld:
         self._view.objects = self._env.road.objects
         self._view.vehicles = [driver, *(self._perceived(one, true.get(one.track)) for one in perceived)]
         driver.act()
-        driver.timer += STEP_S
+        driver.timer += HIGHWAY_STEP_S
         self.ego.target_lane_index = driver.target_lane_index
         self.ego.act(dict(driver.action))
         return self._plan()
@@ -259,7 +266,7 @@ class HighwayWorld:
         """Move everybody by one step."""
         speed_mps, place = self.ego.speed, self.ego.position.copy()
         self._env.step(None)
-        self._accel_mps2 = float(self.ego.speed - speed_mps) / STEP_S
+        self._accel_mps2 = float(self.ego.speed - speed_mps) / HIGHWAY_STEP_S
         self._driven_m += float(np.linalg.norm(self.ego.position - place))
         self._driver.position, self._driver.heading = self.ego.position.copy(), self.ego.heading
         self._driver.on_state_update()
@@ -302,7 +309,7 @@ class HighwayWorld:
         nearest_m = None if nearest is None else nearest[0]
         closing_mps = 0.0
         if nearest_m is not None and self._nearest_m is not None:
-            closing_mps = (self._nearest_m - nearest_m) / STEP_S
+            closing_mps = (self._nearest_m - nearest_m) / HIGHWAY_STEP_S
         self._nearest_m = nearest_m
         half_lane_m = 0.5 * float(lane.width_at(along_m))
         return WorldSample(
@@ -421,7 +428,7 @@ def _environment(scenario: HighwayScenario, seed: int) -> Any:
             # Vehicles appear once a step here, and once a second in highway-env.
             counts = {
                 "initial_vehicle_count": round(8 * scenario.density),
-                "spawn_probability": 0.6 * STEP_S * scenario.density,
+                "spawn_probability": 0.6 * HIGHWAY_STEP_S * scenario.density,
             }
             kind = IntersectionEnv
     # A new environment resets itself once, with a seed of its own: without vehicles, that costs nothing.

@@ -17,11 +17,11 @@ from brink.sim.errors import ExtraMissing, SimulationCrashed
 Library: TypeAlias = Any
 """The module `libsumo`, which has no types."""
 
-STEP_S: Final = 0.1
+SUMO_STEP_S: Final = 0.1
 _QUIET: Final = "LIBSUMO_AS_TRACI"
 _OPTIONS: Final = (
     "--step-length",
-    str(STEP_S),
+    str(SUMO_STEP_S),
     "--no-step-log",
     "true",
     "--no-warnings",

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from brink.sim.adapters.sumo.library import STEP_S, Library
+from brink.sim.adapters.sumo.library import SUMO_STEP_S, Library
 from brink.sim.adapters.sumo.specification import RANGE_M, Affected, ErrorType, PerceptionError
 
 NOT_PERCEIVED: Final = 1000.0
@@ -95,7 +95,7 @@ class Perception:
         if error is None:
             return
         # Half a step, because times are sums of steps.
-        lasts = error.onset_s - STEP_S / 2 <= time_s < error.onset_s + error.duration_s - STEP_S / 2
+        lasts = error.onset_s - SUMO_STEP_S / 2 <= time_s < error.onset_s + error.duration_s - SUMO_STEP_S / 2
         for vehicle in self._affected if lasts else ():
             if vehicle not in self._wrong:
                 self._begin(vehicle, error)
@@ -123,14 +123,14 @@ class Perception:
         if error.type is ErrorType.LATE:
             self._set(vehicle, "originalReactionTime", _in_steps_s(error.magnitude))
             return
-        self._set(vehicle, "maximalReactionTime", STEP_S)
+        self._set(vehicle, "maximalReactionTime", SUMO_STEP_S)
         self._set(vehicle, "awareness", _INATTENTIVE)
         state = _STATES.get(error.type, 0.0) * error.magnitude
         self._set(vehicle, "errorState", NOT_PERCEIVED if error.type is ErrorType.MISS else state)
 
     def _end(self, vehicle: str, error: PerceptionError) -> None:
         if error.type is ErrorType.LATE:
-            self._set(vehicle, "originalReactionTime", STEP_S)
+            self._set(vehicle, "originalReactionTime", SUMO_STEP_S)
         else:
             self._set(vehicle, "awareness", _ATTENTIVE)
 
@@ -179,4 +179,4 @@ _RIGHT_DISTANCE: Final = (ErrorType.TOO_FAST, ErrorType.LATE)
 
 def _in_steps_s(time_s: float) -> float:
     """Return the whole number of steps that is closest to a time, at least one."""
-    return round(max(1, round(time_s / STEP_S)) * STEP_S, 6)
+    return round(max(1, round(time_s / SUMO_STEP_S)) * SUMO_STEP_S, 6)

@@ -10,7 +10,7 @@ from typing import Final
 
 from brink.sim.adapters.sumo.demand import EGO, Stream, comfortable_braking_mps2, demand_xml, generator
 from brink.sim.adapters.sumo.drawing import Drawing
-from brink.sim.adapters.sumo.library import STEP_S, CannotStart, Library, simulation
+from brink.sim.adapters.sumo.library import SUMO_STEP_S, CannotStart, Library, simulation
 from brink.sim.adapters.sumo.own_files import thinned_demand
 from brink.sim.adapters.sumo.perception import ALL_CHECKS, Perception, driver_state_options
 from brink.sim.adapters.sumo.specification import HARDEST_BRAKING_MPS2, SIMULATOR_ID, Drive, Incident
@@ -161,13 +161,13 @@ class _Episode:
         if self._record:
             self.drawing = Drawing(self._sumo, self._ego, tuple(self._requirements), witness)
         self._observe(witness.sample(0.0, None))
-        steps = math.ceil(self._spec.duration_s / STEP_S - 1e-6)
+        steps = math.ceil(self._spec.duration_s / SUMO_STEP_S - 1e-6)
         for step in range(1, steps + 1):
-            before_s = (step - 1) * STEP_S
+            before_s = (step - 1) * SUMO_STEP_S
             self._perception.update(before_s)
             self._incident.update(before_s, witness.lead)
             self._step()
-            self._outcome.ended_at_s = time_s = step * STEP_S
+            self._outcome.ended_at_s = time_s = step * SUMO_STEP_S
             collision = collision_of(self._sumo, self._ego)
             if self._ego in self._sumo.simulation.getArrivedIDList():
                 self._outcome.ended = "goal"
@@ -182,7 +182,7 @@ class _Episode:
     def _settle(self) -> None:
         """Let the traffic drive until the episode begins."""
         own = self._drive.traffic.files is not None
-        for _ in range(round((LONGEST_WAIT_S if own else SETTLES_S) / STEP_S)):
+        for _ in range(round((LONGEST_WAIT_S if own else SETTLES_S) / SUMO_STEP_S)):
             self._step()
             if own and self._ego in self._outcome.vehicles:
                 return
@@ -275,11 +275,11 @@ class _LeadBrakes:
             lead: The vehicle ahead of the ego; the first one at or after the incident's time brakes.
         """
         own = self._sumo.vehicle
-        due = self.began_at_s is None and time_s >= self._at_s - STEP_S / 2
+        due = self.began_at_s is None and time_s >= self._at_s - SUMO_STEP_S / 2
         if due and lead is not None and self._braking_mps2 > 0.0:
             self.began_at_s, self._lead = time_s, lead
             speed_mps = float(own.getSpeed(lead))
-            brakes_s = max(STEP_S, speed_mps / self._braking_mps2)
+            brakes_s = max(SUMO_STEP_S, speed_mps / self._braking_mps2)
             own.setSpeedMode(lead, ALL_CHECKS - _LIMITS_BRAKING)
             own.slowDown(lead, 0.0, brakes_s)
             self._brakes_until_s = time_s + brakes_s

@@ -13,10 +13,10 @@ from support.guards import stump_guard
 from typer.testing import CliRunner, Result
 
 from brink.cli.commands import app
+from brink.guard.model import GuardModel, Sensor
 from brink.search.analysis import guard_training
 from brink.server.errors import Conflict, InvalidInput
 from brink.sim.errors import GuardFileError
-from brink.sim.guard.model import GuardModel, Sensor
 
 pytestmark = pytest.mark.long("simulates drives; guards have unit tests")
 

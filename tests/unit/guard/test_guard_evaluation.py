@@ -24,15 +24,15 @@ from brink.guard.evaluation import (
     peak,
     threshold_at,
 )
+from brink.guard.features import ALL_FEATURES, MAX_TTC_S
+from brink.guard.model import Sensor
+from brink.guard.time_to_collision import range_times_s
 from brink.search.analysis.folds import divisions
 from brink.search.analysis.guard_training import FittedHorizons
 from brink.search.archive import Archive
 from brink.search.fitness import wilson_interval
 from brink.search.space import BoolArray, FloatArray, IntArray
 from brink.server.errors import Conflict
-from brink.sim.guard.features import ALL_FEATURES, MAX_TTC_S
-from brink.sim.guard.model import Sensor
-from brink.sim.guard.time_to_collision import range_times_s
 
 HIGH, LOW = 8.0, 0.0
 """Speeds for which the stump's probability is above and below its threshold."""

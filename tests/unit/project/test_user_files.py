@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from brink.guard.drives import load_drives
+from brink.guard.model import GuardModel
 from brink.packed import read_arrays
 from brink.python.study import Study
 from brink.recordings.files import read_json
@@ -26,7 +27,6 @@ from brink.server.errors import InvalidInput
 from brink.server.operations.export_file import BadFile, open_export
 from brink.sim.adapters.sumo.own_files import OwnFilesError, _bytes
 from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.model import GuardModel
 from brink.sim.guard.option import guard_digest
 from brink.sim.perception.user_files import DatasetError, DetectorError, read_coco, weights_file
 from brink.sim.trace import Trace

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from support.guards import stump_guard
 
+from brink.guard.model import Sensor
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.model import Sensor
 from brink.sim.guard.option import GuardOption, guard_digest
 from brink.sim.trace import Trace
 from brink.sim.urban.camera import BrinkDriveCamera

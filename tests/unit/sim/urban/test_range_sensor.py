@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from brink.guard.features import ALL_FEATURES
+from brink.guard.recorder import observe_drive, record_drive
 from brink.search.streams import Stream, episode_seed, generator
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.features import ALL_FEATURES, KnownConditions
-from brink.sim.guard.range_features import SECTORS
-from brink.sim.urban.guard_recorder import observe_drive, record_drive
+from brink.sim.guard.interface import SECTORS, KnownConditions
 from brink.sim.urban.range_sensor import RangeSensor, sector_distances
 from brink.sim.urban.simulator import BrinkDrive
 from brink.sim.world.scenario import UrbanScenario

@@ -11,7 +11,7 @@ from brink.server.problems.catalogue import make_problem
 from brink.server.problems.urban_injected import UrbanInjected
 from brink.sim.bullet.engine import process_engine
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import DrivingSystem
+from brink.sim.driving.interface import CONTROL_STEP_S, DrivingSystem
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import JsonObject
 from brink.sim.requirements import WorldSample
@@ -21,7 +21,7 @@ from brink.sim.urban.facts import Facts
 from brink.sim.world.ego import GRAVITY_MPS2
 from brink.sim.world.pedestrians import WALKER_STEP_S
 from brink.sim.world.scenario import UrbanScenario
-from brink.sim.world.world import STEP_S, RoadUser, UrbanWorld, make_world
+from brink.sim.world.world import RoadUser, UrbanWorld, make_world
 
 FASTER_TO_CROSS = 1.1
 """People cross the road a tenth faster than they walk."""
@@ -64,11 +64,11 @@ class Motion:
         for vehicle in self.world.vehicles:
             _, _, yaw_rad, before_mps = self.poses[vehicle.name]
             moved_m = self._moved(vehicle)
-            limit_m = max(before_mps, vehicle.speed_mps) * STEP_S
+            limit_m = max(before_mps, vehicle.speed_mps) * CONTROL_STEP_S
             if moved_m > limit_m + ROUNDING_M:
                 self.jumps.append((vehicle.name, sample.time_s, moved_m - limit_m))
             turned_rad = abs(math.remainder(vehicle.yaw_rad - yaw_rad, math.tau))
-            lateral_mps2 = turned_rad / STEP_S * moved_m / STEP_S
+            lateral_mps2 = turned_rad / CONTROL_STEP_S * moved_m / CONTROL_STEP_S
             if lateral_mps2 > self.world.weather.friction * GRAVITY_MPS2:
                 self.skids.append((vehicle.name, sample.time_s, lateral_mps2))
         self._remember()
@@ -128,7 +128,7 @@ def test_a_jump_and_a_skid_are_noticed() -> None:
     assert (motion.jumps, motion.skids) == ([], [])
     lead, walker = motion.world.vehicles[0], motion.world.walkers[0]
     walker.x_m += 0.3
-    lead.x_m += 0.95 * lead.speed_mps * STEP_S
+    lead.x_m += 0.95 * lead.speed_mps * CONTROL_STEP_S
     lead.yaw_rad += 0.1
     motion.see(sample, driving)
     assert [name for name, _, _ in motion.jumps] == [walker.name]

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from brink.sim.driving.interface import LightState
+from brink.sim.driving.interface import CONTROL_STEP_S, LightState
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.pedestrians import KERB_SETBACK_M, WALKER_STEP_S, Phase, Walker
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.traffic import lane_is_free
 from brink.sim.world.vehicle import CAR, CORNERING_MPS2, DrivingStyle, Mover, StopPoint, Vehicle
-from brink.sim.world.world import STEP_S, UrbanWorld, make_world
+from brink.sim.world.world import UrbanWorld, make_world
 
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
 STYLE = DrivingStyle(speed_mps=8.0, headway_s=1.2, braking_mps2=2.8, friction=0.9)
@@ -40,12 +40,12 @@ def vehicle(station_m: float, *, speed_mps: float = 8.0, stops: tuple[StopPoint,
 
 
 def drive(vehicles: list[Vehicle], seconds: float, others: tuple[Mover, ...] = ()) -> None:
-    for step in range(round(seconds / STEP_S)):
+    for step in range(round(seconds / CONTROL_STEP_S)):
         for one in vehicles:
             if one.looks_at(step):
-                one.look(step * STEP_S, [*vehicles, *others])
+                one.look(step * CONTROL_STEP_S, [*vehicles, *others])
         for one in vehicles:
-            one.move(step * STEP_S, STEP_S)
+            one.move(step * CONTROL_STEP_S, CONTROL_STEP_S)
 
 
 def walker(crosses_at_m: float | None, *, patience_s: float = 1.0, on_zebra: bool = False) -> Walker:
@@ -88,8 +88,8 @@ def test_a_vehicle_slows_down_before_a_bend() -> None:
     turning = Vehicle(name="t", size=CAR, path=bend, station_m=5.0, speed_mps=8.0, style=STYLE)
     speeds = []
     for step in range(200):
-        turning.look(step * STEP_S, [turning])
-        turning.move(step * STEP_S, STEP_S)
+        turning.look(step * CONTROL_STEP_S, [turning])
+        turning.move(step * CONTROL_STEP_S, CONTROL_STEP_S)
         if 60.0 <= turning.station_m <= 70.0:
             speeds.append(turning.speed_mps)
     assert speeds
@@ -148,9 +148,9 @@ def test_a_walker_lets_a_car_pass_and_then_crosses() -> None:
     car = vehicle(20.0)
     crossed_with_car_at = []
     for step in range(200):
-        car.move(step * STEP_S, STEP_S)
+        car.move(step * CONTROL_STEP_S, CONTROL_STEP_S)
         if step % 2 == 0:
-            on_foot.look(step * STEP_S, [car])
+            on_foot.look(step * CONTROL_STEP_S, [car])
             on_foot.move()
         if on_foot.phase is Phase.CROSSING:
             crossed_with_car_at.append(car.station_m)
@@ -179,7 +179,7 @@ def test_other_vehicles_do_not_drive_through_each_other() -> None:
             world.advance(step)
             for a, b in itertools.combinations(world.vehicles, 2):
                 if (a.x_m - b.x_m) ** 2 + (a.y_m - b.y_m) ** 2 < 1.6**2:
-                    pytest.fail(f"{curve} {seed}: {a.name} and {b.name} at {step * STEP_S} s")
+                    pytest.fail(f"{curve} {seed}: {a.name} and {b.name} at {step * CONTROL_STEP_S} s")
 
 
 def far_away_ego(world: UrbanWorld) -> None:
@@ -243,7 +243,10 @@ def test_vehicles_enter_a_junction_only_on_green_or_amber() -> None:
                 if before_m <= line_m + 1.0 < front_m and vehicle.name.startswith(("oncoming", "crossing")):
                     on_side = vehicle.name.startswith("crossing")
                     state = world.signals.side_at if on_side else world.signals.main_at
-                    assert state(step * STEP_S) is not LightState.RED, (vehicle.name, step * STEP_S)
+                    assert state(step * CONTROL_STEP_S) is not LightState.RED, (
+                        vehicle.name,
+                        step * CONTROL_STEP_S,
+                    )
 
 
 def test_a_car_joins_a_lane_only_in_a_gap() -> None:
@@ -253,7 +256,7 @@ def test_a_car_joins_a_lane_only_in_a_gap() -> None:
         lane_y = world.road.forward.pose_at(0.0)[1]
         joined = False
         for step in range(600):
-            world.ego.x_m += world.ego.speed_mps * STEP_S
+            world.ego.x_m += world.ego.speed_mps * CONTROL_STEP_S
             world.advance(step)
             if not joined and abs(joining.y_m - lane_y) < 0.5 * CAR.width_m:
                 joined = True

@@ -14,19 +14,12 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.guard.features import FEATURES, MAX_TTC_S, TTC, FeatureExtractor, FeatureVector
+from brink.guard.model import AlarmRule
+from brink.guard.monitor import Alarm
+from brink.guard.range_features import MIN_CLOSING_MPS, RANGE_FEATURES
 from brink.sim.driving.interface import Command, Observation, PlanState, Route
-from brink.sim.guard.features import (
-    FEATURES,
-    MAX_TTC_S,
-    TTC,
-    FeatureExtractor,
-    FeatureVector,
-    KnownConditions,
-)
-from brink.sim.guard.interface import GuardReading, RangeScan
-from brink.sim.guard.model import AlarmRule
-from brink.sim.guard.monitor import Alarm
-from brink.sim.guard.range_features import MIN_CLOSING_MPS, RANGE_FEATURES
+from brink.sim.guard.interface import GuardReading, KnownConditions, RangeScan
 
 HORIZONS_S: Final = (1.0, 2.0, 3.0)
 DECIDING: Final = 1

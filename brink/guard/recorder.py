@@ -11,7 +11,9 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.guard.features import ALL_FEATURES, FeatureExtractor
 from brink.sim.driving.interface import (
+    PERCEPTION_STEP_S,
     Command,
     DrivingSystem,
     Observation,
@@ -21,9 +23,7 @@ from brink.sim.driving.interface import (
 )
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
 from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.features import ALL_FEATURES, FeatureExtractor, KnownConditions
-from brink.sim.guard.interface import RangeScan
-from brink.sim.urban.behaviour import PERCEPTION_STEP_S
+from brink.sim.guard.interface import KnownConditions, RangeScan
 from brink.sim.urban.range_sensor import RangeSensor, known_conditions, range_sensor
 from brink.sim.urban.simulator import BrinkDrive, BrinkDriveErrors
 from brink.sim.world.scenario import UrbanScenario
@@ -38,7 +38,7 @@ class RecordedDrive:
 
     Attributes:
         features: Features at the perception steps 0, 1, 2, …, in the order of
-            `brink.sim.guard.features.ALL_FEATURES`, shape ``(steps, features)``.
+            `brink.guard.features.ALL_FEATURES`, shape ``(steps, features)``.
         verdicts: Verdict of each requirement, by id.
         ended_at_s: When the episode ended.
     """

@@ -7,6 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+from brink.guard.features import FAR_M, MAX_TTC_S, NO_BOX_M, FeatureExtractor
+from brink.guard.range_features import closing_mps
 from brink.sim.driving.interface import (
     Box,
     Command,
@@ -18,9 +20,7 @@ from brink.sim.driving.interface import (
     PlanMode,
     PlanState,
 )
-from brink.sim.guard.features import FAR_M, MAX_TTC_S, NO_BOX_M, FeatureExtractor
-from brink.sim.guard.interface import RangeScan
-from brink.sim.guard.range_features import RANGE_M, closing_mps
+from brink.sim.guard.interface import RANGE_M, RangeScan
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import LaneRoute
 
@@ -244,7 +244,7 @@ def test_closing_speed_is_the_slope_since_the_last_jump(distances_m: list[float]
 
 
 def test_a_guard_needs_numpy_alone() -> None:
-    program = "import sys; import brink.sim.guard.monitor; print(*{one.split('.')[0] for one in sys.modules})"
+    program = "import sys; import brink.guard.monitor; print(*{one.split('.')[0] for one in sys.modules})"
     loaded = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
     ).stdout.split()

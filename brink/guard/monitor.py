@@ -1,11 +1,13 @@
 """The stepwise guard: features, model and alarm of one drive."""
 
 from collections import deque
+from dataclasses import replace
+from pathlib import Path
 
-from brink.sim.driving.interface import Command, Observation, PlanState, Route
-from brink.sim.guard.features import STEP_S, FeatureExtractor, KnownConditions
-from brink.sim.guard.interface import GuardReading, RangeScan
-from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
+from brink.guard.features import FeatureExtractor
+from brink.guard.model import AlarmRule, GuardModel, Sensor
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Command, Observation, PlanState, Route
+from brink.sim.guard.interface import Guard, GuardReading, KnownConditions, RangeScan
 
 
 class Alarm:
@@ -24,7 +26,7 @@ class Alarm:
     def __init__(self, rule: AlarmRule) -> None:
         self._rule = rule
         self._above = self._below = 0
-        self._hold_steps = round(rule.hold_s / STEP_S)
+        self._hold_steps = round(rule.hold_s / PERCEPTION_STEP_S)
         self._recent: deque[float] = deque(maxlen=rule.confirm_steps)
         self.is_on = False
         self.peak = 0.0
@@ -100,3 +102,29 @@ class ModelGuard:
                 alarm=self._alarm.step(probabilities[self._model.deciding]),
             )
         return self._reading
+
+
+class FittedGuards:
+    """Makes guards of a fitted model: a `brink.sim.guard.option.MakeGuard`."""
+
+    def __init__(self, model: GuardModel) -> None:
+        self._model = model
+        self.needs_scan = model.sensor is Sensor.RANGE
+        self.own_threshold = model.alarm.threshold
+
+    def __call__(self, route: Route, conditions: KnownConditions, threshold: float | None) -> Guard:
+        """Return a new guard, which raises the alarm from a threshold on."""
+        model, rule = self._model, self._model.alarm
+        if threshold is not None:
+            release = threshold * rule.release / rule.threshold if rule.threshold > 0.0 else 0.0
+            model = replace(model, alarm=replace(rule, threshold=threshold, release=min(release, threshold)))
+        return ModelGuard(model, route, conditions)
+
+
+def guards_in(file: Path) -> FittedGuards:
+    """Return what makes the guard in a file.
+
+    Raises:
+        GuardFileError: The file is no guard.
+    """
+    return FittedGuards(GuardModel.load(file))

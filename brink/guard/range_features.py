@@ -10,17 +10,12 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from brink.sim.driving.interface import EgoState, Route
+from brink.sim.driving.interface import PERCEPTION_STEP_S, EgoState, Route
 from brink.sim.driving.settings import DrivingSettings
-from brink.sim.guard.interface import RangeScan
+from brink.sim.guard.interface import RANGE_M, SECTOR_EDGES_DEG, SECTORS, RangeScan
 
-RANGE_M: Final = 60.0
-SECTOR_EDGES_DEG: Final = (30.0, 12.0, 4.0, -4.0, -12.0, -30.0)
-"""Edges of the sectors from left to right, counter-clockwise from straight ahead."""
-SECTORS: Final = len(SECTOR_EDGES_DEG) - 1
 BRIDGED_STEPS: Final = 5
 """Drop-outs in a row that the last measured distance stands in for; after more, nothing is known to be in range."""
-STEP_S: Final = 0.1
 SECOND_STEPS: Final = 10
 WINDOW_STEPS: Final = 30
 TRACED_M: Final = tuple(range(3, 61, 3))
@@ -170,4 +165,4 @@ def closing_mps(distances_m: Sequence[float]) -> float:
     middle, mean = 0.5 * (count - 1), sum(kept) / count
     spread = count * (count * count - 1) / 12.0
     slope = sum((place - middle) * (one - mean) for place, one in enumerate(kept)) / spread
-    return min(max(slope / STEP_S, -30.0), 30.0)
+    return min(max(slope / PERCEPTION_STEP_S, -30.0), 30.0)

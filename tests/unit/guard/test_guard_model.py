@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support.guards import stump_guard
 
+from brink.guard.model import AlarmRule, GuardModel, Sensor
+from brink.guard.monitor import Alarm, ModelGuard
 from brink.sim.driving.interface import Command, EgoState, Observation
 from brink.sim.errors import GuardFileError
-from brink.sim.guard.features import KnownConditions
-from brink.sim.guard.model import AlarmRule, GuardModel, Sensor
-from brink.sim.guard.monitor import Alarm, ModelGuard
+from brink.sim.guard.interface import KnownConditions
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import LaneRoute
 

@@ -5,24 +5,21 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from brink.sim.catalogue import plugin_ids
-from brink.sim.driving.camera import Body, Camera
-from brink.sim.driving.interface import Box, Command, EgoState, Observation, ObstacleLabel
-from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.box_filter import BoxFilter, BoxFilterSettings
-from brink.sim.guard.fallback import (
-    FALLBACKS,
-    Fallback,
+from brink.guard.box_filter import BoxFilter, BoxFilterSettings
+from brink.guard.fallback import (
     Intervention,
     InterventionSettings,
     SafeStop,
     SafeStopSettings,
     SlowDown,
     SlowDownSettings,
-    fallback_settings,
-    make_fallback,
 )
-from brink.sim.guard.interface import GuardReading
+from brink.sim.catalogue import plugin_ids
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import Box, Command, EgoState, Observation, ObstacleLabel
+from brink.sim.errors import InvalidEpisode
+from brink.sim.guard.interface import Fallback, GuardReading
+from brink.sim.guard.option import FALLBACKS, fallback_settings, make_fallback
 from brink.sim.guard.setting import settings_from_json, settings_to_json
 
 DT_S = 0.05

@@ -19,13 +19,13 @@ from typing import Any, Final, Self
 import numpy as np
 
 from brink.forest import FeatureArray, FloatArray, Forest
+from brink.guard.features import ALL_FEATURES, FEATURES, FEATURES_ID
 from brink.sim.errors import GuardFileError
-from brink.sim.guard.features import ALL_FEATURES, FEATURES, FEATURES_ID
+from brink.sim.guard.option import MAX_FILE_BYTES
 from brink.user_file import read_text
 
 FORMAT: Final = "brink guard"
 VERSION: Final = 1
-MAX_FILE_BYTES: Final = 64 * 1024**2
 MAX_CONFIRM_STEPS: Final = 50
 MAX_HOLD_S: Final = 600.0
 

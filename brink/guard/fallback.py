@@ -18,59 +18,17 @@ for all of it at once.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Protocol, cast
+from typing import ClassVar, Final
 
-from brink.sim.catalogue import load_plugin, plugin_ids
-from brink.sim.driving.interface import Command, Observation
-from brink.sim.episode import Json, nearest
-from brink.sim.errors import InvalidEpisode
-from brink.sim.guard.box_filter import BoxFilter, BoxFilterSettings
+from brink.guard.box_filter import BoxFilter, BoxFilterSettings
+from brink.sim.driving.interface import CONTROL_STEP_S, Command, Observation
 from brink.sim.guard.interface import GuardReading
-from brink.sim.guard.setting import NoSettings, Settings, ranged, settings_from_json
+from brink.sim.guard.setting import NoSettings, ranged
 
-FALLBACKS: Final = "brink.fallbacks"
-"""Entry points: classes that are made with their settings, whose type is the attribute ``settings_type``."""
-DEFAULT_FALLBACK: Final = "safe-stop@1"
-NO_FALLBACK: Final = "none@1"
-
-CONTROL_STEP_S: Final = 0.05
 STANDS_BELOW_MPS: Final = 0.3
 _HOLD_MPS2: Final = -2.0
 """Holds a car that stands, on the steepest slope of the roads."""
-
-
-class Fallback(Protocol):
-    """What the car does while its guard asks for it. Create a new one for each drive.
-
-    A class whose attribute `waits_for_alarm` is true promises to change nothing before the first alarm of a drive. A
-    drive in which no alarm can occur then need not run again with it.
-    """
-
-    @property
-    def active(self) -> bool:
-        """Whether it intervened in the last control step."""
-        ...
-
-    def perceive(self, observation: Observation, reading: GuardReading) -> Observation:
-        """Return the observation that the driving system receives; called once in each control step, before `step`.
-
-        Args:
-            observation: What was observed.
-            reading: The guard's reading of the step before.
-        """
-        ...
-
-    def step(self, observation: Observation, command: Command, reading: GuardReading) -> Command:
-        """Return the command that the car executes.
-
-        Args:
-            observation: What was observed.
-            command: What the driving system commands.
-            reading: The guard's reading of this step.
-        """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -296,37 +254,3 @@ class NoFallback:
     def step(self, observation: Observation, command: Command, reading: GuardReading) -> Command:
         """Return the command as it is."""
         return command
-
-
-def fallback_settings(fallback_id: str, document: Mapping[str, Json], where: str = "settings") -> Settings:
-    """Return the settings of a fallback; those that are not given have their defaults.
-
-    Args:
-        fallback_id: Its versioned id.
-        document: The given settings.
-        where: Name of the settings in error messages.
-
-    Raises:
-        InvalidEpisode: No fallback has this id, or a setting is unknown or out of range.
-    """
-    kind: type[Settings] = _factory(fallback_id).settings_type
-    return settings_from_json(where, kind, document)
-
-
-def make_fallback(fallback_id: str, settings: Settings) -> Fallback:
-    """Return a new fallback for one drive.
-
-    Raises:
-        InvalidEpisode: No fallback has this id.
-    """
-    return cast(Callable[[Settings], Fallback], _factory(fallback_id))(settings)
-
-
-def _factory(fallback_id: str) -> Any:
-    try:
-        return load_plugin(FALLBACKS, fallback_id)
-    except KeyError:
-        known = plugin_ids(FALLBACKS)
-        raise InvalidEpisode(
-            f"fallback: expected one of {', '.join(known)}; got {fallback_id!r}{nearest(fallback_id, known)}"
-        ) from None

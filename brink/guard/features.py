@@ -24,8 +24,10 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.guard.range_features import RANGE_FEATURES, RangeFeatures
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import (
+    PERCEPTION_STEP_S,
     Box,
     Command,
     EgoState,
@@ -39,13 +41,11 @@ from brink.sim.driving.interface import (
 )
 from brink.sim.driving.obstacles import depth_m, overlap
 from brink.sim.driving.settings import DrivingSettings
-from brink.sim.guard.interface import RangeScan
-from brink.sim.guard.range_features import RANGE_FEATURES, RangeFeatures
+from brink.sim.guard.interface import KnownConditions, RangeScan
 
 FeatureVector: TypeAlias = NDArray[np.float32]
 
 FEATURES_ID: Final = "guard-features@1"
-STEP_S: Final = 0.1
 WINDOW_STEPS: Final = 30
 """Perception steps that a vector depends on, besides the current one: three seconds."""
 SECOND_STEPS: Final = 10
@@ -71,7 +71,6 @@ AHEAD_M: Final = (10.0, 25.0)
 _SETTINGS: Final = DrivingSettings()
 _SHAPE: Final = _SETTINGS.shape
 _LOCALISATION: Final = _SETTINGS.localisation
-_FOLLOWED_M: Final = _SETTINGS.planning.follow.range_m
 _CAMERA: Final = Camera()
 _BUMPER_M: Final = 0.5 * _SHAPE.length_m - _CAMERA.forward_m
 """The front bumper's distance ahead of the camera."""
@@ -174,20 +173,6 @@ _LIGHTS: Final = {LightState.GREEN: 0.0, LightState.AMBER: 1.0, LightState.RED: 
 _NO_LIGHT: Final = -1.0
 
 
-class KnownConditions(NamedTuple):
-    """What a car knows of time of day and weather: shares in [0, 1], or -1 if unknown.
-
-    Attributes:
-        rain: How hard it rains.
-        wet: How wet the road is.
-        dark: How dark it is.
-    """
-
-    rain: float = -1.0
-    wet: float = -1.0
-    dark: float = -1.0
-
-
 UNKNOWN: Final = KnownConditions()
 
 
@@ -227,7 +212,7 @@ class _Seen:
         count = len(self.past) - 1
         if count < 1:
             return 0.0, 0.0, 0.0, 0.0
-        first, last, elapsed_s = self.past[0], self.past[-1], count * STEP_S
+        first, last, elapsed_s = self.past[0], self.past[-1], count * PERCEPTION_STEP_S
         return (
             (last[0] - first[0]) / elapsed_s,
             (last[1] - first[1]) / elapsed_s,
@@ -270,7 +255,7 @@ class FeatureExtractor:
         self._seen: list[_Seen] = []
         self._steps: deque[_Step] = deque(maxlen=WINDOW_STEPS + 1)
         self._standing = 0
-        self._since_box = self._since_in_path = round(MAX_AGE_S / STEP_S)
+        self._since_box = self._since_in_path = round(MAX_AGE_S / PERCEPTION_STEP_S)
         self._light_age = 0
 
     @property
@@ -413,7 +398,7 @@ class FeatureExtractor:
             min(one.accel_mps2 for one in second),
             min(one.accel_mps2 for one in steps),
             min(one.speed_mps for one in steps),
-            min(self._standing * STEP_S, MAX_AGE_S),
+            min(self._standing * PERCEPTION_STEP_S, MAX_AGE_S),
             command.accel_mps2,
             min(one.command_mps2 for one in second),
             command.steer_rad,
@@ -443,7 +428,7 @@ class FeatureExtractor:
         return [
             float(light is not None),
             lights[-1],
-            min(self._light_age * STEP_S, MAX_AGE_S),
+            min(self._light_age * PERCEPTION_STEP_S, MAX_AGE_S),
             float(changes),
             line_m,
             min(max(line_m, 0.0) / max(speed, 0.1), MAX_TTC_S),
@@ -473,8 +458,8 @@ class FeatureExtractor:
             float(sum(one.sudden_births for one in steps)),
             float(sum(one.sudden_deaths for one in second)),
             float(sum(one.sudden_deaths for one in steps)),
-            min(self._since_box * STEP_S, MAX_AGE_S),
-            min(self._since_in_path * STEP_S, MAX_AGE_S),
+            min(self._since_box * PERCEPTION_STEP_S, MAX_AGE_S),
+            min(self._since_in_path * PERCEPTION_STEP_S, MAX_AGE_S),
             now.ttc_s,
             min(one.ttc_s for one in second),
             min(one.ttc_s for one in steps),
@@ -546,7 +531,7 @@ def _box_values(one: _Seen | None, speed_mps: float) -> list[float]:
         0.5 * (x_min + x_max),
         y_max,
         float(one.at_border),
-        min(one.age * STEP_S, MAX_AGE_S),
+        min(one.age * PERCEPTION_STEP_S, MAX_AGE_S),
         by_base,
         by_size,
         min(one.base_m / -base_rate, MAX_TTC_S) if base_rate < -0.1 and one.base_m > 0 else MAX_TTC_S,
