@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from brink.recordings.format import RecordingBuilder
 from brink.recordings.recording import Detection, ReadOptions, RecordedDrive, RecordingError, RoadUser, Sides
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import HALF_LANE_M
@@ -42,7 +42,7 @@ def refuse_cameras(title: str, options: ReadOptions) -> None:
         )
 
 
-def checked_body(where: str, place: Sequence[float], yaw_rad: float, size: Sequence[float]) -> Body:
+def checked_body(where: str, place: Sequence[float], yaw_rad: float, size: Sequence[float]) -> Solid:
     """Return an object.
 
     Args:
@@ -60,10 +60,10 @@ def checked_body(where: str, place: Sequence[float], yaw_rad: float, size: Seque
         raise RecordingError(
             f"{where}: expected a length, width and height between 0 and {_LONGEST_M:g} m, got {list(size)}"
         )
-    return Body(ObstacleLabel.VEHICLE, place[0], place[1], yaw_rad, *size)
+    return Solid(ObstacleLabel.VEHICLE, place[0], place[1], yaw_rad, *size)
 
 
-def target_by_heading(ego: Pose, body: Body) -> Target:
+def target_by_heading(ego: Pose, body: Solid) -> Target:
     """Return which way a vehicle goes relative to the ego."""
     turn_deg = abs(math.degrees(math.remainder(body.yaw_rad - ego.yaw_rad, math.tau)))
     if turn_deg <= 45.0:
@@ -98,7 +98,7 @@ class GroundImage:
         where: str,
         name: str,
         track: str,
-        body: Body,
+        body: Solid,
         *,
         has_region: bool = True,
         shares_lane: bool | None = None,
@@ -144,7 +144,7 @@ class GroundImage:
         )
         self.builder.add_road_user(where, self.drive, self.time_s, road_user)
 
-    def add_detection(self, where: str, name: str, body: Body, score: float) -> None:
+    def add_detection(self, where: str, name: str, body: Solid, score: float) -> None:
         """Add a detection.
 
         Raises:
@@ -161,7 +161,7 @@ class GroundImage:
             )
             self.builder.add_detection(where, self.drive, self.time_s, detection)
 
-    def _view(self, body: Body, kind: str) -> _View | None:
+    def _view(self, body: Solid, kind: str) -> _View | None:
         seen = CAMERA.project(*self.ego, body)
         if seen is None:
             self.builder.recording.dropped[f"{kind} outside the driving system's image"] += 1

@@ -11,9 +11,9 @@ from typing import Final
 
 from brink.sim.aeb.braking import PERSON, EmergencyBrake
 from brink.sim.aeb.recorder import AebRecorder
-from brink.sim.aeb.sight import Observation, Sight
+from brink.sim.aeb.sight import FrameObservation, Sight
 from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_M, LANE_Y_M, Actor, Street
-from brink.sim.bullet.engine import BodyId, Box, Engine
+from brink.sim.bullet.engine import Block, BodyId, Engine
 from brink.sim.plane import half_extents_m
 from brink.sim.rendering.scene import Body, BodyKind
 from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
@@ -46,8 +46,8 @@ class WorldMonitor:
         self._ego = ego
         self._engine = engine
         model = ego.model
-        boxes = [
-            Box(
+        blocks = [
+            Block(
                 length_m=ego.length_m,
                 width_m=ego.width_m,
                 height_m=model.height_m,
@@ -55,10 +55,10 @@ class WorldMonitor:
                 y_m=ego.y_m,
                 yaw_rad=ego.yaw_rad,
             ),
-            *(_box(actor.body) for actor in street.actors),
-            *(_box(body) for body in street.scene.parked),
+            *(_block(actor.body) for actor in street.actors),
+            *(_block(body) for body in street.scene.parked),
         ]
-        ids = engine.add_boxes(boxes)
+        ids = engine.add_blocks(blocks)
         count = len(street.actors)
         self._ego_body = ids[0]
         self._actors = list(zip(street.actors, ids[1 : 1 + count], strict=True))
@@ -178,8 +178,8 @@ class WorldMonitor:
         return None if nearest_m is None or nearest_m > 50.0 else max(nearest_m, 0.0)
 
 
-def _box(body: Body) -> Box:
-    return Box(
+def _block(body: Body) -> Block:
+    return Block(
         length_m=body.length_m,
         width_m=body.width_m,
         height_m=body.height_m,
@@ -301,7 +301,7 @@ class Episode:
         self._justified = recently or (self._braking and self._justified)
         self._braking = True
 
-    def _record_events(self, time_s: float, observation: Observation, brakes: bool) -> None:
+    def _record_events(self, time_s: float, observation: FrameObservation, brakes: bool) -> None:
         outcome = self.outcome
         if outcome.first_seen_s is None and any(box.label == PERSON for box in observation.detections):
             outcome.first_seen_s = time_s

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from brink.sim.aeb.braking import Detection, EmergencyBrake
-from brink.sim.aeb.sight import CameraShot, Observation, Picture, boxes_of
+from brink.sim.aeb.sight import CameraShot, FrameObservation, Picture, boxes_of
 from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_Y_M, Street
 from brink.sim.episode import Json
 from brink.sim.rendering.scene import BodyKind, Material
@@ -67,7 +67,7 @@ class AebRecorder:
         self._events: list[Event] = []
         self._film = _FilmRecorder()
 
-    def record_frame(self, time_s: float, observation: Observation, *, brakes: bool) -> None:
+    def record_frame(self, time_s: float, observation: FrameObservation, *, brakes: bool) -> None:
         """Record a frame.
 
         Args:

@@ -11,8 +11,7 @@ from brink.sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
 from brink.sim.aeb.labels import MIN_VISIBLE, label_boxes
 from brink.sim.aeb.scores import Scores, reported, score_episode
 from brink.sim.aeb.street import Street
-from brink.sim.driving.camera import Body as Prism
-from brink.sim.driving.camera import Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE, Detections, GroundTruth
 from brink.sim.perception.detector import LABELS, Detector
@@ -39,7 +38,7 @@ class CameraShot(NamedTuple):
     found: Detections
 
 
-class Observation(NamedTuple):
+class FrameObservation(NamedTuple):
     """Result of observing one frame.
 
     Attributes:
@@ -57,7 +56,7 @@ class Observation(NamedTuple):
 class Sight(Protocol):
     """Observes each frame of an episode."""
 
-    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> FrameObservation:
         """Observe a frame.
 
         Args:
@@ -88,7 +87,7 @@ class OracleSight:
         )
         self._reported = reported
 
-    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> FrameObservation:
         """Observe a frame; see `Sight`."""
         bodies = [*(actor.current_body() for actor in street.actors), *street.scene.parked]
         seen = self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, [_prism(body) for body in bodies])
@@ -102,7 +101,7 @@ class OracleSight:
             )
             for sight in seen
         )
-        return Observation(truth, truth if self._reported else ())
+        return FrameObservation(truth, truth if self._reported else ())
 
 
 class InjectedSight:
@@ -121,11 +120,11 @@ class InjectedSight:
         # Both cameras have the same horizontal field of view and horizon, so scaling and shifting is exact.
         self._shift_px = 0.5 * height_px - 0.5 * IMAGE_HEIGHT_PX * self._scale
 
-    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> FrameObservation:
         """Observe a frame; see `Sight`."""
         boxes = [trajectory.box_at(time_s / PERCEPTION_STEP_S) for trajectory in self._trajectories]
         injected = tuple(self._placed(box) for box in boxes if box is not None)
-        return Observation(self._truth.observe(frame, time_s, street, ego).truth, injected)
+        return FrameObservation(self._truth.observe(frame, time_s, street, ego).truth, injected)
 
     def _placed(self, box: Box) -> Detection:
         return Detection(
@@ -137,9 +136,9 @@ class InjectedSight:
         )
 
 
-def _prism(body: Body) -> Prism:
+def _prism(body: Body) -> Solid:
     label = ObstacleLabel.PERSON if body.kind is BodyKind.PERSON else ObstacleLabel.VEHICLE
-    return Prism(label, body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m, body.height_m)
+    return Solid(label, body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m, body.height_m)
 
 
 def boxes_of(detections: Sequence[Detection]) -> list[tuple[float, float, float, float, float]]:
@@ -183,7 +182,7 @@ class CameraSight:
         self._truths: list[GroundTruth] = []
         self._found: list[Detections] = []
 
-    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> FrameObservation:
         """Observe a frame; see `Sight`."""
         view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
         picture = self._renderer.frame(view, [actor.current_body() for actor in street.actors], time_s)
@@ -196,7 +195,7 @@ class CameraSight:
         passed = np.flatnonzero(reported(found, self._threshold, *shown.shape[1::-1])).tolist()
         detections = tuple(_detection(found, place) for place in passed)
         counting = np.flatnonzero(~truth.ignored).tolist()
-        return Observation(tuple(_true_box(truth, place) for place in counting), detections, shot)
+        return FrameObservation(tuple(_true_box(truth, place) for place in counting), detections, shot)
 
     def scores(self) -> Scores:
         """Return the detector's scores over all frames so far."""

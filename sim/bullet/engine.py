@@ -23,7 +23,7 @@ EngineError: type[Exception] = pybullet.error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class Block:
     """An upright box on the ground: its size, the centre of its footprint, and its heading."""
 
     length_m: float
@@ -67,18 +67,18 @@ class Engine:
         """Disconnect the client."""
         pybullet.disconnect(physicsClientId=self._client)
 
-    def add_boxes(self, boxes: Sequence[Box]) -> list[BodyId]:
+    def add_blocks(self, blocks: Sequence[Block]) -> list[BodyId]:
         """Put upright boxes on the ground; they move only through `move` and push nothing.
 
         Boxes of the same size are created in one call, at a tenth of the cost of creating them one by one.
 
         Returns:
-            The id of each box, in the order of the boxes.
+            The id of each block, in the order of the blocks.
         """
         alike: dict[tuple[float, float, float], list[int]] = {}
-        for index, box in enumerate(boxes):
-            alike.setdefault((box.length_m, box.width_m, box.height_m), []).append(index)
-        ids = [BodyId(-1)] * len(boxes)
+        for index, block in enumerate(blocks):
+            alike.setdefault((block.length_m, block.width_m, block.height_m), []).append(index)
+        ids = [BodyId(-1)] * len(blocks)
         for (length_m, width_m, height_m), members in alike.items():
             shape = pybullet.createCollisionShape(
                 pybullet.GEOM_BOX,
@@ -88,25 +88,25 @@ class Engine:
             made = pybullet.createMultiBody(
                 baseMass=0.0,
                 baseCollisionShapeIndex=shape,
-                batchPositions=[(boxes[i].x_m, boxes[i].y_m, 0.5 * height_m) for i in members],
+                batchPositions=[(blocks[i].x_m, blocks[i].y_m, 0.5 * height_m) for i in members],
                 physicsClientId=self._client,
             )
             for index, body in zip(members, made, strict=True):
                 ids[index] = BodyId(body)
                 pybullet.setCollisionFilterGroupMask(body, -1, 0, 0, physicsClientId=self._client)
-                box = boxes[index]
-                self.move(ids[index], box.x_m, box.y_m, box.yaw_rad, height_m)
+                block = blocks[index]
+                self.move(ids[index], block.x_m, block.y_m, block.yaw_rad, height_m)
         return ids
 
     def move(self, body: BodyId, x_m: float, y_m: float, yaw_rad: float, height_m: float) -> None:
-        """Move a box to a new pose.
+        """Move a block to a new pose.
 
         Args:
-            body: Id of the box.
+            body: Id of the block.
             x_m: Centre of its footprint.
             y_m: Centre of its footprint.
             yaw_rad: Heading.
-            height_m: Height of the box.
+            height_m: Height of the block.
         """
         pybullet.resetBasePositionAndOrientation(
             body,

@@ -20,7 +20,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.plane import Rectangle
 
 
-class Body(NamedTuple):
+class Solid(NamedTuple):
     """An upright prism that stands on the ground; `x_m`, `y_m` are the centre of its footprint."""
 
     label: ObstacleLabel
@@ -94,7 +94,7 @@ class Camera:
         """Return how far left of the optical axis a point at a depth lies if it appears in column `x_px`."""
         return (self.centre_x_px - x_px) * depth_m / self.focal_px
 
-    def project(self, x_m: float, y_m: float, yaw_rad: float, body: Body) -> tuple[Box, float] | None:
+    def project(self, x_m: float, y_m: float, yaw_rad: float, body: Solid) -> tuple[Box, float] | None:
         """Return the image box of a body and the depth of its nearest visible point.
 
         Args:
@@ -127,7 +127,7 @@ class Camera:
                 break
         return self._box(footprint, body) if footprint else None
 
-    def _box(self, footprint: Sequence[tuple[float, float]], body: Body) -> tuple[Box, float] | None:
+    def _box(self, footprint: Sequence[tuple[float, float]], body: Solid) -> tuple[Box, float] | None:
         focal, centre_x = self.focal_px, self.centre_x_px
         depths = [depth for depth, _ in footprint]
         nearest, farthest = min(depths), max(depths)
@@ -143,7 +143,7 @@ class Camera:
             return None
         return Box(label=body.label, x_min_px=x_min, x_max_px=x_max, y_min_px=y_min, y_max_px=y_max), nearest
 
-    def look(self, x_m: float, y_m: float, yaw_rad: float, bodies: Iterable[Body]) -> list[Sighting]:
+    def look(self, x_m: float, y_m: float, yaw_rad: float, bodies: Iterable[Solid]) -> list[Sighting]:
         """Return what a perfect detector sees, nearest first: bodies in the image, large enough and not hidden.
 
         Args:

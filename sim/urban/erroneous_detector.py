@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from brink.sim.driving.camera import Body, Camera, Sighting
+from brink.sim.driving.camera import Camera, Sighting, Solid
 from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.urban.detection_errors import (
     GHOSTS,
@@ -120,7 +120,7 @@ class Observer:
             stepped_out=min(stepped_out)[1] if stepped_out else None,
         )
 
-    def _ahead_m(self, body: Body) -> float:
+    def _ahead_m(self, body: Solid) -> float:
         ego = self._world.ego
         return (body.x_m - ego.x_m) * math.cos(ego.yaw_rad) + (body.y_m - ego.y_m) * math.sin(ego.yaw_rad)
 
@@ -146,7 +146,7 @@ class Scene:
     time_s: float
     world: World
     station_m: float
-    bodies: Sequence[Body]
+    bodies: Sequence[Solid]
     sights: Sequence[Sighting]
     braking: frozenset[int]
     stepped_out: int | None
@@ -164,7 +164,7 @@ class Scene:
                 return sight.body
         return None
 
-    def kind(self, body: Body) -> Target:
+    def kind(self, body: Solid) -> Target:
         """Return which kind of road user a body is; vehicles by their heading relative to the ego's."""
         if body.label is ObstacleLabel.PERSON:
             return Target.PEDESTRIAN
@@ -220,7 +220,7 @@ class _ActiveError:
         self._stepped_out: int | None = None
         self._only: int | None = None
         self._first_seen_s: dict[int, float] = {}
-        self._ghosts: list[Body] = []
+        self._ghosts: list[Solid] = []
         self._ghost_boxes: list[Box] = []
 
     def apply(self, scene: Scene, boxes: list[tuple[int, Box]]) -> tuple[bool, list[tuple[int, Box]]]:
@@ -394,7 +394,7 @@ def clipped(camera: Camera, box: Box) -> Box | None:
     return Box(label=box.label, x_min_px=x_min, x_max_px=x_max, y_min_px=y_min, y_max_px=y_max)
 
 
-def ghost_bodies(scene: Scene, target: Target, ahead_m: float) -> list[Body]:
+def ghost_bodies(scene: Scene, target: Target, ahead_m: float) -> list[Solid]:
     """Return what a ghost pretends to be: bodies that stand on the ego's route, that far ahead of its centre."""
     route = scene.world.route
     at_m = scene.station_m + ahead_m
@@ -404,12 +404,14 @@ def ghost_bodies(scene: Scene, target: Target, ahead_m: float) -> list[Body]:
         x_m, y_m, yaw_rad = route.pose_at(at_m, aside_m)
         turn_rad = {Target.ONCOMING: math.pi, Target.CROSSING: 0.5 * math.pi}.get(target, 0.0)
         ghosts.append(
-            Body(ObstacleLabel.VEHICLE, x_m, y_m, yaw_rad + turn_rad, CAR.length_m, CAR.width_m, CAR.height_m)
+            Solid(
+                ObstacleLabel.VEHICLE, x_m, y_m, yaw_rad + turn_rad, CAR.length_m, CAR.width_m, CAR.height_m
+            )
         )
     if target in (Target.PEDESTRIAN, Target.EVERYBODY):
         x_m, y_m, yaw_rad = route.pose_at(at_m)
         ghosts.append(
-            Body(
+            Solid(
                 ObstacleLabel.PERSON,
                 x_m,
                 y_m,

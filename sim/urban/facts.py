@@ -7,7 +7,7 @@ is moved to its pose right before it is queried, so distant bodies cost nothing.
 import math
 from dataclasses import dataclass
 
-from brink.sim.bullet.engine import BodyId, Box, Closest, Engine
+from brink.sim.bullet.engine import Block, BodyId, Closest, Engine
 from brink.sim.driving.interface import LightState
 from brink.sim.requirements import Collision, CollisionKind, WorldSample
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M
@@ -81,16 +81,16 @@ class Facts:
         ]
         self._ego_radius_m = 0.5 * math.hypot(ego.length_m, ego.width_m)
         self._ego_height_m = ego.model.height_m
-        boxes = [_box(ego.length_m, ego.width_m, self._ego_height_m, ego.x_m, ego.y_m, ego.yaw_rad)]
-        boxes += [
-            _box(v.length_m, v.width_m, v.size.height_m, v.x_m, v.y_m, v.yaw_rad) for v in world.vehicles
+        blocks = [_block(ego.length_m, ego.width_m, self._ego_height_m, ego.x_m, ego.y_m, ego.yaw_rad)]
+        blocks += [
+            _block(v.length_m, v.width_m, v.size.height_m, v.x_m, v.y_m, v.yaw_rad) for v in world.vehicles
         ]
-        boxes += [
-            _box(w.length_m, w.width_m, PERSON_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
+        blocks += [
+            _block(w.length_m, w.width_m, PERSON_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
         ]
         still = fixtures(world.road)
-        boxes += [_box(f.length_m, f.width_m, f.height_m, f.x_m, f.y_m, f.yaw_rad) for f in still]
-        ids = engine.add_boxes(boxes)
+        blocks += [_block(f.length_m, f.width_m, f.height_m, f.x_m, f.y_m, f.yaw_rad) for f in still]
+        ids = engine.add_blocks(blocks)
         self._ego_body = ids[0]
         movers = len(world.vehicles)
         self._vehicles = list(zip(world.vehicles, ids[1 : 1 + movers], strict=True))
@@ -289,5 +289,5 @@ class Facts:
         )
 
 
-def _box(length_m: float, width_m: float, height_m: float, x_m: float, y_m: float, yaw_rad: float) -> Box:
-    return Box(length_m=length_m, width_m=width_m, height_m=height_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
+def _block(length_m: float, width_m: float, height_m: float, x_m: float, y_m: float, yaw_rad: float) -> Block:
+    return Block(length_m=length_m, width_m=width_m, height_m=height_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.driving.camera import Body, Camera, Sighting
+from brink.sim.driving.camera import Camera, Sighting, Solid
 from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.episode import EpisodeSpec, Json, check_fields, parse_integer
 from brink.sim.errors import InvalidEpisode
@@ -128,9 +128,9 @@ class _Ghosts:
         self._target = Target.LEAD if LABELS[label] is ObstacleLabel.VEHICLE else Target.PEDESTRIAN
         self._draws = generator(seed, Stream.DETECTOR_GHOSTS, label).random((perception_steps, 3))
         self._until = 0
-        self._bodies: list[Body] = []
+        self._bodies: list[Solid] = []
 
-    def at(self, scene: Scene, step: int) -> list[Body]:
+    def at(self, scene: Scene, step: int) -> list[Solid]:
         """Return the ghosts at a perception step."""
         if step < self._until:
             return self._bodies

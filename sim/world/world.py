@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from brink.sim.driving.camera import Body
+from brink.sim.driving.camera import Solid
 from brink.sim.driving.interface import CONTROL_STEP_S, ObstacleLabel
 from brink.sim.world.ego import EgoCar, EgoMotion, MakeEgo
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M, Phase, Walker, make_people
@@ -200,10 +200,10 @@ def signal_plan(scenario: UrbanScenario, seed: int) -> SignalPlan:
     return SignalPlan(phase_s=(offset_s + drift_s) % CYCLE_S)
 
 
-def bodies_of(world: World) -> list[Body]:
+def bodies_of(world: World) -> list[Solid]:
     """Return the bodies of all vehicles, then of all pedestrians, as the camera sees them."""
     bodies = [
-        Body(
+        Solid(
             ObstacleLabel.VEHICLE,
             vehicle.x_m,
             vehicle.y_m,
@@ -215,7 +215,7 @@ def bodies_of(world: World) -> list[Body]:
         for vehicle in world.vehicles
     ]
     bodies += [
-        Body(
+        Solid(
             ObstacleLabel.PERSON,
             walker.x_m,
             walker.y_m,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.trace import (
     BOX_COLUMNS,
@@ -159,7 +159,7 @@ def _seen(ego: np.ndarray, actors: list[ActorTrack]) -> list[list[tuple[float, .
             if ax != ax:
                 continue
             vehicle = actor.kind == "vehicle"
-            body = Body(
+            body = Solid(
                 label=ObstacleLabel.VEHICLE if vehicle else ObstacleLabel.PERSON,
                 x_m=ax,
                 y_m=ay,

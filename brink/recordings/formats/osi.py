@@ -23,7 +23,7 @@ from brink.recordings.format import Format, RecordingBuilder
 from brink.recordings.ground import CAMERA, GroundImage, Pose, checked_body, refuse_cameras
 from brink.recordings.osi_traces import SUFFIXES, TYPES, TraceMessage, read_messages, type_by_name
 from brink.recordings.recording import MAX_BOXES, ClassMeaning, ReadOptions, Recording, RecordingError
-from brink.sim.driving.camera import Body
+from brink.sim.driving.camera import Solid
 
 _REPORTS: Final = ("SensorData",)
 _TRUTHS: Final = ("SensorView", "GroundTruth")
@@ -64,7 +64,7 @@ class _Object(NamedTuple):
     where: str
     track: str
     name: str
-    body: Body
+    body: Solid
     lanes: frozenset[int]
 
 
@@ -227,7 +227,7 @@ def _object(where: str, one: Any) -> _Object:
     return _Object(where, str(one.id.value), name, _body(where, one.base), _lanes(one))
 
 
-def _body(where: str, base: Any) -> Body:
+def _body(where: str, base: Any) -> Solid:
     size = base.dimension
     return checked_body(
         where,
@@ -378,7 +378,7 @@ def _add_image(name: str, frame: _Frame, report: _Report | None, builder: Record
             )
 
 
-def _detected_body(frame: _Frame, detected: _Detected, size: Sequence[float]) -> Body:
+def _detected_body(frame: _Frame, detected: _Detected, size: Sequence[float]) -> Solid:
     if frame.rear_m is None:
         raise RecordingError(
             f"{frame.where}: host vehicle: expected vehicle_attributes.bbcenter_to_rear, since places of detections "

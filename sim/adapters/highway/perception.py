@@ -29,7 +29,7 @@ _STREAM_STRIDE: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
+class NearbyVehicle:
     """Another vehicle as it is.
 
     Attributes:
@@ -61,7 +61,9 @@ class Perception:
         """First and last step at which each error changed what the ego perceives; None if it never did."""
         return [one.steps for one in self._errors]
 
-    def perceive(self, step: int, time_s: float, ego: Pose, bodies: Sequence[Body]) -> list[Perceived]:
+    def perceive(
+        self, step: int, time_s: float, ego: Pose, bodies: Sequence[NearbyVehicle]
+    ) -> list[Perceived]:
         """Return what the ego perceives.
 
         Args:
@@ -105,7 +107,7 @@ class _ActiveError:
         self._noise: dict[int, np.random.Generator] = {}
         self.steps: tuple[int, int] | None = None
 
-    def update(self, step: int, time_s: float, ego: Pose, near: Sequence[Body]) -> None:
+    def update(self, step: int, time_s: float, ego: Pose, near: Sequence[NearbyVehicle]) -> None:
         """Open or close the window, and note who came into range."""
         self._time_s = time_s
         known_s = -math.inf if step == 0 else time_s
@@ -123,7 +125,7 @@ class _ActiveError:
                 self._target = min(candidates, key=lambda body: distance_m(ego, body.pose)).number
         self._open = self._opened_s is not None and time_s < self._opened_s + error.duration_s
 
-    def applied(self, step: int, ego: Pose, body: Body, pose: Pose) -> Pose | None:
+    def applied(self, step: int, ego: Pose, body: NearbyVehicle, pose: Pose) -> Pose | None:
         """Return the perceived pose of a vehicle with this error; None if it is not perceived."""
         if not self._open or not self._concerns(ego, body):
             return pose
@@ -146,7 +148,7 @@ class _ActiveError:
     def _acted(self, step: int) -> None:
         self.steps = (step if self.steps is None else self.steps[0], step)
 
-    def _is_target(self, ego: Pose, body: Body) -> bool:
+    def _is_target(self, ego: Pose, body: NearbyVehicle) -> bool:
         crossing = abs(_wrapped(body.pose.yaw_rad - ego.yaw_rad)) > CROSSING_RAD
         match self._error.target:
             case Target.AHEAD:
@@ -160,12 +162,12 @@ class _ActiveError:
             case Target.ALL:
                 return True
 
-    def _concerns(self, ego: Pose, body: Body) -> bool:
+    def _concerns(self, ego: Pose, body: NearbyVehicle) -> bool:
         if self._scale.has_window and self._error.target is not Target.ALL:
             return body.number == self._target
         return self._is_target(ego, body)
 
-    def _changed(self, ego: Pose, body: Body, pose: Pose) -> Pose | None:
+    def _changed(self, ego: Pose, body: NearbyVehicle, pose: Pose) -> Pose | None:
         error = self._error
         match error.type:
             case ErrorType.MISS:

@@ -25,7 +25,7 @@ from brink.sim.adapters.highway.specification import (
 )
 from brink.sim.adapters.recording import Perceived, TopDownRecorder
 from brink.sim.catalogue import make_requirements
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeResult, EpisodeSpec
 from brink.sim.errors import ExtraMissing, InvalidEpisode
@@ -192,7 +192,9 @@ def _boxes(world: "HighwayWorld", vehicles: list[Perceived]) -> list[Box]:
     found = []
     for one in vehicles:
         pose = one.pose
-        body = Body(ObstacleLabel.VEHICLE, pose.x_m, pose.y_m, pose.yaw_rad, length_m, width_m, _CAR_HEIGHT_M)
+        body = Solid(
+            ObstacleLabel.VEHICLE, pose.x_m, pose.y_m, pose.yaw_rad, length_m, width_m, _CAR_HEIGHT_M
+        )
         seen = camera.project(ego.x_m, ego.y_m, ego.yaw_rad, body)
         if seen is not None:
             found.append(seen[0])

@@ -23,7 +23,7 @@ from brink.sim.adapters.highway.driver import (
     perceived_vehicle,
     wrapped,
 )
-from brink.sim.adapters.highway.perception import Body
+from brink.sim.adapters.highway.perception import NearbyVehicle
 from brink.sim.adapters.highway.specification import (
     STEPS_PER_S,
     STRAIGHT_ROADS,
@@ -211,10 +211,10 @@ class HighwayWorld:
             for near in self._around
         }
 
-    def bodies(self) -> list[Body]:
+    def bodies(self) -> list[NearbyVehicle]:
         """Return the other vehicles with their places relative to the ego."""
         return [
-            Body(
+            NearbyVehicle(
                 number=self._number(near.vehicle),
                 pose=_pose(near.vehicle),
                 along_m=near.along_m,

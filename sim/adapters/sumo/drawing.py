@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.adapters.recording import Actor, Perceived, Pose, TopDownRecorder
+from brink.sim.adapters.sumo.facts import SumoFacts, VehicleState
 from brink.sim.adapters.sumo.library import Library
 from brink.sim.adapters.sumo.specification import RANGE_M
-from brink.sim.adapters.sumo.witness import Body, Witness
-from brink.sim.driving.camera import Body as Solid
-from brink.sim.driving.camera import Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import Json
 from brink.sim.requirements import WorldSample
@@ -45,18 +44,18 @@ class Drawing:
         sumo: The simulation.
         ego: Id of the ego.
         requirements: Ids of the requirements, in order.
-        witness: Knows where vehicles are.
+        facts: Knows where vehicles are.
     """
 
-    def __init__(self, sumo: Library, ego: str, requirements: Sequence[str], witness: Witness) -> None:
+    def __init__(self, sumo: Library, ego: str, requirements: Sequence[str], facts: SumoFacts) -> None:
         self._sumo = sumo
         self._ego = ego
         self._requirements = requirements
-        self._witness = witness
+        self._facts = facts
         self._samples: list[dict[str, Any]] = []
         self._path: list[tuple[float, float]] = []
         self._collision: tuple[float, str] | None = None
-        self._size_m = witness.body(ego).length_m, witness.body(ego).width_m
+        self._size_m = facts.body(ego).length_m, facts.body(ego).width_m
         self._numbers: dict[str, int] = {}
         self._roads = _Roads(sumo)
         self._route = self._roads.route(sumo.vehicle.getRoute(ego), sumo.vehicle.getLaneID(ego))
@@ -69,22 +68,22 @@ class Drawing:
             robustness: Robustness of each requirement.
             gap_state: By which share of its distance the ego perceives the vehicle ahead too far away.
         """
-        witness = self._witness
+        facts = self._facts
         pose = Pose(x_m=sample.x_m, y_m=sample.y_m, yaw_rad=sample.yaw_rad, speed_mps=sample.speed_mps)
         self._path.append((sample.x_m, sample.y_m))
         bodies = self._around(sample)
         perceived = self._perceived(sample, bodies, gap_state)
-        lead = None if witness.lead is None else bodies.get(witness.lead)
+        lead = None if facts.lead is None else bodies.get(facts.lead)
         self._samples.append(
             {
                 "time_s": sample.time_s,
                 "ego": pose,
-                "accel_mps2": witness.accel_mps2,
+                "accel_mps2": facts.accel_mps2,
                 "actors": {name: (_actor(body), _pose(body)) for name, body in bodies.items()},
                 "perceived": perceived,
                 "seen": _boxes(sample, [] if lead is None else [lead]),
                 "given": _boxes(sample, [_body(one) for one in perceived]),
-                "plan": _plan(sample, witness.accel_mps2),
+                "plan": _plan(sample, facts.accel_mps2),
                 "target_speed_mps": float(self._sumo.vehicle.getAllowedSpeed(self._ego)),
                 "robustness": robustness,
                 "light": "" if sample.light is None else sample.light.value,
@@ -92,7 +91,7 @@ class Drawing:
         )
         if sample.collision is not None:
             hit = sample.collision
-            ahead = hit.counterpart == witness.lead
+            ahead = hit.counterpart == facts.lead
             who = f"the ego hits {hit.counterpart}" if ahead else f"{hit.counterpart} hits the ego"
             self._collision = sample.time_s, f"{who} at {hit.impact_speed_mps:.1f} m/s"
 
@@ -115,7 +114,7 @@ class Drawing:
             recorder.event(self._collision[0], "collision", self._collision[1])
         return recorder.trace(about)
 
-    def _around(self, sample: WorldSample) -> dict[str, Body]:
+    def _around(self, sample: WorldSample) -> dict[str, VehicleState]:
         """Return the bodies of the vehicles around the ego, by id."""
         own, bodies = self._sumo.vehicle, {}
         for vehicle in own.getIDList():
@@ -123,14 +122,14 @@ class Drawing:
                 continue
             x_m, y_m = own.getPosition(vehicle)
             if math.hypot(x_m - sample.x_m, y_m - sample.y_m) < REACH_M:
-                bodies[str(vehicle)] = self._witness.body(vehicle)
+                bodies[str(vehicle)] = self._facts.body(vehicle)
         return bodies
 
     def _perceived(
-        self, sample: WorldSample, bodies: Mapping[str, Body], gap_state: float
+        self, sample: WorldSample, bodies: Mapping[str, VehicleState], gap_state: float
     ) -> tuple[Perceived, ...]:
         """Return the vehicle ahead, where the ego perceives it; nothing if it seems to be out of range."""
-        lead = self._witness.lead
+        lead = self._facts.lead
         body = None if lead is None else bodies.get(lead)
         if lead is None or body is None or sample.front_gap_m is None:
             return ()
@@ -150,7 +149,7 @@ class Drawing:
         return (Perceived(track=track, pose=pose, length_m=body.length_m, width_m=body.width_m),)
 
 
-def _boxes(sample: WorldSample, bodies: Sequence[Body]) -> list[Box]:
+def _boxes(sample: WorldSample, bodies: Sequence[VehicleState]) -> list[Box]:
     """Return bodies as boxes in the image of a camera, in which replays compare perception and truth."""
     camera, found = Camera(), []
     for one in bodies:
@@ -163,9 +162,9 @@ def _boxes(sample: WorldSample, bodies: Sequence[Body]) -> list[Box]:
     return found
 
 
-def _body(perceived: Perceived) -> Body:
+def _body(perceived: Perceived) -> VehicleState:
     pose = perceived.pose
-    return Body(
+    return VehicleState(
         x_m=pose.x_m,
         y_m=pose.y_m,
         yaw_rad=pose.yaw_rad,
@@ -184,11 +183,11 @@ def _plan(sample: WorldSample, accel_mps2: float) -> str:
     return "follow" if near else "cruise"
 
 
-def _actor(body: Body) -> Actor:
+def _actor(body: VehicleState) -> Actor:
     return Actor(kind="vehicle", length_m=body.length_m, width_m=body.width_m)
 
 
-def _pose(body: Body) -> Pose:
+def _pose(body: VehicleState) -> Pose:
     return Pose(x_m=body.x_m, y_m=body.y_m, yaw_rad=body.yaw_rad, speed_mps=body.speed_mps)
 
 

@@ -10,11 +10,11 @@ from typing import Final
 
 from brink.sim.adapters.sumo.demand import EGO, Stream, comfortable_braking_mps2, demand_xml, generator
 from brink.sim.adapters.sumo.drawing import Drawing
+from brink.sim.adapters.sumo.facts import SumoFacts, collision_of
 from brink.sim.adapters.sumo.library import SUMO_STEP_S, CannotStart, Library, simulation
 from brink.sim.adapters.sumo.own_files import thinned_demand
 from brink.sim.adapters.sumo.perception import ALL_CHECKS, Perception, driver_state_options
 from brink.sim.adapters.sumo.specification import HARDEST_BRAKING_MPS2, SIMULATOR_ID, Drive, Incident
-from brink.sim.adapters.sumo.witness import Witness, collision_of
 from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
@@ -147,7 +147,7 @@ class _Episode:
         self._incident = _LeadBrakes(sumo, drive)
         self._outcome = _Outcome()
         self._record = record
-        self._witness: Witness | None = None
+        self._facts: SumoFacts | None = None
         self.drawing: Drawing | None = None
         self.simulated_s = 0.0
         self._time_loss_s = 0.0
@@ -157,22 +157,22 @@ class _Episode:
         begins_s = float(self._sumo.simulation.getTime())
         self._settle()
         self._prepare_ego()
-        witness = self._witness = Witness(self._sumo, self._ego)
+        facts = self._facts = SumoFacts(self._sumo, self._ego)
         if self._record:
-            self.drawing = Drawing(self._sumo, self._ego, tuple(self._requirements), witness)
-        self._observe(witness.sample(0.0, None))
+            self.drawing = Drawing(self._sumo, self._ego, tuple(self._requirements), facts)
+        self._observe(facts.sample(0.0, None))
         steps = math.ceil(self._spec.duration_s / SUMO_STEP_S - 1e-6)
         for step in range(1, steps + 1):
             before_s = (step - 1) * SUMO_STEP_S
             self._perception.update(before_s)
-            self._incident.update(before_s, witness.lead)
+            self._incident.update(before_s, facts.lead)
             self._step()
             self._outcome.ended_at_s = time_s = step * SUMO_STEP_S
             collision = collision_of(self._sumo, self._ego)
             if self._ego in self._sumo.simulation.getArrivedIDList():
                 self._outcome.ended = "goal"
                 break
-            self._observe(witness.sample(time_s, collision))
+            self._observe(facts.sample(time_s, collision))
             if collision is not None:
                 self._outcome.ended = "collision"
                 break
@@ -212,7 +212,7 @@ class _Episode:
         for vehicle in simulation_now.getDepartedIDList():
             self._outcome.vehicles.add(vehicle)
             self._perception.enter(vehicle)
-            if self._witness is not None and self._drive.traffic.files is not None:
+            if self._facts is not None and self._drive.traffic.files is not None:
                 self._brake_on(vehicle, HARDEST_BRAKING_MPS2[self._drive.traffic.surface])
         for vehicle in simulation_now.getArrivedIDList():
             self._perception.leave(vehicle)
@@ -233,14 +233,14 @@ class _Episode:
 
     def features(self) -> dict[str, Json]:
         """Return facts about the episode that no requirement measures."""
-        witness, outcome = self._witness, self._outcome
-        assert witness is not None
+        facts, outcome = self._facts, self._outcome
+        assert facts is not None
         return {
             "ended": outcome.ended,
             "ended_at_s": outcome.ended_at_s,
-            "least_front_gap_m": witness.smallest_gap_m,
-            "least_time_to_collision_s": witness.smallest_ttc_s,
-            "hardest_braking_mps2": witness.hardest_braking_mps2,
+            "least_front_gap_m": facts.smallest_gap_m,
+            "least_time_to_collision_s": facts.smallest_ttc_s,
+            "hardest_braking_mps2": facts.hardest_braking_mps2,
             "vehicles": len(outcome.vehicles),
             "crashes": len(outcome.crashes),
             "mean_time_loss_s": self._time_loss_s,

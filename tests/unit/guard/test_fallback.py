@@ -15,7 +15,7 @@ from brink.guard.fallback import (
     SlowDownSettings,
 )
 from brink.sim.catalogue import plugin_ids
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, Command, EgoState, Observation, ObstacleLabel
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.interface import Fallback, GuardReading
@@ -140,7 +140,7 @@ def test_an_unknown_fallback_is_refused_with_the_known_ones() -> None:
 def seen(label: ObstacleLabel, x_m: float, y_m: float, state: EgoState) -> Box:
     """Return the box of a body that really stands somewhere."""
     length, width, height = (4.5, 1.9, 1.5) if label is ObstacleLabel.VEHICLE else (0.5, 0.5, 1.75)
-    body = Body(label=label, x_m=x_m, y_m=y_m, yaw_rad=0.0, length_m=length, width_m=width, height_m=height)
+    body = Solid(label=label, x_m=x_m, y_m=y_m, yaw_rad=0.0, length_m=length, width_m=width, height_m=height)
     found = CAMERA.project(state.x_m, state.y_m, state.yaw_rad, body)
     assert found is not None
     return found[0]

@@ -13,7 +13,7 @@ from support.marks import mostly_long
 
 from brink.pictures.frame import FramePainter
 from brink.pictures.story import scenario_words
-from brink.sim.adapters.highway.perception import Body, Perception
+from brink.sim.adapters.highway.perception import NearbyVehicle, Perception
 from brink.sim.adapters.highway.simulator import HighwayEnvSimulator
 from brink.sim.adapters.highway.specification import (
     MAGNITUDES,
@@ -224,10 +224,12 @@ def test_invalid_specs_are_refused(
         simulator.run(replace(spec(), **changes))
 
 
-def body(number: int, x_m: float, y_m: float = 0.0, *, yaw_rad: float = 0.0, speed_mps: float = 20.0) -> Body:
+def body(
+    number: int, x_m: float, y_m: float = 0.0, *, yaw_rad: float = 0.0, speed_mps: float = 20.0
+) -> NearbyVehicle:
     """Return a vehicle on a straight road with lanes 4 m wide; the ego is in the middle one."""
     lane = -round(y_m / 4.0)
-    return Body(
+    return NearbyVehicle(
         number=number,
         pose=Pose(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, speed_mps=speed_mps),
         along_m=x_m - EGO.x_m,

@@ -9,7 +9,7 @@ from support.marks import mostly_long
 
 from brink.sim.aeb.braking import Detection, EmergencyBrake
 from brink.sim.aeb.episode import Episode, WorldMonitor
-from brink.sim.aeb.sight import Observation, OracleSight
+from brink.sim.aeb.sight import FrameObservation, OracleSight
 from brink.sim.aeb.simulator import BrinkAeb
 from brink.sim.aeb.specification import AebScenario
 from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
@@ -71,11 +71,11 @@ class Ghost:
         self.truth = OracleSight(640, 360)
         self.span_s = from_s, to_s
 
-    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> FrameObservation:
         """Observe a frame."""
         truth = self.truth.observe(frame, time_s, street, ego).truth
         ghost = (Detection("person", 300.0, 150.0, 340.0, 300.0),)
-        return Observation(truth, truth + (ghost if self.span_s[0] <= time_s < self.span_s[1] else ()))
+        return FrameObservation(truth, truth + (ghost if self.span_s[0] <= time_s < self.span_s[1] else ()))
 
 
 def played(seed: int, ghost: Ghost) -> tuple[Episode, dict[str, Json]]:

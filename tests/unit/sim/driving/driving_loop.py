@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import (
     Box,
     EgoState,
@@ -48,9 +48,9 @@ class Actor:
     width_m: float = 1.8
     height_m: float = 1.5
 
-    def body(self, route: LaneRoute, time_s: float) -> Body:
+    def body(self, route: LaneRoute, time_s: float) -> Solid:
         x_m, y_m, yaw_rad = route.pose_at(*self.at(time_s))
-        return Body(self.label, x_m, y_m, yaw_rad, self.length_m, self.width_m, self.height_m)
+        return Solid(self.label, x_m, y_m, yaw_rad, self.length_m, self.width_m, self.height_m)
 
 
 def vehicle(at: Callable[[float], tuple[float, float]]) -> Actor:
@@ -149,7 +149,7 @@ def _front_gap(
     return min(gaps)
 
 
-def _clearance(ego: EgoCar, body: Body) -> float:
+def _clearance(ego: EgoCar, body: Solid) -> float:
     """Return the distance of two rectangles, 0 if they overlap."""
     ours = Rectangle(ego.x_m, ego.y_m, ego.yaw_rad, 0.5 * ego.length_m, 0.5 * ego.width_m)
     theirs = Rectangle(body.x_m, body.y_m, body.yaw_rad, 0.5 * body.length_m, 0.5 * body.width_m)

@@ -7,7 +7,7 @@ from driving_loop import Actor, Drive, drive, person, road, vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, EgoState, LightState, Observation, ObstacleLabel, PlanMode
 from brink.sim.driving.system import ModularDriving
 from brink.sim.world.line import Piece
@@ -205,7 +205,7 @@ def test_the_image_position_of_a_ghost_decides_between_stopping_nudging_and_igno
 def approaching(time_s: float, middle_m: float) -> tuple[Box, ...]:
     """Return the box of a car standing 60 m ahead of the start, seen by an ego at a constant 8 m/s."""
     seen = Camera().project(
-        8.0 * time_s, 0.0, 0.0, Body(ObstacleLabel.VEHICLE, 60.0, middle_m, 0.0, 4.5, 1.8, 1.5)
+        8.0 * time_s, 0.0, 0.0, Solid(ObstacleLabel.VEHICLE, 60.0, middle_m, 0.0, 4.5, 1.8, 1.5)
     )
     return () if seen is None else (seen[0],)
 

@@ -7,7 +7,7 @@ from driving_loop import road
 from hypothesis import given
 from hypothesis import strategies as st
 
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, EgoState, ObstacleLabel
 from brink.sim.driving.obstacles import (
     AlphaBetaTracker,
@@ -23,8 +23,8 @@ from brink.sim.world.line import Piece
 CAMERA = Camera()
 
 
-def car(x_m: float, y_m: float, yaw_rad: float = 0.0) -> Body:
-    return Body(ObstacleLabel.VEHICLE, x_m, y_m, yaw_rad, 4.5, 1.8, 1.5)
+def car(x_m: float, y_m: float, yaw_rad: float = 0.0) -> Solid:
+    return Solid(ObstacleLabel.VEHICLE, x_m, y_m, yaw_rad, 4.5, 1.8, 1.5)
 
 
 def test_a_car_straight_ahead_has_the_box_of_pinhole_arithmetic() -> None:
@@ -48,7 +48,7 @@ def test_the_camera_turns_and_moves_with_the_ego() -> None:
 
 
 @pytest.mark.parametrize("body", [car(-10.0, 0.0), car(5.0, 40.0), car(300.0, 0.0), car(-3.0, 0.0)])
-def test_bodies_behind_beside_or_too_far_away_are_not_visible(body: Body) -> None:
+def test_bodies_behind_beside_or_too_far_away_are_not_visible(body: Solid) -> None:
     assert CAMERA.project(0.0, 0.0, 0.0, body) is None
 
 
@@ -91,9 +91,9 @@ def test_there_is_no_ground_at_or_above_the_horizon() -> None:
 
 
 def test_visible_bodies_come_nearest_first_without_those_hidden_by_a_nearer_one() -> None:
-    van = Body(ObstacleLabel.VEHICLE, 15.0, 0.0, 0.0, 5.0, 2.0, 2.5)
-    hidden = Body(ObstacleLabel.PERSON, 22.0, 0.0, 0.0, 0.5, 0.5, 1.7)
-    beside = Body(ObstacleLabel.PERSON, 10.0, 4.0, 0.0, 0.5, 0.5, 1.7)
+    van = Solid(ObstacleLabel.VEHICLE, 15.0, 0.0, 0.0, 5.0, 2.0, 2.5)
+    hidden = Solid(ObstacleLabel.PERSON, 22.0, 0.0, 0.0, 0.5, 0.5, 1.7)
+    beside = Solid(ObstacleLabel.PERSON, 10.0, 4.0, 0.0, 0.5, 0.5, 1.7)
     sights = CAMERA.look(0.0, 0.0, 0.0, [hidden, van, beside])
     assert [sight.body for sight in sights] == [2, 1]
 
@@ -142,7 +142,7 @@ def test_projected_car_is_found_at_any_angle(
 ) -> None:
     """The car is aligned with the road; the ego is not."""
     ego = EGO._replace(x_m=x_m, station_m=x_m, yaw_rad=turned_rad)
-    body = Body(ObstacleLabel.VEHICLE, x_m + ahead_m, left_m, 0.0, 4.5, 1.9, 1.5)
+    body = Solid(ObstacleLabel.VEHICLE, x_m + ahead_m, left_m, 0.0, 4.5, 1.9, 1.5)
     seen = CAMERA.project(x_m, 0.0, turned_rad, body)
     if seen is None or seen[1] < 3.0 or seen[0].x_min_px < 2.5 or seen[0].x_max_px > 797.5:
         return
@@ -157,7 +157,7 @@ def test_a_waiting_car_seen_before_a_turn_is_not_in_the_ego_lane() -> None:
     station_m = 35.0
     x_m, y_m, yaw_rad = route.pose_at(station_m, 3.5)
     ego = EGO._replace(x_m=18.0, station_m=18.0)
-    seen = CAMERA.project(18.0, 0.0, 0.0, Body(ObstacleLabel.VEHICLE, x_m, y_m, yaw_rad, 4.5, 1.9, 1.5))
+    seen = CAMERA.project(18.0, 0.0, 0.0, Solid(ObstacleLabel.VEHICLE, x_m, y_m, yaw_rad, 4.5, 1.9, 1.5))
     assert seen is not None
     (found,) = GroundPlaneLocaliser(route, CAMERA, LocalisationSettings()).locate(ego, (seen[0],))
     _, offset_m = route.project(found.x_m, found.y_m, station_m)
@@ -169,7 +169,7 @@ def test_a_waiting_car_seen_before_a_turn_is_not_in_the_ego_lane() -> None:
 def test_a_car_partly_outside_the_image_is_placed_by_its_inner_edge(left_m: float) -> None:
     for side in (1.0, -1.0):
         for x_m in (3.0, 4.0, 5.0):
-            body = Body(ObstacleLabel.VEHICLE, x_m, side * left_m, 0.0, 4.5, 1.9, 1.5)
+            body = Solid(ObstacleLabel.VEHICLE, x_m, side * left_m, 0.0, 4.5, 1.9, 1.5)
             seen = CAMERA.project(0.0, 0.0, 0.0, body)
             if (
                 seen is None
@@ -184,7 +184,7 @@ def test_a_car_partly_outside_the_image_is_placed_by_its_inner_edge(left_m: floa
 
 def test_a_visible_side_does_not_widen_a_car_into_the_ego_lane() -> None:
     # In the oncoming lane, its inner side 2.6 m to the left; at 8 m its box is three times as wide as its front.
-    seen = CAMERA.project(0.0, 0.0, 0.0, Body(ObstacleLabel.VEHICLE, 11.0, 3.5, 0.0, 4.5, 1.8, 1.5))
+    seen = CAMERA.project(0.0, 0.0, 0.0, Solid(ObstacleLabel.VEHICLE, 11.0, 3.5, 0.0, 4.5, 1.8, 1.5))
     assert seen is not None
     (found,) = LOCALISER.locate(EGO, (seen[0],))
     assert found.y_m - found.width_m / 2 == pytest.approx(2.6, abs=0.15)

@@ -12,7 +12,7 @@ from support.marks import mostly_long
 
 from benchmarks.urban import draw_candidate
 from brink.sim.catalogue import requirement_ids
-from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
@@ -89,7 +89,7 @@ class Drive(NamedTuple):
             height_m = PERSON_HEIGHT_M if person else (VAN if actor.length_m > CAR.length_m else CAR).height_m
             label = ObstacleLabel.PERSON if person else ObstacleLabel.VEHICLE
             x, y, yaw = map(float, actor.motion[step, :3])
-            body = Body(label, x, y, yaw, actor.length_m, actor.width_m, height_m)
+            body = Solid(label, x, y, yaw, actor.length_m, actor.width_m, height_m)
             found = CAMERA.project(x_m, y_m, yaw_rad, body)
             if found is not None:
                 boxes[actor.name] = np.array([float(person), *found[0][1:]])

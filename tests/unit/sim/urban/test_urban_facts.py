@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brink.sim.bullet.engine import Box, Engine, process_engine
+from brink.sim.bullet.engine import Block, Engine, process_engine
 from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.requirements import CollisionKind
 from brink.sim.urban.facts import Facts
@@ -43,12 +43,12 @@ def _world() -> UrbanWorld:
     return world
 
 
-def car(x_m: float, y_m: float = 0.0, yaw_rad: float = 0.0) -> Box:
-    return Box(length_m=4.0, width_m=2.0, height_m=1.5, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
+def car(x_m: float, y_m: float = 0.0, yaw_rad: float = 0.0) -> Block:
+    return Block(length_m=4.0, width_m=2.0, height_m=1.5, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
 
 
 def test_clearances_are_exact(engine: Engine) -> None:
-    one, ahead, beside, turned, over = engine.add_boxes(
+    one, ahead, beside, turned, over = engine.add_blocks(
         [car(0.0), car(9.0), car(0.0, 3.5), car(8.0, 0.0, 0.5 * math.pi), car(3.5)]
     )
     for other, expected_m in ((ahead, 5.0), (beside, 1.5), (turned, 5.0), (over, -0.5)):
@@ -63,7 +63,7 @@ def test_clearances_are_exact(engine: Engine) -> None:
 def test_clearance_agrees_with_rectangle_geometry(x_m: float, y_m: float, yaw_rad: float) -> None:
     engine = process_engine()
     engine.reset()
-    one, other = engine.add_boxes([car(0.0), car(0.0)])
+    one, other = engine.add_blocks([car(0.0), car(0.0)])
     engine.move(other, x_m, y_m, yaw_rad, 1.5)
     found = engine.closest(one, other, 50.0)
     assert found is not None

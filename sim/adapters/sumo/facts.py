@@ -29,7 +29,7 @@ _LIGHTS: Final = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
+class VehicleState:
     """A vehicle's body: its centre, heading (counter-clockwise from x), size and speed."""
 
     x_m: float
@@ -49,7 +49,7 @@ class Line:
     at_m: float
 
 
-class Witness:
+class SumoFacts:
     """Observes the ego of a running simulation.
 
     Args:
@@ -77,7 +77,7 @@ class Witness:
         self.smallest_ttc_s: float | None = None
         self.hardest_braking_mps2 = 0.0
 
-    def body(self, vehicle: str) -> Body:
+    def body(self, vehicle: str) -> VehicleState:
         """Return the body of a vehicle that is in the network."""
         own = self._sumo.vehicle
         size = self._sizes.get(vehicle)
@@ -87,7 +87,7 @@ class Witness:
         yaw_rad = math.radians(90.0 - own.getAngle(vehicle))
         yaw_rad = math.remainder(yaw_rad, math.tau)
         back_m = size[0] / 2
-        return Body(
+        return VehicleState(
             x_m=x_m - back_m * math.cos(yaw_rad),
             y_m=y_m - back_m * math.sin(yaw_rad),
             yaw_rad=yaw_rad,
