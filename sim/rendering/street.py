@@ -1,4 +1,4 @@
-"""Converts a road of the simulator to a scene that can be rendered."""
+"""Converts a road of the simulator to a scene that can be rendered, or to the plain one of `brink-drive-camera@2`."""
 
 import math
 from typing import Final
@@ -36,6 +36,8 @@ _KERB_M: Final = 0.18
 _GUTTER_M: Final = 0.12
 _LAMP_EVERY_M: Final = 24.0
 _CROWN_M: Final = 3.2
+_PLAIN_CROWN_M: Final = 3.0
+_GRASS_BEYOND_M: Final = 80.0
 _STEP_M: Final = 2.0
 _CAR_LOOKS: Final = 64
 _HOUSE_LOOKS: Final = 24
@@ -43,36 +45,60 @@ _HOUSE_LOOKS: Final = 24
 
 
 def street_from_road(road: Road, *, seed: int = 0) -> StreetScene:
-    """Convert a road to a scene with its surfaces, buildings, trees, parked vehicles and lamps.
+    """Convert a road to a scene with its surfaces, kerbs, buildings, trees, parked vehicles and lamps.
 
     Args:
         road: The road.
         seed: Selects the appearance of buildings, trees and parked vehicles; the road fixes their positions.
     """
-    surfaces = road_surfaces(road)
+    surfaces = _road_surfaces(road)
     beside = [surface for surface in surfaces if surface.material is Material.PAVEMENT]
     upon = [surface for surface in surfaces if surface.material is not Material.PAVEMENT]
-    buildings: list[Building] = []
-    trees: list[Tree] = []
-    parked: list[Body] = []
-    for number, fixture in enumerate(fixtures(road)):
-        look = choose(seed, 1000 + number, 1 << 20)
-        if fixture.kind == "building":
-            buildings.append(building_from_fixture(fixture, look % _HOUSE_LOOKS))
-        elif fixture.kind == "tree":
-            trees.append(_tree(fixture, look))
-        else:
-            parked.append(_parked(road, fixture, FIRST_PARKED_ID + len(parked), look % _CAR_LOOKS))
+    still = [(fixture, choose(seed, 1000 + index, 1 << 20)) for index, fixture in enumerate(fixtures(road))]
+    parked = [(fixture, look) for fixture, look in still if fixture.kind == "parked-car"]
     return StreetScene(
         ground=(*beside, *_kerbs(road), *upon),
-        buildings=tuple(buildings),
-        trees=tuple(trees),
-        parked=tuple(parked),
+        buildings=tuple(_building(one, look % _HOUSE_LOOKS) for one, look in still if one.kind == "building"),
+        trees=tuple(
+            _tree(one, look, one.height_m * (1.0 + 0.3 * choose_fraction(look, 1)), _CROWN_M)
+            for one, look in still
+            if one.kind == "tree"
+        ),
+        parked=tuple(
+            _parked(one, FIRST_PARKED_ID + index, look % _CAR_LOOKS, one.yaw_rad + _turn_rad(road, one))
+            for index, (one, look) in enumerate(parked)
+        ),
         lamps=tuple(_lamps(road)),
     )
 
 
-def road_surfaces(road: Road) -> list[Ground]:
+def plain_street(road: Road) -> StreetScene:
+    """Convert a road to the scene of `brink-drive-camera@2`: no kerbs, no lamps, and all parked cars face one way.
+
+    The images of that version must not change. The next one renders `street_from_road`.
+    """
+    still = list(enumerate(fixtures(road)))
+    return StreetScene(
+        ground=(_grass(road), *_road_surfaces(road)),
+        buildings=tuple(_building(one, index) for index, one in still if one.kind == "building"),
+        trees=tuple(
+            _tree(one, index, one.height_m, _PLAIN_CROWN_M) for index, one in still if one.kind == "tree"
+        ),
+        parked=tuple(
+            _parked(one, index + 1, index, one.yaw_rad) for index, one in still if one.kind == "parked-car"
+        ),
+    )
+
+
+def _grass(road: Road) -> Ground:
+    stations = np.linspace(-_GRASS_BEYOND_M, road.length_m + _GRASS_BEYOND_M, 24)
+    points = np.array([road.centre.pose_at(float(station))[:2] for station in stations])
+    low, high = points.min(axis=0) - _GRASS_BEYOND_M, points.max(axis=0) + _GRASS_BEYOND_M
+    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+    return Ground(material=Material.GRASS, points=corners)
+
+
+def _road_surfaces(road: Road) -> list[Ground]:
     """Return the ground surfaces of a road, in painting order."""
     return [_ground(surface) for surface in scene_surfaces(road) if surface.kind in _MATERIALS]
 
@@ -116,8 +142,7 @@ def _strip(line: ReferenceLine, from_m: float, to_m: float, half_m: float, mater
     return Ground(material=material, points=np.array(left + right[::-1]))
 
 
-def building_from_fixture(fixture: Fixture, look: int) -> Building:
-    """Convert a roadside fixture to a building."""
+def _building(fixture: Fixture, look: int) -> Building:
     return Building(
         x_m=fixture.x_m,
         y_m=fixture.y_m,
@@ -129,29 +154,31 @@ def building_from_fixture(fixture: Fixture, look: int) -> Building:
     )
 
 
-def _tree(fixture: Fixture, look: int) -> Tree:
-    height_m = fixture.height_m * (1.0 + 0.3 * choose_fraction(look, 1))
-    return Tree(x_m=fixture.x_m, y_m=fixture.y_m, height_m=height_m, crown_m=_CROWN_M, look=look)
+def _tree(fixture: Fixture, look: int, height_m: float, crown_m: float) -> Tree:
+    return Tree(x_m=fixture.x_m, y_m=fixture.y_m, height_m=height_m, crown_m=crown_m, look=look)
 
 
-def _parked(road: Road, fixture: Fixture, number: int, look: int) -> Body:
-    """Return a parked vehicle that faces in the direction of its side's traffic."""
-    nearest_m = min(
-        np.arange(0.0, road.length_m + _STEP_M, _STEP_M).tolist(),
-        key=lambda station_m: math.dist(road.centre.pose_at(station_m)[:2], (fixture.x_m, fixture.y_m)),
-    )
-    left = road.centre.project(fixture.x_m, fixture.y_m, nearest_m)[1] > 0
+def _parked(fixture: Fixture, number: int, look: int, yaw_rad: float) -> Body:
     return Body(
         id=number,
         kind=BodyKind.VEHICLE,
         x_m=fixture.x_m,
         y_m=fixture.y_m,
-        yaw_rad=fixture.yaw_rad + (math.pi if left else 0.0),
+        yaw_rad=yaw_rad,
         length_m=fixture.length_m,
         width_m=fixture.width_m,
         height_m=fixture.height_m,
         look=look,
     )
+
+
+def _turn_rad(road: Road, fixture: Fixture) -> float:
+    """Return what turns a parked vehicle in the direction of its side's traffic."""
+    nearest_m = min(
+        np.arange(0.0, road.length_m + _STEP_M, _STEP_M).tolist(),
+        key=lambda station_m: math.dist(road.centre.pose_at(station_m)[:2], (fixture.x_m, fixture.y_m)),
+    )
+    return math.pi if road.centre.project(fixture.x_m, fixture.y_m, nearest_m)[1] > 0 else 0.0
 
 
 def _lamps(road: Road) -> list[Lamp]:

@@ -18,18 +18,8 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.detector import LABELS, Detector, find_detector
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.scene import (
-    Body,
-    BodyKind,
-    Ground,
-    Light,
-    Material,
-    PictureCamera,
-    StreetScene,
-    Tree,
-    Viewpoint,
-)
-from brink.sim.rendering.street import building_from_fixture, road_surfaces
+from brink.sim.rendering.scene import Body, BodyKind, Light, PictureCamera, Viewpoint
+from brink.sim.rendering.street import plain_street
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome
 from brink.sim.urban.erroneous_detector import Observer
@@ -45,11 +35,9 @@ from brink.sim.world.world import World
 MODE: Final = "detector"
 SIMULATOR_ID: Final = "brink-drive-camera@2"
 SIZE_PX: Final = (640, 360)
-CROWN_M: Final = 3.0
 STEPS_PER_S: Final = 1.9
 """Step rate of a walking person, for the pose of the legs."""
 
-_GRASS_BEYOND_M: Final = 80.0
 _FIELDS: Final = ("mode", "detector", "threshold", "weights")
 _LABELS: Final = {"vehicle": ObstacleLabel.VEHICLE, "person": ObstacleLabel.PERSON}
 
@@ -84,7 +72,7 @@ class RoadCamera:
             forward_m=camera.forward_m,
         )
         self.first_id = 1 + len(fixtures(road))
-        self._renderer = Renderer(street_scene(road), light, self._picture, seed)
+        self._renderer = Renderer(plain_street(road), light, self._picture, seed)
 
     def boxes(self, ego: EgoMotion, bodies: Sequence[Body], time_s: float) -> tuple[Box, ...]:
         """Return the current detections, in pixels of the driving system's image."""
@@ -109,45 +97,6 @@ class RoadCamera:
 def gait(speed_mps: float, time_s: float) -> float:
     """Return the pose of the legs of a person, as an angle in [0, 2 pi); 0 while the person stands."""
     return (2.0 * math.pi * STEPS_PER_S * time_s if speed_mps > 0.1 else 0.0) % (2.0 * math.pi)
-
-
-def street_scene(road: Road) -> StreetScene:
-    """Convert a road to a scene for rendering, with the surfaces and fixtures that replays show from above."""
-    still = fixtures(road)
-    return StreetScene(
-        ground=(_grass(road), *road_surfaces(road)),
-        buildings=tuple(
-            building_from_fixture(f, index) for index, f in enumerate(still) if f.kind == "building"
-        ),
-        trees=tuple(
-            Tree(x_m=f.x_m, y_m=f.y_m, height_m=f.height_m, crown_m=CROWN_M, look=index)
-            for index, f in enumerate(still)
-            if f.kind == "tree"
-        ),
-        parked=tuple(
-            Body(
-                id=index + 1,
-                kind=BodyKind.VEHICLE,
-                x_m=f.x_m,
-                y_m=f.y_m,
-                yaw_rad=f.yaw_rad,
-                length_m=f.length_m,
-                width_m=f.width_m,
-                height_m=f.height_m,
-                look=index,
-            )
-            for index, f in enumerate(still)
-            if f.kind == "parked-car"
-        ),
-    )
-
-
-def _grass(road: Road) -> Ground:
-    stations = np.linspace(-_GRASS_BEYOND_M, road.length_m + _GRASS_BEYOND_M, 24)
-    points = np.array([road.centre.pose_at(float(station))[:2] for station in stations])
-    low, high = points.min(axis=0) - _GRASS_BEYOND_M, points.max(axis=0) + _GRASS_BEYOND_M
-    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-    return Ground(material=Material.GRASS, points=corners)
 
 
 def check_detector(behaviour: Mapping[str, Json]) -> None:

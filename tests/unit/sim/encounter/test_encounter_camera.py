@@ -16,8 +16,8 @@ from brink.sim.encounter.world import make_encounter
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.detector import find_detector
+from brink.sim.rendering.street import plain_street
 from brink.sim.trace import Trace
-from brink.sim.urban.camera import street_scene
 from brink.sim.world.road import build_road
 from brink.sim.world.scenario import RoadCurve
 
@@ -70,7 +70,7 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
 @pytest.mark.parametrize("curve", list(RoadCurve))
 @pytest.mark.parametrize("road_id", mostly_long([0, 1, 2], [1], "draws many pictures"))
 def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
-    scene = street_scene(build_road(curve, road_id, 0))
+    scene = plain_street(build_road(curve, road_id, 0))
     assert scene.buildings
     assert scene.parked or scene.trees
     assert all(np.isfinite(ground.points).all() for ground in scene.ground)
