@@ -32,7 +32,12 @@ CREATED_AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 OPENDRIVE = "opendrive_17_core.xsd"
 CLOSE_M = 0.01
 KINDS = [(curve, road_id, length) for curve in RoadCurve for road_id in range(3) for length in range(3)]
-ALL_ROADS = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: "-".join(map(str, kind)))
+FURTHER = pytest.mark.long("further combinations of the same curves, styles and lengths")
+ALL_ROADS = pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=() if kind[1] == kind[2] else FURTHER) for kind in KINDS],
+    ids=lambda kind: "-".join(map(str, kind)),
+)
 
 
 @cache
