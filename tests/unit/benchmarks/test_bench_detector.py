@@ -139,16 +139,6 @@ def test_genes_are_measured_at_three_levels_and_averaged() -> None:
     assert [row.met for row in got.rows] == [True, True, True, True, True, False]
 
 
-def test_images_without_a_clear_view_of_a_person_are_refused() -> None:
-    one = observation(found(*ALL))
-    hidden = GroundTruth(labels=one.truth.labels, boxes=one.truth.boxes, ignored=one.truth.labels == PERSON)
-    people_ignored = Observation(
-        truth=hidden, depths_m=one.depths_m, visible=one.visible, clean=one.clean, perturbed=one.perturbed
-    )
-    with pytest.raises(InvalidInput, match="none of the 1 images shows a person clearly"):
-        evaluate("a", [people_ignored], seed=0, threshold=0.5, genes=GENES)
-
-
 def test_a_measurement_is_reproducible() -> None:
     def run() -> DetectorAccuracy:
         return measure_detector(

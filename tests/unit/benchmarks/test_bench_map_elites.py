@@ -1,15 +1,10 @@
 """The comparison of searches on traffic: violations that reference drivers avoid, and searches for them."""
 
-from pathlib import Path
 from typing import Any
 
-import pytest
 from support.circumstances import violation
 
-from benchmarks.mumoea import MAP_ELITES, Found, Measures, SearchRun, Task, run_search
-from brink.server.problems.npc_actions import NpcActionsParams
-
-PARAMS = NpcActionsParams(participants=2, duration_s=5.0)
+from benchmarks.mumoea import MAP_ELITES, Found, Measures, SearchRun
 
 
 def found(number: int, *violations: dict[str, Any]) -> Found:
@@ -51,16 +46,3 @@ def test_types_that_a_careful_driver_avoids_by_braking_are_counted_apart() -> No
         )
     )
     assert (measures.careful_types, measures.braking_types) == (2, 1)
-
-
-@pytest.mark.parametrize(("method", "seed", "simulations"), [(MAP_ELITES, 4, 20), ("random search", 3, 40)])
-def test_a_search_counts_origins_and_the_time_of_reference_drivers(
-    method: str, seed: int, simulations: int, tmp_path: Path
-) -> None:
-    task = Task(method=method, seed=seed, simulations=simulations, params=PARAMS, folder=tmp_path)
-    run = run_search(task)
-    assert run.simulations == simulations
-    assert run.origins == ({"random": simulations} if method == MAP_ELITES else {})
-    assert run.failed == 0
-    assert run.found
-    assert 0.0 < run.reference_cpu_s < run.simulations_cpu_s < run.cpu_s

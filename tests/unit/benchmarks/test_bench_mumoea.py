@@ -1,8 +1,5 @@
 """The comparison of searches on traffic: measures, overlap of types, and the stand-in for a language model."""
 
-import csv
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +7,10 @@ import numpy as np
 import pytest
 
 from benchmarks import mumoea
-from benchmarks.mumoea import (
-    METHODS,
-    STAND_IN,
-    Comparison,
-    Found,
-    Measures,
-    Overlap,
-    SearchRun,
-    Task,
-    run_search,
-)
+from benchmarks.mumoea import STAND_IN, Found, Measures, Overlap, SearchRun, Task, run_search
 from benchmarks.stand_in import BROKEN_EVERY, StandInSeeds, serving
 from brink.search.algorithm import Origin, SeedRequest
 from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
-from brink.search.algorithms.random_search import RandomSearch
 from brink.search.analysis.violations import kinds_of
 from brink.search.traffic.motion import HORIZON_S, STEP_S
 from brink.server.llm.replies import RoadChecker
@@ -152,49 +138,3 @@ def test_a_search_with_the_stand_in_records_what_it_asked_and_where_solutions_co
     assert times == sorted(times)
     assert times[-1] <= run.cpu_s
     assert {len(points) for one in run.found for points in one.positions} == {TIMES}
-
-
-def test_tables_and_figures_of_a_comparison(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    few = MumoeaConfig(population_size=8, seeds=2)
-    methods: Mapping[str, tuple[Any, Any]] = {
-        mumoea.ADAPTIVE: (Mumoea(), few),
-        mumoea.STAND_IN: (Mumoea(), replace(few, seeder="llm")),
-        mumoea.STAND_IN_ALWAYS: (Mumoea(), replace(few, seeder="llm", differential="always")),
-        "random search": (RandomSearch(), RandomSearch.config_type()),
-    }
-    monkeypatch.setattr(mumoea, "METHODS", methods)
-    monkeypatch.setattr(mumoea, "ALWAYS", mumoea.STAND_IN_ALWAYS)
-    # In this process, where the methods are those above.
-    monkeypatch.setattr(Comparison, "_run", lambda self: [run_search(task) for task in self._tasks])
-    comparison = Comparison(
-        tmp_path, PARAMS, seeds=2, simulations=8, processes=1, progress=lambda *progress: None
-    )
-    rows = {row.what: row for row in comparison.rows()}
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "searches.csv",
-        "types.csv",
-        "overlap.csv",
-        "types.png",
-        "violations.png",
-    }
-    with (tmp_path / "overlap.csv").open() as file:
-        pairs = {(row["method"], row["other"]): row for row in csv.DictReader(file)}
-    assert set(pairs) == {(one, other) for one in methods for other in methods}
-    same = pairs[mumoea.ADAPTIVE, mumoea.ADAPTIVE]
-    assert same["types"] == same["other found too"] != "0"
-    with (tmp_path / "searches.csv").open() as file:
-        searches = list(csv.DictReader(file))
-    for one in searches:
-        asked = one["method"] in (mumoea.STAND_IN, mumoea.STAND_IN_ALWAYS)
-        assert (int(one["calls"]) > 0) == asked
-        assert ("no trained model" in one["seeds by"]) == asked
-    assert "paper 10" in rows[f"types of violations, {mumoea.ADAPTIVE}"].note
-    assert "no trained model" in rows[f"types of violations, {mumoea.STAND_IN}"].note
-    assert rows[f"calls, {mumoea.STAND_IN}"].value > 0
-    assert f"share of types of random search that {mumoea.ADAPTIVE} found too" in rows
-
-
-def test_every_method_can_start() -> None:
-    problem = NpcActions(NpcActionsParams())
-    for algorithm, config in METHODS.values():
-        algorithm.check(problem.space, config, budget=100)

@@ -7,18 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks import urban
-from benchmarks.measurement import Row
-from benchmarks.trials import Trial, run_trials
+from benchmarks.trials import run_trials
 from benchmarks.urban import (
     CATEGORICAL,
     PARAMETERS,
     Candidate,
-    Sizes,
     consistent_effect_p,
     distance,
     draw_candidate,
-    measure_difficulty,
     neighbour,
     process_memory_mb,
     redraw,
@@ -28,7 +24,6 @@ from brink.search.metric import Metric
 from brink.search.space import FloatArray
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
-from brink.sim.episode import EpisodeSpec
 from brink.sim.urban.behaviour import BOX_FIELDS, DetectorBehaviour, trajectory_ranges
 from brink.sim.world.scenario import UrbanScenario
 
@@ -107,40 +102,6 @@ def test_trials_keep_their_order_and_do_not_depend_on_the_number_of_processes() 
     alone = list(run_trials(specs, processes=1))
     assert list(run_trials(specs, processes=2)) == alone
     assert len({trial.robustness for trial in alone}) > 1
-
-
-def test_measuring_yields_every_row_and_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fake(specs: list[EpisodeSpec], *, processes: int) -> list[Trial]:
-        trials = []
-        for spec in specs:
-            number = int(spec.digest()[:6], 16) / 16**6
-            is_oracle = spec.behaviour["mode"] == "oracle"
-            robustness = 1.0 if is_oracle else number - 0.4
-            trials.append(Trial(unsafe=robustness < 0, robustness=robustness))
-        return trials
-
-    monkeypatch.setattr(urban, "run_trials", fake)
-    progress: list[tuple[str, int, int]] = []
-    sizes = Sizes(
-        candidates=300,
-        scenarios=10,
-        reruns=100,
-        pairs=50,
-        redraws=20,
-        number_redraws=10,
-        ends=20,
-        permutations=99,
-    )
-    rows: dict[str, Row] = {
-        row.what: row for row in measure_difficulty(sizes, progress=lambda *step: progress.append(step))
-    }
-    assert len(rows) == 5 + 1 + 1 + 1 + 2 + 29
-    assert rows["unsafe share"].met
-    assert rows["unsafe share with a perfect detector"].value == 0.0
-    assert not rows["verdicts that another seed flips"].met  # these verdicts are pure chance
-    assert not rows["verdict agreement of neighbours minus that of random pairs"].met
-    assert progress[0] == ("random candidates", 1, 300)
-    assert all(done <= total for _, done, total in progress)
 
 
 PROBLEM = make_problem("urban-injected@1", {})

@@ -1,6 +1,5 @@
 """Evaluation of a guard, with figures counted by hand, and the storage of recorded drives."""
 
-from itertools import pairwise
 from pathlib import Path
 from statistics import NormalDist
 from types import SimpleNamespace
@@ -19,9 +18,7 @@ from brink.guard.evaluation import (
     NEVER,
     RANGE_TTC_NAME,
     JudgedDrives,
-    confirmed,
     evaluate,
-    peak,
     threshold_at,
 )
 from brink.guard.features import ALL_FEATURES, MAX_TTC_S
@@ -88,23 +85,6 @@ def test_the_threshold_is_set_on_the_probability_that_decides_in_the_car(
     assert found.alarm.threshold == pytest.approx(1 / (1 + np.exp(-3.0)))
 
 
-def test_baselines_that_never_or_always_warn_are_shown_as_what_they_are() -> None:
-    shown = {one.name: one.shown for one in evaluate(stump_guard(), safe_and_unsafe()).predictors}
-    assert (shown[ALWAYS].false_alarms, shown[ALWAYS].recall) == (1.0, 0.75), "one violation is too early"
-    assert (shown[NEVER].false_alarms, shown[NEVER].recall) == (0.0, 0.0)
-
-
-def test_points_run_from_no_alarms_to_alarms_everywhere() -> None:
-    points = evaluate(stump_guard(), safe_and_unsafe()).guard.points
-    assert (points[0].false_alarms, points[0].recall) == (0.0, 0.0)
-    assert (points[-1].false_alarms, points[-1].warned[0]) == (1.0, 1.0)
-    assert points[-1].recall == 0.75, "the early violation cannot be warned"
-    for old, new in pairwise(points):
-        assert old.threshold > new.threshold
-        assert old.false_alarms <= new.false_alarms
-        assert old.recall <= new.recall
-
-
 def test_baselines_are_the_time_to_collision_always_and_never() -> None:
     def drive(values: list[float], violated_at_s: float | None = None) -> Drive:
         return drive_with(values, feature="ttc_s", violated_at_s=violated_at_s)
@@ -125,16 +105,6 @@ def test_baselines_are_the_time_to_collision_always_and_never() -> None:
     assert never.points[0].false_alarms == 0.0
     ranges = evaluate(stump_guard(sensor=Sensor.RANGE), safe_and_unsafe())
     assert RANGE_TTC_NAME in [one.name for one in ranges.predictors]
-
-
-def test_confirmed_scores_and_their_peaks() -> None:
-    scores = np.array([0.9, 0.1, 0.5, 0.7, 0.6])
-    assert confirmed(scores, 1).tolist() == scores.tolist()
-    assert confirmed(scores, 2).tolist() == [-np.inf, 0.1, 0.1, 0.5, 0.6]
-    assert confirmed(scores[:1], 2).tolist() == [-np.inf]
-    assert peak(confirmed(scores, 2)) == 0.6
-    assert peak(confirmed(scores, 2), 0.3) == 0.5
-    assert peak(scores, -0.2) == -np.inf
 
 
 def test_a_threshold_is_the_lowest_that_few_safe_drives_reach() -> None:

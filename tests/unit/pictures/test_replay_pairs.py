@@ -13,7 +13,7 @@ from brink.pictures import DrivePair, ReplayError, Side, render_pair
 from brink.pictures.pair import middles, pair_story
 from brink.pictures.pair_view import STILL_WIDTH_PX, chip_words, pair_still
 from brink.pictures.scene import gap_words
-from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Trace
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Trace
 
 
 def reporting_from(trace: Trace, from_s: float, to_s: float = 9.0) -> Trace:
@@ -113,45 +113,6 @@ def test_the_vehicle_ahead_is_reported_only_if_a_perceived_obstacle_lies_on_it(
     assert story.target.words == words
     assert story.target.gap is not None
     assert story.target.gap.too_short
-
-
-def test_the_vehicle_that_was_hit_is_marked_too() -> None:
-    pair = a_pair()
-    trace = pair.unsafe.trace
-    hit = np.where(trace.time_s > 18.0, -0.5, 5.0).astype(np.float32)
-    struck = replace(
-        trace,
-        robustness={"no-collision@1": hit, "front-gap@1": trace.robustness["front-gap@1"]},
-        events=(Event(time_s=18.05, kind="collision", text="hits pedestrian-1"),),
-    )
-    safe = replace(trace, robustness={"no-collision@1": np.full_like(hit, 5.0)})
-    story = pair_story(
-        replace(
-            pair,
-            safe=replace(pair.safe, trace=safe),
-            unsafe=replace(pair.unsafe, trace=struck),
-            requirement="no-collision@1",
-        )
-    )
-    assert story.target is not None
-    assert (story.target.words, story.target.vehicle) == ("not reported", False)
-    assert pair_still(story.pair).width == STILL_WIDTH_PX
-
-
-def test_the_moment_between_two_samples_is_shown_by_the_later_one() -> None:
-    pair = a_pair()
-    trace = pair.unsafe.trace
-    sample = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
-    exact_s = float(trace.time_s[sample]) + 0.06
-    timed = replace(trace, about={**trace.about, "violated_at_s": {"front-gap@1": exact_s}})
-    story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=timed)))
-    assert story.moment_s == pytest.approx(exact_s)
-    assert story.shown_s == pytest.approx(float(trace.time_s[sample + 1]))
-    assert story.sample_s == pytest.approx(float(trace.time_s[sample]))
-    assert story.target is not None
-    assert story.target.gap is not None
-    recorded_m = float(trace.robustness["front-gap@1"][sample]) + 1.5
-    assert story.target.gap.gap_m == pytest.approx(recorded_m)
 
 
 def test_the_camera_shows_when_the_boxes_differ_most_but_not_after_the_violation() -> None:

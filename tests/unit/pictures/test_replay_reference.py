@@ -10,8 +10,6 @@ from support.traces import make_trace
 
 from brink.pictures.frame import FramePainter
 from brink.pictures.motion import brakings, distances, lane_edge, motion_of, plan_words, scripts_of
-from brink.pictures.pair import pair_story, part_state_words
-from brink.pictures.pair_view import PairPainter
 from brink.pictures.reference import Comparison, comparison_of
 from brink.pictures.story import runs
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
@@ -85,30 +83,6 @@ def test_the_words_say_what_the_system_did_and_what_a_careful_driver_does_instea
     )
 
 
-def test_a_driver_who_need_not_brake_says_why_and_is_shown_when_it_passes() -> None:
-    system = hits_a_person()
-    found = compared(system, driven(stops_at_m=None))
-    assert found.driven == "does not need to brake: it passes pedestrian-1 at 4.5 s, 1.5 m clear"
-    assert found.brakes_at_s is None
-    assert found.avoided_by.startswith("Avoided by having passed earlier, not by braking")
-    story = pair_story(found.pair(system))
-    assert [story.shown_at(index) for index in (0, 1)] == pytest.approx([7.0, 4.5])
-    early = driven(stops_at_m=None)
-    early = replace(
-        early,
-        time_s=early.time_s[:51],
-        ego=early.ego[:51],
-        plan_mode=early.plan_mode[:51],
-        robustness={name: series[:51] for name, series in early.robustness.items()},
-        actors=tuple(replace(actor, motion=actor.motion[:51]) for actor in early.actors),
-        events=(Event(time_s=5.0, kind="goal", text="the ego reaches the end of its route"),),
-    )
-    gone = compared(system, early)
-    assert gone.driven == found.driven, "also if its drive has ended by then"
-    story = pair_story(gone.pair(system))
-    assert part_state_words(story, story.parts[1], 7.0) == "end of the route 5.0 s"
-
-
 def test_pictures_are_about_the_collision_that_too_small_a_gap_led_to() -> None:
     system = hits_a_person(gap_too=True)
     found = compared(system, driven(stops_at_m=50.0), ("no-collision@1", "front-gap@2"))
@@ -168,16 +142,6 @@ def test_what_nobody_avoids_is_shown_alone_and_says_so() -> None:
     assert painter.verdict() == "hit a pedestrian at 7.0 s, not avoidable by braking"
     assert comparison_of(hits_a_person()) is None, "it has no other drive"
     assert comparison_of(make_trace(violated=False)) is None
-
-
-def test_a_film_begins_shortly_before_the_driver_brakes() -> None:
-    late = hits_a_person(at_s=16.0)
-    late = replace(late, reference=driven(stops_at_m=50.0, from_s=9.0))
-    found = comparison_of(late)
-    assert found is not None
-    painter = PairPainter(found.pair(late))
-    assert 3.0 < painter.time_s[0] < 7.0
-    assert painter.time_s[-1] == pytest.approx(19.9, abs=1e-3)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.traces import filmed, make_trace, ragged
+from support.traces import make_trace, ragged
 
 from brink.pictures import ReplayError
 from brink.pictures.frame import FramePainter
@@ -18,7 +18,6 @@ from brink.pictures.scene import (
     is_there,
     map_centres,
     outline,
-    pictures_shown,
 )
 from brink.pictures.sheets import still
 from brink.pictures.story import measured_words, story_of
@@ -140,14 +139,6 @@ def test_map_stays_where_the_ego_was_last_known() -> None:
     assert (
         map_centres(replace(trace, ego=np.full((200, 5), np.nan, np.float32)), 9.0).tolist() == [[0, 0]] * 200
     )
-
-
-def test_sample_shows_the_latest_picture_of_the_film() -> None:
-    film = filmed(make_trace(samples=10)).film
-    assert film is not None
-    later = replace(film, samples=film.samples + 1)
-    assert pictures_shown(film, 6).tolist() == [0, 0, 1, 1, 2, 2]
-    assert pictures_shown(later, 6).tolist() == [0, 0, 0, 1, 1, 2]
 
 
 def test_first_violation_is_the_decisive_moment() -> None:
@@ -323,29 +314,6 @@ def test_no_gap_is_drawn_to_a_vehicle_that_was_hit() -> None:
     hit[sample] = -0.4
     assert front_gap(judged, sample) is None
     assert front_gap(judged, sample - 1) is not None
-
-
-def test_gap_ahead_is_drawn_while_another_road_user_is_hit() -> None:
-    trace = make_trace()
-    hit = np.full(len(trace.time_s), -0.4, np.float32)
-    judged = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
-    found = front_gap(judged, 10)
-    assert found is not None
-    assert found.gap_m > 1.0
-
-
-def test_unrecorded_gap_ends_at_the_nearest_vehicle_in_the_corridor() -> None:
-    trace = replace(make_trace(), robustness={"progress@1": np.zeros(200, np.float32)})
-    found = front_gap(trace, 50)
-    assert found is not None
-    assert trace.actors[found.actor].name == "lead"
-
-
-def test_no_gap_is_drawn_if_no_vehicle_is_ahead() -> None:
-    trace = make_trace()
-    far = {"front-gap@1": np.full(200, 48.5, np.float32)}
-    assert front_gap(replace(trace, robustness=far), 50) is None
-    assert front_gap(replace(trace, actors=()), 50) is None
 
 
 def test_facing_bumpers_are_measured_in_the_middle() -> None:

@@ -32,7 +32,7 @@ from brink.plots.style import WIDTH_PX
 from brink.search.algorithm import Scored
 from brink.search.algorithms.multi_objective import CRITICALITY
 from brink.search.algorithms.nsga2 import Nsga2, Nsga2Config
-from brink.search.analysis.boundary import dbs, dbs_grid, distinct_boundary, strict_dbs
+from brink.search.analysis.boundary import dbs, distinct_boundary, strict_dbs
 from brink.search.analysis.dependence import dependences
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.similarity import own_plane
@@ -159,16 +159,6 @@ def test_dbs_lines_end_at_the_dbs_of_the_archive() -> None:
     assert figure.axes[0].get_ylim()[1] > 2, "the landscape must have a boundary"
 
 
-def test_dbs_at_half_the_budget_uses_only_the_first_half() -> None:
-    inputs = mtq_campaign()
-    half = dbs_grid(inputs.archive.first(200))
-    assert half.dbs[-1, 0] > 0
-    for column, axes in enumerate(figure_of(figure_dbs, mtq_campaign).axes):
-        for row, t_b in enumerate(PAPER_T_BS):
-            x, plain = line(axes, f"t_b {t_b:g}")
-            assert plain[x.index(200)] == half.dbs[row, column]
-
-
 def test_map_has_a_dot_for_every_solution_where_the_dashboard_has_it() -> None:
     inputs = mixed_campaign(400)
     dots = scattered(figure_embedding(inputs).axes[0], "solutions")
@@ -181,20 +171,6 @@ def test_map_has_a_dot_for_every_solution_where_the_dashboard_has_it() -> None:
     assert len(np.unique(colours[safe], axis=0)) == 1
     assert len(np.unique(colours[unsafe], axis=0)) == 1
     assert not np.allclose(colours[safe][0], colours[unsafe][0])
-
-
-def test_two_parameters_are_drawn_in_their_own_coordinates() -> None:
-    inputs = mtq_campaign()
-    axes = figure_of(figure_embedding, mtq_campaign).axes[0]
-    places = np.asarray(scattered(axes, "solutions").get_offsets())
-    np.testing.assert_allclose(places, inputs.archive.vectors)
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
-    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["0", "0.25", "0.5", "0.75", "1"]
-    # Equal scales: the disc of MTQ is as wide as it is high, in pixels.
-    corners = axes.transData.transform([(0.6, 0.6), (0.9, 0.9)])
-    assert np.ptp(corners[:, 0]) == pytest.approx(np.ptp(corners[:, 1]))
-    left, right = axes.get_xlim()
-    assert (left <= 0, right >= 1) == (True, True)
 
 
 def test_own_coordinates_of_different_units_fill_a_square() -> None:
@@ -368,16 +344,6 @@ def test_recomputed_diversity_equals_that_of_the_search() -> None:
     for front in drawn:
         heights = np.asarray(front.get_ydata(), np.float64)
         assert (np.diff(heights) > 0).all() or len(heights) == 1
-
-
-def test_fronts_leave_out_solutions_whose_violations_do_not_count() -> None:
-    rows = np.stack([TRAFFIC.join(TRAFFIC.sample(np.random.default_rng(seed))) for seed in range(4)])
-    criticality = np.array([1.0, 250.0, 2.0, 250.0])
-    (axes,) = figure_fronts("npcs", TRAFFIC, rows, [4], criticality, CONFIG, unavoidable=250.0).axes
-    dots, front = (np.asarray(one) for one in (axes.collections[0].get_offsets(), axes.lines[-1].get_xdata()))
-    assert {*dots[:, 0].tolist(), *front.tolist()} == {1.0, 2.0}
-    told = [text.get_text() for text in axes.figure.texts]
-    assert any("Without the 2 whose violations" in words for words in told)
 
 
 def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:

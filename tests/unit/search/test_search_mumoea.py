@@ -33,11 +33,11 @@ from brink.search.algorithms.mumoea import (
     scalar_fitness,
     scaled,
 )
-from brink.search.algorithms.nsga2 import Breeding, Mosat, Nsga2, Nsga2Config
+from brink.search.algorithms.nsga2 import Mosat, Nsga2, Nsga2Config
 from brink.search.document import Document
 from brink.search.errors import ConfigError, OrderError, OtherVersion
 from brink.search.pareto import dominates
-from brink.search.space import Categorical, Component, FloatArray, SearchSpace
+from brink.search.space import Categorical, Component, SearchSpace
 from brink.search.testing import check_algorithm
 from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.motion import Distance, encounter_distances, matched_distances, roll_out
@@ -342,29 +342,6 @@ def test_crossed_actions_are_cut_at_the_same_place_and_none_is_lost(seed: int) -
     assert mother.genes[cuts[0] : cuts[-1]] == father.genes[cuts[0] : cuts[-1]], "no cut could be told apart"
     assert replace(son, genes=mother.genes) == mother
     assert replace(daughter, genes=father.genes) == father
-
-
-def _bred(children: int, **changes: Any) -> tuple[MultiObjectiveState, list[tuple[FloatArray, Origin]]]:
-    """Return a state, and children that NSGA-II breeds from its population with other probabilities."""
-    config = Nsga2Config(population_size=12, **changes)
-    state = told(Nsga2(), Nsga2().start(SPACE, config, seed=1, budget=1_000))
-    breeding = Breeding(state, GENOME, lambda config, genome, rng: genome.sample(rng)[0])
-    return state, breeding.children(children, np.random.default_rng(3))
-
-
-def _changed(state: MultiObjectiveState, children: Sequence[tuple[FloatArray, Origin]]) -> int:
-    """Return how many children have other participants than every solution of the population."""
-    known = {GENOME.solution(state.history.rows[number]) for number in state.population}
-    return sum(GENOME.solution(row) not in known for row, _ in children)
-
-
-def test_uncrossed_children_mutate_at_the_configured_rate() -> None:
-    for rate in (0.0, 0.3, 1.0):
-        state, children = _bred(400, crossover_probability=0.0, mutation_probability=rate)
-        assert {origin for _, origin in children} == {Origin.MUTATION}
-        # Some mutations change nothing that repair leaves.
-        assert _changed(state, children) == pytest.approx(400 * rate, abs=40)
-    assert _changed(*_bred(400, crossover_probability=0.0, mutation_probability=0.0)) == 0
 
 
 def test_children_that_equal_a_parent_are_bred_again_then_replaced_by_mutants() -> None:

@@ -102,33 +102,6 @@ def test_the_space_comes_from_the_environment() -> None:
     assert spec.scenario["reset_seed"] is None
 
 
-def test_names_scales_and_dimensions_can_be_chosen() -> None:
-    problem = GymnasiumProblem(
-        GymnasiumParams(
-            environment="Pendulum-v1",
-            names=["x", "y", "speed"],
-            scales=[0.5, 0.5, 2.0],
-            dimensions=[2],
-            types=["bias"],
-        )
-    )
-    (behaviour,) = problem.space.components
-    kind, dimension, *_ = behaviour.parameters
-    assert isinstance(kind, Categorical)
-    assert isinstance(dimension, Categorical)
-    assert (kind.choices, dimension.choices) == ((NO_ERROR, "bias"), ("speed",))
-    vectors = problem.space.encode(
-        {
-            "behaviour": {
-                f"perturbation_1.{name}": value
-                for name, value in {**BIAS, "dimension": "speed", "magnitude": -0.5}.items()
-            }
-        }
-    )
-    one = perturbation_of(problem, vectors)
-    assert (one.dimension, one.magnitude) == (2, -1.0)
-
-
 def test_the_default_problem_can_be_listed_without_gymnasium(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gymnasium_env, "find_spec", lambda module: None)
     assert isinstance(make_problem("gymnasium@1", {}), GymnasiumProblem)

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brink.search.pairs import Steps
-from brink.server.api.episode_views import episode_view
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import NO_PART, SimulatedSolution, activity_of, describe_candidate
 from brink.server.problems.catalogue import make_problem
@@ -22,9 +21,7 @@ from brink.sim.adapters.highway.specification import (
     HighwayScenario,
     errors_from_json,
 )
-from brink.sim.catalogue import make_simulator
 from brink.sim.episode import Verdict
-from brink.sim.trace import Trace
 from brink.worker.wire import Completed
 
 HIGHWAY = HighwayPerception(HighwayPerceptionParams())
@@ -245,20 +242,3 @@ def test_every_error_has_a_scale_and_words(kind: ErrorType) -> None:
     assert scale.words(0.5) in HIGHWAY.error_words(choices, scale.words(0.5))
     assert "crossing" in HIGHWAY.error_words(choices, "1")
     assert HIGHWAY.severity_scale({"behaviour.error_1.type": NO_ERROR}) is None
-
-
-def test_the_dashboard_shows_an_episode_with_its_ghost_and_its_words() -> None:
-    vectors = candidate({**MISS, "type": "ghost", "onset_s": 0.5, "severity": 0.5})
-    problem = HighwayPerception(HighwayPerceptionParams(duration_s=5.0))
-    document = make_simulator("highway-env@1").run(problem.episode(vectors, 4), record=True).trace
-    assert document is not None
-    view = episode_view(Trace.from_bytes(document), problem.requirements)
-    assert view.words.scenario == problem.words(vectors)
-    assert view.words.report == "wrong"
-    assert view.story is not None
-    assert view.units == {"no-collision@1": "m", "front-gap@1": "m"}
-    ghosts = view.perceived.columns["ghost"]
-    first, last = (view.perceived.first[sample] for sample in (10, 11))
-    assert sum(ghost or 0 for ghost in ghosts[first:last]) == 1
-    assert sum(ghost or 0 for ghost in ghosts[: view.perceived.first[5]]) == 0
-    assert len(view.actors) > 5

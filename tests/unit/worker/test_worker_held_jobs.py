@@ -107,31 +107,6 @@ def test_an_outcome_is_reported_after_its_longest_wait_while_other_jobs_run() ->
     assert [outcome.leased.job for outcome in report(held).outcomes] == [0]
 
 
-def test_an_outcome_is_kept_until_it_is_acknowledged() -> None:
-    clock = Clock()
-    held = held_jobs(clock)
-    held.add(grant(1))
-    finish(held, take(held))
-    first = report(held)
-    held.postpone(2.0)
-    clock.now_s += 2.0
-    assert report(held).outcomes == first.outcomes
-    accept(held, first)
-    assert isinstance(held.next_request(), Poll)
-
-
-def test_a_waiting_job_without_a_lease_is_dropped_and_a_running_one_has_no_outcome() -> None:
-    held = held_jobs(Clock())
-    held.add(grant(1, 2, 3))
-    running = take(held)
-    held.apply_renewal(held.leases(), [3])
-    assert [lease.job for lease in held.leases()] == [1, 3]
-    assert held.lost_running_job() == (running, 0.0)
-    finish(held, running)
-    assert held.unsent == 0
-    assert [lease.job for lease in held.leases()] == [3]
-
-
 def test_a_heartbeat_reply_does_not_affect_jobs_leased_after_its_request() -> None:
     held = held_jobs(Clock())
     held.add(grant(1))
@@ -178,13 +153,6 @@ def test_jobs_granted_after_a_stop_are_released() -> None:
     held.mark_runner_done()
     held.add(grant(1))
     assert [lease.job for lease in report(held).release] == [1]
-
-
-def test_unfinished_jobs_return_from_the_process_in_order() -> None:
-    held = held_jobs(Clock())
-    held.add(grant(1, 2, 3))
-    held.put_back([take(held), take(held)])
-    assert [take(held).job for _ in range(3)] == [1, 2, 3]
 
 
 def test_a_report_is_bounded_in_bytes_but_a_single_large_outcome_is_sent() -> None:

@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -170,23 +168,6 @@ def test_an_error_that_the_ego_never_meets_changes_nothing(
         assert (result.features["error_steps"], result.features["severity"]) == ([None], 0.0)
 
 
-def test_a_ghost_makes_the_ego_brake_and_is_drawn_as_one(simulator: HighwayEnvSimulator) -> None:
-    ghost: dict[str, Json] = {
-        "type": "ghost",
-        "target": "ahead",
-        "magnitude": 2.0,
-        "onset_s": 1.0,
-        "distance_m": 40.0,
-    }
-    truth, ghosted = (trace_of(simulator, one) for one in (spec(lanes=2), spec(ghost, lanes=2)))
-    after = round(2.5 * STEPS_PER_S)
-    assert ghosted.ego[after, 3] < truth.ego[after, 3] - 3.0
-    painter = FramePainter(ghosted, size=(640, 360))
-    sample = round(1.5 * STEPS_PER_S)
-    rows = range(ghosted.perceived.first[sample], ghosted.perceived.first[sample + 1])
-    assert [bool(painter.scene.obstacles.ghost[row]) for row in rows].count(True) == 1
-
-
 def test_the_world_of_an_episode_does_not_depend_on_other_roads(
     simulator: HighwayEnvSimulator, truth: EpisodeResult
 ) -> None:
@@ -341,29 +322,3 @@ def test_an_error_survives_json_and_has_words(kind: ErrorType) -> None:
     words = words_of_errors(errors)
     assert scale.words(scale.at(0.25)) in words
     assert "lane to the left" in words
-
-
-WITHOUT_EXTRAS = """
-import importlib.util, sys
-found = importlib.util.find_spec
-extras = ("highway_env", "gymnasium", "libsumo")
-importlib.util.find_spec = lambda name, *more: None if name in extras else found(name, *more)
-from brink.server.problems.catalogue import describe_problems
-from brink.worker.child import import_simulators
-listed = {problem["id"] for problem in describe_problems()}
-print({"highway-perception@1", "gymnasium@1", "sumo-drivers@1"} <= listed)
-hello = import_simulators()
-print(sorted(hello.lacking), hello.left_out, "brink-drive@2" in hello.simulators)
-print({"highway_env", "gymnasium", "pygame", "libsumo"} & sys.modules.keys())
-"""
-
-
-def test_without_the_extras_problems_are_listed_and_workers_say_which_simulators_they_lack() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_EXTRAS], capture_output=True, text=True, check=True, timeout=60
-    )
-    assert done.stdout.split("\n")[:3] == [
-        "True",
-        "['gymnasium@1', 'highway-env@1', 'sumo@1'] {} True",
-        "set()",
-    ]

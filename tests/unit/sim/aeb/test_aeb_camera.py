@@ -33,7 +33,7 @@ from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
 from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.rendering.scene import Body, BodyKind, Frame, StreetScene, Viewpoint
-from brink.sim.trace import MAX_TRACE_BYTES, Film, Trace
+from brink.sim.trace import MAX_TRACE_BYTES, Trace
 from brink.sim.world.ego import EGO_CAR
 from brink.worker.wire import Completed
 
@@ -320,30 +320,6 @@ def trace() -> Trace:
     assert again.precision == pytest.approx(result.features["precision"])
     assert again.alpha == pytest.approx(result.objectives["alpha"])
     return kept
-
-
-def film_of(trace: Trace) -> Film:
-    assert trace.film is not None
-    return trace.film
-
-
-def test_a_film_survives_its_file(trace: Trace) -> None:
-    film = film_of(trace)
-    again = film_of(Trace.from_bytes(trace.to_bytes()))
-    assert again.pictures == film.pictures
-    assert np.array_equal(again.found.rows, film.found.rows)
-    assert np.array_equal(again.judged.rows, film.judged.rows)
-    assert {name: corners.tolist() for name, corners in again.regions.items()} == {
-        name: corners.tolist() for name, corners in film.regions.items()
-    }
-
-
-def test_a_film_can_be_rescored_at_another_threshold(trace: Trace) -> None:
-    film = film_of(trace)
-    sure, unsure = rescore(film, 0.4), rescore(film, 0.05)
-    assert sure.alpha == unsure.alpha
-    assert unsure.recall >= sure.recall
-    assert np.isnan(rescore(film, 0.99).precision), "no detection has this score"
 
 
 @pytest.mark.parametrize(("noise", "every"), [(0, 2), (255, 8)])

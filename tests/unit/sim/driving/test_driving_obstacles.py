@@ -271,22 +271,6 @@ def test_a_track_survives_four_misses_and_dies_at_the_fifth() -> None:
     assert alive == [1, 1, 1, 1, 0, 0]
 
 
-def test_a_track_keeps_its_number_across_a_short_gap() -> None:
-    tracker = AlphaBetaTracker(SETTINGS)
-    (before,) = run(tracker, range(10), (20.0, 5.0))
-    for miss in range(4):
-        tracker.update(1.0 + 0.1 * miss, [])
-    (after,) = tracker.update(1.4, [place(20.0 + 5.0 * 1.4)])
-    assert after.number == before.number
-
-
-def test_a_track_without_hits_moves_at_its_velocity() -> None:
-    tracker = AlphaBetaTracker(SETTINGS)
-    run(tracker, range(10), (20.0, 5.0))
-    (track,) = tracker.update(1.2, [])
-    assert track.x_m == pytest.approx(20.0 + 5.0 * 1.2, abs=0.05)
-
-
 @given(speed=st.floats(-15.0, 15.0))
 def test_steady_velocity_is_estimated_within_half_a_second(speed: float) -> None:
     (track,) = run(AlphaBetaTracker(SETTINGS), range(5), (20.0, speed))

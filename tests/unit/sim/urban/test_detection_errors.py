@@ -321,16 +321,6 @@ def test_the_bottom_edge_is_at_the_wrong_distance_and_nothing_else_changes(
         assert np.array_equal(reported[:Y_MAX], true[:Y_MAX])
 
 
-def test_a_box_that_is_too_near_stays_in_the_image(drive: Callable[..., Drive]) -> None:
-    found = drive(error("too_near", 0.8, "everybody"))
-    clipped = 0
-    for true, reported in edited(found, lambda step, name: True):
-        nearest_m = depth_m(np.array([0, 0, 0, 0, CAMERA.height_px], dtype=np.float32))
-        assert depth_m(reported) == pytest.approx(max(0.2 * depth_m(true), nearest_m), rel=1e-4)
-        clipped += float(reported[Y_MAX]) == CAMERA.height_px
-    assert clipped
-
-
 @pytest.mark.parametrize(("kind", "left_m"), [("left", 0.4), ("left", 3.0), ("right", -0.4), ("right", -3.0)])
 def test_a_box_is_moved_aside_by_metres_at_its_distance(
     drive: Callable[..., Drive], kind: str, left_m: float
@@ -570,12 +560,6 @@ def test_an_error_reads_what_it_writes(kind: ErrorType) -> None:
     assert one.severity == pytest.approx(0.25)
     assert scale.severity(scale.none) == 0.0
     assert scale.severity(scale.most) == 1.0
-
-
-def test_times_may_last_as_long_as_the_episode() -> None:
-    behaviour: JsonObject = {"mode": "errors", "errors": [error("miss", 16.0)]}
-    (long,) = errors_from_json(behaviour, 20.0)
-    assert long.severity == pytest.approx(2.0)
 
 
 def replaced(document: JsonObject, **changes: Json) -> JsonObject:

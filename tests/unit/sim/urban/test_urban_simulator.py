@@ -71,14 +71,6 @@ def test_an_episode_is_bit_identical_regardless_of_earlier_episodes(
     assert fingerprint(BrinkDrive().run(ORACLE, record=True)) == printed
 
 
-def test_another_seed_gives_another_episode(simulator: BrinkDrive) -> None:
-    one, other = simulator.run(ORACLE, record=True), simulator.run(replace(ORACLE, seed=13), record=True)
-    assert one.trace is not None
-    assert other.trace is not None
-    first, second = Trace.from_bytes(one.trace), Trace.from_bytes(other.trace)
-    assert not np.array_equal(first.actors[0].motion, second.actors[0].motion)
-
-
 def test_pedestrians_do_not_affect_the_random_draws_of_others(simulator: BrinkDrive) -> None:
     crowd = simulator.run(replace(BLIND, duration_s=1.0), record=True)
     empty = simulator.run(

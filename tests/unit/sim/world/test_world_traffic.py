@@ -11,7 +11,7 @@ from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.pedestrians import KERB_SETBACK_M, WALKER_STEP_S, Phase, Walker
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.traffic import lane_is_free
-from brink.sim.world.vehicle import CAR, CORNERING_MPS2, DrivingStyle, Mover, StopPoint, Vehicle
+from brink.sim.world.vehicle import CAR, DrivingStyle, Mover, StopPoint, Vehicle
 from brink.sim.world.world import UrbanWorld, make_world
 
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
@@ -94,16 +94,6 @@ def test_a_vehicle_slows_down_before_a_bend() -> None:
             speeds.append(turning.speed_mps)
     assert speeds
     assert max(speeds) < 5.0
-
-
-def test_a_vehicle_starts_slowly_in_a_bend_and_close_before_one() -> None:
-    bend = ReferenceLine(0.0, 0.0, 0.0, [Piece(60.0), Piece(10.0, 1 / 7), Piece(60.0)])
-    speeds = [
-        Vehicle(name="t", size=CAR, path=bend, station_m=at_m, speed_mps=8.0, style=STYLE).speed_mps
-        for at_m in (20.0, 55.0, 62.0, 75.0)
-    ]
-    in_bend_mps = math.sqrt(CORNERING_MPS2 * 7.0)
-    assert speeds == [8.0, pytest.approx(math.hypot(in_bend_mps, 4.0)), pytest.approx(in_bend_mps), 8.0]
 
 
 def test_a_walker_walks_to_the_kerb_before_it_waits() -> None:
