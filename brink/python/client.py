@@ -1,6 +1,6 @@
 """Campaigns of a coordinator, or of a database of this machine: submitting, watching and fetching them.
 
-`AsyncClient` does the work; `Client` offers the same without ``await``.
+`AsyncClient` does the work; `Client` is its synchronous form.
 """
 
 import asyncio
@@ -10,9 +10,10 @@ from typing import Final
 
 from brink.api.client import Api
 from brink.python.campaign import CampaignLike, body_of
-from brink.python.connection import Connection, Coordinator, LocalDatabase, wait_for
+from brink.python.connection import Connection, Coordinator, LocalDatabase
 from brink.python.display import Display, display_of
 from brink.python.result import AsyncResult, CampaignUnfinished, Result
+from brink.python.synchronous import Synchronous, synchronous_method
 from brink.server.api.schemas import CampaignList, CampaignView, Progress
 from brink.server.llm.access import with_endpoints
 from brink.server.llm.settings import LlmSettings
@@ -73,12 +74,25 @@ class AsyncSubmitted:
         return f"<campaign {self.id}, {self.name}>"
 
     async def progress(self) -> Progress:
-        """Return its progress."""
+        """Return its progress: counts, rates, status.
+
+        Raises:
+            CoordinatorError: Nobody answers, or the campaign was deleted.
+        """
         async with self._connection.open() as api:
             return await api.read(Progress, f"/campaigns/{self.id}/progress")
 
     async def wait(self, *, timeout_s: float | None = None, progress: bool = True) -> AsyncResult:
-        """Wait until it has finished, and return its result."""
+        """Wait until it has finished, and return its result. Ctrl-C stops the waiting, not the campaign.
+
+        Args:
+            timeout_s: How long to wait; None waits for ever.
+            progress: Whether to show the progress.
+
+        Raises:
+            CampaignUnfinished: It was cancelled, or paused.
+            TimeoutError: It still runs after that time.
+        """
         async with self._connection.open() as api:
             with display_of(progress) as display:
                 check_finished(await watch(api, self.id, display, timeout_s))
@@ -89,15 +103,15 @@ class AsyncSubmitted:
         return await AsyncResult.fetch(self._connection, self.id)
 
     async def pause(self) -> None:
-        """Pause it."""
+        """Pause it: no further simulation begins."""
         await self._post("pause")
 
     async def resume(self) -> None:
-        """Resume it."""
+        """Resume it after a pause."""
         await self._post("resume")
 
     async def cancel(self) -> None:
-        """Cancel it."""
+        """Cancel it. What it has found so far stays."""
         await self._post("cancel")
 
     async def _post(self, action: str) -> None:
@@ -115,20 +129,36 @@ class AsyncClient:
         return f"<campaigns of {self._connection.where}>"
 
     async def submit(self, campaign: CampaignLike) -> AsyncSubmitted:
-        """Submit a campaign, and return it."""
+        """Submit a campaign, and return it. Workers elsewhere simulate it; `brink.run` does so here.
+
+        Args:
+            campaign: The campaign, its file, or the content of its file.
+
+        Raises:
+            InvalidInput: A field is missing, unknown or invalid.
+            CoordinatorError: The coordinator rejects it, or nobody answers.
+        """
         body = body_of(campaign)
         async with self._connection.open() as api:
             view = await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))
         return AsyncSubmitted(self._connection, view.id, view.name)
 
     async def campaign(self, campaign: str) -> AsyncSubmitted:
-        """Return a campaign by its id."""
+        """Return a campaign by its id, or a unique prefix of it.
+
+        Raises:
+            CoordinatorError: There is none.
+        """
         async with self._connection.open() as api:
             view = await api.read(CampaignView, f"/campaigns/{campaign}")
         return AsyncSubmitted(self._connection, view.id, view.name)
 
     async def campaigns(self, status: str | None = None) -> list[AsyncSubmitted]:
-        """Return all campaigns, newest first."""
+        """Return all campaigns, newest first.
+
+        Args:
+            status: ``running``, ``paused``, ``finished``, ``cancelled`` or ``failed``; None for all.
+        """
         params: dict[str, str | int] = {"limit": _PAGE} | ({} if status is None else {"status": status})
         found: list[AsyncSubmitted] = []
         async with self._connection.open() as api:
@@ -140,14 +170,8 @@ class AsyncClient:
                 params["cursor"] = page.next
 
 
-class Submitted:
+class Submitted(Synchronous[AsyncSubmitted]):
     """A campaign of a coordinator. `AsyncSubmitted` has the same methods with ``await``."""
-
-    def __init__(self, campaign: AsyncSubmitted) -> None:
-        self._async = campaign
-
-    def __repr__(self) -> str:
-        return repr(self._async)
 
     @property
     def id(self) -> str:
@@ -159,83 +183,27 @@ class Submitted:
         """Its name."""
         return self._async.name
 
-    def progress(self) -> Progress:
-        """Return its progress: counts, rates, status.
-
-        Raises:
-            CoordinatorError: Nobody answers, or the campaign was deleted.
-        """
-        return wait_for(self._async.progress)
-
-    def wait(self, *, timeout_s: float | None = None, progress: bool = True) -> Result:
-        """Wait until it has finished, and return its result. Ctrl-C stops the waiting, not the campaign.
-
-        Args:
-            timeout_s: How long to wait; None waits for ever.
-            progress: Whether to show the progress.
-
-        Raises:
-            CampaignUnfinished: It was cancelled, or paused.
-            TimeoutError: It still runs after that time.
-        """
-        return Result(wait_for(lambda: self._async.wait(timeout_s=timeout_s, progress=progress)))
-
-    def result(self) -> Result:
-        """Return what it has found so far."""
-        return Result(wait_for(self._async.result))
-
-    def pause(self) -> None:
-        """Pause it: no further simulation begins."""
-        wait_for(self._async.pause)
-
-    def resume(self) -> None:
-        """Resume it after a pause."""
-        wait_for(self._async.resume)
-
-    def cancel(self) -> None:
-        """Cancel it. What it has found so far stays."""
-        wait_for(self._async.cancel)
+    progress = synchronous_method(AsyncSubmitted.progress)
+    wait = synchronous_method(AsyncSubmitted.wait, Result)
+    result = synchronous_method(AsyncSubmitted.result, Result)
+    pause = synchronous_method(AsyncSubmitted.pause)
+    resume = synchronous_method(AsyncSubmitted.resume)
+    cancel = synchronous_method(AsyncSubmitted.cancel)
 
 
-class Client:
+def _each(campaigns: list[AsyncSubmitted]) -> list[Submitted]:
+    return [Submitted(campaign) for campaign in campaigns]
+
+
+class Client(Synchronous[AsyncClient]):
     """The campaigns of a coordinator, or of a database of this machine.
 
     `AsyncClient` has the same methods with ``await``.
     """
 
-    def __init__(self, client: AsyncClient) -> None:
-        self._async = client
-
-    def __repr__(self) -> str:
-        return repr(self._async)
-
-    def submit(self, campaign: CampaignLike) -> Submitted:
-        """Submit a campaign, and return it. Workers elsewhere simulate it; `brink.run` does so here.
-
-        Args:
-            campaign: The campaign, its file, or the content of its file.
-
-        Raises:
-            InvalidInput: A field is missing, unknown or invalid.
-            CoordinatorError: The coordinator rejects it, or nobody answers.
-        """
-        return Submitted(wait_for(lambda: self._async.submit(campaign)))
-
-    def campaign(self, campaign: str) -> Submitted:
-        """Return a campaign by its id, or a unique prefix of it.
-
-        Raises:
-            CoordinatorError: There is none.
-        """
-        return Submitted(wait_for(lambda: self._async.campaign(campaign)))
-
-    def campaigns(self, status: str | None = None) -> list[Submitted]:
-        """Return all campaigns, newest first.
-
-        Args:
-            status: ``running``, ``paused``, ``finished``, ``cancelled`` or ``failed``; None for all.
-        """
-        return [Submitted(one) for one in wait_for(lambda: self._async.campaigns(status))]
+    submit = synchronous_method(AsyncClient.submit, Submitted)
+    campaign = synchronous_method(AsyncClient.campaign, Submitted)
+    campaigns = synchronous_method(AsyncClient.campaigns, _each)
 
 
 def connect_async(

@@ -1,15 +1,14 @@
-"""Where campaigns are: a coordinator, or a database of this machine; and how synchronous code talks to either."""
+"""Where campaigns are: a coordinator, or a database of this machine."""
 
 import os
 import tempfile
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, Protocol
 
 from anyio import CancelScope, to_thread
-from anyio.from_thread import start_blocking_portal
 
 from brink.api.client import Api, connect, in_process
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
@@ -17,7 +16,6 @@ from brink.server.settings import Settings
 from brink.sim.adapters import function as simulator
 from brink.sim.catalogue import PLUGINS_VARIABLE
 
-T = TypeVar("T")
 RESULTS: Final = Path("brink-results")
 """Folder of the workers' log."""
 
@@ -139,20 +137,3 @@ async def local_workers(
     finally:
         with CancelScope(shield=True):
             await to_thread.run_sync(context.__exit__, None, None, None)
-
-
-def wait_for(work: Callable[[], Awaitable[T]]) -> T:
-    """Run asynchronous work to its end, and return its result.
-
-    It runs in an event loop on a thread of its own, because a notebook has one running already. Ctrl-C cancels it.
-
-    Args:
-        work: Called without arguments on that thread.
-    """
-    with start_blocking_portal() as portal:
-        future = portal.start_task_soon(work)
-        try:
-            return future.result()
-        except KeyboardInterrupt:
-            future.cancel()
-            raise

@@ -6,10 +6,11 @@ from typing import Any
 
 from brink.api.live import failures_of
 from brink.python.client import check_finished
-from brink.python.connection import environment_with, wait_for
+from brink.python.connection import environment_with
 from brink.python.local import run_body
 from brink.python.result import AsyncResult, CampaignUnfinished, Result
 from brink.python.start import Start, started
+from brink.python.synchronous import synchronous
 from brink.search.errors import SpaceError
 from brink.search.shorthand import DeclaredSpace, space_of
 from brink.search.space import SearchSpace
@@ -22,7 +23,7 @@ from brink.server.states import CampaignStatus
 from brink.sim.adapters import function as simulator
 
 
-def search(
+async def search_async(
     function: Callable[..., float | Mapping[str, float]],
     space: DeclaredSpace,
     *,
@@ -37,11 +38,11 @@ def search(
     database: str | None = None,
     resume: bool = True,
     progress: bool = True,
-) -> Result:
+) -> AsyncResult:
     """Find where a function of your own changes its sign: the boundary between safe and unsafe.
 
-    The function is called in worker processes, and every result is stored. Ctrl-C pauses the search, and the same
-    call continues it, as long as the function is the same.
+    The function is called in worker processes, and every result is stored. Ctrl-C, or cancelling the task,
+    pauses the search, and the same call continues it, as long as the function is the same.
 
     Args:
         function: Called with the values of the parameters by name. It returns a number, negative if the requirement
@@ -77,44 +78,6 @@ def search(
         >>> result.evaluated
         100
     """
-    return Result(
-        wait_for(
-            lambda: search_async(
-                function,
-                space,
-                algorithm=algorithm,
-                simulations=simulations,
-                params=params,
-                seed=seed,
-                name=name,
-                workers=workers,
-                timeout_s=timeout_s,
-                start_from=start_from,
-                database=database,
-                resume=resume,
-                progress=progress,
-            )
-        )
-    )
-
-
-async def search_async(
-    function: Callable[..., float | Mapping[str, float]],
-    space: DeclaredSpace,
-    *,
-    algorithm: str = "edge@1",
-    simulations: int = 500,
-    params: Mapping[str, Any] | None = None,
-    seed: int = 1,
-    name: str | None = None,
-    workers: int = 2,
-    timeout_s: float = 60.0,
-    start_from: Start = None,
-    database: str | None = None,
-    resume: bool = True,
-    progress: bool = True,
-) -> AsyncResult:
-    """Find where a function of your own changes its sign; see `search`."""
     declared = space_of(space)
     check_call(function, declared)
     digest = simulator.digest_of(function)
@@ -151,6 +114,9 @@ async def search_async(
         )
     result.function = function
     return result
+
+
+search = synchronous(search_async, Result)
 
 
 def _check_calls(progress: Progress) -> None:

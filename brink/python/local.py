@@ -11,9 +11,10 @@ from brink.api.live import earlier_words
 from brink.api.terminal import PlainConsole
 from brink.python.campaign import CampaignLike, body_of
 from brink.python.client import check_finished, settings_of
-from brink.python.connection import LocalDatabase, local_workers, wait_for
+from brink.python.connection import LocalDatabase, local_workers
 from brink.python.display import Display, display_of, in_notebook
 from brink.python.result import AsyncResult, Result
+from brink.python.synchronous import synchronous
 from brink.server.api.schemas import CampaignView, Progress
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import check_submission
@@ -25,17 +26,17 @@ POLL_S: Final = 0.3
 _UNFINISHED: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
 
 
-def run(
+async def run_async(
     campaign: CampaignLike,
     *,
     workers: int = 2,
     database: str | None = None,
     resume: bool = True,
     progress: bool = True,
-) -> Result:
+) -> AsyncResult:
     """Run a campaign on this machine to its end, and return what it found.
 
-    Ctrl-C pauses it, and nothing is lost: the same call continues it.
+    Ctrl-C, or cancelling the task, pauses it, and nothing is lost: the same call continues it.
 
     Args:
         campaign: A `Campaign`, the path of a campaign file, or its content.
@@ -57,27 +58,14 @@ def run(
         >>> len(result.to_pandas())
         60
     """
-    return Result(
-        wait_for(
-            lambda: run_async(campaign, workers=workers, database=database, resume=resume, progress=progress)
-        )
-    )
-
-
-async def run_async(
-    campaign: CampaignLike,
-    *,
-    workers: int = 2,
-    database: str | None = None,
-    resume: bool = True,
-    progress: bool = True,
-) -> AsyncResult:
-    """Run a campaign on this machine to its end; see `run`. Cancelling the task pauses the campaign."""
     body = body_of(campaign)
     checked, _ = check_submission(body)
     check_extra(checked.plan.problem)
     statuses = (*_UNFINISHED, CampaignStatus.FINISHED) if resume else ()
     return await run_body(body, workers=workers, database=database, statuses=statuses, progress=progress)
+
+
+run = synchronous(run_async, Result)
 
 
 async def run_body(
@@ -113,11 +101,10 @@ async def run_body(
         except asyncio.CancelledError:
             await asyncio.shield(_pause(api, campaign))
             raise
-    result = await AsyncResult.fetch(LocalDatabase(settings), campaign)
-    if earlier or other:
-        result.note = earlier_words(found) if earlier else other
-        if progress and not in_notebook():  # a notebook shows the result, which says so itself
-            PlainConsole(stderr=True).print(f"{result.name}: {result.note}", soft_wrap=True)
+    note = earlier_words(found) if earlier else other
+    result = await AsyncResult.fetch(LocalDatabase(settings), campaign, note)
+    if note and progress and not in_notebook():  # a notebook shows the result, which says so itself
+        PlainConsole(stderr=True).print(f"{result.name}: {note}", soft_wrap=True)
     return result
 
 

@@ -1,6 +1,6 @@
 """What a campaign found, for Python: data frames, figures, replays.
 
-`AsyncResult` does the work; `Result` offers the same without ``await``.
+`AsyncResult` does the work; `Result` is its synchronous form.
 """
 
 import asyncio
@@ -12,6 +12,7 @@ import math
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -29,9 +30,10 @@ from brink.api.results import (
     run_episode,
 )
 from brink.pictures import render
-from brink.python.connection import Connection, environment_with, wait_for, with_workers
+from brink.python.connection import Connection, environment_with, with_workers
 from brink.python.frames import archive_frame, data_frame, typed_frame, types_of
 from brink.python.picture import Picture
+from brink.python.synchronous import Synchronous, synchronous_method
 from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
 from brink.report.campaign import campaign_report, write_page
 from brink.report.combinations import COLUMNS as CHAIN_COLUMNS
@@ -76,22 +78,32 @@ class CampaignUnfinished(ServerError):
     """A campaign ended without finishing: it was cancelled, or paused after too many failures."""
 
 
+@dataclass(slots=True, kw_only=True)
+class _Words:
+    """Sentences about a result, which its two forms share."""
+
+    finding: str
+    note: str
+
+
 class CampaignResult:
-    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence.
+    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence."""
 
-    Attributes:
-        finding: What was found, in a sentence.
-        note: That the result is of an earlier run, and when that finished, or that an earlier run had other code;
-            empty otherwise.
-    """
-
-    note: str = ""
-
-    def __init__(self, connection: Connection, progress: Progress, body: CampaignBody, finding: str) -> None:
+    def __init__(self, connection: Connection, progress: Progress, body: CampaignBody, words: _Words) -> None:
         self._connection = connection
         self._progress = progress
         self._body = body
-        self.finding = finding
+        self._words = words
+
+    @property
+    def finding(self) -> str:
+        """What was found, in a sentence."""
+        return self._words.finding
+
+    @property
+    def note(self) -> str:
+        """That the result is of an earlier run, or that an earlier run had other code; empty otherwise."""
+        return self._words.note
 
     @property
     def id(self) -> str:
@@ -144,19 +156,20 @@ class CampaignResult:
 
 
 class AsyncResult(CampaignResult):
-    """What a campaign found: the methods of `Result`, which describes them, with ``await``."""
+    """What a campaign found: the methods of `Result`, with ``await``."""
 
     _fetched: FetchedArchive | None = None
     function: Callable[..., Any] | None = None
     """The function that was searched, for workers that call it again."""
 
     @classmethod
-    async def fetch(cls, connection: Connection, campaign: str) -> Self:
+    async def fetch(cls, connection: Connection, campaign: str, note: str = "") -> Self:
         """Return what a campaign has found so far.
 
         Args:
             connection: Where it is.
             campaign: Its id.
+            note: What to say about the run besides.
 
         Raises:
             CoordinatorError: It does not exist, or nobody answers.
@@ -164,7 +177,8 @@ class AsyncResult(CampaignResult):
         async with connection.open() as api:
             progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
             view = await api.read(CampaignView, f"/campaigns/{campaign}")
-            return cls(connection, progress, view.body, await _finding(api, progress))
+            words = _Words(finding=await _finding(api, progress), note=note)
+            return cls(connection, progress, view.body, words)
 
     async def archive(self) -> FetchedArchive:
         """Return all evaluated solutions with their search space."""
@@ -174,7 +188,16 @@ class AsyncResult(CampaignResult):
         return self._fetched
 
     async def to_pandas(self) -> "pd.DataFrame":
-        """Return all evaluated solutions as a data frame."""
+        """Return all evaluated solutions as a data frame, one row each.
+
+        Returns:
+            The columns ``number``, one for each parameter (empty where it had no part in the drive), ``unsafe``,
+            ``robustness`` (negative if unsafe), ``fitness`` (distance from the boundary), ``neighbours``,
+            ``unsafe_neighbours`` and ``outcome``, in words.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
         fetched = await self.archive()
         frame = archive_frame(fetched.archive, fetched.plan.problem.space, fetched.active)
         view = fetched.outcomes
@@ -186,7 +209,14 @@ class AsyncResult(CampaignResult):
         return frame
 
     async def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
-        """Return the distinct boundary solutions as a data frame: the best 1,000, if there are more."""
+        """Return the distinct boundary solutions as a data frame, best first; of more than 1,000, the best ones.
+
+        A warning says how many there are if these are not all.
+
+        Args:
+            t_b: Maximum fitness of a boundary solution.
+            d_th: Minimum distance between two of them.
+        """
         async with self._connection.open() as api:
             view = await api.read(Boundary, f"/campaigns/{self.id}/boundary", {"t_b": t_b, "d_th": d_th})
         if len(view.solutions) < view.dbs:
@@ -206,7 +236,12 @@ class AsyncResult(CampaignResult):
         return types_of(boundary_rows(view, self.id, self._body)[0]) | columns
 
     async def pairs(self, eps: float | None = None, d_th: float | None = None) -> "pd.DataFrame":
-        """Return the distinct pairs across the boundary as a data frame."""
+        """Return the distinct pairs across the boundary as a data frame, best first.
+
+        Args:
+            eps: Largest distance between the sides of a pair; by default the campaign's.
+            d_th: Smallest distance between two distinct pairs; by default the campaign's.
+        """
         params = {"limit": MOST_PAIRS, **_given(eps=eps, d_th=d_th)}
         async with self._connection.open() as api:
             view = await api.read(PairsView, f"/campaigns/{self.id}/pairs", params)
@@ -216,151 +251,6 @@ class AsyncResult(CampaignResult):
         return frame
 
     async def check_pairs(
-        self,
-        confirm: int | None = None,
-        *,
-        component: bool = False,
-        minimise: bool = False,
-        limit: int | None = None,
-        workers: int = 2,
-    ) -> "pd.DataFrame":
-        """Simulate sides of the pairs again to find out more about them, and return the pairs as a data frame."""
-        asked = follow_up_requests({}, confirm, component=component, minimise=minimise, limit=limit)
-        if not asked:
-            raise InvalidInput.at(
-                "confirm", "expected confirm=30, component=True or minimise=True; got neither"
-            )
-        with environment_with(self.function) as environment:
-            async with with_workers(self._connection, workers, environment) as api:
-                for request in asked:
-                    view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
-                    await continue_follow_up(api, view)
-                    await _ended(api, view.campaign, waits=self._connection.has_workers)
-                self.finding = await _finding(api, self._progress)
-        return await self.pairs()
-
-    async def violations(self) -> "pd.DataFrame":
-        """Return the violations as a data frame."""
-        async with self._connection.open() as api:
-            with contextlib.suppress(CoordinatorError):
-                found = (await api.get(f"/campaigns/{self.id}/violations"))["violations"]
-                return typed_frame(found, _VIOLATION)
-        frame = await self.to_pandas()
-        return frame[frame["unsafe"]].reset_index(drop=True)
-
-    async def combinations(self) -> "pd.DataFrame":
-        """Return the chains of perturbations as a data frame."""
-        async with self._connection.open() as api:
-            found = await api.read(Combinations, f"/campaigns/{self.id}/combinations")
-        return typed_frame(combination_rows(found), CHAIN_COLUMNS)
-
-    async def tolerances(self) -> "pd.DataFrame":
-        """Return how gross each error may be as a data frame."""
-        async with self._connection.open() as api:
-            document = await api.get(f"/campaigns/{self.id}/tolerance")
-        return data_frame([_cell_row(cell) for cell in document["cells"]])
-
-    async def plot(self, what: str = "map") -> "Figure":
-        """Draw a figure."""
-        if what == VIOLATION_TYPES:
-            async with self._connection.open() as api:
-                found = await api.read(Violations, f"/campaigns/{self.id}/violations")
-            return await asyncio.to_thread(figure_types, found)
-        fetched = await self.archive()
-        pairs: PairsView | TooManyPairs | None = None
-        if self._progress.looks_for_pairs:
-            async with self._connection.open() as api:
-                pairs = await read_all_pairs(api, self.id)
-        return await asyncio.to_thread(
-            campaign_figure, what, fetched, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, pairs=pairs
-        )
-
-    async def pair(self, place: int | None = None, *, film: bool = False) -> Picture:
-        """Draw both drives of a pair side by side."""
-        async with self._connection.open() as api:
-            view = await read_all_pairs(api, self.id)
-            if isinstance(view, TooManyPairs):
-                raise view
-            if place is None and not view.pairs:
-                raise InvalidInput.at("pair", f"expected a campaign with pairs; {view.note}")
-            chosen = view.pairs[0] if place is None else find_pair(view, place)
-            if chosen is None:
-                raise InvalidInput.at(
-                    "place", f"expected the number of one of {len(view.pairs)} pairs, from 1; got {place}"
-                )
-            with _scratch(film) as path:
-                await write_pair(api, view, chosen, path, workers=self._connection.has_workers)
-                return Picture(content=path.read_bytes(), suffix=path.suffix, words=headline(chosen))
-
-    async def replay(self, number: int, *, film: bool = False) -> Picture:
-        """Simulate a solution again and draw its drive."""
-        async with self._connection.open() as api:
-            requirement = await fetch_requirements(api, self.id)
-            trace = (
-                await fetch_trace(api, self.id, number, TRACE_TIMEOUT_S)
-                if self._connection.has_workers
-                else await run_episode(api, self.id, number)
-            )
-        with _scratch(film) as path:
-            await asyncio.to_thread(render, trace, path, requirement=requirement)
-            words = f"solution {number} of {self.name}"
-            return Picture(content=path.read_bytes(), suffix=path.suffix, words=words)
-
-    async def report(self, file: str | Path = "report.html", *, pairs: int = MOST_SHOWN) -> Path:
-        """Write a report to hand on."""
-        async with self._connection.open() as api:
-            page = await campaign_report(api, self.id, most_pairs=pairs, workers=self._connection.has_workers)
-        write_page(Path(file), page)
-        return Path(file)
-
-
-class Result(CampaignResult):
-    """What a campaign found: data frames, figures, replays. A notebook shows it with its map.
-
-    Most methods fetch or simulate what they return. `AsyncResult` has the same methods with ``await``.
-    """
-
-    _shown: str | None = None
-
-    def __init__(self, result: AsyncResult) -> None:
-        super().__init__(result._connection, result._progress, result._body, result.finding)
-        self._async = result
-        self.note = result.note
-
-    def to_pandas(self) -> "pd.DataFrame":
-        """Return all evaluated solutions as a data frame, one row each.
-
-        Returns:
-            The columns ``number``, one for each parameter (empty where it had no part in the drive), ``unsafe``,
-            ``robustness`` (negative if unsafe), ``fitness`` (distance from the boundary), ``neighbours``,
-            ``unsafe_neighbours`` and ``outcome``, in words.
-
-        Raises:
-            MissingExtra: pandas is not installed.
-        """
-        return wait_for(self._async.to_pandas)
-
-    def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
-        """Return the distinct boundary solutions as a data frame, best first; of more than 1,000, the best ones.
-
-        A warning says how many there are if these are not all.
-
-        Args:
-            t_b: Maximum fitness of a boundary solution.
-            d_th: Minimum distance between two of them.
-        """
-        return wait_for(lambda: self._async.boundary(t_b, d_th))
-
-    def pairs(self, eps: float | None = None, d_th: float | None = None) -> "pd.DataFrame":
-        """Return the distinct pairs across the boundary as a data frame, best first.
-
-        Args:
-            eps: Largest distance between the sides of a pair; by default the campaign's.
-            d_th: Smallest distance between two distinct pairs; by default the campaign's.
-        """
-        return wait_for(lambda: self._async.pairs(eps, d_th))
-
-    def check_pairs(
         self,
         confirm: int | None = None,
         *,
@@ -386,24 +276,35 @@ class Result(CampaignResult):
             CoordinatorError: There is nothing to simulate, or it cannot be simulated.
             CampaignUnfinished: The simulations ended early.
         """
-        frame = wait_for(
-            lambda: self._async.check_pairs(
-                confirm, component=component, minimise=minimise, limit=limit, workers=workers
+        asked = follow_up_requests({}, confirm, component=component, minimise=minimise, limit=limit)
+        if not asked:
+            raise InvalidInput.at(
+                "confirm", "expected confirm=30, component=True or minimise=True; got neither"
             )
-        )
-        self.finding, self._shown = self._async.finding, None
-        return frame
+        with environment_with(self.function) as environment:
+            async with with_workers(self._connection, workers, environment) as api:
+                for request in asked:
+                    view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
+                    await continue_follow_up(api, view)
+                    await _ended(api, view.campaign, waits=self._connection.has_workers)
+                self._words.finding = await _finding(api, self._progress)
+        return await self.pairs()
 
-    def violations(self) -> "pd.DataFrame":
+    async def violations(self) -> "pd.DataFrame":
         """Return the violations that the simulator classified as a data frame, or else all unsafe solutions.
 
         The column ``avoidable`` says who would have avoided a violation: ``careful``, ``ideal``, ``no``, or None if
         that was not measured. ``avoided_by`` says how: by ``braking`` before the time of the violation, or by
         ``driving on``.
         """
-        return wait_for(self._async.violations)
+        async with self._connection.open() as api:
+            with contextlib.suppress(CoordinatorError):
+                found = (await api.get(f"/campaigns/{self.id}/violations"))["violations"]
+                return typed_frame(found, _VIOLATION)
+        frame = await self.to_pandas()
+        return frame[frame["unsafe"]].reset_index(drop=True)
 
-    def combinations(self) -> "pd.DataFrame":
+    async def combinations(self) -> "pd.DataFrame":
         """Return the chains of perturbations that were simulated as a data frame, the most informative first.
 
         ``added_harm`` is by how much lower mAP is on the data set than with the most harmful part alone. Effects that
@@ -414,17 +315,21 @@ class Result(CampaignResult):
         Raises:
             CoordinatorError: The problem has no ordered perturbations.
         """
-        return wait_for(self._async.combinations)
+        async with self._connection.open() as api:
+            found = await api.read(Combinations, f"/campaigns/{self.id}/combinations")
+        return typed_frame(combination_rows(found), CHAIN_COLUMNS)
 
-    def tolerances(self) -> "pd.DataFrame":
+    async def tolerances(self) -> "pd.DataFrame":
         """Return how gross each error may be as a data frame.
 
         Raises:
             CoordinatorError: The campaign did not search for that.
         """
-        return wait_for(self._async.tolerances)
+        async with self._connection.open() as api:
+            document = await api.get(f"/campaigns/{self.id}/tolerance")
+        return data_frame([_cell_row(cell) for cell in document["cells"]])
 
-    def plot(self, what: str = "map") -> "Figure":
+    async def plot(self, what: str = "map") -> "Figure":
         """Draw a figure, which a notebook shows and matplotlib can change.
 
         Args:
@@ -436,9 +341,20 @@ class Result(CampaignResult):
             InvalidInput: There is no such figure.
             CoordinatorError: The campaign has no types of violations.
         """
-        return wait_for(lambda: self._async.plot(what))
+        if what == VIOLATION_TYPES:
+            async with self._connection.open() as api:
+                found = await api.read(Violations, f"/campaigns/{self.id}/violations")
+            return await asyncio.to_thread(figure_types, found)
+        fetched = await self.archive()
+        pairs: PairsView | TooManyPairs | None = None
+        if self._progress.looks_for_pairs:
+            async with self._connection.open() as api:
+                pairs = await read_all_pairs(api, self.id)
+        return await asyncio.to_thread(
+            campaign_figure, what, fetched, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, pairs=pairs
+        )
 
-    def pair(self, place: int | None = None, *, film: bool = False) -> Picture:
+    async def pair(self, place: int | None = None, *, film: bool = False) -> Picture:
         """Draw both drives of a pair side by side; where nothing was driven, what the two differ in.
 
         Args:
@@ -448,9 +364,22 @@ class Result(CampaignResult):
         Raises:
             InvalidInput: There is no such pair.
         """
-        return wait_for(lambda: self._async.pair(place, film=film))
+        async with self._connection.open() as api:
+            view = await read_all_pairs(api, self.id)
+            if isinstance(view, TooManyPairs):
+                raise view
+            if place is None and not view.pairs:
+                raise InvalidInput.at("pair", f"expected a campaign with pairs; {view.note}")
+            chosen = view.pairs[0] if place is None else find_pair(view, place)
+            if chosen is None:
+                raise InvalidInput.at(
+                    "place", f"expected the number of one of {len(view.pairs)} pairs, from 1; got {place}"
+                )
+            with _scratch(film) as path:
+                await write_pair(api, view, chosen, path, workers=self._connection.has_workers)
+                return Picture(content=path.read_bytes(), suffix=path.suffix, words=headline(chosen))
 
-    def replay(self, number: int, *, film: bool = False) -> Picture:
+    async def replay(self, number: int, *, film: bool = False) -> Picture:
         """Simulate a solution again and draw its drive.
 
         Args:
@@ -461,9 +390,19 @@ class Result(CampaignResult):
             NothingToReplay: Its simulator records no drives.
             CoordinatorError: There is no such solution.
         """
-        return wait_for(lambda: self._async.replay(number, film=film))
+        async with self._connection.open() as api:
+            requirement = await fetch_requirements(api, self.id)
+            trace = (
+                await fetch_trace(api, self.id, number, TRACE_TIMEOUT_S)
+                if self._connection.has_workers
+                else await run_episode(api, self.id, number)
+            )
+        with _scratch(film) as path:
+            await asyncio.to_thread(render, trace, path, requirement=requirement)
+            words = f"solution {number} of {self.name}"
+            return Picture(content=path.read_bytes(), suffix=path.suffix, words=words)
 
-    def report(self, file: str | Path = "report.html", *, pairs: int = MOST_SHOWN) -> Path:
+    async def report(self, file: str | Path = "report.html", *, pairs: int = MOST_SHOWN) -> Path:
         """Write a report to hand on: one HTML file with all pictures, for people who have never seen Brink.
 
         Args:
@@ -473,19 +412,49 @@ class Result(CampaignResult):
         Returns:
             The file.
         """
-        return wait_for(lambda: self._async.report(file, pairs=pairs))
+        async with self._connection.open() as api:
+            page = await campaign_report(api, self.id, most_pairs=pairs, workers=self._connection.has_workers)
+        write_page(Path(file), page)
+        return Path(file)
+
+
+class Result(CampaignResult, Synchronous[AsyncResult]):
+    """What a campaign found: data frames, figures, replays. A notebook shows it with its map.
+
+    Most methods fetch or simulate what they return. `AsyncResult` has the same methods with ``await``.
+    """
+
+    _shown: tuple[str, str] | None = None
+    """The finding, and how a notebook shows the result while that is the finding."""
+
+    def __init__(self, result: AsyncResult) -> None:
+        CampaignResult.__init__(self, result._connection, result._progress, result._body, result._words)
+        Synchronous.__init__(self, result)
+
+    to_pandas = synchronous_method(AsyncResult.to_pandas)
+    boundary = synchronous_method(AsyncResult.boundary)
+    pairs = synchronous_method(AsyncResult.pairs)
+    check_pairs = synchronous_method(AsyncResult.check_pairs)
+    violations = synchronous_method(AsyncResult.violations)
+    combinations = synchronous_method(AsyncResult.combinations)
+    tolerances = synchronous_method(AsyncResult.tolerances)
+    plot = synchronous_method(AsyncResult.plot)
+    pair = synchronous_method(AsyncResult.pair)
+    replay = synchronous_method(AsyncResult.replay)
+    report = synchronous_method(AsyncResult.report)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the finding, the counts and the map."""
-        if self._shown is None:
+        if self._shown is None or self._shown[0] != self.finding:
             picture = io.BytesIO()
             self.plot().savefig(picture, format="png", dpi=60)
             encoded = base64.b64encode(picture.getvalue()).decode()
-            self._shown = (
+            shown = (
                 f"<div>{self._summary_html()}"
                 f'<img alt="map of all solutions" style="max-width:100%" src="data:image/png;base64,{encoded}"></div>'
             )
-        return self._shown
+            self._shown = self.finding, shown
+        return self._shown[1]
 
     def _summary_html(self) -> str:
         share = f"{self.unsafe / self.evaluated:.0%}" if self.evaluated else "–"
