@@ -1,4 +1,4 @@
-"""Tags and notes: finding campaigns by them, editing them in place; follow-ups folded below their campaign."""
+"""Tags and notes, edited in place; follow-ups, folded below their campaign."""
 
 import re
 from typing import Any

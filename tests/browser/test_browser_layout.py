@@ -1,4 +1,4 @@
-"""Wide and narrow, light and dark."""
+"""Views on a phone, and the theme that was chosen."""
 
 import re
 

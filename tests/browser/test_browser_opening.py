@@ -1,4 +1,4 @@
-"""What a campaign page says first: the finding, the best pairs, what to do next; and results as they come in."""
+"""What a campaign page says first: the finding, what to do next; and results as they come in."""
 
 import shutil
 from pathlib import Path

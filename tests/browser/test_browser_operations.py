@@ -1,4 +1,4 @@
-"""Workers and jobs: who is there, what is in quarantine and why, and what becomes of a job that is retried."""
+"""Workers and jobs: what is in quarantine and why, a job that is retried, and a worker that is drained."""
 
 import httpx
 import pytest

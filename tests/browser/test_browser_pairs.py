@@ -1,4 +1,4 @@
-"""The pages of pairs: the list in words, and both drives of one pair on one clock."""
+"""The pages of pairs: both drives of a pair on one clock, and follow-ups that are asked for from the list."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The report of a campaign in a browser: complete in itself, readable at every width, accessible, printable."""
+"""The report of a campaign in a browser: complete in itself, readable at every width, accessible."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,4 +1,4 @@
-"""An ODD and three trajectories all the way: search, pairs, replay, export, report, warm start."""
+"""An ODD all the way: what is simulated, what a warm start takes over, and limits that a command adds."""
 
 import io
 import json

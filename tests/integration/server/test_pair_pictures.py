@@ -1,4 +1,4 @@
-"""`brink pairs --picture` and `--film`: of drives, of problems without drives, and what cannot be drawn."""
+"""`brink pairs --picture` and `--film`: of drives, of problems without drives, and what is refused."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""The pairs in the summary of `brink run`: first after a search for pairs, in one line after other searches."""
+"""The pairs that `brink run` found: in its summary, in its files, and as evidence."""
 
 import asyncio
 import json
