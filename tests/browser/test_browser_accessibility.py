@@ -33,6 +33,7 @@ def faults(page: Page, options: dict[str, Any]) -> list[str]:
     ]
 
 
+@pytest.mark.long("the dashboard beyond one walk through it")
 @pytest.mark.parametrize("theme", mostly_long(["light", "dark"], ["light"], "checks every view once more"))
 def test_no_view_has_a_serious_fault(site: Served, views: list[View], browse: Browse, theme: Theme) -> None:
     page = browse()

@@ -231,7 +231,7 @@ def test_differences_are_reverted_on_paper_only_where_pairs_are_shown_before_the
         return find_reducible(plan, archive, pairs)
 
     monkeypatch.setattr("brink.server.campaigns.pairs.find_reducible", counted)
-    monkeypatch.setattr("brink.server.api.pairs.find_reducible", counted)
+    monkeypatch.setattr("brink.server.findings.pairs.analysis.find_reducible", counted)
     campaign = submit(client, body())
     FakeWorker(client).work(campaign, until=lambda found: found["generation"] >= 6)
     running = pairs_of(client, campaign, **WIDE, limit=1)
@@ -283,6 +283,7 @@ def test_tables_have_one_row_for_each_pair(client: httpx.Client) -> None:
     assert empty.content == b""
 
 
+@pytest.mark.long("one more command of a feature whose parts have unit tests")
 @on_sqlite
 @pytest.mark.usefixtures("short_forests")
 def test_the_command_shows_and_writes_pairs_that_a_monitor_is_judged_on(

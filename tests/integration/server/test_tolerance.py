@@ -54,6 +54,7 @@ def service(database: str) -> Iterator[Service]:
         yield Service(client)
 
 
+@pytest.mark.long("runs searches for tolerances")
 def test_the_tolerated_magnitudes_are_found_with_units_and_sentences(service: Service) -> None:
     view = service.get()
     assert (view["complete"], view["open"], view["limit"], view["confidence"]) == (True, 0, 0.05, 0.9)
@@ -325,6 +326,7 @@ def detections(path: Path, *, drives: int, missed_s: float) -> Path:
     return path
 
 
+@pytest.mark.long("runs searches for tolerances")
 def test_commands_show_write_and_draw_tolerances(service: Service, database: str, tmp_path: Path) -> None:
 
     def tolerance(*options: str) -> str:

@@ -225,6 +225,7 @@ def test_follow_ups_go_along_and_go_on_elsewhere(
             run("import", str(file), "--database", elsewhere)
 
 
+@pytest.mark.long("imports fourteen forged files")
 @on_sqlite
 def test_forged_follow_ups_change_nothing(
     databases: Databases, elsewhere: str, database_url: str, tmp_path: Path

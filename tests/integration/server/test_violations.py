@@ -50,6 +50,7 @@ def campaign(client: httpx.Client) -> str:
     return campaign
 
 
+@pytest.mark.long("runs searches that unit tests of violations need not")
 def test_every_unsafe_solution_has_a_violation_with_a_type(client: httpx.Client, campaign: str) -> None:
     path = f"/api/v1/campaigns/{campaign}"
     found = expect(client.get(f"{path}/violations"))
@@ -248,6 +249,7 @@ def test_names_of_what_is_not_there_are_refused(client: httpx.Client, campaign: 
         expect(client.put(f"{path}/{one['number']}/{one['requirement']}/name", json=body), 422)
 
 
+@pytest.mark.long("runs searches that unit tests of violations need not")
 def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, capsys: Any) -> None:
     campaign = submit(client, {**TRAFFIC, "seed": 2})
     traffic_worker(client).work(campaign, until=lambda stands: bool(stands["generations"]))

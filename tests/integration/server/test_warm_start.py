@@ -181,6 +181,7 @@ def test_given_points_are_simulated_first_and_given_results_not_at_all(client: h
     assert {(one["campaign"], one["number"]) for one in listed} == {(None, None)}
 
 
+@pytest.mark.long("runs two searches; the other test of warm starts runs always")
 def test_pairs_of_a_warm_campaign_are_two_drives_of_its_own_under_one_seed(
     client: httpx.Client, earlier: str
 ) -> None:
