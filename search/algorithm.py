@@ -21,7 +21,7 @@ are not candidates, have no number, and are neither in the archive nor part of t
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Final, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -154,6 +154,10 @@ class Algorithm(Protocol[C, S]):
         id: Versioned plug-in id, such as ``mlcshe@1``.
         summary: One line for catalogues.
         config_type: Frozen dataclass whose fields are declared with `brink.search.settings.setting`.
+        finds: Optional. The kinds of findings that it finds, what it is for first, such as ``("pairs",)``; by
+            default, ``("boundary",)``.
+        is_baseline: Optional. Whether it draws solutions at random, without a search.
+        internal: Optional. Whether only Brink itself starts campaigns with it.
     """
 
     id: str
@@ -231,6 +235,14 @@ class Algorithm(Protocol[C, S]):
 
 AnyAlgorithm: TypeAlias = Algorithm[Any, Any]
 """An algorithm that was found by its id, whose types are not known."""
+
+UNDECLARED: Final = ("boundary",)
+"""What an algorithm finds that does not say so."""
+
+
+def declared_finds(algorithm: object) -> tuple[str, ...]:
+    """Return the kinds of findings that an algorithm declares in `finds`, what it is for first."""
+    return tuple(getattr(algorithm, "finds", UNDECLARED))
 
 
 @runtime_checkable

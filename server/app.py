@@ -15,10 +15,10 @@ from brink.server.access.authentication import Authenticator
 from brink.server.api import (
     analysis,
     campaigns,
+    combinations,
     episodes,
     experiment_pairs,
     experiments,
-    finding,
     findings,
     jobs,
     outcomes,
@@ -28,6 +28,7 @@ from brink.server.api import (
     service,
     solutions,
     tolerance,
+    violations,
 )
 from brink.server.api.context import Context
 from brink.server.api.middleware import AccessMiddleware, MetricsMiddleware
@@ -185,12 +186,12 @@ def _routes() -> list[BaseRoute]:
         jobs.wire,
         jobs.router,
         campaigns.router,
-        findings.combinations_router,
+        combinations.router,
         solutions.router,
         episodes.router,
         outcomes.router,
-        finding.router,
-        findings.violations_router,
+        findings.router,
+        violations.router,
         campaigns.llm_router,
         analysis.monitors_router,
         repeats.router,

@@ -175,7 +175,7 @@ class CampaignDisplay(LiveDisplay):
         shares = [one.unsafe / one.evaluated for one in self._series if one.evaluated]
         best = [one.best_fitness for one in self._series if one.best_fitness is not None]
         # Searches for diverse violations minimise criticality, searches on a data set a fitness.
-        diverse = not progress.looks_for_boundary and not progress.measured
+        diverse = "boundary" not in progress.finds and not progress.measured
         rows = [
             ("unsafe", f"{shares[-1]:.0%}" if shares else "–", spark(shares)),
             (
@@ -190,11 +190,11 @@ class CampaignDisplay(LiveDisplay):
             diverse and not best
         ):  # nothing that is rated yet, or nothing to rate, as when solutions are simulated again
             rows = [row for row in rows if row[0] != "criticality"]
-        if progress.looks_for_tolerances:  # it rates no solution
+        if progress.is_for("tolerances"):  # it rates no solution
             rows = [row for row in rows if row[0] != "criticality"]
-        if progress.looks_for_pairs:  # fitness and boundary are not what it looks for
+        if progress.is_for("pairs"):  # fitness and boundary are not what it looks for
             rows = [row for row in rows if row[0] != "best fitness"]
-        elif progress.looks_for_boundary:
+        elif "boundary" in progress.finds:
             boundary = f"{last.dbs} distinct, {last.strict_dbs} strict" if last else "–"
             rows.insert(2, ("boundary", boundary, spark([one.dbs for one in self._series])))
         if progress.measured:

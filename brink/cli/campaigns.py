@@ -298,9 +298,9 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"{progress.unsafe} unsafe, {failures_of(progress)} failed, {progress.measured} measured on data, "
         f"generation {progress.generation}"
     )
-    if progress.looks_for_pairs:
+    if progress.is_for("pairs"):
         screen.print(where_pairs_are(progress, place), soft_wrap=True)
-    elif series and progress.looks_for_boundary:
+    elif series and "boundary" in progress.finds:
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
             f"{progress.t_b:g}, {progress.d_th:g} apart) {spark([one.dbs for one in series])}"
@@ -368,14 +368,14 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
     if not found.evaluated:
         screen.print(f"no solution has been evaluated yet: the campaign is {found.status}, {_done(found)}")
         return
-    if found.looks_for_tolerances:
+    if found.is_for("tolerances"):
         command = f"{program()} tolerance {found.id}{place}"
         words = f"this campaign estimated tolerances, not a boundary; show them with: {command}"
         screen.print(words, soft_wrap=True)
         return
-    if found.looks_for_pairs:
+    if found.is_for("pairs"):
         screen.print(where_pairs_are(found, place), soft_wrap=True)
-    if not found.looks_for_boundary:
+    if "boundary" not in found.finds:
         command = f"{program()} report {found.id}{place}"
         screen.print(
             f"this campaign did not look for a boundary; see what it found with: {command}", soft_wrap=True
@@ -383,7 +383,7 @@ async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str
     screen.print(
         f"{boundary.dbs:,} distinct boundary solutions, {boundary.strict_dbs:,} strict{within_budget(boundary)}"
     )
-    if found.looks_for_pairs and not any(cell.dbs for cell in boundary.grid):
+    if found.is_for("pairs") and not any(cell.dbs for cell in boundary.grid):
         return
     if boundary.solutions:
         screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))

@@ -28,6 +28,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     },
     "Inspect": {
         "status": ("brink.cli.campaigns:status", "Show campaigns, or the progress of one"),
+        "findings": ("brink.cli.kinds:findings", "Show all that a campaign found, or one kind of it"),
         "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
         "pairs": ("brink.cli.pairs:pairs", "Show or export safe and unsafe drives side by side"),
         "tolerance": ("brink.cli.tolerance:tolerance", "Show how gross a component's errors may be"),

@@ -79,11 +79,11 @@ def compare(
     screen = console()
     screen.print(_pairs_table(progress, pairs))
     screen.print()
-    boundary = {one.id for one in progress if one.looks_for_boundary and not one.looks_for_pairs}
+    boundary = {one.id for one in progress if one.is_for("boundary")}
     if shown := [row for row in rows if row.campaign in boundary]:
         print_rows(screen, shown, d_th or PAPER_D_THS)
     for one in progress:
-        if one.looks_for_pairs:
+        if one.is_for("pairs"):
             words = where_pairs_are(one, place_option(server, database))
             screen.print(f"{one.name}: {words}", soft_wrap=True)
 

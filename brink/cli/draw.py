@@ -34,7 +34,6 @@ from brink.pictures import render
 from brink.report.figures import draw_figures
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.views import Boundary
 
@@ -63,7 +62,7 @@ def plot(
         folder.mkdir(parents=True, exist_ok=True)
         formats = ("png", "svg") if svg else ("png",)
         pairs = None
-        if searches_for_pairs(fetched.body.algorithm.id):
+        if fetched.plan.is_for("pairs"):
             pairs = await read_all_pairs(api, fetched.id)
         if isinstance(pairs, TooManyPairs):
             console(stderr=True).print(f"no pair is marked: {pairs}", soft_wrap=True, style="yellow")

@@ -39,7 +39,6 @@ from brink.report.component import DetectionCounts, count_detections, write_boxe
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, TooManyPairs
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.table import MEANINGS, boundary_columns, boundary_rows
 from brink.server.findings.boundary.views import Boundary
@@ -124,7 +123,7 @@ async def _write(api: Api, campaign: str, options: _Options, screen: Console) ->
     options.folder.mkdir(parents=True, exist_ok=True)
     rows, notes = boundary_rows(boundary, fetched.id, fetched.body), list[str]()
     columns = boundary_columns(fetched.plan.problem.space)
-    searched = searches_for_pairs(fetched.body.algorithm.id)
+    searched = fetched.plan.is_for("pairs")
     if not has_parquet():
         notes.append(f"no Parquet: {install_command('analysis')}")
     if rows or not searched:

@@ -46,7 +46,6 @@ from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
 from brink.server.api.schemas import SolutionPage
-from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
 from brink.server.findings.combinations.views import Combinations, StepTally
@@ -105,7 +104,7 @@ async def fetch_findings(api: Api, fetched: FetchedArchive) -> Sequence[Findings
         pass  # no ordered techniques, so no combinations
     else:
         found.append(CombinationFindings(await api.read(Combinations, f"{path}/combinations")))
-    if searches_for_tolerances(fetched.body.algorithm.id):
+    if fetched.plan.is_for("tolerances"):
         found.append(await fetch_tolerance_findings(api, fetched.id))
     if isinstance(fetched.plan.problem, ReportsViolations):
         found.append(ViolationFindings(await api.read(Violations, f"{path}/violations"), fetched))

@@ -16,7 +16,7 @@ from brink.report.pair_pictures import write_pair
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
-from brink.server.campaigns.pairs import PairSettings, searches_for_pairs
+from brink.server.campaigns.pairs import PairSettings
 from brink.server.campaigns.plan import with_truth
 from brink.server.errors import InvalidInput
 from brink.server.findings.pairs.views import (
@@ -228,7 +228,7 @@ class TooManyFindings:
     @property
     def searched(self) -> bool:
         """Whether the campaign searched for pairs."""
-        return searches_for_pairs(self._fetched.body.algorithm.id)
+        return self._fetched.plan.is_for("pairs")
 
     def summary(self) -> dict[str, Any]:
         """Return why there are no findings for ``brink run --json``."""

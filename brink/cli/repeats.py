@@ -98,7 +98,7 @@ def repeats(
 async def _say_where_pairs_are(api: Api, campaign: str, place: str, screen: Console) -> None:
     """Say how pairs are simulated again if the campaign searched for these rather than for the boundary."""
     found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
-    if found.looks_for_pairs:
+    if found.is_for("pairs"):
         options = f" --confirm {DEFAULT_CONFIRMATIONS}"
         do = "simulate these again with other seeds"
         screen.print(where_pairs_are(found, place, options=options, do=do), soft_wrap=True)

@@ -217,18 +217,13 @@ async def _write_all(
     """Write results, comparison and figures of a campaign; Ctrl-C skips the figures that are not drawn yet."""
     api, campaign = session.api, progress.id
     boundary, results = await write_results(
-        api,
-        campaign,
-        folder,
-        t_b=DEFAULT_T_B,
-        d_th=DEFAULT_D_TH,
-        even_empty=progress.looks_for_boundary and not progress.looks_for_pairs,
+        api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, even_empty=progress.is_for("boundary")
     )
     files: list[Path] = []
     with Steps(session.screen, "looking for pairs") as steps:
         fetched = await fetch_archive(api, campaign)
         pairs = await fetch_pair_findings(api, fetched)
-        if not progress.looks_for_tolerances:
+        if not progress.is_for("tolerances"):
             files += pairs.write(folder)
         files += results
         found = await fetch_findings(api, fetched)
@@ -236,7 +231,7 @@ async def _write_all(
             files += findings.write(folder)
         steps.show("comparing with a control")
         control = []
-        if progress.looks_for_boundary:
+        if "boundary" in progress.finds:
             control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
         report = Report(
             boundary=boundary,
@@ -259,7 +254,7 @@ async def _write_all(
         )
         steps.show("drawing a pair")
         files += await pairs.draw(drawing)
-        if not progress.looks_for_tolerances:
+        if not progress.is_for("tolerances"):
             files += await asyncio.to_thread(
                 draw_figures,
                 fetched,
@@ -274,7 +269,7 @@ async def _write_all(
             steps.show(f"drawing {findings.name}")
             files += await findings.draw(drawing)
         numbers = [solution.number for solution in boundary.solutions if solution.spec is not None]
-        if progress.looks_for_tolerances:
+        if progress.is_for("tolerances"):
             numbers = [number for findings in found for number in findings.examples]
         steps.show("drawing replays")
         files += await write_replays(drawing, numbers[:replays])
@@ -303,7 +298,7 @@ def _summary(
         "grid": boundary["grid"],
         "within_budget": boundary["within_budget"],
         "control": report.control,
-        "looks_for_boundary": progress.looks_for_boundary,
+        "finds": progress.finds,
         "origins": progress.origins,
         "pairs": report.pairs.summary(),
         "findings": {findings.name: findings.sentence() for findings in report.findings},
@@ -363,7 +358,7 @@ def _print_summary(
             screen.print(solution_table(boundary))
         screen.print(grid_table(boundary.grid))
         screen.print(boundary.note, style="dim")
-    if not report.pairs.searched and not progress.looks_for_tolerances:
+    if not report.pairs.searched and not progress.is_for("tolerances"):
         for line in report.control:
             screen.print(line, soft_wrap=True)
         report.pairs.show(screen)
@@ -387,7 +382,7 @@ def _print_next(
 ) -> None:
     """Print commands to continue with."""
     campaign, boundary = progress.id, report.boundary
-    searched = report.pairs.searched or progress.looks_for_tolerances
+    searched = report.pairs.searched or progress.is_for("tolerances")
     about_boundary = _about_the_boundary(progress, report)
     replayed = [path.stem.removeprefix("replay-") for path in report.files if path.stem.startswith("replay-")]
     hints = report.pairs.hints(campaign, database) if report.pairs.searched else []
@@ -410,9 +405,7 @@ def _print_next(
     if report.control and not searched:
         hints.append((f"compare {campaign}{database}", "see how much the component accounts for"))
     urban = (
-        body.algorithm.id == "mlcshe@1"
-        and body.problem.id == "urban-injected@1"
-        and body.budget.simulations < PAPER_BUDGET
+        about_boundary and body.problem.id == "urban-injected@1" and body.budget.simulations < PAPER_BUDGET
     )
     if urban and Path("examples/paper-mlcshe.yaml").exists():
         hints.append(
@@ -441,4 +434,4 @@ def _print_other_requirements(screen: Console, file: Path, pairs: PairFindings) 
 
 def _about_the_boundary(progress: Progress, report: Report) -> bool:
     """Return whether the boundary is worth showing: whether the search looked for it."""
-    return progress.looks_for_boundary and not report.pairs.searched
+    return progress.is_for("boundary")

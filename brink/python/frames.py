@@ -11,6 +11,7 @@ from brink.search.archive import Archive
 from brink.search.errors import MissingExtra
 from brink.search.parameters import Categorical
 from brink.search.space import BoolArray, SearchSpace
+from brink.server.findings.table import Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,6 +56,15 @@ def typed_frame(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, type | 
     return data_frame(
         {name: pd.Series([], dtype=_DTYPES.get(kind, "object")) for name, kind in columns.items()}
     )
+
+
+def table_frame(table: Table) -> "pd.DataFrame":
+    """Return a table of findings as a data frame, with its details.
+
+    Raises:
+        MissingExtra: pandas is not installed.
+    """
+    return typed_frame(table.records(), table.optional_types())
 
 
 def types_of(row: Mapping[str, Any]) -> dict[str, type]:

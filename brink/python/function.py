@@ -18,6 +18,7 @@ from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
+from brink.server.problems.catalogue import make_algorithm
 from brink.server.problems.function import Function
 from brink.server.states import CampaignStatus
 from brink.sim.adapters import function as simulator
@@ -142,9 +143,9 @@ def _check_calls(progress: Progress) -> None:
 
 def _defaults(function: Callable[..., Any], algorithm: str) -> dict[str, Any]:
     """Return settings of an algorithm that suit a function without chance: its boundary is sharp."""
-    if algorithm == "edge@1" and not simulator.takes_seed(function):
-        return {"checks": 0, "margin": 0.0, "eps": 0.005, "d_th": 0.1}
-    return {}
+    if simulator.takes_seed(function):
+        return {}
+    return dict(getattr(make_algorithm(algorithm), "without_chance", {}))
 
 
 def check_call(function: Callable[..., Any], space: SearchSpace) -> None:

@@ -31,7 +31,7 @@ from brink.api.results import (
 )
 from brink.pictures import render
 from brink.python.connection import Connection, environment_with, with_workers
-from brink.python.frames import archive_frame, data_frame, typed_frame, types_of
+from brink.python.frames import archive_frame, data_frame, table_frame, typed_frame, types_of
 from brink.python.picture import Picture
 from brink.python.synchronous import Synchronous, synchronous_method
 from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
@@ -48,6 +48,7 @@ from brink.server.errors import InvalidInput, ServerError
 from brink.server.findings.boundary.table import boundary_columns, boundary_rows
 from brink.server.findings.boundary.views import Boundary
 from brink.server.findings.combinations.views import Combinations
+from brink.server.findings.finding import Finding, Findings
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.table import pair_columns, pair_rows
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
@@ -290,6 +291,33 @@ class AsyncResult(CampaignResult):
                 self._words.finding = await _finding(api, self._progress)
         return await self.pairs()
 
+    async def findings(self, kind: str | None = None, table: str | None = None) -> "pd.DataFrame":
+        """Return one kind of what the campaign found as a data frame, or all kinds with a sentence each.
+
+        Args:
+            kind: The kind, such as ``pairs``; None for an overview of all kinds.
+            table: Name of the table, if the kind has several; by default the first.
+
+        Raises:
+            CoordinatorError: The campaign has no findings of this kind.
+            InvalidInput: The kind has no such table.
+        """
+        async with self._connection.open() as api:
+            if kind is None:
+                found = await api.read(Findings, f"/campaigns/{self.id}/findings", {"rows": 0})
+                return data_frame(
+                    [
+                        {"kind": one.kind, "role": str(one.role), "sentence": one.sentence}
+                        for one in found.findings
+                    ]
+                )
+            finding = await api.read(Finding, f"/campaigns/{self.id}/findings/{kind}")
+        chosen = finding.table(table)
+        if chosen is None:
+            names = ", ".join(one.name for one in finding.tables) or "none"
+            raise InvalidInput.at("table", f"expected one of {names}; got {table}")
+        return table_frame(chosen)
+
     async def violations(self) -> "pd.DataFrame":
         """Return the violations that the simulator classified as a data frame, or else all unsafe solutions.
 
@@ -347,7 +375,7 @@ class AsyncResult(CampaignResult):
             return await asyncio.to_thread(figure_types, found)
         fetched = await self.archive()
         pairs: PairsView | TooManyPairs | None = None
-        if self._progress.looks_for_pairs:
+        if self._progress.is_for("pairs"):
             async with self._connection.open() as api:
                 pairs = await read_all_pairs(api, self.id)
         return await asyncio.to_thread(
@@ -435,6 +463,7 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
     boundary = synchronous_method(AsyncResult.boundary)
     pairs = synchronous_method(AsyncResult.pairs)
     check_pairs = synchronous_method(AsyncResult.check_pairs)
+    findings = synchronous_method(AsyncResult.findings)
     violations = synchronous_method(AsyncResult.violations)
     combinations = synchronous_method(AsyncResult.combinations)
     tolerances = synchronous_method(AsyncResult.tolerances)
@@ -469,12 +498,13 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
 
 async def _finding(api: Api, progress: Progress) -> str:
     """Return what a campaign found, in a sentence, and what to try if a search for pairs found none."""
-    found = await api.get(f"/campaigns/{progress.id}/finding")
-    words = str(found["words"])
-    if found["pairs"] != 0 or not progress.looks_for_pairs or progress.status is not CampaignStatus.FINISHED:
-        return words
+    found = await api.read(Findings, f"/campaigns/{progress.id}/findings", {"rows": 0})
+    pairs = found.of_kind("pairs")
+    ended = progress.status is CampaignStatus.FINISHED
+    if pairs is None or not pairs.is_empty or not progress.is_for("pairs") or not ended:
+        return found.words
     view = await api.read(PairsView, f"/campaigns/{progress.id}/pairs", {"limit": 1})
-    return f"{words} {_what_to_try(progress, view)}"
+    return f"{found.words} {_what_to_try(progress, view)}"
 
 
 def _what_to_try(progress: Progress, view: PairsView) -> str:

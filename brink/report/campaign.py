@@ -47,6 +47,7 @@ from brink.report.campaign_words import (
     uncertainties,
     verdicts,
 )
+from brink.report.tables import finding_section
 from brink.report.text import page_template
 from brink.search.analysis.combinations import MIN_PLACES
 from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS, PairsView
@@ -55,6 +56,8 @@ from brink.server.problems.base import SimulatedProblem
 from brink.server.states import CampaignStatus, OutcomeKind
 
 MOST_PAIRS: Final = 6
+WITH_SECTION: Final = ("pairs", "tolerances", "violations", "combinations", "boundary", "verdicts")
+"""Kinds of findings whose section has pictures or more; any other is told by its sentence and its tables."""
 MOST_PARAMETERS: Final = 40
 LONGEST_FILE: Final = 12_000
 """Letters of a campaign file that are printed; the file of repeats may have thousands of numbers."""
@@ -117,6 +120,11 @@ def compose(facts: Facts, pictures: Mapping[str, Path], *, most_pairs: int = MOS
         combinations_section(facts, album),
         boundary_section(facts, album),
         None if searched else pairs,
+        *(
+            finding_section(finding, facts.view.id)
+            for finding in facts.finding.findings
+            if finding.kind not in WITH_SECTION and not finding.is_empty
+        ),
         outcomes_section(facts),
     ]
     return page_template("campaign.html").render(
@@ -185,7 +193,7 @@ def _key_figures(facts: Facts) -> list[Term]:
                 f"chains of changes hazardous, driven in {MIN_PLACES} streets or more",
             )
         )
-    elif facts.progress.looks_for_boundary:
+    elif "boundary" in facts.progress.finds:
         solutions = "distinct boundary solution" + ("" if facts.boundary.dbs == 1 else "s")
         told.append(Term(f"{facts.boundary.dbs:,}", solutions))
     return told

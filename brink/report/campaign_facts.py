@@ -8,29 +8,27 @@ from brink.api.client import Api, CoordinatorError
 from brink.api.live import failures_of
 from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
 from brink.report.comparison import compared_archives
-from brink.search.algorithms.multi_objective import MultiObjectiveConfig
-from brink.search.algorithms.qd import QdConfig
 from brink.search.analysis.comparison import control_summaries
 from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.analysis.rules import Rules, region_rules
 from brink.search.errors import MissingExtra, TooManyPairs, UnsupportedSpace
 from brink.search.slots import slots_of
-from brink.server.api.finding import FindingView
 from brink.server.api.schemas import CampaignList, CampaignView, JobList, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.boundary.views import Boundary
 from brink.server.findings.combinations.views import Combinations
+from brink.server.findings.finding import Findings
 from brink.server.findings.pairs.views import PairsView
 from brink.server.findings.tolerances.views import DetectorView, ToleranceView
 from brink.server.findings.violations.views import Violations
 from brink.server.problems.base import InProcessProblem, ReportsViolations
+from brink.server.problems.catalogue import is_baseline
 from brink.server.states import CampaignStatus, JobStatus
 from brink.server.views import SolutionView
 
 Show: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being done, in words, how much of it is done, and how much there is; 0 if that is unknown."""
-RANDOM: Final = "random@1"
 OPEN: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
 LISTED: Final = 200
 """Campaigns among which random search on the same problem is looked for, newest first."""
@@ -95,7 +93,7 @@ class Facts:
 
     view: CampaignView
     progress: Progress
-    finding: FindingView
+    finding: Findings
     fetched: FetchedArchive
     pairs: PairsView | TooManyPairs
     boundary: Boundary
@@ -153,12 +151,12 @@ class Facts:
     @property
     def searched_pairs(self) -> bool:
         """Whether the campaign searched for pairs."""
-        return self.progress.looks_for_pairs
+        return self.progress.is_for("pairs")
 
     @property
     def searched_violations(self) -> bool:
         """Whether the campaign searched for different violations."""
-        return isinstance(self.fetched.plan.config, MultiObjectiveConfig | QdConfig)
+        return self.progress.is_for("violations")
 
 
 async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | None = None) -> Facts:
@@ -178,7 +176,7 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
     view = await api.read(CampaignView, f"/campaigns/{campaign}")
     path = f"/campaigns/{view.id}"
     progress = await api.read(Progress, f"{path}/progress", {"since": _ALL_GENERATIONS})
-    finding = await api.read(FindingView, f"{path}/finding")
+    finding = await api.read(Findings, f"{path}/findings")
     fetched = await fetch_archive(api, view.id)
     show("looking for pairs", 0, 0)
     pairs = await read_all_pairs(api, view.id)
@@ -186,7 +184,7 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
     problem, archive = fetched.plan.problem, fetched.archive
     show("comparing with a control and with random search", 0, 0)
     control: Sequence[str] = ()
-    if progress.looks_for_boundary and not progress.looks_for_pairs and len(archive):
+    if progress.is_for("boundary") and len(archive):
         control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
     rules, no_rules = _rules(fetched)
     violations = combinations = tolerance = detector = None
@@ -194,7 +192,7 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
         violations = await api.read(Violations, f"{path}/violations")
     if _has_slots(fetched):
         combinations = await api.read(Combinations, f"{path}/combinations")
-    if progress.looks_for_tolerances:
+    if progress.is_for("tolerances"):
         tolerance = await api.read(ToleranceView, f"{path}/tolerance")
     if episodes is not None:
         detector = await api.read(DetectorView, f"{path}/tolerance/detector", {"episodes": episodes})
@@ -267,13 +265,13 @@ async def _random_search(
     api: Api, view: CampaignView, pairs: PairsView | TooManyPairs
 ) -> Sequence[RandomSearch]:
     """Return finished campaigns of random search on the same problem, the largest first."""
-    if view.body.algorithm.id == RANDOM:
+    if is_baseline(view.body.algorithm.id):
         return []
     asked = {"limit": LISTED, "status": CampaignStatus.FINISHED.value}
     found = [
         one
         for one in (await api.read(CampaignList, "/campaigns", asked)).campaigns
-        if one.body.algorithm.id == RANDOM
+        if is_baseline(one.body.algorithm.id)
         and one.body.problem == view.body.problem
         and one.body.ground_truth == view.body.ground_truth
     ]

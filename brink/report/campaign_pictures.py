@@ -110,7 +110,7 @@ async def draw_pictures(
 
 def shown_replays(facts: Facts) -> list[int]:
     """Return the numbers of the boundary solutions whose replays the report shows."""
-    if facts.searched_pairs or not facts.progress.looks_for_boundary or facts.combinations is not None:
+    if facts.searched_pairs or "boundary" not in facts.progress.finds or facts.combinations is not None:
         return []
     simulated = [one.number for one in facts.boundary.solutions if one.spec is not None]
     return simulated[:REPLAYS_DRAWN]

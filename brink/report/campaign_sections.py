@@ -465,7 +465,7 @@ def boundary_section(facts: Facts, album: Album) -> Section | None:
     """Return the map, with boundary solutions where the search looked for them; None if nothing was evaluated."""
     if not facts.evaluated or facts.tolerance is not None:
         return None
-    found, searched = facts.boundary, facts.progress.looks_for_boundary and not facts.searched_pairs
+    found, searched = facts.boundary, facts.progress.is_for("boundary")
     map_words = "Map of the campaign: each dot is a simulated solution, similar ones lie close together"
     paragraphs, tables = [], []
     if searched and facts.combinations is None:

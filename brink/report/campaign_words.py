@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from brink.api.live import failures_of
-from brink.report.campaign_facts import LISTED, RANDOM, Facts
+from brink.report.campaign_facts import LISTED, Facts
 from brink.search.analysis.dependence import ParameterColumn
 from brink.search.odd import odd_words
 from brink.search.parameters import Categorical
@@ -18,7 +18,7 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.findings.pairs.views import PairsView
 from brink.server.findings.tolerances.views import CellView, Finding, ToleranceView
-from brink.server.problems.catalogue import ODD
+from brink.server.problems.catalogue import ODD, is_baseline
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind
 from brink.sim.catalogue import REQUIREMENTS, load_plugin
@@ -111,7 +111,7 @@ def purpose(facts: Facts) -> str:
         return (
             "Brink searched for changes to the camera image, alone or together, that make the driving unsafe."
         )
-    if facts.view.body.algorithm.id == RANDOM:
+    if is_baseline(facts.view.body.algorithm.id):
         return f"Brink drew {many} at random, as a baseline for searches that choose them."
     near = facts.fetched.plan.neighbourhood
     return (
@@ -236,7 +236,7 @@ def uncertainties(facts: Facts) -> list[str]:
     if not facts.computed:
         chosen = (
             "Parameters are drawn evenly, which traffic does not do"
-            if facts.view.body.algorithm.id == RANDOM
+            if is_baseline(facts.view.body.algorithm.id)
             else "A search simulates where it expects to learn most"
         )
         told.append(
@@ -370,7 +370,7 @@ def _component(pairs: PairsView) -> str:
 
 
 def _random(facts: Facts) -> str:
-    if facts.view.body.algorithm.id == RANDOM:
+    if is_baseline(facts.view.body.algorithm.id):
         return "This campaign is random search itself: it needs no other baseline."
     if not facts.random:
         return (

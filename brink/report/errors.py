@@ -12,6 +12,7 @@ from brink.api.results import FetchedArchive
 from brink.search.analysis.intervals import CONFIDENCE, replicated_interval
 from brink.server.errors import Conflict
 from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.catalogue import is_baseline
 from brink.sim.urban.error_process import EDGES_M, FOUND_FIRST, GROUPS, LABELS, LOST, SEEN, FittedErrors
 
 HEADER: Final = """\
@@ -190,7 +191,7 @@ def violations_of(fetched: FetchedArchive) -> Violations:
     archive, body = fetched.archive, fetched.body
     if not len(archive):
         raise Conflict(f"campaign {fetched.id} has no drives yet")
-    if body.algorithm.id != "random@1":
+    if not is_baseline(body.algorithm.id):
         raise Conflict(
             f"campaign {fetched.id}: expected drives drawn at random (random@1), got {body.algorithm.id}, which "
             "looks for violations"

@@ -12,7 +12,6 @@ from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace, run_episode
 from brink.pictures import render
 from brink.search.errors import TooManyPairs
-from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.errors import InvalidInput
 from brink.server.findings.pairs.views import PairsView
 from brink.server.states import OutcomeKind
@@ -114,7 +113,7 @@ def _inputs(
         words=_verdict_words(fetched),
         pairs=None if pairs is None else _numbers_of(pairs),
         too_many_pairs=isinstance(pairs, TooManyPairs),
-        searched_boundary=looks_for_boundary(fetched.body.algorithm.id),
+        searched_boundary="boundary" in fetched.plan.finds,
     )
 
 

@@ -16,7 +16,16 @@ from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 import numpy as np
 
-from brink.search.algorithm import Candidate, Evaluation, Failed, Known, Measured, Question, Scored
+from brink.search.algorithm import (
+    UNDECLARED,
+    Candidate,
+    Evaluation,
+    Failed,
+    Known,
+    Measured,
+    Question,
+    Scored,
+)
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError, OrderError, SpaceError
@@ -512,12 +521,18 @@ class LedgerAlgorithm(Generic[C, S]):
         id: Versioned plug-in id.
         summary: One line for catalogues.
         config_type: Type of the settings.
+        finds: Kinds of findings, what it is for first.
+        is_baseline: Whether it draws solutions at random, without a search.
+        internal: Whether only Brink itself starts campaigns with it.
         layout: Version of stored states: of their layout, and of how the search continues from them.
     """
 
     id: str
     summary: str
     config_type: type[C]
+    finds: tuple[str, ...] = UNDECLARED
+    is_baseline: bool = False
+    internal: bool = False
     layout: int = 1
 
     def _min_budget(self, space: SearchSpace, config: C) -> int:

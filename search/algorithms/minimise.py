@@ -241,6 +241,8 @@ class Minimise(LedgerAlgorithm[MinimiseConfig, MinimiseState]):
     """The reduction of pairs to the differences that matter."""
 
     id = "minimise@1"
+    finds = ()
+    internal = True
     summary = (
         "No search: reverts the differences of given pairs one by one, as long as the unsafe side is unsafe."
     )

@@ -257,6 +257,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
     """muMOEA, the adaptive multi-objective search with seeds."""
 
     id = "mumoea@1"
+    finds = ("violations",)
     summary = "muMOEA: adaptive multi-objective search, seeded by patterns or a language model."
     config_type: type[Any] = MumoeaConfig
     needed_objectives = (CRITICALITY,)

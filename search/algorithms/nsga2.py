@@ -65,6 +65,7 @@ class Nsga2(LedgerAlgorithm[Nsga2Config, MultiObjectiveState]):
     """NSGA-II with fixed crossover and mutation rates."""
 
     id = "nsga2@1"
+    finds = ("violations",)
     summary = "NSGA-II: critical and diverse scenarios of scripted traffic, with fixed rates."
     config_type: type[Any] = Nsga2Config
     needed_objectives = (CRITICALITY,)

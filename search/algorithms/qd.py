@@ -191,6 +191,7 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
     """MAP-Elites for scripted traffic."""
 
     id = "qd@1"
+    finds = ("violations",)
     summary = "MAP-Elites: as many kinds of violations as possible, the most critical of each."
     config_type = QdConfig
     layout = 2

@@ -82,6 +82,8 @@ class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):
     """Repeated simulation of the given solutions with different seeds."""
 
     id = "repeat@1"
+    finds = ()
+    internal = True
     summary = "No search: given solutions, each simulated with many seeds."
     config_type = RepeatsConfig
 

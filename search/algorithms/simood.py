@@ -162,6 +162,7 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
     """A genetic algorithm that evaluates individuals on a data set and simulates the finalists."""
 
     id = "simood-ga@1"
+    finds = ("combinations",)
     summary = "SiMOOD: perturbations bred on a data set, the best of them simulated."
     config_type = SimoodConfig
     layout = 3

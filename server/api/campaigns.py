@@ -51,11 +51,9 @@ from brink.server.campaigns.body import (
 )
 from brink.server.campaigns.deletion import TreeMember
 from brink.server.campaigns.known import count_known
-from brink.server.campaigns.pairs import searches_for_pairs
-from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.plan import finds_of
 from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
-from brink.server.campaigns.tolerance import searches_for_tolerances
 from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.found import Found, found_so_far
 from brink.server.dashboard.overview import (
@@ -307,7 +305,7 @@ def campaign_view(campaign: Campaign) -> CampaignView:
         finished_at=campaign.finished_at,
         tags=campaign.body.tags,
         notes=campaign.body.notes,
-        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
+        finds=list(finds_of(campaign.body.algorithm.id)),
         body=campaign.body,
         thresholds=THRESHOLDS,
     )
@@ -381,9 +379,7 @@ def read_progress(
         waits_for={needs: worker_for(needs) for needs in unrunnable},
         digest=archive.digest if archive is not None else None,
         finished_at=campaign.finished_at,
-        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
-        looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),
-        looks_for_tolerances=searches_for_tolerances(campaign.body.algorithm.id),
+        finds=list(finds_of(campaign.body.algorithm.id)),
         origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
         known=_known_view(connection, campaign),
         asking=asking,
@@ -447,13 +443,13 @@ class Overview(View):
             description="Distinct boundary solutions at the default thresholds, at evenly spaced generations."
         ),
     ]
-    looks_for_boundary: Annotated[
-        list[bool],
-        Field(
-            description="Whether it searches for the hazard boundary rather than for different violations."
-        ),
+    finds: Annotated[
+        list[list[str]],
+        Field(description="Kinds of findings that its algorithm finds, what it is for first."),
     ]
-    about_boundary: Annotated[list[bool], Field(description="Whether what it found is boundary solutions.")]
+    found_kind: Annotated[
+        list[str], Field(description="Kind of that finding; empty if there are no words about it.")
+    ]
     found: Annotated[
         list[str | None],
         Field(
@@ -581,8 +577,8 @@ def _overview(
         rate_per_s=[standing.rate_per_s if standing else None for _, standing in both],
         remaining_s=[standing.remaining_s if standing else None for _, standing in both],
         dbs=[list(sparks[one.id]) for one in outlines],
-        looks_for_boundary=[looks_for_boundary(one.algorithm) for one in outlines],
-        about_boundary=[one is not None and one.about_boundary for one in found],
+        finds=[list(finds_of(one.algorithm)) for one in outlines],
+        found_kind=["" if one is None else one.kind for one in found],
         found=[None if one is None else one.words for one in found],
         follow_ups=[one.follow_ups.all for one in outlines],
         open_follow_ups=[one.follow_ups.open for one in outlines],

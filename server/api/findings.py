@@ -1,156 +1,48 @@
-"""Routes of findings besides the boundary: types of violations, hazardous combinations."""
+"""Routes of what campaigns found: all kinds, or one of them as JSON or as a table."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Path, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from fastapi import APIRouter, Query, Response
 
-from brink.search.algorithms.simood import SimoodConfig
-from brink.search.analysis.avoidable import EXPLANATION, Avoidable
-from brink.search.analysis.violations import RULES_VERSION, FoundViolation
-from brink.search.errors import UnsupportedSpace
-from brink.server.api.context import Context, Services
+from brink.server.api.context import Services
 from brink.server.api.responses import json_response
-from brink.server.api.solutions import Number
-from brink.server.campaigns import view_store
-from brink.server.campaigns.store import Campaign
-from brink.server.campaigns.violations import read_violations, set_name
-from brink.server.db.engine import read
+from brink.server.api.solutions import MEDIA
 from brink.server.errors import NotFound
-from brink.server.findings.combinations.analysis import alphas_of, combinations_view, variants_view
-from brink.server.findings.combinations.views import Combinations, Variant
-from brink.server.findings.violations.analysis import (
-    _seen_again,
-    _violation_view,
-    violation_types,
-    violations_words,
-)
-from brink.server.findings.violations.views import Violations
-from brink.server.problems.base import ReportsViolations
+from brink.server.findings.finding import Finding, Findings
+from brink.server.findings.summary import MOST_ROWS, ROWS, find_all, find_kind
 
-violations_router = APIRouter(prefix="/campaigns/{campaign_id}/violations", tags=["violations"])
-
-Requirement = Annotated[str, Path(max_length=64)]
+router = APIRouter(prefix="/campaigns/{campaign_id}/findings", tags=["findings"])
 
 
-class NameBody(BaseModel):
-    """A name for a violation."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
-
-
-@violations_router.get("", response_model=Violations)
-async def get_violations(
+@router.get("")
+async def get_findings(
     campaign_id: str,
     services: Services,
-    types_only: Annotated[bool, Query(description="Return the types only.")] = False,
-    avoidable: Annotated[
-        Avoidable | None,
-        Query(
-            description="Return only violations that this driver would have avoided (`no` for neither), and the "
-            "types with one, even if another driver would have avoided others of the type. Counts are those of these "
-            "violations, but `avoided` says of how many solutions."
-        ),
-    ] = None,
+    rows: Annotated[int, Query(ge=0, le=MOST_ROWS, description="Most rows of each table.")] = ROWS,
+) -> Findings:
+    """Return what a campaign found in a sentence, all kinds of its findings, and what to do next."""
+    return await find_all(services, await services.campaigns.get(campaign_id), rows=rows)
+
+
+@router.get(
+    "/{kind}", response_model=Finding, responses={200: {"content": {media: {} for media in MEDIA.values()}}}
+)
+async def get_finding(
+    campaign_id: str,
+    kind: str,
+    services: Services,
+    table: Annotated[str | None, Query(description="Name of the table; by default the first.")] = None,
+    format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Response:
-    """Return the violations of a campaign, grouped by type; those that a careful driver would have avoided first."""
+    """Return one kind of what a campaign found: a sentence, its tables and next steps, or one table as a file."""
     campaign = await services.campaigns.get(campaign_id)
-    found = await _found(services, campaign)
-    archive = (await services.archives.get(campaign)).archive
-
-    def respond() -> Response:
-        chosen = found if avoidable is None else [one for one in found if one.avoidable is avoidable]
-        view = Violations(
-            rules_version=RULES_VERSION,
-            words=violations_words(found),
-            explanation=EXPLANATION,
-            types=_seen_again(violation_types(chosen, found), archive),
-            violations=[] if types_only else [_violation_view(one) for one in chosen],
-        )
-        return json_response(view)
-
-    return await services.pages.run(respond)
-
-
-@violations_router.put("/{number}/{requirement}/name", status_code=204)
-async def put_name(
-    campaign_id: str, number: Number, requirement: Requirement, body: NameBody, services: Services
-) -> Response:
-    """Name a violation by hand; it then belongs to the type of that name."""
-    await _name(services, campaign_id, number, requirement, body.name)
-    return Response(status_code=204)
-
-
-@violations_router.delete("/{number}/{requirement}/name", status_code=204)
-async def delete_name(
-    campaign_id: str, number: Number, requirement: Requirement, services: Services
-) -> Response:
-    """Remove the name of a violation; it then has the type that the rules assign."""
-    await _name(services, campaign_id, number, requirement, None)
-    return Response(status_code=204)
-
-
-async def _name(services: Context, campaign_id: str, number: int, requirement: str, name: str | None) -> None:
-    campaign = await services.campaigns.get(campaign_id)
-    found = await _found(services, campaign)
-    known = [str(one.circumstances["requirement"]) for one in found if one.number == number]
-    if requirement not in known:
-        raise NotFound(
-            f"campaign {campaign.id}: solution {number} has no violation of {requirement[:64]!r}; "
-            f"it has {', '.join(known) or 'none'}"
-        )
-    await services.campaigns.writer.write(
-        lambda connection: set_name(connection, campaign.id, number, requirement, name)
-    )
-
-
-async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
-    problem = (await services.archives.get(campaign)).plan.problem
-    if not isinstance(problem, ReportsViolations):
-        raise NotFound(
-            f"campaign {campaign.id}: violations are sorted into types only where other traffic causes them, as for "
-            f"npc-actions@1, not for {campaign.body.problem.id}; see what it found with: brink report {campaign.id}"
-        )
-    return await services.pages.read(services.engines, lambda c: read_violations(c, campaign.id, problem))
-
-
-combinations_router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
-
-
-@combinations_router.get("/combinations")
-async def get_combinations(campaign_id: str, services: Services) -> Combinations:
-    """Return the hazardous chains of techniques, and which of them need all their techniques or a certain order."""
-    campaign = await services.campaigns.get(campaign_id)
-    found = await services.archives.get(campaign)
-    measured = await read(services.engines, lambda c: view_store.read_measured(c, campaign.id))
-    config = found.plan.config if isinstance(found.plan.config, SimoodConfig) else None
-
-    def build_view() -> Combinations:
-        space = found.plan.problem.space
-        return combinations_view(space, found.archive, alphas_of(space, measured), config)
-
-    try:
-        return await services.analyses.run(build_view)
-    except UnsupportedSpace:
-        raise _no_techniques(campaign) from None
-
-
-@combinations_router.get("/solutions/{number}/variants")
-async def get_variants(campaign_id: str, number: Number, services: Services) -> list[Variant]:
-    """Return the parts and reorderings of a solution that were simulated with the same scenario, itself last."""
-    campaign = await services.campaigns.get(campaign_id)
-    found = await services.archives.get(campaign)
-    try:
-        return await services.analyses.run(
-            lambda: variants_view(found.plan.problem.space, found.archive, number)
-        )
-    except UnsupportedSpace:
-        raise _no_techniques(campaign) from None
-    except KeyError:
-        raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}") from None
-
-
-def _no_techniques(campaign: Campaign) -> NotFound:
-    return NotFound(f"campaign {campaign.id}: problem {campaign.body.problem.id} has no ordered techniques")
+    finding = await find_kind(services, campaign, kind)
+    if format == "json":
+        return await services.pages.run(lambda: json_response(finding))
+    chosen = finding.table(table)
+    if chosen is None:
+        names = ", ".join(one.name for one in finding.tables) or "none"
+        raise NotFound(f"findings of kind {kind[:64]!r} have no such table; expected one of {names}")
+    content = await services.pages.run(lambda: chosen.to_bytes(format))
+    headers = {"Content-Disposition": f'attachment; filename="{kind}-{campaign.id}.{format}"'}
+    return Response(content, media_type=MEDIA[format], headers=headers)

@@ -45,12 +45,9 @@ class CampaignView(View):
     finished_at: datetime | None
     tags: list[str] = Field(default_factory=list)
     notes: str = ""
-    looks_for_boundary: Annotated[
-        bool,
-        Field(
-            description="Whether it searches for the hazard boundary; otherwise fitness is of no interest."
-        ),
-    ]
+    finds: Annotated[
+        list[str], Field(description="Kinds of findings that its algorithm finds, what it is for first.")
+    ] = Field(default_factory=list)
     body: CampaignBody
     thresholds: Thresholds
 
@@ -167,19 +164,9 @@ class Progress(View):
             description="What kind of worker each of these capabilities needs, in words.",
         ),
     ]
-    looks_for_boundary: Annotated[
-        bool,
-        Field(
-            description="Whether it searches for the hazard boundary rather than for different violations."
-        ),
-    ]
-    looks_for_pairs: Annotated[
-        bool,
-        Field(description="Whether it searches for pairs across the boundary: the boundary is a side line."),
-    ] = False
-    looks_for_tolerances: Annotated[
-        bool, Field(description="Whether it estimates how gross errors may be; see `GET …/tolerance`.")
-    ] = False
+    finds: Annotated[
+        list[str], Field(description="Kinds of findings that its algorithm finds, what it is for first.")
+    ] = Field(default_factory=list)
     origins: Annotated[
         dict[str, int],
         Field(description="Number of solutions by origin, once the campaign has ended; empty if unknown."),
@@ -200,6 +187,10 @@ class Progress(View):
     t_b: float
     d_th: float
     generations: list[GenerationView]
+
+    def is_for(self, kind: str) -> bool:
+        """Return whether the search is for a kind of finding: the first that its algorithm finds."""
+        return self.finds[:1] == [kind]
 
 
 class SolutionPage(View):
@@ -367,6 +358,7 @@ class AlgorithmView(View):
     id: str
     summary: str
     params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
+    finds: Annotated[list[str], Field(description="Kinds of findings that it finds, what it is for first.")]
     internal: Annotated[bool, Field(description="Whether only Brink itself starts campaigns with it.")]
 
 

@@ -14,8 +14,6 @@ from pydantic import Field
 from sqlalchemy import text
 from starlette.responses import HTMLResponse
 
-from brink.search.algorithms.minimise import Minimise
-from brink.search.algorithms.repeats import Repeats
 from brink.server.api.context import Services, caller_of
 from brink.server.api.problem_details import problem
 from brink.server.api.queue_metrics import queue_metrics
@@ -100,10 +98,7 @@ def get_problems() -> list[ProblemView]:
 @router.get("/algorithms", tags=["catalogue"])
 def get_algorithms() -> list[AlgorithmView]:
     """List the algorithms with the JSON schemas of their parameters."""
-    return [
-        AlgorithmView(**item, internal=item["id"] in (Repeats.id, Minimise.id))
-        for item in describe_algorithms()
-    ]
+    return [AlgorithmView.model_validate(item) for item in describe_algorithms()]
 
 
 # Not closures over the app: FastAPI caches route functions, which would keep every app of a test run alive.

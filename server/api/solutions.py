@@ -24,7 +24,7 @@ from brink.server.campaigns.archives import ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, MOST_KNOWN
 from brink.server.campaigns.known import KnownRecord, read_known
 from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
-from brink.server.campaigns.plan import looks_for_boundary, make_plan
+from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
@@ -319,7 +319,7 @@ class Neighbours(View):
     radius: Annotated[float, Field(description="Largest distance of a neighbour.")]
     p_th: Annotated[float, Field(description="Unsafe share that defines the boundary.")]
     confidence: Annotated[float, Field(description="Confidence level of the interval, such as 0.95.")]
-    looks_for_boundary: Annotated[
+    rated: Annotated[
         bool,
         Field(description="Whether the algorithm searches for this boundary; if not, fitness means little."),
     ]
@@ -343,7 +343,7 @@ async def get_neighbours(
     """Return the neighbourhood of an evaluated solution and the solutions closest to it."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    boundary = looks_for_boundary(campaign.body.algorithm.id)
+    boundary = "boundary" in found.plan.finds
     outcomes = await services.outcomes.get(campaign.id, found)
 
     def look() -> Neighbours:
@@ -405,7 +405,7 @@ def _neighbours_view(
         radius=settings.radius,
         p_th=settings.p_th,
         confidence=math.erf(settings.z / math.sqrt(2)),
-        looks_for_boundary=boundary,
+        rated=boundary,
         neighbours=int(archive.neighbours[place]),
         unsafe_neighbours=int(archive.unsafe_neighbours[place]),
         interval=(low, high),

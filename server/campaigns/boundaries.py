@@ -5,6 +5,7 @@ from dataclasses import InitVar, dataclass, field
 from typing import Final
 
 import numpy as np
+from sqlalchemy import Connection, select
 
 from brink.search.analysis.boundary import MOST_COST, DbsGrid, IndexArray, dbs_grid, has_evidence
 from brink.search.analysis.paper import D_THS, PAPER_T_BS
@@ -13,6 +14,7 @@ from brink.search.errors import BoundaryTooLarge
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.plan import find_boundary
 from brink.server.campaigns.store import Campaign
+from brink.server.db.models import GenerationRow
 from brink.server.errors import InvalidInput
 from brink.server.single_flight import SingleFlightCache
 
@@ -96,6 +98,13 @@ class Boundaries:
             read.generation,
             lambda: dbs_grid(read.archive, PAPER_T_BS, D_THS, most_cost=MOST_COST),
         )
+
+
+def read_last_count(connection: Connection, campaign_id: str) -> int:
+    """Return the number of distinct boundary solutions at the default thresholds, as of the last generation."""
+    row = GenerationRow
+    query = select(row.dbs).where(row.campaign_id == campaign_id).order_by(row.number.desc()).limit(1)
+    return connection.execute(query).scalar() or 0
 
 
 def _find(

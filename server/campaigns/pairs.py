@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from brink.search.algorithms.edge import Edge
 from brink.search.algorithms.minimise import most_trials
 from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
 from brink.search.analysis.pairs import FoundPairs, Opposites, Pair, find_pairs, nearest_opposites
@@ -33,11 +32,6 @@ MOST_PENDING: Final = 4
 """Maximum number of archives that are searched for pairs at a time, queued ones included; each takes a while."""
 
 
-def searches_for_pairs(algorithm_id: str) -> bool:
-    """Return whether an algorithm searches for pairs; others may find some."""
-    return algorithm_id == Edge.id
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairSettings:
     """Which solutions are a pair, and which pairs are distinct.
@@ -53,7 +47,7 @@ class PairSettings:
     @classmethod
     def of(cls, plan: Plan, eps: float | None = None, d_th: float | None = None) -> "PairSettings":
         """Return the given settings; those of the campaign's search for pairs, or else defaults, where None."""
-        own = plan.body.algorithm.params if searches_for_pairs(plan.body.algorithm.id) else {}
+        own = plan.body.algorithm.params if plan.is_for("pairs") else {}
         return cls(
             eps=float(own.get("eps", DEFAULT_EPS)) if eps is None else eps,
             d_th=float(own.get("d_th", DEFAULT_PAIRS_D_TH)) if d_th is None else d_th,

@@ -12,6 +12,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from brink.search.algorithm import (
+    UNDECLARED,
     AnyAlgorithm,
     Candidate,
     Known,
@@ -21,13 +22,8 @@ from brink.search.algorithm import (
     SeedRequest,
     WarmStarts,
     ask_each,
+    declared_finds,
 )
-from brink.search.algorithms.minimise import MinimiseConfig
-from brink.search.algorithms.multi_objective import MultiObjectiveConfig
-from brink.search.algorithms.qd import QdConfig
-from brink.search.algorithms.repeats import RepeatsConfig
-from brink.search.algorithms.simood import SimoodConfig
-from brink.search.algorithms.tolerance import ToleranceConfig
 from brink.search.analysis.boundary import MOST_COST, IndexArray, distinct_boundary
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
 from brink.search.errors import ConfigError, UnsupportedSpace
@@ -92,6 +88,15 @@ class Plan:
     config: Any
     neighbourhood: Neighbourhood
     body: CampaignBody
+
+    @property
+    def finds(self) -> tuple[str, ...]:
+        """The kinds of findings that the algorithm declares."""
+        return declared_finds(self.algorithm)
+
+    def is_for(self, kind: str) -> bool:
+        """Return whether the search is for a kind of finding: the first that its algorithm declares."""
+        return self.finds[:1] == (kind,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -415,19 +420,15 @@ def store_campaign(connection: Connection, campaign: PreparedCampaign) -> Campai
     return CAMPAIGNS.get(connection, campaign.id)
 
 
-def looks_for_boundary(algorithm_id: str) -> bool:
-    """Return whether an algorithm searches for the hazard boundary, and not for violations, hazards or tolerances."""
+def finds_of(algorithm_id: str) -> tuple[str, ...]:
+    """Return the kinds of findings that an algorithm declares; the boundary if it cannot be loaded."""
     try:
-        algorithm = make_algorithm(algorithm_id)
+        return declared_finds(make_algorithm(algorithm_id))
     except InvalidInput:  # campaigns can be viewed without their plug-ins
-        return True
+        return UNDECLARED
     except Exception:  # and with plug-ins that fail, or do not return
         log.exception("plug-in cannot be loaded", extra={"plugin": algorithm_id})
-        return True
-    return not issubclass(
-        algorithm.config_type,
-        MultiObjectiveConfig | QdConfig | RepeatsConfig | MinimiseConfig | ToleranceConfig | SimoodConfig,
-    )
+        return UNDECLARED
 
 
 def find_boundary(archive: Archive, t_b: float, d_th: float) -> IndexArray:

@@ -17,11 +17,6 @@ MOST_PENDING: Final = 4
 """Maximum number of archives whose tolerances are computed at a time, queued ones included; each takes a while."""
 
 
-def searches_for_tolerances(algorithm_id: str) -> bool:
-    """Return whether an algorithm searches for tolerances."""
-    return algorithm_id == Tolerance.id
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignTolerance:
     """The tolerances of a campaign.

@@ -1,23 +1,52 @@
 """Solutions with decoded parameters and what their simulations showed."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Row
+from sqlalchemy import Connection, Row
 
 from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
 from brink.search.archive import Archive
 from brink.search.deadline import check_time
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
+from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.outcomes import outcome_of
+from brink.server.campaigns.store import Campaign
+from brink.server.errors import NotFound
 from brink.server.problems.base import Activity, Problem, SimulatedSolution, activity_of, describe_candidate
 from brink.server.states import SolutionVerdict
 from brink.server.views import ActivityView, SolutionView, ViolatedView
 from brink.sim.verdict import Violated
+
+
+def solutions_of(
+    connection: Connection,
+    campaign: Campaign,
+    read: ReadArchive,
+    numbers: Sequence[int],
+    *,
+    full: bool = False,
+) -> list[SolutionView]:
+    """Return the response schemas of solutions of a campaign by their numbers.
+
+    Args:
+        connection: Read connection.
+        campaign: The campaign.
+        read: Its archive.
+        numbers: Evaluated solutions, in the order in which to return them.
+        full: Whether to add all verdicts, features, provenance and the episode.
+
+    Raises:
+        NotFound: The campaign was deleted meanwhile.
+    """
+    rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
+    if len(rows) < len(numbers):
+        raise NotFound(f"campaign {campaign.id}: no such campaign")
+    return solution_views([rows[number] for number in numbers], read, full=full)
 
 
 def solution_views(

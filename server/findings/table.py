@@ -1,22 +1,134 @@
-"""Tables."""
+"""Tables of findings: columns with names, units and formats, rows of plain values, and their files.
+
+Every renderer (terminal, Markdown, HTML, CSV, data frame, dashboard) shows any table from this alone.
+"""
 
 import io
 import json
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from importlib.util import find_spec
-from typing import Final, TypeAlias
+from types import UnionType
+from typing import Annotated, Final, TypeAlias
+
+from pydantic import Field
 
 from brink.extras import install_command
 from brink.server.csv_text import csv_text
 from brink.server.errors import InvalidInput
+from brink.server.views import View
 
 Cell: TypeAlias = str | int | float | bool | None
-
-
 Row: TypeAlias = dict[str, Cell]
 
-
 FORMATS: Final = ("csv", "jsonl", "parquet")
+
+
+class Format(StrEnum):
+    """How the values of a column are written; every value may be missing."""
+
+    TEXT = "text"
+    COUNT = "count"
+    NUMBER = "number"
+    SHARE = "share"
+    """A fraction of 1, shown in per cent."""
+    FLAG = "flag"
+    SOLUTION = "solution"
+    """Number of a solution of the campaign."""
+
+    @property
+    def type(self) -> type:
+        """Type of the values."""
+        return {Format.TEXT: str, Format.COUNT: int, Format.SOLUTION: int, Format.FLAG: bool}.get(self, float)
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether values are numbers, which are aligned to the right."""
+        return self in (Format.COUNT, Format.NUMBER, Format.SHARE)
+
+
+class Column(View):
+    """A column of a table."""
+
+    name: Annotated[str, Field(description="Name in files and data frames.")]
+    title: Annotated[str, Field(description="Heading, in words.")]
+    unit: str = ""
+    format: Format = Format.TEXT
+    detail: Annotated[
+        bool, Field(description="Whether only files and data frames have it: a page is too narrow.")
+    ] = False
+    optional: Annotated[bool, Field(description="Whether values may be missing.")] = False
+
+    @property
+    def heading(self) -> str:
+        """The title with the unit."""
+        return f"{self.title} ({self.unit})" if self.unit else self.title
+
+
+class Table(View):
+    """A table of a finding."""
+
+    name: str
+    title: str
+    columns: list[Column]
+    rows: Annotated[list[list[Cell]], Field(description="One value per column.")]
+    left_out: Annotated[int, Field(description="Rows that were left out, after these.")] = 0
+
+    @property
+    def shown(self) -> list[Column]:
+        """The columns that a page shows."""
+        return [column for column in self.columns if not column.detail]
+
+    def texts(self, most: int | None = None) -> list[list[str]]:
+        """Return the first rows as texts, in the columns that a page shows."""
+        return [
+            [
+                cell_text(cell, one.format)
+                for cell, one in zip(row, self.columns, strict=True)
+                if not one.detail
+            ]
+            for row in self.rows[:most]
+        ]
+
+    def records(self) -> list[Row]:
+        """Return the rows with their values by column name."""
+        names = [column.name for column in self.columns]
+        return [dict(zip(names, row, strict=True)) for row in self.rows]
+
+    def types(self) -> dict[str, type]:
+        """Return the type of the values of each column."""
+        return {column.name: column.format.type for column in self.columns}
+
+    def optional_types(self) -> dict[str, type | UnionType]:
+        """Return the same with None where values may be missing."""
+        return {
+            column.name: column.format.type | None if column.optional else column.format.type
+            for column in self.columns
+        }
+
+    def to_bytes(self, form: str) -> bytes:
+        """Encode the table as a file.
+
+        Args:
+            form: One of `FORMATS`.
+
+        Raises:
+            InvalidInput: The format is Parquet, and pyarrow is not installed.
+        """
+        return table_bytes(self.records(), form, self.types())
+
+
+def cell_text(cell: Cell, form: Format) -> str:
+    """Return a value as people read it; empty if it is missing."""
+    if cell is None:
+        return ""
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, str):
+        return cell
+    return {Format.COUNT: f"{cell:,}", Format.SOLUTION: f"{cell}", Format.SHARE: f"{cell:.0%}"}.get(
+        form, f"{cell:.3g}"
+    )
 
 
 def table_bytes(rows: Sequence[Row], form: str, columns: Mapping[str, type]) -> bytes:

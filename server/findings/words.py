@@ -1,4 +1,26 @@
-"""Counts in words."""
+"""Words that sentences of several kinds of findings share."""
+
+from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.problems.changes import as_sentence
+
+
+def counted(count: int, noun: str, nouns: str = "") -> str:
+    """Return a count with its noun, such as ``no pair``, ``1 pair`` or ``1,200 pairs``."""
+    if not count:
+        return f"no {noun}"
+    return f"{count:,} {noun if count == 1 else nouns or f'{noun}s'}"
+
+
+def full_sentence(words: str) -> str:
+    """Return words with a capital letter and a full stop."""
+    return f"{as_sentence(words).removesuffix('.')}."
+
+
+def so_far(campaign: Campaign, words: str) -> str:
+    """Return words about a campaign, which begin with how far it is if it has not ended."""
+    if campaign.status in ENDED:
+        return words
+    return f"so far, after {campaign.evaluated:,} of {campaign.budget:,} simulations: {words}"
 
 
 def listed_words(listed: int, distinct: int, what: str = "distinct boundary solution") -> str:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
 
 from brink.extras import install_command
-from brink.search.algorithm import AnyAlgorithm
+from brink.search.algorithm import AnyAlgorithm, declared_finds
 from brink.search.errors import ConfigError, OddError, UnsupportedSpace
 from brink.search.odd import limited, odd_of
 from brink.search.slots import slots_of
@@ -168,6 +168,14 @@ def make_algorithm(algorithm_id: str) -> AnyAlgorithm:
 @lru_cache(maxsize=64)  # an instance holds no state, and lists of campaigns need one for each entry
 def _made_algorithm(algorithm_id: str, factory: Callable[[], AnyAlgorithm]) -> AnyAlgorithm:
     return USER_CODE.call(algorithm_id, CONSTRUCTION, lambda: guarded(algorithm_id, factory()))
+
+
+def is_baseline(algorithm_id: str) -> bool:
+    """Return whether an algorithm draws solutions at random, without a search; false if it is not installed."""
+    try:
+        return bool(getattr(make_algorithm(algorithm_id), "is_baseline", False))
+    except InvalidInput:
+        return False
 
 
 def algorithms_that(supports: type[Any]) -> list[str]:
@@ -331,7 +339,13 @@ def _describe_algorithm(algorithm_id: str) -> dict[str, Any]:
     schema = params_model(algorithm.config_type).model_json_schema()
     for name in getattr(algorithm.config_type, "unused", ()):
         schema["properties"].pop(name, None)
-    return {"id": algorithm_id, "summary": algorithm.summary, "params": schema}
+    return {
+        "id": algorithm_id,
+        "summary": algorithm.summary,
+        "params": schema,
+        "finds": list(declared_finds(algorithm)),
+        "internal": getattr(algorithm, "internal", False),
+    }
 
 
 def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def edge(own: httpx.Client, searched: tuple[Path, str]) -> str:
 
 
 def finding_of(client: httpx.Client, campaign: str) -> dict[str, Any]:
-    found: dict[str, Any] = expect(client.get(f"{API}/campaigns/{campaign}/finding"))
+    found: dict[str, Any] = expect(client.get(f"{API}/campaigns/{campaign}/findings"))
     return found
 
 

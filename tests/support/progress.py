@@ -25,7 +25,7 @@ PROGRESS: dict[str, Any] = {
     "elapsed_s": 20.0,
     "workers": 2,
     "unrunnable": {},
-    "looks_for_boundary": True,
+    "finds": ["boundary"],
     "origins": {},
     "asking": None,
     "trouble": None,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 from brink.extras import install_command
 from brink.search.algorithm import Evaluation
@@ -23,6 +23,9 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
     """The search for pairs across the boundary."""
 
     id = "edge@1"
+    finds = ("pairs", "boundary")
+    without_chance: ClassVar[Mapping[str, float]] = {"checks": 0, "margin": 0.0, "eps": 0.005, "d_th": 0.1}
+    """Settings that suit a function without chance, whose boundary is sharp."""
     summary = (
         "Pairs across the boundary: one safe, one unsafe solution, and the smallest change between them."
     )

@@ -22,6 +22,7 @@ class Tolerance(LedgerAlgorithm[ToleranceConfig, ToleranceState]):
     """The search for tolerances."""
 
     id = "tolerance@1"
+    finds = ("tolerances",)
     summary = "Tolerances: how gross an error may be before it makes a given share of drives violate."
     config_type = ToleranceConfig
 

@@ -6,13 +6,11 @@ from sqlalchemy import Connection
 from brink.search.analysis.boundary import DbsGrid, has_evidence
 from brink.search.archive import Archive
 from brink.search.odd import with_odd
-from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.boundaries import CampaignBoundary
 from brink.server.campaigns.store import Campaign
-from brink.server.errors import NotFound
 from brink.server.findings.boundary.views import Boundary, BudgetBoundary, DbsCell, KnownBoundary
-from brink.server.findings.solutions import solution_views
+from brink.server.findings.solutions import solutions_of
 from brink.server.findings.words import listed_words
 
 
@@ -43,9 +41,6 @@ def boundary_view(
     within, known = _within_budget(campaign, archive, boundary), _with_known(read, boundary)
     is_strict = has_evidence(archive)[chosen]
     numbers = [int(number) for number in archive.numbers[chosen[:limit]]]
-    rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
-    if len(rows) < len(numbers):
-        raise NotFound(f"campaign {campaign.id}: no such campaign")  # it was deleted meanwhile
     return Boundary(
         t_b=t_b,
         d_th=d_th,
@@ -58,7 +53,7 @@ def boundary_view(
             for row, t in enumerate(grid.t_bs)
             for column, d in enumerate(grid.d_ths)
         ],
-        solutions=solution_views([rows[number] for number in numbers], read, full=True),
+        solutions=solutions_of(connection, campaign, read, numbers, full=True),
         strict=[number for number, strict in zip(numbers, is_strict[:limit], strict=True) if strict],
         within_budget=within,
         with_known=known,

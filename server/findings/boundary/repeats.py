@@ -6,8 +6,6 @@ from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
 from brink.search.fitness import wilson_interval
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_T_B
-from brink.server.campaigns.pairs import searches_for_pairs
-from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.repeats import MOST, StoredRepeats
 from brink.server.campaigns.store import Campaign
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
@@ -90,8 +88,7 @@ def repeats_view(
         words="",
         solutions=solutions,
     )
-    searched = campaign.body.algorithm.id
-    rated = stored.boundary or (looks_for_boundary(searched) and not searches_for_pairs(searched))
+    rated = stored.boundary or read_archive.plan.is_for("boundary")
     to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
     return view.model_copy(update={"words": _in_words(view, to_clear)})
 

@@ -16,7 +16,7 @@ from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, has_one_seed, read_reduced, sides_of
 from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
-from brink.server.campaigns.pairs import CampaignPairs, Repeated, find_reducible, searches_for_pairs
+from brink.server.campaigns.pairs import CampaignPairs, Repeated, find_reducible
 from brink.server.campaigns.plan import Plan, check_repeatable, make_plan, with_truth
 from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats
 from brink.server.campaigns.store import ENDED, Campaign
@@ -37,6 +37,7 @@ from brink.server.findings.pairs.views import (
     SideView,
 )
 from brink.server.findings.solutions import activity_view, simulated
+from brink.server.findings.words import so_far
 from brink.server.problems.base import Problem, SimulatedSolution, describe_candidate
 from brink.server.problems.changes import (
     Change,
@@ -94,6 +95,7 @@ def pairs_view(
         "component_confirmed": blamed.count(ComponentPart.COMPONENT),
         "scenario_confirmed": blamed.count(ComponentPart.SCENARIO),
     }
+    sentence = _result_words(pairs, deciding, counts, computed=problem.ignores_seeds)
     return PairsView(
         campaign=campaign.id,
         name=campaign.body.name,
@@ -103,10 +105,12 @@ def pairs_view(
         evaluated=len(found.archive),
         eps=pairs.settings.eps,
         d_th=pairs.settings.d_th,
-        searched=searches_for_pairs(campaign.body.algorithm.id),
+        searched=found.plan.is_for("pairs"),
         computed=problem.ignores_seeds,
         replayable=problem.records_traces,
-        note=_note(campaign, found, pairs, deciding, counts),
+        sentence=sentence,
+        note=so_far(campaign, sentence),
+        blame=_blame(deciding, counts),
         terms=problem.terms_of_changes,
         caveat=with_odd(_caveat(campaign, problem), problem.space),
         safe=pairs.found.safe,
@@ -504,19 +508,22 @@ def _deciding(problem: Problem, row: Row[Any] | None) -> tuple[str, ...]:
     return () if episode is None else episode.deciding
 
 
-def _note(
-    campaign: Campaign,
-    found: ReadArchive,
-    pairs: CampaignPairs,
-    deciding: tuple[str, ...],
-    counts: Mapping[str, int],
-) -> str:
-    """Return the result in one sentence."""
-    computed = found.plan.problem.ignores_seeds
-    words = _result_words(pairs, deciding, counts, computed=computed)
-    if campaign.status in ENDED:
-        return words
-    return f"so far, after {len(found.archive):,} of {campaign.budget:,} simulations: {words}"
+def _blame(deciding: tuple[str, ...], counts: Mapping[str, int]) -> str:
+    """Return for how many pairs the component is to blame, and for how many the scenario; empty if not asked."""
+    asked = counts["component"] + counts["scenario"]
+    if not asked:
+        return ""
+    held, violated = (drives_held(deciding), unsafe_words(deciding)) if deciding else ("is safe", "is unsafe")
+    words = (
+        f"With ground truth in place of the component, in one drive each, the unsafe side of {counts['component']:,} "
+        f"of {asked:,} {held} (the component's hazard)"
+    )
+    if counts["scenario"]:
+        words += f", that of {counts['scenario']:,} {violated} all the same (the scenario's hazard)"
+    if confirmed := counts["component_confirmed"] + counts["scenario_confirmed"]:
+        blamed = counts["component_confirmed"]
+        words += f"; of the confirmed pairs, {blamed:,} of {confirmed:,} are the component's"
+    return words
 
 
 def _tried_words(counts: Mapping[str, int]) -> str:
@@ -548,19 +555,6 @@ def _result_words(
             words += f"; of {counts['tried']:,} simulated again with other seeds, {_tried_words(counts)}"
         if counts["pending"]:
             words += f"; {counts['pending']:,} being simulated again"
-        if blamed := counts["component"] + counts["scenario"]:
-            held, violated = (
-                (drives_held(deciding), unsafe_words(deciding)) if deciding else ("is safe", "is unsafe")
-            )
-            words += (
-                "; with ground truth in place of the component, in one drive each, the unsafe side of "
-                f"{counts['component']:,} of {blamed:,} {held} (the component's hazard)"
-            )
-            if counts["scenario"]:
-                words += f", that of {counts['scenario']:,} {violated} all the same (the scenario's hazard)"
-            if confirmed := counts["component_confirmed"] + counts["scenario_confirmed"]:
-                blamed = counts["component_confirmed"]
-                words += f"; of the confirmed pairs, {blamed:,} of {confirmed:,} are the component's"
         return words
     if found.without_part:
         return (

@@ -298,9 +298,17 @@ class PairsView(View):
         bool,
         Field(description="Whether the simulator records drives, so that pairs can be drawn and filmed."),
     ] = True
-    note: Annotated[
+    sentence: Annotated[
         str, Field(description="The result in one sentence; why there is no pair, if there is none.")
     ]
+    note: Annotated[str, Field(description="The same, with how far the campaign is if it has not ended.")]
+    blame: Annotated[
+        str,
+        Field(
+            description="For how many pairs the component is to blame, in a sentence without a full stop; empty if "
+            "that was not asked."
+        ),
+    ] = ""
     terms: Annotated[
         str, Field(description="What a term in the descriptions of changes means; empty if none needs it.")
     ] = ""
@@ -376,3 +384,42 @@ class PairsView(View):
             description="Confirmed ones first, refuted ones last; otherwise in the order of their numbers."
         ),
     ]
+
+
+class BestPair(View):
+    """One of the best pairs."""
+
+    place: int
+    safe: Annotated[int, Field(description="Number of the safe solution.")]
+    unsafe: int
+    words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
+    state: Annotated[
+        Confirmation, Field(description="Whether it is confirmed; see `confirmation` of a pair.")
+    ]
+    evidence: Annotated[
+        str, Field(description="The same in a few words, with the number of drives that kept their verdicts.")
+    ]
+    shares: Annotated[
+        str,
+        Field(
+            description="How often each side was unsafe with other seeds, in a sentence; empty if not tried."
+        ),
+    ]
+
+
+class PairsFound(View):
+    """What only pairs have: which solutions they are, and the best of them for pictures."""
+
+    distinct: Annotated[int, Field(description="Distinct pairs at the campaign's own settings.")]
+    rings: Annotated[
+        list[tuple[int, int]],
+        Field(description="The sides of each of them, by place; empty if the search was not for pairs."),
+    ]
+    replayable: Annotated[bool, Field(description="Whether drives are recorded, so that they can be drawn.")]
+    best: Annotated[
+        list[BestPair],
+        Field(
+            description="The first pairs: confirmed ones, then undecided ones and those not tried, refuted ones last."
+        ),
+    ]
+    rule: Annotated[str, Field(description="What it takes for a pair to hold, in a sentence.")]

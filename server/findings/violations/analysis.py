@@ -50,7 +50,7 @@ def _with_examples(types: Sequence[TypeView], found: Sequence[FoundViolation]) -
     return chosen
 
 
-def _seen_again(types: Sequence[TypeView], archive: Archive) -> list[TypeView]:
+def seen_again(types: Sequence[TypeView], archive: Archive) -> list[TypeView]:
     """Return types, each with the number of further drives of its solutions, and of those that had the type, too."""
     if not types:
         return []
@@ -124,7 +124,8 @@ def _avoided_words(kind: ViolationType, solutions: int) -> str:
     return f"{solutions:,}" if nobody and avoided == solutions else f"{avoided:,} of {solutions:,}"
 
 
-def _violation_view(one: FoundViolation) -> ViolationView:
+def violation_view(one: FoundViolation) -> ViolationView:
+    """Return the response schema of a violation."""
     return ViolationView(
         number=one.number,
         requirement=str(one.circumstances["requirement"]),

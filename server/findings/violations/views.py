@@ -101,3 +101,25 @@ class Violations(View):
         ),
     ]
     violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
+
+
+class AvoidableExample(View):
+    """A violation that a careful driver would have avoided, the first of its type."""
+
+    number: Annotated[int, Field(description="Number of the solution.")]
+    words: Annotated[str, Field(description="What the system did, such as `hit a pedestrian at 12.8 s`.")]
+    type: Annotated[str, Field(description="Its type.")]
+
+
+class ViolationsFound(View):
+    """What only violations have: examples for pictures."""
+
+    examples: Annotated[
+        list[AvoidableExample],
+        Field(
+            description="Examples of the most frequent types of violations that a careful driver would have avoided."
+        ),
+    ]
+    explanation: Annotated[
+        str, Field(description="Who that driver is, in sentences; empty if there is no example.")
+    ]

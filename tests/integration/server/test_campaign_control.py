@@ -246,7 +246,7 @@ def test_a_campaign_without_any_result_has_failed(listening_client: httpx.Client
     done = progress(listening_client, campaign)
     reason = "all 3 simulations failed. One of the errors: invalid: no road here\N{REPLACEMENT CHARACTER}"
     assert (done["status"], done["failed"], done["status_reason"]) == ("failed", 3, reason)
-    found = expect(listening_client.get(f"/api/v1/campaigns/{campaign}/finding"))
+    found = expect(listening_client.get(f"/api/v1/campaigns/{campaign}/findings"))
     assert (found["words"], found["steps"]) == ("All 3 simulations failed.", [])
     said = CliRunner().invoke(app, ["status", campaign, *server])
     assert "is failed: all 3 simulations failed" in said.stdout

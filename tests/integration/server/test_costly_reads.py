@@ -17,9 +17,10 @@ from brink.search.analysis import boundary, neighbours
 from brink.search.analysis.folds import kinds_of_solutions
 from brink.search.metric import Metric
 from brink.server import app as server_app
-from brink.server.api import analysis, finding, outcomes, pairs, repeats, solutions
+from brink.server.api import analysis, outcomes, pairs, repeats, solutions
 from brink.server.campaigns import outcomes as campaign_outcomes
 from brink.server.campaigns import plan
+from brink.server.findings.pairs import kind
 
 pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
@@ -35,7 +36,7 @@ WORK = (
     (analysis, "_dependence"),
     (outcomes, "_view"),
     (pairs, "pairs_view"),
-    (finding, "pairs_view"),
+    (kind, "pairs_view"),
     (repeats, "repeats_view"),
     (campaign_outcomes, "read_outcomes"),
     (plan, "distinct_boundary"),
@@ -51,7 +52,7 @@ READS = (
     "map",
     "outcomes",
     "pairs",
-    "finding",
+    "findings",
     "dependence",
     "repeats",
 )

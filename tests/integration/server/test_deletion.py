@@ -105,7 +105,7 @@ def test_nobody_finds_a_deleted_campaign_that_is_not_erased_yet(
     with engines.reader.connect() as connection:
         assert set(marked_campaigns(connection)) == {campaign, again}
     for one in (campaign, again):
-        for path in ("", "/progress", "/boundary", "/finding", "/solutions", "/repeats", "/archive.npz"):
+        for path in ("", "/progress", "/boundary", "/findings", "/solutions", "/repeats", "/archive.npz"):
             expect(client.get(f"{API}/{one}{path}"), 404)
         expect(client.delete(f"{API}/{one}"), 404)
         assert "no such campaign" in expect(client.get(f"{API}/{one[:6]}"), 404)["detail"]

@@ -1,14 +1,18 @@
 """`brink tolerance` holds a detector against a search for tolerances: by recordings, and by drives with a camera."""
 
+import base64
 import csv
+import html
 import io
 import json
 import re
 from collections.abc import Iterator
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 from support.api import coordinator
 from support.databases import Databases, module_on_sqlite
 from support.tolerance import body, camera, finished
@@ -118,6 +122,43 @@ def test_errors_are_measured_while_the_road_user_matters_and_is_in_sight(
 # What is printed, written and drawn.
 
 
+def test_the_table_says_what_is_met_what_is_not_and_what_to_record(check: Checked, tmp_path: Path) -> None:
+    done = check("--detections", recording(tmp_path))
+    lines = done.stdout.splitlines()
+    assert lines[0] == (
+        "mine does not meet the requirement: not met in 1 of 8 cells, unknown in 7 (7 without any data), met in 0; "
+        "from 20 drives."
+    )
+    assert "make at most 5% of drives violate the front gap or collide" in lines[1]
+    assert lines[2].split()[:3] == ["result", "error", "condition"]
+    assert lines[3].startswith("not met  ")
+    folded = [line for line in lines if "without data. " in line.lower()]
+    assert len(folded) == 1
+    assert "By day: everything." in folded[0]
+    assert any(re.search(r"^- By day.*59 drives or more", line) for line in lines)
+    assert "20 drives, 1,620 images, 1,620 true boxes, 820 detections" in done.stderr
+    assert "should be reported while it is visible: at least 25% of it in sight" in done.stderr
+
+
+def test_each_cell_is_a_sentence(check: Checked, tmp_path: Path) -> None:
+    lines = check("--detections", recording(tmp_path), "--format", "sentences").stdout.splitlines()
+    assert re.match(
+        r"By night: not reporting the lead for …: not met: in 20 drives the worst such error has a median of 4\.0 s; "
+        r"\d+\.\d% \[\d+\.\d, \d+\.\d\] "
+        r"of drives with such errors violate the front gap or collide, 5% are allowed\.$",
+        lines[0],
+    )
+    assert lines[-1].startswith("Without data. By night: not reporting the nearest pedestrian")
+    assert lines[-1].endswith(" By day: everything.")
+
+
+def test_lower_bounds_are_marked(check: Checked) -> None:
+    done = check("--detections", RECORDINGS / "gap.csv")
+    assert "≥ 3.0 s" in done.stdout
+    assert "≥ 5.0 s" in done.stdout
+    assert "the recording cut the error off" in done.stdout
+
+
 @pytest.mark.parametrize("by", ["recording", "episodes"])
 def test_a_check_is_written_in_each_format_and_drawn(check: Checked, tmp_path: Path, by: str) -> None:
     given = ("--detections", recording(tmp_path)) if by == "recording" else ("--episodes", check.camera)
@@ -144,19 +185,98 @@ def test_a_check_is_written_in_each_format_and_drawn(check: Checked, tmp_path: P
     assert check(*given, "--format", "html").stdout == page.read_text()
 
 
+class Page(HTMLParser):
+    """Collects what a page loads, and counts its elements."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.external: list[str] = []
+        self.classes: list[str] = []
+        self.tags: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.external += [value or "" for name, value in attrs if name in ("src", "href", "srcset")]
+        self.classes += [value or "" for name, value in attrs if name == "class"]
+
+
+def test_the_page_shows_the_worst_episodes_as_strips_of_frames(check: Checked, tmp_path: Path) -> None:
+    page = tmp_path / "check.html"
+    check("--detections", recording(tmp_path), "--out", page)
+    text = page.read_text()
+    found = Page(text)
+    assert found.external == []
+    assert found.classes.count("strip") == 5  # the worst drives that a cell names
+    assert text.count("<figcaption>") == 5 * 8
+    assert "Drive d0: not reporting the lead for 4.0 s" in text
+    assert "from 3.0 to 7.0 s, road user 7" in text
+    assert "15 m, missed" in text
+    assert "15 m, reported" in text
+    # The key, then the true box of each frame; reported boxes in those before and after the miss.
+    assert found.classes.count("true subject") == 1 + 5 * 8
+    assert 1 < found.classes.count("reported") < 5 * 8
+
+
+def test_the_worst_episodes_are_shown_on_pictures_of_the_recording(check: Checked, tmp_path: Path) -> None:
+    given = ("--detections", recording(tmp_path, drives=2), "--images", tmp_path, "--format", "html")
+    for drive in ("d0", "d1"):
+        (tmp_path / drive).mkdir()
+        for step in range(81):
+            Image.new("RGB", (80, 60), (step, 0, 0)).save(tmp_path / drive / f"{step:06}.png")
+    found = Page(check(*given).stdout)
+    assert len(found.external) == found.tags.count("image") == 2 * 8
+    assert all(one.startswith("data:image/jpeg;base64,") for one in found.external)
+    reds = []
+    for one in found.external[:8]:
+        with Image.open(io.BytesIO(base64.b64decode(one.partition(",")[2]))) as picture:
+            reds.append(picture.getpixel((2, 2))[0])  # type: ignore[index]
+    assert reds == pytest.approx([24, 32, 39, 46, 54, 61, 69, 76], abs=3)  # the steps of the frames
+    (tmp_path / "d1" / "000080.png").unlink()
+    assert (
+        "d1: expected a picture (.png, .jpg, .jpeg) for each of the 81 images of drive d1"
+        in check.refused(*given)
+    )
+    for step in (24, 80):
+        (tmp_path / "d1" / f"{step:06}.png").write_text("no picture")
+    assert "d1/000024.png: expected a picture: " in check.refused(*given)
+
+
 def test_names_are_text_on_the_page(check: Checked, tmp_path: Path) -> None:
     file = recording(tmp_path)
     hostile = tmp_path / "<img src=x onerror=alert(1)>.csv"
     hostile.write_text(file.read_text().replace("d0,", "<script>\x1b0,"))
     page = tmp_path / "check.html"
     check("--detections", hostile, "--out", page)
-    assert not re.search("<(img|script)", page.read_text())
+    found = Page(page.read_text())
+    assert not {"img", "script"} & set(found.tags)
     assert r"&lt;script&gt;\u001b0" in page.read_text()
     text = check("--detections", hostile, "--format", "md").stdout
     assert r"\<script>\u001b0" in text
     table = check("--detections", hostile, "--format", "csv").stdout
     assert r"<script>\u001b0" in table
     assert "\x1b" not in page.read_text() + text + table
+
+
+def test_the_report_of_the_search_checks_the_detector_of_a_campaign(check: Checked, tmp_path: Path) -> None:
+    view, page = check.view("--episodes", check.camera), tmp_path / "report.html"
+    given = [
+        "report",
+        check.campaign,
+        "--episodes",
+        check.camera,
+        "--database",
+        check.database,
+        "--out",
+        str(page),
+    ]
+    done = CliRunner().invoke(app, given)
+    assert done.exit_code == 0, done.output
+    text = html.unescape(page.read_text())
+    assert "<h2>Does brink-det@2 meet the requirement?</h2>" in text
+    assert view["note"] in text
+    assert all(words in text for words in view["next"])
+    assert 'alt="Shares of drives that errors of this size make violate, against the limit"' in text
 
 
 # The exit status.
@@ -171,6 +291,11 @@ def test_the_gate_fails_where_a_cell_is_not_met(
     check("--detections", file)
 
 
+def test_the_gate_holds_for_the_detector_of_a_campaign(check: Checked) -> None:
+    is_met = all(cell["result"] != "not met" for cell in check.view("--episodes", check.camera)["cells"])
+    check("--episodes", check.camera, "--gate", status=0 if is_met else 1)
+
+
 # What a recording is.
 
 
@@ -181,6 +306,66 @@ def test_a_threshold_decides_what_counts(check: Checked, tmp_path: Path) -> None
     assert check.cells("--detections", file, "--threshold", "0.3")[key]["typical"] == 0.0
     assert "820 detections, of which 0" not in check("--detections", file, "--threshold", "0.3").stderr
     assert "1,620 detections, of which 0 have a score of at least 0.5" in check("--detections", file).stderr
+
+
+def test_thresholds_are_compared(check: Checked, tmp_path: Path) -> None:
+    file = recording(tmp_path, missed=range(30, 32), score=0.4)
+    shown = check("--detections", file, "--thresholds", "0.5,0.3").stdout
+    lines = [line.split() for line in shown.splitlines()]
+    assert lines[0] == ["threshold", "not", "met", "unknown", "met"]
+    assert [line[0] for line in lines[1:3]] == ["0.3", "0.5"]
+    assert int(lines[1][1]) < int(lines[2][1])
+    assert "cells:" in shown
+    assert "must be checked by others" in shown
+    rows = list(
+        csv.DictReader(
+            io.StringIO(check("--detections", file, "--thresholds", "0.5,0.3", "--format", "csv").stdout)
+        )
+    )
+    assert len(rows) == 16
+    assert {row["threshold"] for row in rows} == {"0.3", "0.5"}
+    both = json.loads(check("--detections", file, "--thresholds", "0.5,0.3", "--json").stdout)
+    assert [one["threshold"] for one in both] == [0.3, 0.5]
+    assert "expected detections with scores, got none that differ" in check.refused(
+        "--detections", file, "--thresholds", "auto"
+    )
+
+
+def test_conditions_classes_and_visibility_are_said_on_the_command_line(
+    check: Checked, tmp_path: Path
+) -> None:
+    rows = ["drive,time_s,source,id,label,x_min_px,x_max_px,y_min_px,y_max_px,visible_share"]
+    rows += [f"a,{step / 10},truth,7,tram,380,420,310,345,{0.3 if step < 40 else 1.0}" for step in range(81)]
+    file = tmp_path / "tram.csv"
+    file.write_text("\n".join(rows) + "\n")
+    assert "--classes tram=vehicle" in check.refused("--detections", file)
+    given = ("--detections", file, "--classes", "tram=vehicle", "--condition", "by day")
+    assert check.cells(*given)["miss", "lead", "by day"]["typical"] == pytest.approx(8.1)
+    assert check.cells(*given, "--min-visible", "0.5")["miss", "lead", "by day"]["typical"] == pytest.approx(
+        4.1
+    )
+    assert "expected one of the conditions by day; by night; got 'fog'" in check.refused(
+        *given, "--condition", "fog"
+    )
+
+
+def test_coco_is_short_for_truth_and_detections(check: Checked, tmp_path: Path) -> None:
+    truth, results = tmp_path / "truth.json", tmp_path / "results.json"
+    images = [
+        {"id": step, "width": 800, "height": 600, "video_id": 1, "frame_id": step} for step in range(81)
+    ]
+    boxes = [
+        {"id": step, "image_id": step, "category_id": 1, "bbox": [380, 310, 40, 35], "track_id": 7}
+        for step in range(81)
+    ]
+    truth.write_text(
+        json.dumps({"images": images, "annotations": boxes, "categories": [{"id": 1, "name": "car"}]})
+    )
+    results.write_text(json.dumps([{**box, "score": 0.9} for box in boxes if box["id"] not in range(30, 45)]))
+    by_coco = check.cells("--coco", truth, results, "--frames-per-s", "10", "--condition", "by night")
+    assert by_coco["miss", "lead", "by night"]["typical"] == pytest.approx(1.5)
+    files = ("--detections", results, "--truth", truth, "--frames-per-s", "10", "--condition", "by night")
+    assert check.cells(*files, "--format", "coco") == by_coco
 
 
 # Refusals.

@@ -23,8 +23,14 @@ PAIRS = ball(name="edge", simulations=60, algorithm={"id": "edge@1", "params": {
 
 
 def finding(client: httpx.Client, campaign: str) -> dict[str, Any]:
-    found: dict[str, Any] = expect(client.get(f"{API}/{campaign}/finding"))
+    found: dict[str, Any] = expect(client.get(f"{API}/{campaign}/findings"))
     return found
+
+
+def of_pairs(found: dict[str, Any]) -> dict[str, Any]:
+    """Return what only pairs have."""
+    view: dict[str, Any] = next(one["view"] for one in found["findings"] if one["kind"] == "pairs")
+    return view
 
 
 def kinds(found: dict[str, Any]) -> list[str]:
@@ -47,7 +53,7 @@ def test_a_search_for_the_boundary_says_how_many_solutions_it_found_and_asks_whe
     found = finding(client, campaign)
     assert found["words"].startswith(f"{boundary['dbs']} distinct boundary solution")
     assert found["words"].endswith(f"{boundary['strict_dbs']} of them strict.")
-    assert (found["complete"], found["rings"]) == (True, [])
+    assert (found["complete"], of_pairs(found)["rings"]) == (True, [])
     repeat = found["steps"][0]
     assert (repeat["kind"], repeat["command"]) == ("repeat", f"brink repeats {campaign}")
     assert f"{50 * boundary['dbs']:,} simulations" in repeat["words"]
@@ -72,11 +78,11 @@ def test_a_search_for_pairs_says_how_many_it_found_and_asks_what_has_not_been_as
     assert pairs["distinct"] > 1
     found = finding(client, campaign)
     assert found["words"].lower() == f"{pairs['note'].lower()}."
-    assert found["pairs"] == pairs["distinct"] == len(found["rings"])
+    assert of_pairs(found)["distinct"] == pairs["distinct"] == len(of_pairs(found)["rings"])
     sides = [[pair["safe"]["number"], pair["unsafe"]["number"]] for pair in pairs["pairs"]]
-    assert found["rings"] == sides
-    assert [[one["safe"], one["unsafe"]] for one in found["best"]] == sides[:2]
-    assert found["best"][0]["words"] == pairs["pairs"][0]["words"]
+    assert of_pairs(found)["rings"] == sides
+    assert [[one["safe"], one["unsafe"]] for one in of_pairs(found)["best"]] == sides[:2]
+    assert of_pairs(found)["best"][0]["words"] == pairs["pairs"][0]["words"]
     assert "confirm" in kinds(found)
     assert "component" not in kinds(found), "the ball has no component"
 
@@ -95,10 +101,14 @@ def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: ht
     campaign = finish(client, PAIRS)
     pairs = expect(client.get(f"{API}/{campaign}/pairs"))["pairs"]
     assert len(pairs) > 2
-    assert [one["evidence"] for one in finding(client, campaign)["best"]] == ["not simulated again yet"] * 2
+    assert [one["evidence"] for one in of_pairs(finding(client, campaign))["best"]] == [
+        "not simulated again yet"
+    ] * 2
     ask = {"kind": "confirm", "limit": 2}
     again = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json=ask), 201)["campaign"]
-    assert {one["evidence"] for one in finding(client, campaign)["best"]} == {"being simulated again"}
+    assert {one["evidence"] for one in of_pairs(finding(client, campaign))["best"]} == {
+        "being simulated again"
+    }
     first = pairs[0]["unsafe"]["parameters"]
 
     def refuting(job: LeasedJob) -> Completed | JobFailed:
@@ -113,19 +123,24 @@ def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: ht
 
     FakeWorker(client, judge=refuting).work(again)
     found = finding(client, campaign)
-    assert [one["place"] for one in found["best"]] == [2, 3]
-    assert found["best"][0]["evidence"] == "confirmed: unsafe in 0/15 and 15/15 drives with other seeds"
-    assert "unsafe drive in 15 of 15." in found["best"][0]["shares"]
-    assert (found["best"][1]["state"], found["best"][1]["shares"]) == ("not tried", "")
-    assert found["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], "places stay"
-    assert "with an error rate of 5%" in found["rule"]
+    assert [one["place"] for one in of_pairs(found)["best"]] == [2, 3]
+    assert (
+        of_pairs(found)["best"][0]["evidence"]
+        == "confirmed: unsafe in 0/15 and 15/15 drives with other seeds"
+    )
+    assert "unsafe drive in 15 of 15." in of_pairs(found)["best"][0]["shares"]
+    assert (of_pairs(found)["best"][1]["state"], of_pairs(found)["best"][1]["shares"]) == ("not tried", "")
+    assert of_pairs(found)["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], (
+        "places stay"
+    )
+    assert "with an error rate of 5%" in of_pairs(found)["rule"]
 
 
 def test_without_a_pair_the_next_step_is_a_larger_budget(client: httpx.Client) -> None:
     tight = {"id": "edge@1", "params": {"eps": 0.000001, "d_th": 0.1}}
     campaign = finish(client, ball(algorithm=tight, simulations=20))
     found = finding(client, campaign)
-    assert found["pairs"] == 0
+    assert of_pairs(found)["distinct"] == 0
     assert [(step["kind"], step["place"]) for step in found["steps"]] == [
         ("longer", f"new?from={campaign}&simulations=80")
     ]

@@ -274,7 +274,7 @@ def test_nearest_neighbours_agree_with_the_distance_matrix(finished: Finished) -
         assert found["interval"] == pytest.approx((float(low), float(high)))
         assert (found["evaluated"], found["p_th"]) == (len(numbers), 0.1)
         assert found["confidence"] == pytest.approx(0.95, abs=1e-4)
-        assert found["looks_for_boundary"]
+        assert found["rated"]
 
 
 def scores(client: httpx.Client, campaign: str) -> dict[str, Any]:

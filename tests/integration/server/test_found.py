@@ -14,10 +14,10 @@ from support.traffic import traffic_worker
 
 from brink.search.deadline import check_time
 from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
 from brink.server.dashboard import found
-from brink.server.dashboard.found import FoundWords
+from brink.server.findings.kind import Listed
+from brink.server.findings.pairs.kind import PairsKind
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 pytestmark = pytest.mark.long("the words of the list of campaigns")
@@ -113,10 +113,10 @@ def test_what_cannot_be_told_is_left_out(
 ) -> None:
     campaign = finish(client, ball(name="edge", algorithm=EDGE))
 
-    def fails(self: FoundWords, campaign: Campaign, plan: Plan) -> str:
+    def fails(self: PairsKind, listed: Listed) -> str:
         raise OSError("the disk is gone")
 
-    monkeypatch.setattr(FoundWords, "_pairs_words", fails)
+    monkeypatch.setattr(PairsKind, "brief", fails)
     assert column(client) == {campaign: ""}
     assert "what it found cannot be told" in caplog.text
 
@@ -125,12 +125,12 @@ def test_what_cannot_be_told_is_left_out(
 def test_what_takes_too_long_to_tell_is_ended_and_left_out(
     databases: Databases, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def endless(self: FoundWords, campaign: Campaign, plan: Plan) -> str:
+    def endless(self: PairsKind, listed: Listed) -> str:
         while True:
             check_time()
             time.sleep(0.01)
 
-    monkeypatch.setattr(FoundWords, "_pairs_words", endless)
+    monkeypatch.setattr(PairsKind, "brief", endless)
     monkeypatch.setattr(found, "LIMIT_S", 0.2)
     with databases.database() as url, small_problems(), listening_coordinator(url) as client:
         campaign = finish(client, ball(name="edge", algorithm=EDGE))

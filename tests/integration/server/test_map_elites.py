@@ -22,7 +22,7 @@ def test_every_solution_of_overlapping_generations_has_its_origin(client: httpx.
     assert origins(client, campaign) == ["random"] * 18
     stands = traffic_worker(client).work(campaign)
     assert (stands["status"], stands["failed"]) == ("finished", 0)
-    assert not stands["looks_for_boundary"]
+    assert stands["finds"] == ["violations"]
     found = origins(client, campaign)
     assert len(found) == 40
     assert set(found[:18]) == {"random"}

@@ -219,3 +219,16 @@ def test_problem_without_ordered_techniques_has_no_combinations(client: httpx.Cl
     for path in ("combinations", "solutions/0/variants"):
         detail = expect(client.get(f"/api/v1/campaigns/{campaign}/{path}"), 404)["detail"]
         assert "mtq@1 has no ordered techniques" in detail
+
+
+def test_measurement_without_its_value_is_a_failure(client: httpx.Client) -> None:
+    def omit_some_measurements(job: LeasedJob) -> Completed | JobFailed:
+        if not job.spec["requirements"] and job.spec["behaviour"]["first"] == 2:
+            return Completed(verdicts={}, objectives={})
+        return outcome_of(job.spec)
+
+    relaxed = {**SMALL, "execution": {"max_failed_share": 1.0}}
+    done = FakeWorker(client, judge=omit_some_measurements).work(submit(client, relaxed))
+    assert done["status"] == "finished"
+    assert done["failed"] > 0
+    assert done["evaluated"] >= 12

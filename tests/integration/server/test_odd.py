@@ -99,7 +99,7 @@ def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Sea
             campaign=campaign,
             digest=progress(client, campaign)["digest"],
             pairs=expect(client.get(f"{API}/{campaign}/pairs")),
-            finding=expect(client.get(f"{API}/{campaign}/finding")),
+            finding=expect(client.get(f"{API}/{campaign}/findings")),
             random=random,
         )
 
@@ -168,3 +168,22 @@ def test_a_command_adds_limits_to_those_of_the_file(sqlite_file: Path, tmp_path:
         rows = rows_of(client, summary["campaign"])
     assert rows[:, 0].min() >= 0.2
     assert rows[:, 0].max() <= 0.4
+
+
+def test_the_same_campaign_gives_the_same_archive(
+    searched: Searched, sqlite_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(surrogate, "TREES", 15)
+    url = f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'again.db')}"
+    with coordinator(url) as client:
+        assert progress(client, drive(client, SEARCH))["digest"] == searched.digest
+
+
+def test_a_wrong_odd_is_refused_at_submission(searched: Searched) -> None:
+    problem = {"id": "urban-injected@1", "params": {"odd": {"scenario.weather": "hail"}}}
+    with coordinator(searched.database) as client:
+        answer = client.post(API, json={**SEARCH, "problem": problem})
+    (error,) = answer.json()["errors"]
+    assert answer.status_code == 422
+    assert error["pointer"] == "/problem/params/odd/scenario.weather"
+    assert "expected one of" in error["message"]

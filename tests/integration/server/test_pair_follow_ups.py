@@ -242,9 +242,9 @@ def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx
     assert told["hard_rain"]["outcome"] == "violated the front gap at 16.1 s"
     assert (view["component"], view["scenario"]) == (1, 1)
     assert (
-        "with ground truth in place of the component, in one drive each, the unsafe side of 1 of 2 held the front "
+        "With ground truth in place of the component, in one drive each, the unsafe side of 1 of 2 held the front "
         "gap (the component's hazard), that of 1 violated the front gap all the same (the scenario's hazard)"
-    ) in view["note"]
+    ) in view["blame"]
     before = {one["number"]: one["seed"] for one in solutions(client, campaign)}
     after = solutions(client, asked["campaign"])
     assert [one["seed"] for one in after] == [before[1], before[3]], "the very episodes of the unsafe sides"

@@ -14,6 +14,7 @@ from support.populated import fill
 
 from brink.server.db.engine import Engines
 from brink.server.db.models import Base
+from brink.server.findings.kind import all_kinds
 
 Known = dict[str, list[Any]]
 SIMULATORS = ("faulty@1", "brink-drive@2", "brink-encounter@1", "nobody-has-it@1")
@@ -66,6 +67,7 @@ def values_of(known: Known) -> dict[str, list[str]]:
         "side": ["safe", "unsafe", "system", "reference"],
         "extension": ["png", "mp4"],
         "index": ["0"],
+        "kind": [kind.id for kind in all_kinds()],
         "requirement": [violation["requirement"]],
     }
 

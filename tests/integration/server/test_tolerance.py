@@ -94,7 +94,7 @@ def test_the_tolerated_magnitudes_are_found_with_units_and_sentences(service: Se
 
 
 def test_the_finding_says_what_a_missing_limit_does_not_mean(service: Service) -> None:
-    finding = expect(service.client.get(f"{API}/{service.campaign}/finding"))
+    finding = expect(service.client.get(f"{API}/{service.campaign}/findings"))
     assert "8 cells" in finding["words"]
     (caveat,) = finding["more"]
     assert "is not harmless" in caveat
@@ -105,7 +105,7 @@ def test_the_finding_says_what_a_missing_limit_does_not_mean(service: Service) -
     ]
     low, high = min(shares), max(shares)
     assert f"makes {low}%{f' to {high}%' if low < high else ''} of drives violate" in caveat
-    assert (finding["pairs"], finding["best"]) == (None, [])
+    assert [one["kind"] for one in finding["findings"]] == ["tolerances"]
 
 
 def test_violations_without_an_error_are_counted_apart(service: Service) -> None:
@@ -294,7 +294,7 @@ def test_a_search_that_cannot_run_is_refused_at_submission(
 
 def test_progress_names_the_kind_of_search(service: Service) -> None:
     found = expect(service.client.get(f"{API}/{service.campaign}/progress"))
-    assert (found["looks_for_tolerances"], found["looks_for_boundary"]) == (True, False)
+    assert found["finds"] == ["tolerances"]
 
 
 def test_a_running_search_has_tolerances(service: Service) -> None:

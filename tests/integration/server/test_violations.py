@@ -208,15 +208,16 @@ def test_the_finding_begins_with_what_a_careful_driver_would_have_avoided(
     client: httpx.Client, campaign: str
 ) -> None:
     found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
-    told = expect(client.get(f"/api/v1/campaigns/{campaign}/finding"))
+    told = expect(client.get(f"/api/v1/campaigns/{campaign}/findings"))
     assert told["words"] == f"{found['words'][0].upper()}{found['words'][1:]}."
     careful = {one["number"]: one for one in found["violations"] if one["avoidable"] == "careful"}
-    assert 1 <= len(told["avoidable"]) <= 2
-    assert told["avoidable"][0]["type"] == found["types"][0]["type"]
-    for one in told["avoidable"]:
+    view = next(one["view"] for one in told["findings"] if one["kind"] == "violations")
+    assert 1 <= len(view["examples"]) <= 2
+    assert view["examples"][0]["type"] == found["types"][0]["type"]
+    for one in view["examples"]:
         assert one["number"] in careful
         assert one["words"].endswith(" s")
-    assert told["explanation"] == found["explanation"]
+    assert view["explanation"] == found["explanation"]
 
 
 def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaign: str) -> None:
@@ -254,7 +255,7 @@ def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, cap
     campaign = submit(client, {**TRAFFIC, "seed": 2})
     traffic_worker(client).work(campaign, until=lambda stands: bool(stands["generations"]))
     stands = progress(client, campaign)
-    assert (stands["status"], stands["looks_for_boundary"]) == ("running", False)
+    assert (stands["status"], stands["finds"]) == ("running", ["violations"])
     with CampaignDisplay(Console(width=200)) as display:
         display.show(Progress.model_validate(stands))
     said = capsys.readouterr().out
@@ -268,7 +269,7 @@ def test_nothing_is_said_of_a_boundary_that_was_not_searched_for(client: httpx.C
     assert "boundary" not in CliRunner().invoke(app, ["status", campaign, *place]).stdout
     shown = CliRunner().invoke(app, ["results", campaign, *place]).stdout
     assert shown.startswith("this campaign did not look for a boundary")
-    assert expect(client.get(f"/api/v1/campaigns/{campaign}"))["looks_for_boundary"] is False
+    assert expect(client.get(f"/api/v1/campaigns/{campaign}"))["finds"] == ["violations"]
 
 
 def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:

@@ -276,3 +276,19 @@ def test_empty_archive_has_no_risk() -> None:
         ScenarioRisk.fitted(empty, BLIND_SPACE)
     with pytest.raises(ValueError, match="shrinkage > 0"):
         ScenarioRisk.fitted(blind_space_archive(ROWS[:, 4] < 0.5), BLIND_SPACE, shrinkage=0.0)
+
+
+def by_scenario(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the true risk of the synthetic landscape, a function of the scenario."""
+    risk: NDArray[np.float64] = 0.1 + 0.2 * rows[:, 0] + 0.15 * (rows[:, 1] == 2)
+    return risk
+
+
+def test_scenario_risk_is_estimated_from_the_archive() -> None:
+    truth = by_scenario(ROWS)
+    archive = blind_space_archive(np.random.default_rng(1).random(len(ROWS)) < truth)
+    risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
+    estimate = risk.probability(ROWS[:, :4])
+    assert np.corrcoef(estimate, truth)[0, 1] > 0.85
+    assert np.abs(estimate - truth).mean() < 0.08
+    assert estimate.mean() == pytest.approx(archive.unsafe.mean(), abs=0.01)

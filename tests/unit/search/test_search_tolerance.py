@@ -526,3 +526,15 @@ def test_a_failed_drive_without_an_error_is_simulated_again() -> None:
     tries = Counter((of, drive) for _, of, drive in ended.jobs(Purpose.TRUTH).tolist())
     assert 2 <= max(tries.values()) <= 3
     assert len(ended.tally.open_numbers) <= 8
+
+
+def test_an_interval_is_no_narrower_than_its_curves_support() -> None:
+    rng = np.random.default_rng(6)
+    curves = [steps(at, 0.4, 0.05) for at in (0.3, 0.5, 0.7)]
+    for curve, known in zip(
+        curves, rated(joined([simulated(one, 20_000, rng) for one in curves])), strict=True
+    ):
+        assert len(np.unique(known.draws, axis=0)) > 1_000
+        assert 0.005 < known.tolerated.width < 0.08
+        true = float(severity_at(curve[None], 0.05)[0])
+        assert known.tolerated.value == pytest.approx(true, abs=known.tolerated.width)

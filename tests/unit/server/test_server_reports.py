@@ -311,7 +311,9 @@ def with_pairs(folder: Path, tried: tuple[bool, ...]) -> str:
 
 def test_pairs_that_were_not_tried_are_no_zeros(tmp_path: Path) -> None:
     text = with_pairs(tmp_path, (True, True, False))
-    [row] = [line for line in text.splitlines() if line.startswith(r"| **RS \<b>** |") and "not tried" in line]
+    [row] = [
+        line for line in text.splitlines() if line.startswith(r"| **RS \<b>** |") and "not tried" in line
+    ]
     assert row.split(" | ")[2:] == ["not tried", "not tried", "not tried", "not tried |"]
     assert "Compared on distinct pairs, confirmed or not: only" in text
     campaigns = [line for line in text.splitlines() if re.match(r"\| `c\dRS`", line) and "not tried" in line]

@@ -4,7 +4,7 @@ import numpy as np
 
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.space import Component, Real, SearchSpace
-from brink.server.findings.violations.analysis import _seen_again
+from brink.server.findings.violations.analysis import seen_again
 from brink.server.findings.violations.views import TypeView
 
 SPACE = SearchSpace((Component("traffic", (Real("speed", 0.0, 10.0, "m/s"),)),))
@@ -34,7 +34,7 @@ def test_types_say_in_how_many_drives_of_their_solutions_they_were_seen_again() 
         )
         for name, its in numbers.items()
     ]
-    told = {one.type: one.again for one in _seen_again(types, archive)}
+    told = {one.type: one.again for one in seen_again(types, archive)}
     assert told == {
         "always": "1 of 1",
         "once of three": "0 of 2",

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from brink.pictures.scene import front_gap
 from brink.sim.adapters.sumo.specification import MAGNITUDES, ErrorType, Network
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.trace import Trace
+from brink.sim.trace import WORDS, Trace
 
 pytestmark = pytest.mark.long("needs SUMO")
 
@@ -36,6 +37,10 @@ OWN_DEMAND = """<routes>
 @pytest.fixture(scope="module")
 def simulator() -> Simulator:
     return make_simulator("sumo@1")
+
+
+def gap_of(result: EpisodeResult) -> float:
+    return result.verdicts["front-gap@1"].robustness
 
 
 def specification(
@@ -288,3 +293,50 @@ def test_files_that_have_changed_or_that_sumo_refuses_are_refused(
         simulator.run(with_own_files(files | {"network": "/nowhere.net.xml"}))
     assert capfd.readouterr().err == ""
     assert simulator.run(specification("ring")).features["ended"] == "time"
+
+
+def test_errors_of_the_fleet_act_on_other_vehicles(simulator: Simulator) -> None:
+    alone, fleet = (
+        simulator.run(
+            specification("ring", error_of(ErrorType.MISS, 1.0, affected, onset_s=1.0), automated=0.9)
+        )
+        for affected in ("ego", "fleet")
+    )
+    assert isinstance(alone.features["crashes"], int)
+    assert isinstance(fleet.features["crashes"], int)
+    assert fleet.features["crashes"] > alone.features["crashes"]
+
+
+def test_the_lead_brakes_at_the_incident(simulator: Simulator) -> None:
+    calm = simulator.run(specification("motorway", incident=None))
+    tense = simulator.run(specification("motorway", incident=(5.0, 6.0)))
+    assert calm.features["incident_at_s"] is None
+    assert tense.features["incident_at_s"] == pytest.approx(5.0)
+    assert gap_of(tense) < gap_of(calm)
+
+
+def test_the_trace_shows_the_gap_that_the_requirement_measured(simulator: Simulator) -> None:
+    error = error_of(ErrorType.TOO_FAR, 0.1, duration_s=25.0)
+    result = simulator.run(specification(error=error), record=True)
+    assert result.trace is not None
+    trace = Trace.from_bytes(result.trace)
+    decisive = int(trace.robustness["front-gap@1"].argmin())
+    gap = front_gap(trace, decisive)
+    assert gap is not None
+    body = gap.ends[1] - gap.ends[0]
+    assert np.hypot(*body) == pytest.approx(gap.gap_m, abs=0.1)
+    assert trace.about[WORDS] == (
+        "arterial road with traffic lights, traffic at 80% of capacity, 15% trucks, 30% automated cars, dry road; "
+        "the vehicle ahead brakes at 4.0 m/s² from 12.0 s on; "
+        "from 3.0 s on, the ego perceives things ahead 90% too far away for 25.0 s"
+    )
+
+
+def test_an_ego_that_perceives_a_red_light_too_late_runs_it(simulator: Simulator) -> None:
+    true, wrong = (
+        simulator.run(specification(error=error, incident=None, demand=0.2, seed=0, duration_s=60.0))
+        for error in (None, error_of(ErrorType.TOO_FAR, onset_s=20.0, duration_s=40.0))
+    )
+    assert true.verdicts["red-light@1"].robustness == pytest.approx(1.0, abs=0.1)
+    assert wrong.verdicts["red-light@1"].robustness < -2.0
+    assert wrong.features["hardest_braking_mps2"] == pytest.approx(8.0)

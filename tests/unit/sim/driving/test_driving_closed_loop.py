@@ -252,3 +252,15 @@ def test_commands_are_finite_and_bounded_for_arbitrary_boxes(frames: list[list[B
         assert all(math.isfinite(value) for obstacle in system.obstacles for value in obstacle[2:])
         assert system.plan.target_speed_mps >= 0.0
         station_m += 0.6
+
+
+def test_reacts_only_to_perceived_obstacles() -> None:
+    done = drive(STRAIGHT, [standing(80.0)], oracle=False, duration_s=15.0)
+    assert min(done.clearance_m) == 0.0
+
+
+def test_continues_when_a_ghost_disappears() -> None:
+    stays = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 480.0))
+    goes = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 480.0), until_s=7.0)
+    assert stays.speed_mps[-1] == 0.0
+    assert goes.speed_mps[-1] > 5.0

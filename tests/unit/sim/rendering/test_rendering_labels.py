@@ -306,3 +306,11 @@ def test_seen_bodies_are_the_visible_ones_with_the_same_boxes_and_shares() -> No
         assert list(seen_bodies(frame, least_px=(0.0, 9), least_share=0.3)) == expected
         clear += sum(row[-1] for row in expected)
     assert clear > 10
+
+
+def test_a_house_that_covers_half_of_a_car_leaves_half_of_it_visible() -> None:
+    house = Building(x_m=14.3, y_m=-5.0, yaw_rad=0.0, length_m=6.0, width_m=10.0, height_m=9.0, look=1)
+    renderer = Renderer(StreetScene(buildings=(house,)), GREY_NOON, CAMERA, 1)
+    car = body(1, BodyKind.VEHICLE, 25.0, 0.0, CAR_M)
+    (found,) = visible_bodies(renderer.frame(ORIGIN, [car], 0.0))
+    assert found.visible_share == pytest.approx(0.5, abs=0.03)

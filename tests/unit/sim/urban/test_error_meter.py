@@ -285,3 +285,20 @@ def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
     assert set(lead) >= {kind.value for kind in (ErrorType.MISS, ErrorType.TOO_FAR, ErrorType.LATE)}
     assert float(str(lead["too_far"])) < 0.3
     assert float(str(lead["miss"])) < 3.0
+
+
+def test_a_few_far_detections_are_no_range() -> None:
+    meter = ErrorMeter(CAMERA)
+    for step in range(STEPS):
+        box = standing(58.0 - 0.5 * step)
+        meter.see(
+            step / 10, [TrueBox(1, box, Target.LEAD, True)], [ReportedBox(box)] if step in (1, 50) else []
+        )
+    assert meter.errors().magnitudes[Target.LEAD][ErrorType.SHORT_RANGE] < 10.0
+
+
+def test_a_target_that_is_hardly_there_is_not_measured() -> None:
+    meter = ErrorMeter(CAMERA)
+    for step in range(5):
+        meter.see(step / 10, [TrueBox(1, LEAD, Target.LEAD, True)], [])
+    assert all(set(errors) == {ErrorType.GHOST_ON_ROAD} for errors in meter.errors().magnitudes.values())

@@ -161,3 +161,22 @@ def test_an_episode_is_repeatable_and_similar_at_both_fidelities() -> None:
     assert results[1].trace == results[3].trace
     for name, verdict in results[0].verdicts.items():
         assert results[1].verdicts[name].violated == verdict.violated
+
+
+@pytest.mark.parametrize("friction", [0.9, 0.6, 0.4])
+def test_cornering_is_limited_by_friction(friction: float) -> None:
+    speed_mps, best = 15.0, 0.0
+    for steer_rad in (0.05, 0.1, 0.2, 0.3, 0.4, 0.5):
+        car = EgoCar((0.0, 0.0, 0.0), speed_mps, friction=friction)
+        for _ in range(100):
+            car.speed_mps = speed_mps
+            car.drive(0.0, steer_rad, 1)
+        best = max(best, abs(car.yaw_rate_radps) * car.speed_mps)
+    assert best == pytest.approx(friction * GRAVITY_MPS2, rel=0.05)
+
+
+def test_a_standing_car_does_not_roll_backwards_on_a_hill() -> None:
+    car = EgoCar((1.0, 2.0, 0.3), 0.0, friction=0.9)
+    car.set_grade(0.06)
+    car.drive(-1.0, 0.1, 500)
+    assert (car.x_m, car.y_m, car.yaw_rad, car.speed_mps) == (1.0, 2.0, 0.3, 0.0)

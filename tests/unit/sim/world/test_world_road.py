@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from brink.sim.driving.interface import LightState
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import CYCLE_S, SignalPlan, build_road, ego_route, stream_lane
-from brink.sim.world.scenario import DrivingTask, RoadCurve
+from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, Weather
 from brink.sim.world.scenery import fixtures
 from brink.sim.world.streams import Stream, generator
+from brink.sim.world.weather import conditions
 
 curvatures = st.one_of(st.just(0.0), st.floats(1 / 60, 1 / 8), st.floats(-1 / 8, -1 / 60))
 pieces = st.lists(
@@ -162,3 +163,17 @@ def test_random_streams_are_independent() -> None:
         generator(7, Stream.VEHICLE),
     ]
     assert all((other.random(4) != first).all() for other in others)
+
+
+def test_friction_depends_on_the_road_surface() -> None:
+    expected = {
+        Weather.CLEAR: 0.9,
+        Weather.CLOUDY: 0.9,
+        Weather.WET: 0.6,
+        Weather.WET_CLOUDY: 0.6,
+        Weather.MEDIUM_RAIN: 0.5,
+        Weather.HARD_RAIN: 0.4,
+    }
+    for weather, friction in expected.items():
+        assert conditions(TimeOfDay.NOON, weather).friction == friction
+    assert 0.5 < conditions(TimeOfDay.NOON, Weather.SOFT_RAIN).friction < 0.6

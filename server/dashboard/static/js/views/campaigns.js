@@ -178,7 +178,7 @@ function campaignRow(first, here) {
     text(found, row.found ?? "being worked out");
     text(foundOnPhone, row.found ?? "");
     attribute(found, "title", row.found === null ? "Being worked out" : null);
-    const line = row.about_boundary && row.dbs.some((one) => one > 0) ? row.dbs : [];
+    const line = row.found_kind === "boundary" && row.dbs.some((one) => one > 0) ? row.dbs : [];
     spark.classList.toggle("none", line.length === 0);
     spark.update(line);
     if (drawn !== row.status) {

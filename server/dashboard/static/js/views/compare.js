@@ -207,7 +207,7 @@ function gridRows(all, t_bs, j) {
 
 /** Return whether DBS measures what a campaign searches for; unknown until its progress has been read. */
 function searchesBoundary({ progress }) {
-  return Boolean(progress?.looks_for_boundary && !progress.looks_for_pairs);
+  return Boolean(progress?.finds[0] === "boundary");
 }
 
 function begun(one) {

@@ -56,7 +56,7 @@ export async function show(main, context, { parts }) {
     }
     verdict.update(read);
     figures.update({
-      ...(campaign.looks_for_boundary ? { Fitness: figure(read.fitness) } : {}), Generation: count(read.generation), Origin: read.origin ? spaced(read.origin) : "–",
+      ...(campaign.finds.includes("boundary") ? { Fitness: figure(read.fitness) } : {}), Generation: count(read.generation), Origin: read.origin ? spaced(read.origin) : "–",
       Seed: String(read.seed), Attempts: count(read.attempts),
       ...(read.losses ? { "Lost attempts": count(read.losses) } : {}),
     });

@@ -166,84 +166,28 @@ function panel(one, overall, top) {
       : h("div.ends.small.muted", { "aria-hidden": "true" }, ends.map((words) => h("span", null, words || ""))));
 }
 
-const MOST = 12;
-const MOST_TYPES = 20;
-
 /**
- * Return the cards of findings in one element; ``news(sequence)`` loads them.
+ * Return the card of repeats with other seeds; ``news(sequence)`` loads them.
  *
  * @param {Context} context
  * @param {string} id Id of the campaign.
- * @param {string[]} tells What its problem finds: ``violations``, ``combinations``.
  */
-export function findings(context, id, tells) {
-  const violations = h("section.card", { hidden: true, "aria-label": "Violations" });
-  const combinations = h("section.card", { hidden: true, "aria-label": "Combinations of techniques" });
-  const repeats = h("section.card", { hidden: true, "aria-label": "Repeats" });
-  const node = h("div.stack", { hidden: true }, violations, combinations, repeats);
-
+export function repeatsCard(context, id) {
+  const node = h("section.card", { hidden: true, "aria-label": "Repeats" });
   let told = "";
   let later = null;
-  let allTypes = false;
 
   const load = loadOnNews(async () => {
-    const [broken, chains, again] = await Promise.all([optional("violations", "?types_only=true"), optional("combinations"), context.get(`campaigns/${id}/repeats`)]);
-    if (broken) showViolations(broken);
-    if (chains) showCombinations(chains);
+    const again = await context.get(`campaigns/${id}/repeats`);
     showRepeats(again);
     clearTimeout(later);
     // Repeats are separate campaigns: progress of this one does not announce their news.
     if (again.some((one) => one.status === "running")) later = setTimeout(() => load(`${told} ${performance.now()}`), 5_000);
-    node.hidden = [...node.children].every((card) => card.hidden);
   }, { signal: context.signal, refuse: context.complain, leastMs: 10_000, share: 0.05 });
 
-  async function optional(part, query = "") {
-    return tells.includes(part) ? context.get(`campaigns/${id}/${part}${query}`) : null;
-  }
-
-  function showViolations(read) {
-    violations.hidden = read.types.length === 0;
-    const { types } = read;
-    const measured = types.some((one) => one.avoidable !== null);
-    const folded = !allTypes && types.length > MOST_TYPES;
-    replace(violations, h("h2", null, "Types of violations"), measured && h("p.hint", null, read.explanation),
-      h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Types of violations" },
-        h("table.types", null, h("caption", null, `${plural(types.length, "type")} by the rules, ${measured ? "those that a careful driver would have avoided first, then by frequency" : "most frequent first"}${folded ? `; the first ${MOST_TYPES}` : ""}`),
-          head("Type", "Avoidable by", measured && "How", "Solutions", "Distinct", "Fault by the rule", "Example"),
-          h("tbody", null, (folded ? types.slice(0, MOST_TYPES) : types).map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
-            h("td", { title: avoidedWords(one) }, one.avoider), measured && h("td", null, one.avoided_by ?? "–"), h("td", null, one.avoided, one.again && h("div.small.muted", null, `again: ${one.again}`)), h("td", null, count(one.instances)),
-            h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
-            h("td", null, solution(one.example))))))),
-      folded && h("button", { type: "button", onclick: () => { allTypes = true; showViolations(read); } }, `Show all ${count(types.length)} types`));
-  }
-
-  function showCombinations(read) {
-    const telling = read.combinations.filter((one) => one.hazardous).slice(0, MOST);
-    combinations.hidden = read.combinations.length === 0;
-    replace(combinations, h("h2", null, "Combinations of techniques"),
-      telling.length > 0 && read.explanation && h("p.hint", null, read.explanation),
-      h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Combinations of techniques" },
-        h("table", null, h("caption", null, telling.length ? "Hazardous chains: simulated in at least three scenarios, and unsafe in at least 80% of them" : "No hazardous chain so far: each needs at least three scenarios"),
-          head("Techniques, in order", "Unsafe", "Parts", "Added harm", "Conclusion"),
-          h("tbody", null, telling.map((one) => h("tr", null, h("th", { scope: "row" }, one.words),
-            h("td", null, `${one.unsafe} of ${one.trials}`),
-            h("td.small", null, one.parts.map((each) => h("div", null, `${each.words}: ${each.unsafe} of ${each.trials}`))),
-            h("td", null, one.added_harm === null ? "–" : signed(one.added_harm)),
-            h("td", null, [one.only_together && "hazardous only together", one.interacts && "interacts on the data set", one.order_matters && "another order is safe", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
-              (one.together[0] ?? one.turned[0]) !== undefined && [" ", solution(one.together[0] ?? one.turned[0])])))))),
-      alone(read.steps));
-  }
-
-  function alone(steps) {
-    return h("details", null, h("summary", null, "Each technique alone and with others"),
-      h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Each technique alone" },
-        h("table", null, h("caption.read-out", null, "Each technique alone and with others"), head("Technique", "Alone", "With others"), h("tbody", null, steps.map((one) => h("tr", null,
-          h("th", { scope: "row" }, one.words), h("td", null, `${one.alone_unsafe} of ${one.alone_trials}`), h("td", null, `${one.joined_unsafe} of ${one.joined_trials}`)))))));
-  }
-
   function showRepeats(read) {
-    repeats.hidden = read.length === 0;
-    replace(repeats, h("h2", null, "Repeats with other seeds"), read.map((one) => h("div.repeat", null,
+    node.hidden = read.length === 0;
+    replace(node, h("h2", null, "Repeats with other seeds"), read.map((one) => h("div.repeat", null,
       h("p", null, h("a", { href: link("campaigns", one.campaign) }, which(one)), " ", badge(one.status)), h("p", null, one.words))));
   }
 
@@ -253,10 +197,6 @@ export function findings(context, id, tells) {
     return `${what}, ${one.solutions.length === 1 ? "" : "each "}${count(one.repeats)} times`;
   }
 
-  function solution(number) {
-    return h("a", { href: link("campaigns", id, "solutions", number) }, `solution ${number}`);
-  }
-
   context.signal.addEventListener("abort", () => clearTimeout(later), { once: true });
   node.news = (sequence) => {
     if (sequence === told) return;
@@ -264,12 +204,6 @@ export function findings(context, id, tells) {
     load(sequence);
   };
   return node;
-}
-
-/** Return how many violations of a type each driver would have avoided; null if that was not measured. */
-function avoidedWords({ avoidable, avoidable_by: by }) {
-  const all = by.careful + by.ideal + by.no;
-  return avoidable === null ? null : `Of ${plural(all, "violation")}: a careful driver would have avoided ${count(by.careful)}, only an ideal one ${count(by.ideal)}, neither ${count(by.no)}.`;
 }
 
 function head(...names) {
@@ -320,8 +254,8 @@ function inWords(progress, generations, algorithm) {
   else if (progress.status === "running") {
     told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
   } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");
-  if (!progress.looks_for_tolerances && last?.best_fitness !== null && last?.best_fitness !== undefined) {
-    told.push(`${progress.looks_for_boundary || progress.measured ? "Fitness" : "Criticality"} of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
+  if (progress.finds[0] !== "tolerances" && last?.best_fitness !== null && last?.best_fitness !== undefined) {
+    told.push(`${progress.finds.includes("boundary") || progress.measured ? "Fitness" : "Criticality"} of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
   }
   const origins = Object.entries(progress.origins);
   if (origins.length) told.push(`Origins of solutions: ${origins.map(([name, number]) => `${spaced(name)} ${count(number)}`).join(", ")}.`);

@@ -108,10 +108,10 @@ export function convergenceCards(context, id, query, thresholds) {
       defaults = { t_b: progress.t_b, d_th: progress.d_th };
       card.hidden = known.list.length === 0;
       // In a search for pairs the boundary is a side line, and there may be none.
-      dbsCard.hidden = !progress.looks_for_boundary || (progress.looks_for_pairs && isDefault() && known.list.every((one) => one.dbs === 0));
-      fitnessCard.hidden = progress.looks_for_tolerances; // it minimises nothing
-      text(fitnessTitle, `${progress.looks_for_boundary || progress.measured ? "Fitness" : "Criticality"} by generation`);
-      text(fitnessHint, `The quantity that the algorithm minimises.${progress.looks_for_boundary ? " 0 is on the boundary." : ""}`);
+      dbsCard.hidden = !progress.finds.includes("boundary") || (progress.finds[0] === "pairs" && isDefault() && known.list.every((one) => one.dbs === 0));
+      fitnessCard.hidden = progress.finds[0] === "tolerances"; // it minimises nothing
+      text(fitnessTitle, `${progress.finds.includes("boundary") || progress.measured ? "Fitness" : "Criticality"} by generation`);
+      text(fitnessHint, `The quantity that the algorithm minimises.${progress.finds.includes("boundary") ? " 0 is on the boundary." : ""}`);
       if (generations !== known || known.next !== this.drawn) {
         generations = known;
         this.drawn = known.next;

@@ -41,7 +41,7 @@ export function finding(context, id, found, changed) {
   let later = null;
 
   const load = loadOnNews(async () => {
-    read = await context.get(`campaigns/${id}/finding`);
+    read = await context.get(`campaigns/${id}/findings`);
     text(words, read.words);
     replace(more, read.more.map((one) => h("p", null, one)));
     of.hidden = read.of === null;
@@ -61,15 +61,15 @@ export function finding(context, id, found, changed) {
     if (!progress) return;
     const ended = !isOpen(progress.status);
     const last = generations.list.at(-1);
-    const known = read?.pairs ?? null; // null if there are too many to tell
+    const known = viewOf(read, "pairs")?.distinct ?? null; // null if there are too many to tell
     const evaluated = progress.evaluated + progress.reported;
     const unsafe = progress.unsafe + progress.reported_unsafe;
     const failed = progress.failed + progress.reported_failed;
     bar.update(progress.simulations / progress.budget, ended);
     figures.update({
-      ...(progress.looks_for_pairs && known !== null ? { Pairs: count(known) } : {}),
-      ...(progress.looks_for_boundary && !progress.looks_for_pairs && last ? { "Boundary solutions (strict)": `${count(last.dbs)} (${count(last.strict_dbs)})` } : {}),
-      ...(!progress.looks_for_pairs && known ? { Pairs: count(known) } : {}),
+      ...(progress.finds[0] === "pairs" && known !== null ? { Pairs: count(known) } : {}),
+      ...(progress?.finds[0] === "boundary" && last ? { "Boundary solutions (strict)": `${count(last.dbs)} (${count(last.strict_dbs)})` } : {}),
+      ...(progress.finds[0] !== "pairs" && known ? { Pairs: count(known) } : {}),
       Unsafe: evaluated ? `${count(unsafe)} (${percent(unsafe / evaluated)})` : "–",
       Safe: evaluated ? count(evaluated - unsafe) : "–",
       Simulations: `${count(progress.simulations)} of ${count(progress.budget)}`,
@@ -148,6 +148,11 @@ function pictured(context, label, hint) {
   return card;
 }
 
+/** Return what only one kind of findings has; undefined if the campaign has none of the kind. */
+export function viewOf(read, kind) {
+  return read?.findings.find((one) => one.kind === kind)?.view ?? undefined;
+}
+
 /** Return the card of violations that a careful driver would have avoided, beside that driver's drive; ``update`` takes the finding. */
 function avoidableViolations(context, id) {
   const meaning = h("p.hint");
@@ -164,9 +169,10 @@ function avoidableViolations(context, id) {
   }
 
   card.update = (read) => {
-    if (!read.complete) return; // types change while it runs, and the workers have better things to do
-    text(meaning, `Both drives from above at the moment of the violation. ${read.explanation}`);
-    card.show(read.avoidable, (one) => String(one.number), violation);
+    const view = viewOf(read, "violations");
+    if (!read.complete || !view) return; // types change while it runs, and the workers have better things to do
+    text(meaning, `Both drives from above at the moment of the violation. ${view.explanation}`);
+    card.show(view.examples, (one) => String(one.number), violation);
   };
   return card;
 }
@@ -196,9 +202,10 @@ function bestPairs(context, id) {
   }
 
   card.update = (read) => {
-    if (!read.complete || !read.replayable) return; // pairs change while it runs, and the workers have better things to do
-    text(meaning, read.rule);
-    card.show(read.best, (one) => `${one.safe}-${one.unsafe}`, pair);
+    const view = viewOf(read, "pairs");
+    if (!read.complete || !view?.replayable) return; // pairs change while it runs, and the workers have better things to do
+    text(meaning, view.rule);
+    card.show(view.best, (one) => `${one.safe}-${one.unsafe}`, pair);
   };
   return card;
 }

@@ -120,14 +120,14 @@ function getOr(mapping, key, make) {
 export function neighbourhood(campaign) {
   const opposite = h("section.card.opposite", { "aria-label": "Nearest opposite", hidden: true });
   const words = h("p", { id: "neighbourhood-words" });
-  const bar = intervalBar(campaign.looks_for_boundary);
+  const bar = intervalBar(campaign.finds.includes("boundary"));
   const card = h("section.card", { "aria-label": "Neighbourhood" }, h("h2", null, "Neighbourhood"), words, bar);
   const caption = h("caption");
   const rows = h("tbody");
   const table = h("section.card", { "aria-label": "Nearest solutions" }, h("h2", null, "Nearest solutions"),
     h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of the nearest solutions" }, h("table", null, caption,
       h("thead", null, h("tr", null, h("th", { scope: "col" }, "Solution"), h("th", { scope: "col" }, "Verdict"),
-        ["Distance", "Robustness", campaign.looks_for_boundary && "Fitness"].filter(Boolean).map((name) => h("th.right", { scope: "col" }, name)))),
+        ["Distance", "Robustness", campaign.finds.includes("boundary") && "Fitness"].filter(Boolean).map((name) => h("th.right", { scope: "col" }, name)))),
       rows)));
 
   function showOpposite({ opposite: other }) {
@@ -154,7 +154,7 @@ export function neighbourhood(campaign) {
       h("th", { scope: "row" }, h("a.row", { href: link("campaigns", campaign.id, "solutions", one.number) }, String(one.number))),
       h("td", null, outcomeBadge(one)),
       h("td.right", null, figure(one.distance), h("span.read-out", null, one.within ? ", a neighbour" : ""), !one.within && h("span.small.muted", null, " beyond")),
-      h("td.right", null, figure(one.robustness)), campaign.looks_for_boundary && h("td.right", null, figure(one.fitness)))));
+      h("td.right", null, figure(one.robustness)), campaign.finds.includes("boundary") && h("td.right", null, figure(one.fitness)))));
   }
   return { opposite, card, table, update };
 }
@@ -179,11 +179,11 @@ function intervalBar(aboutBoundary) {
   return node;
 }
 
-function neighbourhoodWords({ neighbours, unsafe_neighbours, radius, interval: [low, high], p_th, confidence, looks_for_boundary }) {
+function neighbourhoodWords({ neighbours, unsafe_neighbours, radius, interval: [low, high], p_th, confidence, rated }) {
   const level = `${Number((100 * confidence).toFixed(1))}%`;
   const counts = `${count(unsafe_neighbours)} of ${plural(neighbours, "solution")} within a distance of ${figure(radius)} ${unsafe_neighbours === 1 ? "is" : "are"} unsafe`;
   const share = `${counts}: ${percent(unsafe_neighbours / neighbours)}, ${level} interval ${percent(low)} to ${percent(high)}.`;
-  return `${share} ${looks_for_boundary ? boundaryWords(low, high, p_th) : "This search does not look for a boundary."}`;
+  return `${share} ${rated ? boundaryWords(low, high, p_th) : "This search does not look for a boundary."}`;
 }
 
 function boundaryWords(low, high, p_th) {

@@ -1,0 +1,138 @@
+"""The boundary as a kind of finding."""
+
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.boundaries import read_last_count
+from brink.server.campaigns.plan import check_repeatable
+from brink.server.campaigns.repeats import MOST, FollowUpKind
+from brink.server.campaigns.store import ENDED
+from brink.server.errors import InvalidInput
+from brink.server.findings.boundary.analysis import boundary_words
+from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
+from brink.server.findings.finding import Finding, Step, StepRequest
+from brink.server.findings.follow_ups import follow_up_view
+from brink.server.findings.kind import Kind, Listed, Subject
+from brink.server.findings.solutions import solutions_of
+from brink.server.findings.table import Column, Format, Table
+from brink.server.findings.words import counted, listed_words
+
+COLUMNS = [
+    Column(name="number", title="number", format=Format.SOLUTION),
+    Column(name="outcome", title="outcome"),
+    Column(name="fitness", title="fitness", format=Format.NUMBER),
+    Column(name="unsafe_neighbours", title="unsafe neighbours", format=Format.COUNT),
+    Column(name="neighbours", title="of", format=Format.COUNT),
+    Column(name="words", title="description"),
+]
+
+
+class BoundaryKind(Kind):
+    """Distinct solutions near the hazard boundary, at the default thresholds."""
+
+    id = "boundary"
+    title = "The boundary"
+    rank = 80
+
+    async def find(self, subject: Subject) -> Finding:
+        """Return the distinct boundary solutions, best first."""
+        sources, read = subject.sources, subject.read
+        boundary = await sources.boundaries.get(subject.campaign, read, DEFAULT_T_B, DEFAULT_D_TH)
+        distinct, strict = boundary.counts.dbs, boundary.counts.strict
+        numbers = [int(number) for number in read.archive.numbers[boundary.chosen[: subject.rows]]]
+        solutions = await sources.pages.read(
+            sources.engines, lambda c: solutions_of(c, subject.campaign, read, numbers)
+        )
+        rows = [
+            [
+                one.number,
+                one.outcome or str(one.verdict),
+                one.fitness,
+                one.unsafe_neighbours,
+                one.neighbours,
+                one.words,
+            ]
+            for one in solutions
+        ]
+        return Finding(
+            kind=self.id,
+            title=self.title,
+            role=subject.role,
+            sentence=boundary_words(distinct, strict, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH),
+            is_empty=not distinct,
+            tables=[
+                Table(
+                    name="boundary",
+                    title="Distinct boundary solutions, best first",
+                    columns=COLUMNS,
+                    rows=rows,
+                    left_out=distinct - len(rows),
+                )
+            ],
+            steps=self._steps(subject, distinct, strict),
+        )
+
+    def brief(self, listed: Listed) -> str:
+        """Return how many there are, as of the last generation."""
+        with listed.archives.engines.reader.connect() as connection:
+            return counted(read_last_count(connection, listed.campaign.id), "boundary solution")
+
+    def _steps(self, subject: Subject, distinct: int, strict: int) -> list[Step]:
+        campaign = subject.campaign.id
+        if not distinct:
+            return [subject.longer("Only neighbourhoods with enough solutions lie near the boundary.")]
+        steps = _repeat(subject, distinct)
+        if len(subject.plan.problem.space.components) > 1:
+            steps.append(
+                Step(
+                    kind="control",
+                    question="How much of it is the component's?",
+                    label="Compare with the control",
+                    words="Compares it with its control, whose verdicts do not depend on the component.",
+                    place=f"compare?ids={campaign}",
+                    command=f"brink compare {campaign}",
+                )
+            )
+        steps.append(
+            Step(
+                kind="export",
+                question="Where is the evidence?",
+                words="Exports the boundary as tables, rules and replays.",
+                command=f"brink evidence {campaign} --out evidence",
+            )
+        )
+        if not strict:
+            steps.append(subject.longer("No boundary solution is strict yet: that takes more neighbours."))
+        return steps
+
+
+def _repeat(subject: Subject, distinct: int) -> list[Step]:
+    """Return the step that simulates the boundary again, unless that was done or cannot tell anything."""
+    again = [one for one in subject.stored if one.boundary and one.kind is FollowUpKind.CONFIRM]
+    open_one = next((one for one in again if one.campaign.status not in ENDED), None)
+    if open_one is None and (again or _cannot_repeat(subject)):
+        return []
+    repeated = min(distinct, MOST)
+    what = listed_words(repeated, distinct).removeprefix("the ") if distinct > 1 else "boundary solution"
+    return [
+        Step(
+            kind="repeat",
+            question="Does the boundary hold?",
+            label="Repeat the boundary",
+            words=f"Simulates the {what} with {DEFAULT_REPEATS} other seeds. It takes "
+            f"{DEFAULT_REPEATS * repeated:,} simulations.",
+            command=f"brink repeats {subject.campaign.id}",
+            request=StepRequest(path=f"{subject.path}/repeats", body={}),
+            follow_up=None if open_one is None else follow_up_view(open_one),
+            tells_more=True,
+        )
+    ]
+
+
+def _cannot_repeat(subject: Subject) -> bool:
+    try:
+        check_repeatable(subject.plan)
+    except InvalidInput:
+        return True
+    return False
+
+
+KIND = BoundaryKind()

@@ -1,0 +1,101 @@
+"""What every finding says, whatever its kind: a sentence, a typed view, tables, next steps."""
+
+from enum import StrEnum
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.findings.follow_ups import FollowUpView
+from brink.server.findings.table import Table
+from brink.server.views import View
+
+
+class Role(StrEnum):
+    """Why a campaign has a kind of finding."""
+
+    SOUGHT = "sought"
+    """Its algorithm or its problem is for this."""
+    SIDE = "side"
+    """Its algorithm finds this beside what it is for."""
+    MET = "met"
+    """It came across this."""
+
+
+class StepRequest(View):
+    """The request of the API that takes a step."""
+
+    path: Annotated[str, Field(description="Path below `/api/v1`, for POST.")]
+    body: dict[str, Any]
+
+
+class Step(View):
+    """Something to do next."""
+
+    kind: str
+    question: Annotated[str, Field(description="The question that it answers.")]
+    words: Annotated[str, Field(description="What it does, and how many simulations it takes.")]
+    label: Annotated[str, Field(description="Words for a button or a link.")] = ""
+    command: Annotated[
+        str,
+        Field(description="The same on the command line, without the coordinator; empty if there is none."),
+    ] = ""
+    request: StepRequest | None = None
+    place: Annotated[
+        str | None, Field(description="Address of a page of the dashboard that has the answer, without `#/`.")
+    ] = None
+    follow_up: Annotated[
+        FollowUpView | None,
+        Field(description="The campaign that is simulating it, if it has been requested."),
+    ] = None
+    tells_more: Annotated[
+        bool, Field(description="Whether it tells more about what was found, rather than leads on.")
+    ] = False
+
+
+class Finding(View):
+    """One kind of what a campaign found."""
+
+    kind: str
+    title: str
+    role: Role
+    sentence: Annotated[str, Field(description="The finding in a sentence of at most 25 words.")]
+    more: Annotated[list[str], Field(description="What else is known, in sentences.")] = Field(
+        default_factory=list
+    )
+    is_empty: Annotated[bool, Field(description="Whether nothing of the kind was found.")] = False
+    view: Annotated[
+        Any, Field(description="What only this kind has; see its schema in the documentation.")
+    ] = None
+    tables: list[Table] = Field(default_factory=list)
+    steps: list[Step] = Field(default_factory=list)
+
+    def table(self, name: str | None = None) -> Table | None:
+        """Return a table by its name, or the first one; None if there is none."""
+        return next((one for one in self.tables if name in (None, one.name)), None)
+
+
+class FollowedView(View):
+    """The campaign that a follow-up asks about."""
+
+    campaign: str
+    name: str
+    kind: FollowUpKind
+
+
+class Findings(View):
+    """What a campaign found."""
+
+    campaign: str
+    complete: Annotated[bool, Field(description="Whether the campaign has ended.")]
+    words: Annotated[str, Field(description="The first finding in a sentence.")]
+    more: Annotated[list[str], Field(description="What else is known, in sentences.")]
+    of: Annotated[FollowedView | None, Field(description="The campaign that this one follows up.")]
+    findings: Annotated[
+        list[Finding], Field(description="All kinds that the campaign has, what it was for first.")
+    ]
+    steps: Annotated[list[Step], Field(description="What to do next, the most useful first.")]
+
+    def of_kind(self, kind: str) -> Finding | None:
+        """Return the finding of a kind; None if the campaign has none."""
+        return next((one for one in self.findings if one.kind == kind), None)

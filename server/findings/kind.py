@@ -1,0 +1,174 @@
+"""The contract of a kind of finding, and the discovery of kinds.
+
+A kind is a folder of this package with a module `kind` that defines `KIND`, or a plug-in of the group
+``brink.findings``. Nothing lists them. Which campaigns have a kind follows from what their algorithm declares that it
+finds (`finds`), and from what their problem reports.
+"""
+
+import importlib
+import logging
+import pkgutil
+from abc import ABC, abstractmethod
+from collections.abc import Callable, MutableMapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, ClassVar, Final, cast
+
+from brink.server import findings
+from brink.server.campaigns.archives import Archives, ReadArchive
+from brink.server.campaigns.plan import Plan
+from brink.server.campaigns.repeats import StoredRepeats
+from brink.server.campaigns.store import Campaign
+from brink.server.findings.finding import Finding, Role, Step
+from brink.server.findings.sources import Sources
+from brink.server.problems.base import Problem
+from brink.sim.catalogue import load_plugin, plugin_ids
+
+FINDINGS: Final = "brink.findings"
+"""Entry-point group of kinds: each loads a subclass of `Kind`."""
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Subject:
+    """The campaign that a finding is about.
+
+    Attributes:
+        sources: Where findings are read from.
+        campaign: The campaign.
+        read: Its archive.
+        stored: Its follow-ups.
+        role: Why it has this kind of finding.
+        rows: Most rows of each table.
+    """
+
+    sources: Sources
+    campaign: Campaign
+    read: ReadArchive
+    stored: Sequence[StoredRepeats]
+    role: Role
+    rows: int
+
+    @property
+    def plan(self) -> Plan:
+        """The campaign's plan."""
+        return self.read.plan
+
+    @property
+    def path(self) -> str:
+        """Path of the campaign, in the API and on the dashboard."""
+        return f"campaigns/{self.campaign.id}"
+
+    def longer(self, words: str) -> Step:
+        """Return the step that searches again with a larger budget."""
+        return Step(
+            kind="longer",
+            question="Search longer?",
+            words=words,
+            label="Clone it with a larger budget",
+            place=f"new?from={self.campaign.id}&simulations={4 * self.campaign.budget}",
+            tells_more=True,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Listed:
+    """A campaign that has ended, in a list of many.
+
+    Attributes:
+        archives: Where archives are read.
+        campaign: The campaign.
+        plan: Its plan.
+        kept: What kinds keep of campaigns, by campaign, as long as the list is shown.
+    """
+
+    archives: Archives
+    campaign: Campaign
+    plan: Plan
+    kept: MutableMapping[str, Any]
+
+
+class Kind(ABC):
+    """A kind of finding.
+
+    Attributes:
+        id: What algorithms declare in `finds`; names the finding in addresses.
+        title: Heading.
+        rank: Of the kinds that a campaign is for, the one with the lowest rank is told first.
+        is_met: Whether any campaign may come across it.
+        is_exclusive: Whether a campaign that is for this has no other findings, because its simulations are chosen
+            so that they say nothing else.
+    """
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    rank: ClassVar[int] = 50
+    is_met: ClassVar[bool] = False
+    is_exclusive: ClassVar[bool] = False
+
+    def is_reported_by(self, problem: Problem) -> bool:
+        """Return whether every campaign on a problem has this kind; by default, if the problem's `finds` names it."""
+        return self.id in getattr(problem, "finds", ())
+
+    def fits(self, plan: Plan) -> bool:
+        """Return whether a campaign can have this kind, if its algorithm declares it or may come across it."""
+        return True
+
+    async def find(self, subject: Subject) -> Finding:
+        """Return what a campaign found, of which at least one solution has been evaluated.
+
+        By default, that is what `analyse` returns, which runs in a thread and under a time limit.
+        """
+        return await subject.sources.analyses.run(lambda: self.analyse(subject))
+
+    def analyse(self, subject: Subject) -> Finding:
+        """Return what a campaign found, for kinds that need nothing but its archive."""
+        raise NotImplementedError(f"findings of kind {self.id} implement neither find nor analyse")
+
+    @abstractmethod
+    def brief(self, listed: Listed) -> str:
+        """Return what a campaign found in at most five words; empty if it takes too long to tell."""
+
+    def leads_to(self, subject: Subject) -> list[Step]:
+        """Return steps for a campaign that was for something else, once everything about that has been asked."""
+        return []
+
+    def role(self, plan: Plan) -> Role | None:
+        """Return why a campaign has this kind; None if it does not."""
+        if self.is_reported_by(plan.problem):
+            return Role.SOUGHT
+        if not self.fits(plan):
+            return None
+        if self.id in plan.finds:
+            return Role.SOUGHT if plan.finds[0] == self.id else Role.SIDE
+        return Role.MET if self.is_met else None
+
+
+@cache
+def _own_kinds() -> tuple[Kind, ...]:
+    names = (module.name for module in pkgutil.iter_modules(findings.__path__) if module.ispkg)
+    return tuple(importlib.import_module(f"{findings.__name__}.{name}.kind").KIND for name in names)
+
+
+def all_kinds() -> list[Kind]:
+    """Return all kinds, the first to be told first, without plug-ins that cannot be loaded."""
+    kinds = list(_own_kinds())
+    for name in plugin_ids(FINDINGS):
+        try:
+            kind = cast(Callable[[], object], load_plugin(FINDINGS, name))()
+        except Exception:
+            log.exception("plug-in cannot be loaded", extra={"plugin": name})
+        else:
+            if isinstance(kind, Kind):
+                kinds.append(kind)
+            else:
+                log.error("plug-in is no kind of finding", extra={"plugin": name})
+    return sorted(kinds, key=lambda kind: (kind.rank, kind.id))
+
+
+def kinds_of(plan: Plan) -> dict[Kind, Role]:
+    """Return the kinds of findings that a campaign has, those that it is for first, with why it has them."""
+    roles = {kind: role for kind in all_kinds() if (role := kind.role(plan)) is not None}
+    exclusive = {kind: role for kind, role in roles.items() if kind.is_exclusive and role is Role.SOUGHT}
+    order = list(Role)
+    return dict(sorted((exclusive or roles).items(), key=lambda one: order.index(one[1])))

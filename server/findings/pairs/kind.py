@@ -1,0 +1,285 @@
+"""Pairs as a kind of finding."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from brink.search.analysis.confirmation import Confirmation
+from brink.search.errors import TooManyPairs
+from brink.search.odd import odd_sentence
+from brink.server.campaigns.pairs import PairSettings, Repeated, find_stored_pairs
+from brink.server.campaigns.repeats import FollowUpKind, read_follow_ups
+from brink.server.campaigns.store import ENDED
+from brink.server.errors import InvalidInput
+from brink.server.findings.finding import Finding, Role, Step, StepRequest
+from brink.server.findings.follow_ups import follow_up_view
+from brink.server.findings.kind import Kind, Listed, Subject
+from brink.server.findings.pairs.analysis import pairs_view
+from brink.server.findings.pairs.views import (
+    DEFAULT_CONFIRMATIONS,
+    BestPair,
+    FollowUpOffer,
+    PairsFound,
+    PairsView,
+    PairView,
+)
+from brink.server.findings.table import Column, Format, Table
+from brink.server.findings.words import counted
+
+MOST_SOLUTIONS: Final = 20_000
+"""Largest archive that is searched for pairs for a list; a campaign's page has those of others."""
+MOST_RINGS: Final = 1_000
+BEST: Final = 2
+COLUMNS: Final = [
+    Column(name="pair", title="pair", format=Format.COUNT),
+    Column(name="change", title="change from the safe to the unsafe drive"),
+    Column(name="unsafe_outcome", title="unsafe drive"),
+    Column(name="safe_outcome", title="safe drive"),
+    Column(name="evidence", title="evidence"),
+    Column(name="safe", title="safe solution", format=Format.SOLUTION, detail=True),
+    Column(name="unsafe", title="unsafe solution", format=Format.SOLUTION, detail=True),
+    Column(name="distance", title="distance", format=Format.NUMBER, detail=True),
+    Column(name="moved", title="how far", detail=True),
+    Column(name="confirmation", title="confirmation", detail=True),
+    Column(name="component", title="blamed", detail=True),
+    Column(name="minimality", title="minimality", detail=True),
+]
+_QUESTIONS: Final[Mapping[FollowUpKind, tuple[str, str, str, str]]] = {
+    FollowUpKind.CONFIRM: (
+        "Do the pairs hold?",
+        "Confirm the pairs",
+        f"--confirm {DEFAULT_CONFIRMATIONS}",
+        f"Simulates both sides of each pair with up to {DEFAULT_CONFIRMATIONS} other seeds.",
+    ),
+    FollowUpKind.COMPONENT: (
+        "Is the component to blame?",
+        "Blame the component",
+        "--component",
+        "Simulates each unsafe side once more, with ground truth in place of the component.",
+    ),
+    FollowUpKind.MINIMISE: (
+        "Which differences matter?",
+        "Minimise the changes",
+        "--minimise",
+        "Reverts the differences of each pair one by one, as long as its unsafe side stays unsafe.",
+    ),
+}
+
+
+class PairsKind(Kind):
+    """Neighbours of which one is safe and one unsafe."""
+
+    id = "pairs"
+    title = "Pairs"
+    rank = 10
+    is_met = True
+
+    async def find(self, subject: Subject) -> Finding:
+        """Return the distinct pairs at the campaign's own settings, confirmed ones first."""
+        sources = subject.sources
+        try:
+            pairs = await sources.pairs.get(subject.campaign, subject.read, PairSettings.of(subject.plan))
+        except InvalidInput as error:
+            words = "; ".join(one.message for one in error.errors)
+            steps = self._steps(subject, None)
+            return Finding(
+                kind=self.id,
+                title=self.title,
+                role=subject.role,
+                sentence=words,
+                is_empty=subject.role is not Role.SOUGHT,
+                steps=steps,
+            )
+        view = await sources.pages.read(
+            sources.engines,
+            lambda c: pairs_view(
+                c, subject.campaign, subject.read, pairs, subject.stored, max(subject.rows, BEST)
+            ),
+        )
+        sides = (
+            [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs] if view.searched else []
+        )
+        caveat = ""
+        if view.searched and view.distinct:  # what the outcomes say already is left out
+            caveat = view.caveat.removesuffix(odd_sentence(subject.plan.problem.space)).rstrip()
+        return Finding(
+            kind=self.id,
+            title=self.title,
+            role=subject.role,
+            sentence=view.sentence,
+            more=[words for words in (view.blame, caveat) if words],
+            is_empty=not view.distinct,
+            view=PairsFound(
+                distinct=view.distinct,
+                rings=sides[:MOST_RINGS],
+                replayable=view.replayable,
+                best=[_best_pair(view, pair) for pair in view.pairs[:BEST]],
+                rule=_rule_words(view),
+            ),
+            tables=[_table(view, subject.rows)],
+            steps=self._steps(subject, view),
+        )
+
+    def brief(self, listed: Listed) -> str:
+        """Return how many there are, and how many of them hold with other seeds."""
+        pairs = _sides(listed)
+        if not pairs:
+            return "" if pairs is None else "no pair"
+        with listed.archives.engines.reader.connect() as connection:
+            repeated = Repeated.of(read_follow_ups(connection, listed.campaign.id))
+        states = [repeated.state(*sides) for sides in pairs]
+        tried = sum(state not in (Confirmation.NOT_TRIED, Confirmation.PENDING) for state in states)
+        confirmed = states.count(Confirmation.CONFIRMED)
+        if not tried:
+            return counted(len(pairs), "pair")
+        if tried == len(pairs):
+            return f"{confirmed:,} of {counted(tried, 'pair')} {'holds' if tried == 1 else 'hold'}"
+        return f"{counted(len(pairs), 'pair')}; {confirmed:,} of {tried:,} simulated again hold"
+
+    def _steps(self, subject: Subject, view: PairsView | None) -> list[Step]:
+        has_pairs = view is not None and bool(view.distinct)
+        if subject.role is not Role.SOUGHT:
+            return (
+                [_look(subject, view, "Which small change decides?")]
+                if view is not None and has_pairs
+                else []
+            )
+        if view is None or not has_pairs:
+            return [subject.longer("A larger budget finds nearer solutions with opposite verdicts.")]
+        asked = [_ask(subject, view, offer) for offer in view.offers]
+        return [*(step for step in asked if step is not None), _look(subject, view, "What happens in them?")]
+
+
+def _table(view: PairsView, rows: int) -> Table:
+    shown = view.pairs[:rows]
+    return Table(
+        name="pairs",
+        title="Distinct pairs, confirmed ones first",
+        columns=COLUMNS,
+        rows=[
+            [
+                pair.place,
+                pair.change,
+                pair.unsafe.outcome,
+                pair.safe.outcome,
+                _evidence(view, pair),
+                pair.safe.number,
+                pair.unsafe.number,
+                pair.distance,
+                pair.moved,
+                str(pair.confirmation.state),
+                str(pair.component.state),
+                str(pair.minimality.state),
+            ]
+            for pair in shown
+        ],
+        left_out=view.distinct - len(shown),
+    )
+
+
+def _evidence(view: PairsView, pair: PairView) -> str:
+    """Return whether a pair is confirmed, with the number of drives that kept their verdicts."""
+    if view.computed:
+        return "computed"
+    counts = " and ".join(
+        f"{side.unsafe:,}/{side.evaluated:,}" for side in (pair.confirmation.safe, pair.confirmation.unsafe)
+    )
+    match pair.confirmation.state:
+        case Confirmation.PENDING:
+            return "being simulated again"
+        case Confirmation.NOT_TRIED:
+            return "not simulated again yet"
+        case state:
+            return f"{state}: unsafe in {counts} drives with other seeds"
+
+
+def _best_pair(view: PairsView, pair: PairView) -> BestPair:
+    safe, unsafe = pair.confirmation.safe, pair.confirmation.unsafe
+    shares = ""
+    if safe.evaluated + unsafe.evaluated:
+        shares = (
+            f"With other seeds, the safe drive was unsafe in {safe.unsafe:,} of {safe.evaluated:,} simulations, and "
+            f"the unsafe drive in {unsafe.unsafe:,} of {unsafe.evaluated:,}."
+        )
+    return BestPair(
+        place=pair.place,
+        safe=pair.safe.number,
+        unsafe=pair.unsafe.number,
+        words=pair.words,
+        state=pair.confirmation.state,
+        evidence=_evidence(view, pair),
+        shares=shares,
+    )
+
+
+def _rule_words(view: PairsView) -> str:
+    """Return what it takes for a pair to hold."""
+    rule = view.rule
+    if view.computed:
+        return "Verdicts are computed, not simulated: every pair holds."
+    return (
+        f"A pair holds if, with other seeds, the safe drive is unsafe in at most {rule.safe_at_most:.0%} of the "
+        f"simulations and the unsafe one in at least {rule.unsafe_at_least:.0%}. It is confirmed or refuted with an "
+        f"error rate of {rule.error:.0%}, and undecided where the simulations show neither."
+    )
+
+
+def _ask(subject: Subject, view: PairsView, offer: FollowUpOffer) -> Step | None:
+    """Return the step that asks for a follow-up; None if there is nothing left to ask."""
+    campaign = subject.campaign.id
+    running = (one for one in subject.stored if one.kind is offer.kind and one.campaign.status not in ENDED)
+    open_one = next((one for one in running if not one.boundary), None)
+    confirms = offer.kind is FollowUpKind.CONFIRM
+    done = confirms and view.tried + view.pending == view.distinct
+    if open_one is None and (offer.reason or done or view.computed):
+        return None
+    question, label, option, what = _QUESTIONS[offer.kind]
+    simulations = offer.simulations * (DEFAULT_CONFIRMATIONS if confirms else 1)
+    most = "" if offer.kind is FollowUpKind.COMPONENT else "at most "
+    repeats = {"repeats": DEFAULT_CONFIRMATIONS} if confirms else {}
+    return Step(
+        kind=offer.kind.value,
+        question=question,
+        label=label,
+        words=what if open_one else f"{what} It takes {most}{simulations:,} simulations.",
+        command=f"brink pairs {campaign} {option}",
+        request=StepRequest(
+            path=f"{subject.path}/pairs/follow-ups", body={"kind": offer.kind.value, **repeats}
+        ),
+        follow_up=None if open_one is None else follow_up_view(open_one),
+        tells_more=True,
+    )
+
+
+def _look(subject: Subject, view: PairsView, question: str) -> Step:
+    campaign, best = subject.campaign.id, view.pairs[0].place
+    return Step(
+        kind="look",
+        question=question,
+        words=f"Shows both {'drives' if view.replayable else 'sides'} of each pair side by side.",
+        label="Open the pair" if view.distinct == 1 else f"Open all {view.distinct:,} pairs",
+        place=f"campaigns/{campaign}/pairs",
+        command=f"brink pairs {campaign}" + (f" --film {best} pair-{best}.mp4" if view.replayable else ""),
+    )
+
+
+def _sides(listed: Listed) -> Sequence[tuple[int, int]] | None:
+    """Return the sides of the distinct pairs, found once; None if there are too many to tell."""
+    campaign = listed.campaign
+    sides: Sequence[tuple[int, int]] | None
+    generation, sides = listed.kept.get(campaign.id, (None, None))
+    if generation == campaign.generation:
+        return sides
+    sides = None
+    if campaign.evaluated <= MOST_SOLUTIONS:
+        _, _, archive = listed.archives.stored(campaign)
+        settings = PairSettings.of(listed.plan)
+        try:
+            found = find_stored_pairs(listed.archives.engines, campaign.id, listed.plan, archive, settings)
+            sides = tuple((pair.safe.number, pair.unsafe.number) for pair in found.pairs)
+        except TooManyPairs:
+            pass
+    listed.kept[campaign.id] = campaign.generation, sides
+    return sides
+
+
+KIND = PairsKind()

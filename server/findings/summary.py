@@ -1,0 +1,281 @@
+"""Everything that a campaign found: its kinds of findings, the first of them in a sentence, and what to do next."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from sqlalchemy import Connection
+
+from brink.search.algorithm import WarmStarts
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.outcomes import CampaignOutcomes
+from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats, followed_by, read_follow_ups
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.errors import NotFound
+from brink.server.findings.boundary.repeats import count_distinct, repeats_view
+from brink.server.findings.finding import Finding, Findings, FollowedView, Role, Step, StepRequest
+from brink.server.findings.kind import Kind, Subject, all_kinds, kinds_of
+from brink.server.findings.sources import Sources
+from brink.server.findings.words import full_sentence, so_far
+from brink.server.problems.catalogue import takes_requirement
+from brink.server.problems.requirements import ANY
+from brink.server.states import CampaignStatus, OutcomeKind
+
+ROWS: Final = 10
+"""Rows of each table where all kinds of findings are listed."""
+MOST_ROWS: Final = 1_000
+
+
+async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) -> Findings:
+    """Return all that a campaign found.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign.
+        rows: Most rows of each table.
+    """
+    known = await _Known.read(sources, campaign)
+    found = []
+    if len(known.read_archive.archive):
+        subjects = known.subjects(rows)
+        found = list(await asyncio.gather(*(kind.find(subject) for kind, subject in subjects.items())))
+    words, more = await _sentences(known, found)
+    if campaign.failed and not _all_failed(campaign):  # otherwise the words say it already
+        words = f"{words}; {_failures(campaign)}"
+    if known.outcomes.odd:
+        words = f"within the ODD: {words}"
+    return Findings(
+        campaign=campaign.id,
+        complete=campaign.status in ENDED,
+        words=full_sentence(words),
+        more=[full_sentence(one) for one in more if one],
+        of=known.of,
+        findings=found,
+        steps=[] if known.of is not None else _steps(known, found),
+    )
+
+
+async def find_kind(sources: Sources, campaign: Campaign, kind_id: str) -> Finding:
+    """Return one kind of what a campaign found, with all rows of its tables up to `MOST_ROWS`.
+
+    Raises:
+        NotFound: The campaign does not have it, or nothing has been evaluated yet.
+    """
+    known = await _Known.read(sources, campaign)
+    subjects = known.subjects(MOST_ROWS)
+    kind = next((one for one in subjects if one.id == kind_id), None)
+    if kind is None:
+        raise NotFound(
+            f"campaign {campaign.id} has no findings of kind {kind_id[:64]!r}; it has "
+            f"{', '.join(one.id for one in subjects)}"
+        )
+    if not len(known.read_archive.archive):
+        raise NotFound(f"campaign {campaign.id}: no solution has been evaluated yet")
+    return await kind.find(subjects[kind])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Known:
+    """What is known of a campaign before its findings.
+
+    Attributes:
+        reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
+        of: The campaign that it follows up, if any.
+    """
+
+    sources: Sources
+    campaign: Campaign
+    read_archive: ReadArchive
+    stored: Sequence[StoredRepeats]
+    outcomes: CampaignOutcomes
+    reported: tuple[int, int]
+    of: FollowedView | None
+
+    @classmethod
+    async def read(cls, sources: Sources, campaign: Campaign) -> "_Known":
+        """Read it."""
+        archive = await sources.archives.get(campaign)
+
+        def look(connection: Connection) -> tuple[list[StoredRepeats], tuple[int, int], FollowedView | None]:
+            reported = sources.reported.read(connection, campaign)
+            stored = read_follow_ups(connection, campaign.id)
+            return stored, (len(reported.results), reported.unsafe), _followed(connection, campaign)
+
+        stored, reported, of = await sources.pages.read(sources.engines, look)
+        return cls(
+            sources=sources,
+            campaign=campaign,
+            read_archive=archive,
+            stored=stored,
+            outcomes=await sources.outcomes.get(campaign.id, archive),
+            reported=reported,
+            of=of,
+        )
+
+    def subjects(self, rows: int) -> dict[Kind, Subject]:
+        """Return the kinds of findings that the campaign has, those that it is for first."""
+        return {kind: self.subject(role, rows) for kind, role in kinds_of(self.read_archive.plan).items()}
+
+    def subject(self, role: Role, rows: int = 0) -> Subject:
+        """Return the campaign as the subject of a finding."""
+        return Subject(
+            sources=self.sources,
+            campaign=self.campaign,
+            read=self.read_archive,
+            stored=self.stored,
+            role=role,
+            rows=rows,
+        )
+
+    @property
+    def violated(self) -> str:
+        """What unsafe drives did."""
+        return self.outcomes.kind_words(OutcomeKind.VIOLATED) if self.outcomes.requirements else "are unsafe"
+
+
+def _followed(connection: Connection, campaign: Campaign) -> FollowedView | None:
+    """Return the campaign that a campaign follows up; None if it is no follow-up."""
+    found = followed_by(connection, campaign.id)
+    of = None if found is None else CAMPAIGNS.find(connection, found[0])
+    if found is None or of is None:
+        return None
+    return FollowedView(campaign=of.id, name=of.body.name, kind=found[1])
+
+
+async def _sentences(known: _Known, found: Sequence[Finding]) -> tuple[str, list[str]]:
+    """Return the first finding in a sentence, and further sentences."""
+    if not found:
+        return _nothing_yet(known), []
+    if known.of is not None:
+        return await _follow_up_words(known, known.of), [known.outcomes.sentence()]
+    first = found[0]
+    told = "" if _is_exclusive(known) else known.outcomes.sentence()
+    met = [one.sentence for one in found[1:] if one.role is Role.MET and not one.is_empty]
+    return so_far(known.campaign, first.sentence), [told, *first.more, *met]
+
+
+def _is_exclusive(known: _Known) -> bool:
+    """Return whether the simulations of a campaign say nothing but what it is for."""
+    return any(kind.is_exclusive for kind in kinds_of(known.read_archive.plan))
+
+
+def _all_failed(campaign: Campaign) -> bool:
+    """Return whether a campaign has ended without any result."""
+    return campaign.status in ENDED and 0 < campaign.failed == campaign.completed
+
+
+def _failures(campaign: Campaign) -> str:
+    """Return how many simulations failed: the finding does not rest on them."""
+    count = f"{campaign.failed:,} of {campaign.completed:,} simulations failed"
+    return f"{count} and count neither as safe nor as unsafe"
+
+
+def _nothing_yet(known: _Known) -> str:
+    reported, unsafe = known.reported
+    if not reported:
+        if known.campaign.status not in ENDED:
+            return "no simulation has a verdict yet"
+        if _all_failed(known.campaign):
+            return f"all {known.campaign.failed:,} simulations failed"
+        return "no simulation had a verdict"
+    return (
+        f"{unsafe:,} of the first {reported:,} drives {known.violated}; the search is told once its first "
+        "generation is complete"
+    )
+
+
+async def _follow_up_words(known: _Known, followed: FollowedView) -> str:
+    """Return what a follow-up showed."""
+    sources, campaign = known.sources, known.campaign
+    if followed.kind is FollowUpKind.CONFIRM:
+        of = await sources.pages.read(sources.engines, lambda c: CAMPAIGNS.get(c, followed.campaign))
+        archive = await sources.archives.get(of)
+        stored = await sources.pages.read(sources.engines, lambda c: read_follow_ups(c, of.id))
+        own = next(one for one in stored if one.campaign.id == campaign.id)
+        distinct = await count_distinct(sources, of, own, archive)
+        return repeats_view(of, own, archive, distinct).words
+    counts = f"{campaign.unsafe:,} of {campaign.evaluated:,} drives"
+    if followed.kind is FollowUpKind.COMPONENT:
+        return f"with ground truth in place of the component, {counts} were unsafe all the same"
+    return f"with some of their differences reverted, {counts} were still unsafe"
+
+
+def _steps(known: _Known, found: Sequence[Finding]) -> list[Step]:
+    campaign = known.campaign
+    if campaign.status is CampaignStatus.PAUSED:
+        return [
+            Step(
+                kind="resume",
+                question="Go on?",
+                label="Resume",
+                words="The campaign is paused: workers get none of its jobs.",
+                command=f"brink resume {campaign.id}",
+                request=StepRequest(path=f"campaigns/{campaign.id}/resume", body={}),
+            )
+        ]
+    if campaign.status not in ENDED or not found:
+        return []
+    steps = [step for one in found if one.role is not Role.SIDE for step in one.steps]
+    if not any(step.tells_more for step in steps):
+        steps += _leading_on(known)
+    return steps
+
+
+def _leading_on(known: _Known) -> list[Step]:
+    """Return what leads on once everything about the findings themselves has been asked."""
+    campaign, plan = known.campaign, known.read_archive.plan
+    steps = [
+        Step(
+            kind="report",
+            question="Who should know?",
+            words="Writes a report for people who have never seen Brink: one HTML file, with pictures and evidence.",
+            command=f"brink report {campaign.id} --out report.html",
+        )
+    ]
+    if isinstance(plan.algorithm, WarmStarts):
+        steps.append(
+            Step(
+                kind="go on",
+                question="Is there more to find?",
+                label="Go on from these results",
+                words="Searches with another seed, from these results: they guide the search, and cost nothing.",
+                place=f"new?start_from={campaign.id}",
+            )
+        )
+    if _is_exclusive(known):
+        return steps
+    steps += _other_requirement(known)
+    own = kinds_of(plan)
+    steps += [
+        step for kind in all_kinds() if kind not in own for step in kind.leads_to(known.subject(Role.SIDE))
+    ]
+    if 0 < campaign.unsafe < campaign.evaluated:
+        steps.append(
+            Step(
+                kind="monitor",
+                question="How likely is a new drive to be unsafe?",
+                words="Fits a safety monitor to these simulations; it rates drives that were not simulated.",
+                command=f"brink monitor fit {campaign.id} --out monitor.json",
+            )
+        )
+    return steps
+
+
+def _other_requirement(known: _Known) -> list[Step]:
+    """Return the step that changes what counts as a violation, if the problem knows more requirements."""
+    problem = known.campaign.body.problem
+    if "requirement" not in problem.params or problem.params["requirement"] == ANY:
+        return []
+    if not takes_requirement(problem.id, ANY):
+        return []
+    return [
+        Step(
+            kind="any requirement",
+            question="Does it violate anything else?",
+            label="Search for any violation",
+            words="Searches again with requirement: any. That changes what counts as a violation: not only drives "
+            f"that {known.violated}.",
+            place=f"new?from={known.campaign.id}&requirement={ANY}",
+        )
+    ]

@@ -1,0 +1,35 @@
+"""A kind of findings that the page does not know is shown from its sentence and its tables."""
+
+import httpx
+import pytest
+from playwright.sync_api import expect as shown
+from support.api import FakeWorker, ball, expect, finish
+from support.extremes import ExtremesAlgorithm, ExtremesKind
+
+from brink.server.findings.kind import FINDINGS
+from brink.server.problems.catalogue import ALGORITHMS
+from brink.sim import catalogue
+from browser.served import origin
+from browser.visits import Visits
+
+
+def test_a_toy_kind_has_a_card_with_its_table_and_all_its_rows(
+    own: httpx.Client, visit: Visits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(catalogue._registered, FINDINGS, {ExtremesKind.id: ExtremesKind})
+    monkeypatch.setitem(catalogue._registered, ALGORITHMS, {ExtremesAlgorithm.id: ExtremesAlgorithm})
+    campaign = finish(own, ball(simulations=40, algorithm={"id": ExtremesAlgorithm.id}))
+    FakeWorker(own).lease()
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    worst = expect(own.get(f"/api/v1/campaigns/{campaign}/findings"))["findings"][0]["view"]["worst"]
+    shown(page.get_by_role("region", name="Finding", exact=True)).to_contain_text(
+        f"Solution {worst} is the most"
+    )
+    card = page.get_by_role("region", name="Extremes", exact=True)
+    shown(card.get_by_role("columnheader", name="robustness (m)")).to_be_visible()
+    shown(card.get_by_role("row")).to_have_count(11)
+    shown(card.get_by_role("link", name=str(worst), exact=True)).to_be_visible()
+    card.get_by_role("button", name="Show all 40 rows").click()
+    shown(card.get_by_role("row")).to_have_count(41)
+    steps = page.get_by_role("region", name="What to do next")
+    shown(steps.get_by_text("What happens there?")).to_be_visible()

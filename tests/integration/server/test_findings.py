@@ -1,0 +1,117 @@
+"""A kind of findings in one folder of the tests is seen everywhere; built-in kinds obey the same contract."""
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from support.api import ball, expect, finish, listening_coordinator
+from support.databases import Databases, module_on_sqlite
+from support.extremes import ExtremesAlgorithm, ExtremesKind
+from support.problems import small_problems
+from typer.testing import CliRunner
+
+import brink
+from brink.cli.commands import app
+from brink.server.findings.kind import FINDINGS, all_kinds
+from brink.server.problems.catalogue import ALGORITHMS
+from brink.sim import catalogue
+
+pytestmark = module_on_sqlite
+API = "/api/v1/campaigns"
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="module")
+def client(module_databases: Databases) -> Iterator[httpx.Client]:
+    with module_databases.database() as url, small_problems(), pytest.MonkeyPatch.context() as patch:
+        patch.setitem(catalogue._registered, FINDINGS, {ExtremesKind.id: ExtremesKind})
+        patch.setitem(catalogue._registered, ALGORITHMS, {ExtremesAlgorithm.id: ExtremesAlgorithm})
+        with listening_coordinator(url) as opened:
+            yield opened
+
+
+@pytest.fixture(scope="module")
+def campaign(client: httpx.Client) -> str:
+    return finish(client, ball(simulations=40, algorithm={"id": ExtremesAlgorithm.id}))
+
+
+def test_the_toy_kind_comes_first_in_rest_and_its_table_is_a_file(
+    client: httpx.Client, campaign: str
+) -> None:
+    found = expect(client.get(f"{API}/{campaign}/findings", params={"rows": 3}))
+    first = found["findings"][0]
+    assert (first["kind"], first["role"]) == ("extremes", "sought")
+    worst = first["view"]["worst"]
+    assert found["words"] == f"Solution {worst} is the most extreme of 40."
+    assert (len(first["tables"][0]["rows"]), first["tables"][0]["left_out"]) == (3, 37)
+    assert f"brink replay {campaign} {worst} --out worst.png" in [step["command"] for step in found["steps"]]
+    one = expect(client.get(f"{API}/{campaign}/findings/extremes"))
+    assert len(one["tables"][0]["rows"]) == 40
+    text = client.get(f"{API}/{campaign}/findings/extremes", params={"format": "csv"}).text
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert list(rows[0]) == ["number", "robustness", "unsafe"]
+    assert (len(rows), rows[0]["number"], rows[0]["unsafe"]) == (40, str(worst), "True")
+
+
+def test_the_toy_kind_is_named_in_the_list_of_campaigns(client: httpx.Client, campaign: str) -> None:
+    def listed() -> Any:
+        read = expect(client.get("/api/v1/overview"))
+        return dict(zip(read["id"], read["found"], strict=True))[campaign]
+
+    while (words := listed()) is None:
+        pass
+    assert words == "extreme of 40"
+
+
+def test_the_toy_kind_is_shown_in_the_terminal_and_written_as_markdown(
+    client: httpx.Client, campaign: str, tmp_path: Path
+) -> None:
+    server = ["--server", str(client.base_url)]
+    shown = CliRunner().invoke(app, ["findings", campaign, *server])
+    assert shown.exit_code == 0, shown.output
+    assert "most extreme of 40" in shown.stdout
+    assert "robustness (m)" in shown.stdout
+    assert f"brink findings {campaign} extremes" in shown.stdout
+    out = tmp_path / "found.md"
+    assert (
+        CliRunner().invoke(app, ["findings", campaign, "extremes", "--out", str(out), *server]).exit_code == 0
+    )
+    assert "| solution | robustness (m) | unsafe |" in out.read_text()
+    refused = CliRunner().invoke(app, ["findings", campaign, "--out", str(tmp_path / "x.csv"), *server])
+    assert "expected a kind" in str(refused.exception)
+
+
+def test_the_toy_kind_is_a_data_frame_and_a_section_of_the_report(
+    client: httpx.Client, campaign: str, tmp_path: Path
+) -> None:
+    result = brink.connect(str(client.base_url)).campaign(campaign).result()
+    frame = result.findings("extremes")
+    assert list(frame.columns) == ["number", "robustness", "unsafe"]
+    assert [str(one) for one in frame.dtypes] == ["int64", "float64", "bool"]
+    assert result.findings()["kind"].tolist()[:1] == ["extremes"]
+    page = result.report(tmp_path / "report.html").read_text()
+    assert "<h2>Extremes</h2>" in page
+    assert "Solutions by robustness" in page
+
+
+def test_a_kind_that_a_campaign_does_not_have_is_refused(client: httpx.Client, campaign: str) -> None:
+    refused = client.get(f"{API}/{campaign}/findings/tolerances")
+    assert refused.status_code == 404
+    assert "it has extremes" in refused.json()["detail"]
+
+
+def test_sentences_of_all_kinds_have_at_most_25_words(client: httpx.Client) -> None:
+    edge = {"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}}
+    for algorithm in (edge, {"id": "random@1"}):
+        made = finish(client, ball(simulations=60, algorithm=algorithm))
+        for finding in expect(client.get(f"{API}/{made}/findings"))["findings"]:
+            assert len(finding["sentence"].split()) <= 25, finding["sentence"]
+
+
+def test_kinds_are_found_without_a_list_of_them(client: httpx.Client) -> None:
+    folders = {path.parent.name for path in (ROOT / "server" / "findings").glob("*/kind.py")}
+    assert {kind.id for kind in all_kinds()} == {*folders, "extremes"}
