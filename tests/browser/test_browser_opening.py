@@ -30,6 +30,13 @@ def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tup
 
 
 @pytest.fixture
+def own_database(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Path) -> str:
+    """The URL of a database of the test's own, with a finished search for pairs if the test uses `edge`."""
+    made = request.getfixturevalue("searched")[0] if "edge" in request.fixturenames else sqlite_file
+    return f"sqlite:///{shutil.copyfile(made, tmp_path / 'own.db')}"
+
+
+@pytest.fixture
 def edge(own: httpx.Client, searched: tuple[Path, str]) -> str:
     """A finished search for pairs on the ball, in the test's own coordinator, which has heard of a worker."""
     FakeWorker(own).lease()
