@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks.measurement import Progress
-from benchmarks.urban import FRONT_GAP, draw_candidate
+from benchmarks.urban import draw_candidate, spec_of
 from brink.search.algorithm import Evaluation, ask_all
 from brink.search.analysis.boundary import dbs_grid
 from brink.search.analysis.paper import PAPER_T_BS
@@ -71,7 +71,7 @@ def calibrate(
         behaviour: Seed of the fixed behaviour.
         processes: Number of processes.
     """
-    fixed = draw_candidate(np.random.default_rng(behaviour)).spec(0, (FRONT_GAP,)).behaviour
+    fixed = spec_of(draw_candidate(np.random.default_rng(behaviour)), 0).behaviour
     for algorithm in ALGORITHMS:
         for seed in seeds:
             archive, risk = _search(progress, algorithm, seed, simulations, fixed, processes)

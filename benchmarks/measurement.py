@@ -33,13 +33,22 @@ class Row:
     note: str = ""
 
 
-def at_least(what: str, value: float, least: float, note: str = "") -> Row:
-    """Return a `Row` whose target is a lower bound."""
+def untargeted(what: str, value: float, note: str = "") -> Row:
+    """Return a `Row` without a target."""
+    return Row(what=what, value=value, target="", met=None, note=note)
+
+
+def at_least(what: str, value: float, least: float | None, note: str = "") -> Row:
+    """Return a `Row` whose target is a lower bound, if there is one."""
+    if least is None:
+        return untargeted(what, value, note)
     return Row(what=what, value=value, target=f"at least {least:g}", met=value >= least, note=note)
 
 
-def at_most(what: str, value: float, most: float, note: str = "") -> Row:
-    """Return a `Row` whose target is an upper bound."""
+def at_most(what: str, value: float, most: float | None, note: str = "") -> Row:
+    """Return a `Row` whose target is an upper bound, if there is one."""
+    if most is None:
+        return untargeted(what, value, note)
     return Row(what=what, value=value, target=f"at most {most:g}", met=value <= most, note=note)
 
 

@@ -3,13 +3,17 @@
 import contextlib
 import hashlib
 import json
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
+from benchmarks.lifeline import start_tied
+from benchmarks.measurement import memory_mib
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeSpec, Json
 from brink.worker.pool import process_pool, single_threaded
@@ -78,6 +82,33 @@ def run_trials(specs: Sequence[EpisodeSpec], *, processes: int = 2) -> Iterator[
         return
     with single_threaded(), process_pool(processes) as pool:
         yield from pool.map(run_trial, specs, chunksize=_CHUNK)
+
+
+def process_memory_mb(specs: Sequence[EpisodeSpec], settle: int = 20) -> tuple[float, float]:
+    """Return the memory of a fresh process after its first episodes, and after all of them.
+
+    Args:
+        specs: Episodes to run.
+        settle: Number of episodes before the first value.
+    """
+    # A new interpreter, because a spawned process would import the main module of this one.
+    command = [sys.executable, "-m", "benchmarks.trials", str(settle)]
+    with single_threaded():
+        process = start_tied(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        answer, _ = process.communicate(json.dumps([spec.to_json() for spec in specs]).encode())
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
+    first_mb, last_mb = json.loads(answer.splitlines()[-1])
+    return first_mb, last_mb
+
+
+def _memory_after(specs: Iterable[EpisodeSpec], settle: int) -> tuple[float, float]:
+    first_mb = 0.0
+    for index, spec in enumerate(specs, 1):
+        run_trial(spec)
+        if index == settle:
+            first_mb = memory_mib("self")
+    return first_mb, memory_mib("self")
 
 
 def run_record(spec: EpisodeSpec) -> Record:
@@ -172,3 +203,8 @@ class Records:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
+
+
+if __name__ == "__main__":
+    _given = map(EpisodeSpec.from_json, json.load(sys.stdin))
+    sys.stdout.write(json.dumps(_memory_after(_given, int(sys.argv[1]))) + "\n")

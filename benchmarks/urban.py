@@ -3,50 +3,29 @@
 A simulator in which nothing matters, or only the scenario, or only chance, would make every search look good. The
 measurement shows that behaviour, scenario and chance all affect the verdict.
 
-A candidate holds plain values of the 29 parameters of Sharifi et al. 2023, repaired as in the authors' code.
-Campaigns draw candidates from the problem's search space instead; the tests check that both agree.
+Candidates are drawn from the search space of `urban-injected@1`, as in campaigns: the 29 parameters of Sharifi et al.
+2023.
 """
 
-import json
-import math
-import resource
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from benchmarks.lifeline import start_tied
-from benchmarks.measurement import Progress, Row, at_least, memory_mib, under
-from benchmarks.trials import Trial, run_trial, run_trials
-from brink.search.space import FloatArray
+from benchmarks.measurement import Progress, Row, at_least, at_most, under, untargeted
+from benchmarks.trials import Trial, process_memory_mb, run_trials
+from brink.search.metric import Metric
+from brink.search.space import Categorical, FloatArray
+from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.driving.system import ModularDriving
-from brink.sim.episode import EpisodeSpec, Json, JsonObject
-from brink.sim.urban.behaviour import (
-    BOX_FIELDS,
-    DEFAULT_DURATION_S,
-    IMAGE_HEIGHT_PX,
-    IMAGE_WIDTH_PX,
-    MIN_BOX_PX,
-    MIN_DURATION_SHARE,
-    NULL_LABEL,
-    TRAJECTORY_COUNT,
-    TRAJECTORY_FIELDS,
-    TRAJECTORY_LABELS,
-    BehaviourMode,
-    DetectorBehaviour,
-    InjectedTrajectory,
-    last_perception_step,
-    trajectory_ranges,
-)
+from brink.sim.episode import EpisodeSpec
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
 from brink.sim.world.scenario import (
     SCENARIO_CHOICES,
     DrivingTask,
@@ -56,18 +35,13 @@ from brink.sim.world.scenario import (
     Weather,
 )
 from brink.sim.world.world import make_world
-from brink.worker.pool import single_threaded
 
-Value: TypeAlias = "str | int | float"
-SIMULATOR_ID = "brink-drive@2"
-LAST_STEP = float(last_perception_step(DEFAULT_DURATION_S))
-CATEGORICAL = (*SCENARIO_CHOICES, *(f"{ghost}.label" for ghost in range(TRAJECTORY_COUNT)))
-NUMERIC = tuple(f"{ghost}.{field}" for ghost in range(TRAJECTORY_COUNT) for field in TRAJECTORY_FIELDS[1:])
-PARAMETERS = (
-    *SCENARIO_CHOICES,
-    *(f"{ghost}.{field}" for ghost in range(TRAJECTORY_COUNT) for field in TRAJECTORY_FIELDS),
-)
-"""All parameters: those of the scenario by name, those of the behaviour as ``<trajectory>.<field>``."""
+Candidate: TypeAlias = tuple[FloatArray, ...]
+"""A scenario and a behaviour, in the problem's search space."""
+
+PROBLEM = UrbanInjected(UrbanInjectedParams())
+SPACE = PROBLEM.space
+PARAMETERS = tuple(parameter for component in SPACE.components for parameter in component.parameters)
 FRONT_GAP = "front-gap@1"
 BEHAVIOURS_PER_SCENARIO = 20
 NEIGHBOUR_DISTANCE = 0.1
@@ -75,100 +49,37 @@ SIGNIFICANCE_LEVEL = 0.05
 MOVED_M = 0.05
 """Smallest change of robustness that counts as a change, in m."""
 
-_RANGES = trajectory_ranges()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """A complete solution.
-
-    Attributes:
-        values: Values of `PARAMETERS`, by name.
-    """
-
-    values: dict[str, Value]
-
-    def is_null(self, ghost: int) -> bool:
-        """Return whether a trajectory is null."""
-        return self.values[f"{ghost}.label"] == NULL_LABEL
-
-    def spec(self, seed: int, requirements: tuple[str, ...], *, oracle: bool = False) -> EpisodeSpec:
-        """Return the episode of this candidate.
-
-        Args:
-            seed: The episode's seed.
-            requirements: Requirements to evaluate.
-            oracle: Whether a perfect detector replaces the behaviour.
-        """
-        scenario: JsonObject = {name: self.values[name] for name in SCENARIO_CHOICES}
-        trajectories: list[Json] = [
-            {field: self.values[f"{ghost}.{field}"] for field in TRAJECTORY_FIELDS}
-            for ghost in range(TRAJECTORY_COUNT)
-        ]
-        behaviour: JsonObject = {"mode": "injected", "trajectories": trajectories}
-        return EpisodeSpec(
-            simulator=SIMULATOR_ID,
-            scenario=scenario,
-            behaviour={"mode": "oracle"} if oracle else behaviour,
-            requirements=requirements,
-            seed=seed,
-            duration_s=DEFAULT_DURATION_S,
-        )
-
 
 def draw_candidate(rng: np.random.Generator) -> Candidate:
-    """Return a candidate with independently drawn parameters."""
-    values: dict[str, Value] = {}
-    for name in SCENARIO_CHOICES:
-        values[name] = _choice(name, rng)
-    for ghost in range(TRAJECTORY_COUNT):
-        values[f"{ghost}.label"] = TRAJECTORY_LABELS[int(rng.integers(len(TRAJECTORY_LABELS)))]
-        _fill(values, ghost, rng)
-    return Candidate(values=values)
+    """Return a random candidate."""
+    return SPACE.sample(rng)
 
 
-def with_behaviour(scenario: Candidate, behaviour: Candidate) -> Candidate:
-    """Return a candidate with the scenario of one candidate and the behaviour of another."""
-    kept = {name: scenario.values[name] for name in SCENARIO_CHOICES}
-    return Candidate(values={**behaviour.values, **kept})
+def spec_of(candidate: Candidate, seed: int, *, oracle: bool = False) -> EpisodeSpec:
+    """Return the episode of a candidate.
+
+    Args:
+        candidate: The candidate.
+        seed: The episode's seed.
+        oracle: Whether a perfect detector replaces the behaviour.
+    """
+    spec = PROBLEM.episode(candidate, seed)
+    return replace(spec, behaviour={"mode": BehaviourMode.ORACLE.value}) if oracle else spec
 
 
-def without_ghosts(scenario: Candidate) -> Candidate:
-    """Return a candidate with the given scenario and a detector that reports nothing."""
-    values = dict(scenario.values)
-    for ghost in range(TRAJECTORY_COUNT):
-        values[f"{ghost}.label"] = NULL_LABEL
-        for field in TRAJECTORY_FIELDS[1:]:
-            values[f"{ghost}.{field}"] = 0.0
-    return Candidate(values=values)
-
-
-def redraw(base: Candidate, name: str, rng: np.random.Generator) -> Candidate:
-    """Return a candidate with one parameter redrawn and its trajectory repaired.
-
-    A categorical parameter gets a different value. A trajectory that was null gets new numbers.
+def redraw(base: Candidate, place: int, rng: np.random.Generator) -> Candidate:
+    """Return a candidate with one parameter redrawn and the others repaired; a category gets a different value.
 
     Args:
         base: The candidate to change.
-        name: One of `PARAMETERS`.
+        place: Position in `PARAMETERS`; not that of a dormant number.
         rng: Source of randomness.
     """
-    values = dict(base.values)
-    if name in SCENARIO_CHOICES:
-        while values[name] == base.values[name]:
-            values[name] = _choice(name, rng)
-        return Candidate(values=values)
-    ghost, field = int(name.split(".")[0]), name.split(".")[1]
-    if field == "label":
-        others = [label for label in TRAJECTORY_LABELS if label != values[name]]
-        values[name] = others[int(rng.integers(len(others)))]
-        if base.is_null(ghost) or values[name] == NULL_LABEL:
-            _fill(values, ghost, rng)
-        return Candidate(values=values)
-    low, high, _ = _RANGES[field]
-    values[name] = float(rng.uniform(low, high))
-    _repair(values, ghost)
-    return Candidate(values=values)
+    row = SPACE.join(base).copy()
+    before = row[place]
+    while row[place] == before:
+        row[place] = PARAMETERS[place].draw(rng)
+    return SPACE.repair(SPACE.split(row), rng)
 
 
 def neighbour(base: Candidate, rng: np.random.Generator, sigma: float = 0.04) -> Candidate:
@@ -179,66 +90,11 @@ def neighbour(base: Candidate, rng: np.random.Generator, sigma: float = 0.04) ->
         rng: Source of randomness.
         sigma: Standard deviation of the perturbation, as a fraction of each range.
     """
-    values = dict(base.values)
-    for ghost in range(TRAJECTORY_COUNT):
-        if base.is_null(ghost):
-            continue
-        for field, (low, high, _) in _RANGES.items():
-            name = f"{ghost}.{field}"
-            moved = float(values[name]) + float(rng.normal(0.0, sigma)) * (high - low)
-            values[name] = min(max(moved, low), high)
-        _repair(values, ghost)
-    nearby = Candidate(values=values)
-    if rng.random() < 0.5:
-        names = tuple(SCENARIO_CHOICES)
-        nearby = redraw(nearby, names[int(rng.integers(len(names)))], rng)
-    return nearby
-
-
-def distance(one: Candidate, other: Candidate) -> float:
-    """Return the distance between two candidates, in [0, 1] (Sharifi et al. 2023)."""
-    numeric = 0.0
-    for name in NUMERIC:
-        low, high, _ = _RANGES[name.split(".")[1]]
-        numeric += abs(float(one.values[name]) - float(other.values[name])) / (high - low)
-    differing = sum(one.values[name] != other.values[name] for name in CATEGORICAL)
-    return 0.5 * (numeric / len(NUMERIC) + differing / len(CATEGORICAL))
-
-
-def _choice(name: str, rng: np.random.Generator) -> Value:
-    choices = SCENARIO_CHOICES[name]
-    return choices[int(rng.integers(len(choices)))]
-
-
-def _fill(values: dict[str, Value], ghost: int, rng: np.random.Generator) -> None:
-    """Draw the ten numbers of a trajectory in place; all are 0 if it is null."""
-    is_null = values[f"{ghost}.label"] == NULL_LABEL
-    for field, (low, high, _) in _RANGES.items():
-        drawn = float(rng.uniform(low, high))
-        values[f"{ghost}.{field}"] = 0.0 if is_null else drawn
-    if not is_null:
-        _repair(values, ghost)
-
-
-def _repair(values: dict[str, Value], ghost: int) -> None:
-    """Repair a trajectory in place by the rules of the problem's constraints."""
-    names = (f"{ghost}.t0_step", f"{ghost}.t1_step")
-    first, last = sorted(float(round(float(values[name]))) for name in names)
-    least = float(math.ceil(MIN_DURATION_SHARE * LAST_STEP))
-    values[names[0]], values[names[1]] = _apart(first, last, least, LAST_STEP)
-    for names in zip(BOX_FIELDS[::2], BOX_FIELDS[1::2], strict=True):
-        size = float(IMAGE_WIDTH_PX if names[0].startswith("x") else IMAGE_HEIGHT_PX)
-        low, high = (float(values[f"{ghost}.{name}"]) for name in names)
-        if high < low:
-            high = low + MIN_BOX_PX
-        low, high = _apart(max(low, 0.0), min(high, size), MIN_BOX_PX, size)
-        values[f"{ghost}.{names[0]}"], values[f"{ghost}.{names[1]}"] = low, high
-
-
-def _apart(low: float, high: float, least: float, size: float) -> tuple[float, float]:
-    if high - low >= least:
-        return low, high
-    return (low, low + least) if low + least <= size else (high - least, high)
+    row = SPACE.join(base)
+    scale = np.array([0.0 if isinstance(one, Categorical) else one.range for one in PARAMETERS])
+    moves = np.where(SPACE.dormant(row), 0.0, rng.normal(0.0, sigma, len(row)) * scale)
+    nearby = SPACE.repair(SPACE.split(row + moves), rng)
+    return redraw(nearby, int(rng.integers(len(SCENARIO_CHOICES))), rng) if rng.random() < 0.5 else nearby
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,8 +139,8 @@ def measure_difficulty(
     yield difficulty.chance_matters()
     yield difficulty.neighbours_agree()
     yield from difficulty.extremes()
-    for name in PARAMETERS:
-        yield difficulty.effect(name)
+    for place in range(len(PARAMETERS)):
+        yield difficulty.effect(place)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -300,7 +156,7 @@ class _Difficulty:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(part, index)))
 
     def _spec(self, candidate: Candidate, episode: int, *, oracle: bool = False) -> EpisodeSpec:
-        return candidate.spec(self.seed * 1_000_003 + episode, (FRONT_GAP,), oracle=oracle)
+        return spec_of(candidate, self.seed * 1_000_003 + episode, oracle=oracle)
 
     def _run(self, part: str, specs: Sequence[EpisodeSpec]) -> list[Trial]:
         trials = []
@@ -323,10 +179,9 @@ class _Difficulty:
         candidates, trials = self._sample()
         share = _share(trial.unsafe for trial in trials)
         yield _between("unsafe share", share, 0.30, 0.45, f"{len(trials)} random candidates")
+        curves = [SPACE.decode(candidate)["scenario"]["road_curve"] for candidate in candidates]
         for curve in RoadCurve:
-            flags = [
-                t.unsafe for c, t in zip(candidates, trials, strict=True) if c.values["road_curve"] == curve
-            ]
+            flags = [trial.unsafe for one, trial in zip(curves, trials, strict=True) if one == curve]
             yield _between(
                 f"unsafe share, {curve.value}", _share(flags), 0.05, 0.95, f"{len(flags)} candidates"
             )
@@ -338,7 +193,7 @@ class _Difficulty:
             scenario = draw_candidate(self._rng(1, index))
             behaviours = self._rng(2, index)
             specs += [
-                self._spec(with_behaviour(scenario, draw_candidate(behaviours)), 10_000_000 + index)
+                self._spec((scenario[0], draw_candidate(behaviours)[1]), 10_000_000 + index)
                 for _ in range(BEHAVIOURS_PER_SCENARIO)
             ]
         trials = self._run("behaviours", specs)
@@ -359,12 +214,12 @@ class _Difficulty:
     def neighbours_agree(self) -> Row:
         """Return how much more often neighbours have the same verdict than random pairs do."""
         candidates, trials = self._sample()
-        rng = self._rng(3)
+        rng, metric = self._rng(3), Metric.of_space(SPACE)
         specs, bases, apart = [], [], []
         for index in range(min(self.sizes.pairs, len(candidates))):
             base = candidates[index]
             near = neighbour(base, rng)
-            away = distance(base, near)
+            away = float(metric.between(SPACE.join(base)[None], SPACE.join(near)[None])[0, 0])
             if away <= NEIGHBOUR_DISTANCE:
                 bases.append(index)
                 apart.append(away)
@@ -387,20 +242,20 @@ class _Difficulty:
         share = _share(trial.unsafe for trial in self._run("oracle", oracle))
         note = f"{len(scenarios)} scenarios"
         yield under("unsafe share with a perfect detector", share, 0.05, note)
-        blind = [self._spec(without_ghosts(s), 40_000_000 + i) for i, s in enumerate(scenarios)]
+        blind = [replace(spec, behaviour={"mode": "injected", "trajectories": []}) for spec in oracle]
         share = _share(trial.unsafe for trial in self._run("no detections", blind))
-        yield Row(what="unsafe share without any detection", value=share, target="", met=None, note=note)
+        yield untargeted("unsafe share without any detection", share, note)
 
-    def effect(self, name: str) -> Row:
+    def effect(self, place: int) -> Row:
         """Return the effect of redrawing one parameter while all others and the seed stay the same."""
-        rng = self._rng(5, PARAMETERS.index(name))
+        rng, name = self._rng(5, place), PARAMETERS[place].name
         specs: list[EpisodeSpec] = []
-        count = self.sizes.redraws if name in CATEGORICAL else self.sizes.number_redraws
+        count = self.sizes.redraws if SPACE.categorical[place] else self.sizes.number_redraws
         for index in range(count):
             base = draw_candidate(rng)
-            while name not in CATEGORICAL and base.is_null(int(name[0])):
+            while SPACE.dormant(SPACE.join(base))[place]:
                 base = draw_candidate(rng)
-            other = redraw(base, name, rng)
+            other = redraw(base, place, rng)
             for again in (0, 1):
                 episode = 50_000_000 + 2 * index + again
                 specs += [self._spec(base, episode), self._spec(other, episode)]
@@ -480,29 +335,7 @@ _GHOSTS = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cost:
-    """A measured time or amount of memory, and its target.
-
-    Attributes:
-        what: Name of the cost.
-        value: Measured value.
-        unit: ``ms`` or ``MB``.
-        most: Largest value that meets the target, or None.
-    """
-
-    what: str
-    value: float
-    unit: str
-    most: float | None
-
-    @property
-    def met(self) -> bool | None:
-        """Whether the target is met; None without a target."""
-        return None if self.most is None else self.value <= self.most
-
-
-def measure_costs(*, repeats: int = 15, episodes: int = 2000) -> Iterator[Cost]:
+def measure_costs(*, repeats: int = 15, episodes: int = 2000) -> Iterator[Row]:
     """Measure the CPU time of episodes and the memory of a process; yield each cost as soon as it is measured.
 
     Args:
@@ -512,19 +345,20 @@ def measure_costs(*, repeats: int = 15, episodes: int = 2000) -> Iterator[Cost]:
     injected = DetectorBehaviour(mode=BehaviourMode.INJECTED, trajectories=_GHOSTS)
     oracle = DetectorBehaviour(mode=BehaviourMode.ORACLE)
     few = replace(_BUSY, pedestrians=8)
-    yield _episode_cost("30 s, injected, 8 vehicles, 8 pedestrians", few, injected, repeats, 60.0)
-    yield _episode_cost("30 s, injected, 8 vehicles, 18 pedestrians", _BUSY, injected, repeats, 100.0)
-    yield _episode_cost("30 s, ground truth, 8 vehicles, 18 pedestrians", _BUSY, oracle, repeats, None)
-    first_mb, last_mb = process_memory_mb(episodes)
-    yield Cost(what="process after 20 episodes", value=first_mb, unit="MB", most=70.0)
-    yield Cost(what=f"growth over {episodes} episodes", value=last_mb - first_mb, unit="MB", most=2.0)
+    yield _episode_cost("ms of 30 s, injected, 8 vehicles, 8 pedestrians", few, injected, repeats, 60.0)
+    yield _episode_cost("ms of 30 s, injected, 8 vehicles, 18 pedestrians", _BUSY, injected, repeats, 100.0)
+    yield _episode_cost("ms of 30 s, ground truth, 8 vehicles, 18 pedestrians", _BUSY, oracle, repeats, None)
+    specs = [spec_of(draw_candidate(np.random.default_rng(index)), index) for index in range(episodes)]
+    first_mb, last_mb = process_memory_mb(specs)
+    yield at_most("MB of a process after 20 episodes", first_mb, 70.0)
+    yield at_most(f"MB of growth over {episodes} episodes", last_mb - first_mb, 2.0)
 
 
 def _episode_cost(
     what: str, scenario: UrbanScenario, behaviour: DetectorBehaviour, repeats: int, most_ms: float | None
-) -> Cost:
+) -> Row:
     times_ms = [episode_cpu_s(scenario, behaviour) * 1e3 for _ in range(repeats + 2)][2:]
-    return Cost(what=what, value=statistics.median(times_ms), unit="ms", most=most_ms)
+    return at_most(what, statistics.median(times_ms), most_ms)
 
 
 def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> float:
@@ -550,42 +384,3 @@ def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> floa
         to_the_end=True,
     )
     return time.process_time() - before_s
-
-
-def process_memory_mb(episodes: int, settle: int = 20) -> tuple[float, float]:
-    """Return the memory of a fresh process after its first random episodes, and after all of them.
-
-    Args:
-        episodes: Number of episodes.
-        settle: Number of episodes before the first value.
-    """
-    # A new interpreter, because a spawned process would import the main module of this one.
-    command = [sys.executable, "-m", "benchmarks.urban", str(episodes), str(settle)]
-    with single_threaded():
-        process = start_tied(command, stdout=subprocess.PIPE)
-        answer, _ = process.communicate()
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, command)
-    first_mb, last_mb = json.loads(answer.splitlines()[-1])
-    return first_mb, last_mb
-
-
-def _memory_after(episodes: int, settle: int) -> tuple[float, float]:
-    first_mb = 0.0
-    for index in range(episodes):
-        run_trial(draw_candidate(np.random.default_rng(index)).spec(index, (FRONT_GAP,)))
-        if index + 1 == settle:
-            first_mb = resident_mb()
-    return first_mb, resident_mb()
-
-
-def resident_mb() -> float:
-    """Return the resident memory of this process, or its peak where there is no ``/proc``."""
-    if Path("/proc/self/status").exists():
-        return memory_mib("self")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak / 1024.0
-
-
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(_memory_after(int(sys.argv[1]), int(sys.argv[2]))) + "\n")

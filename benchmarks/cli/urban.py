@@ -8,10 +8,10 @@ from rich.text import Text
 
 from benchmarks.cli.output import (
     Processes,
-    bound_text,
     conclude,
     conclude_rows,
     met_text,
+    rows_table,
     show_progress,
     value_table,
 )
@@ -152,13 +152,7 @@ def sim(
                 rates.append(
                     measure_service(workers, algorithm, problem=problem, episodes=episodes, repeats=repeats)
                 )
-    costs = value_table(
-        ("what", "value", "", "target", ""),
-        (
-            (kind.what, f"{kind.value:.1f}", kind.unit, bound_text(kind.most), met_text(kind.met))
-            for kind in kinds
-        ),
-    )
+    costs = rows_table(kinds)
     service = value_table(
         (
             "algorithm",

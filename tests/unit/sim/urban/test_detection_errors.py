@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.marks import mostly_long
 
-from benchmarks.urban import draw_candidate
+from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.catalogue import requirement_ids
 from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import ObstacleLabel
@@ -214,8 +214,9 @@ NOTHING: list[JsonObject] = [
 
 @pytest.mark.parametrize("number", mostly_long(range(50), range(4), "further random scenarios"))
 def test_errors_of_no_severity_change_nothing(simulator: BrinkDriveErrors, number: int) -> None:
-    candidate = draw_candidate(np.random.default_rng([31, number]))
-    spec = replace(candidate.spec(number, requirement_ids(), oracle=True), duration_s=12.0)
+    problem = UrbanInjected(UrbanInjectedParams(duration_s=12.0))
+    spec = problem.episode(problem.space.sample(np.random.default_rng([31, number])), number)
+    spec = replace(spec, behaviour={"mode": "oracle"}, requirements=requirement_ids(), options={})
     truth = BrinkDrive().run(spec, record=True)
     assert "error_steps" not in truth.features
     for errors in ([], NOTHING[:MAX_ERRORS], NOTHING[MAX_ERRORS:]):

@@ -143,7 +143,7 @@ def test_an_unknown_mode_is_rejected() -> None:
 
 def test_parameters_can_be_read_without_loading_the_physics() -> None:
     code = (
-        "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, benchmarks.urban;"
+        "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, brink.server.problems.urban_injected;"
         "sys.exit('pybullet' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.urban import draw_candidate
+from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.bullet.engine import process_engine
 from brink.sim.catalogue import requirement_ids
 from brink.sim.episode import EpisodeResult, EpisodeSpec, JsonObject
@@ -106,10 +106,16 @@ def test_a_trace_is_complete_and_consistent_with_the_verdicts(simulator: BrinkDr
         assert float(series.min()) == pytest.approx(verdict.robustness, abs=1e-4)
 
 
+def random_spec(seed: int, requirement: str) -> EpisodeSpec:
+    problem = UrbanInjected(UrbanInjectedParams(requirement=requirement))
+    spec = problem.episode(problem.space.sample(np.random.default_rng(seed)), seed)
+    return replace(spec, requirements=(requirement,))
+
+
 def test_the_last_sample_of_a_collision_shows_the_contact(simulator: BrinkDrive) -> None:
     collisions = 0
     for seed in range(60):
-        spec = draw_candidate(np.random.default_rng(seed)).spec(seed, ("no-collision@1",))
+        spec = random_spec(seed, "no-collision@1")
         if simulator.run(spec).features["ended"] != "collision":
             continue
         result = simulator.run(spec, record=True)
