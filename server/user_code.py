@@ -346,8 +346,8 @@ class UserCode:
                 raise Unavailable("the coordinator is stopping")
             thread = self._idle.pop() if self._idle else _CallThread(self)
             self._waiting[call] = thread
-        if not thread.ident:
-            thread.start()
+            if not thread.ident:
+                thread.start()  # before anybody else sees the call: a thread that has not started cannot be joined
         thread.inbox.put(call)
         return thread
 
