@@ -101,7 +101,7 @@ class PairFindings:
             if view.distinct > _PAIRS_SHOWN:
                 screen.print(f"… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv", style="dim")
             print_legend(screen, view)
-        for words in view.chance:
+        for words in filter(None, (view.blame, *view.chance)):
             print_sentence(screen, words)
         if self._no_picture:
             screen.print(self._no_picture, soft_wrap=True, style="yellow")

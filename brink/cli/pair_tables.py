@@ -21,7 +21,7 @@ def print_pairs(screen: Console, view: PairsView) -> None:
         f"at least {view.d_th:g} apart",
         style="dim",
     )
-    for words in view.chance:
+    for words in filter(None, (view.blame, *view.chance)):
         print_sentence(screen, words)
     screen.print(pairs_table(view))
     print_legend(screen, view)

@@ -7,12 +7,14 @@ from typing import Any
 
 import httpx
 import pytest
+from rich.console import Console
 from support.api import FakeWorker, await_erasure, ball, expect, finish, row_counts, solutions, submit
 from support.databases import on_sqlite
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
+from brink.cli.pair_tables import print_pairs
 from brink.report.pair_words import evidence_words, legend
 from brink.search.sequential import exact_interval
 from brink.server.campaigns.body import parse_body
@@ -245,6 +247,9 @@ def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx
         "With ground truth in place of the component, in one drive each, the unsafe side of 1 of 2 held the front "
         "gap (the component's hazard), that of 1 violated the front gap all the same (the scenario's hazard)"
     ) in view["blame"]
+    screen = Console(width=500, record=True, file=io.StringIO())
+    print_pairs(screen, PairsView.model_validate(view))
+    assert view["blame"] in screen.export_text(), "the terminal says whose hazard it is"
     before = {one["number"]: one["seed"] for one in solutions(client, campaign)}
     after = solutions(client, asked["campaign"])
     assert [one["seed"] for one in after] == [before[1], before[3]], "the very episodes of the unsafe sides"

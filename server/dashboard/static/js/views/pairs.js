@@ -114,7 +114,7 @@ export function pairsCard(context, id) {
 function aboutPairs(read) {
   if (read.pairs.length === 0) return read.complete ? "A search for pairs is edge@1; other searches hold the pairs that they happen to find." : "The page follows the search.";
   const sentences = [`The sides of a pair are at most ${figure(read.eps)} apart, or differ in one step of one parameter; pairs are at least ${figure(read.d_th)} apart.`];
-  sentences.push(...read.chance.map((words) => `${words}.`));
+  sentences.push(...[read.blame, ...read.chance].filter(Boolean).map((words) => `${words}.`));
   if (read.distinct > read.pairs.length) sentences.push(`Only the first ${count(read.pairs.length)} of ${count(read.distinct)} are shown.`);
   return sentences.join(" ");
 }
