@@ -418,6 +418,11 @@ def guarded(plugin: str, thing: T) -> T:
     return thing
 
 
+def is_guarded(thing: object) -> bool:
+    """Return whether an object is that of a plug-in, made safe by `guarded`."""
+    return isinstance(thing, _Guarded)
+
+
 def guarded_like(other: object, thing: T) -> T:
     """Guard an object that a guarded one returned, and which is code of the same plug-in; return it."""
     return guarded(other.guarded_by, thing) if isinstance(other, _Guarded) else thing

@@ -1,5 +1,6 @@
 """`brink findings`: all that a campaign found, whatever its kinds, in the terminal or as files."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +8,6 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from brink.api.client import Api
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -58,7 +58,7 @@ def findings(
             answer = with_api(server, database, lambda api: api.request("GET", path, params=params))
             out.write_bytes(answer.content)
             return
-    document = with_api(server, database, lambda api: _read(api, path))
+    document = with_api(server, database, lambda api: api.get(path))
     found = [Finding.model_validate(document)] if kind else Findings.model_validate(document).findings
     if out is not None:
         out.write_text("\n".join(finding_markdown(one) for one in found), encoding="utf-8")
@@ -68,10 +68,6 @@ def findings(
         print_finding(console(), found[0])
     else:
         print_findings(console(), Findings.model_validate(document), place_option(server, database))
-
-
-async def _read(api: Api, path: str) -> object:
-    return await api.get(path)
 
 
 def _check_file(out: Path, kind: str | None) -> None:
@@ -100,22 +96,33 @@ def print_findings(screen: Console, found: Findings, place: str = "") -> None:
         print_sentence(screen, words)
     for finding in found.findings:
         screen.print()
-        print_finding(screen, finding, more=f"{program()} findings {found.campaign} {finding.kind}{place}")
+        command = f"{program()} findings {found.campaign} {finding.kind}{place}"
+        print_finding(screen, finding, more=command, said=found.more)
     print_steps(screen, found.steps, place)
 
 
-def print_finding(screen: Console, finding: Finding, *, more: str = "") -> None:
-    """Print one kind of findings: its sentence, what else is known, and its tables."""
+def print_finding(screen: Console, finding: Finding, *, more: str = "", said: Sequence[str] = ()) -> None:
+    """Print one kind of findings: its sentence, what else is known, and its tables.
+
+    Args:
+        screen: Where to print.
+        finding: The finding.
+        more: The command that prints all rows.
+        said: Sentences that were printed before.
+    """
     print_sentence(screen, Text.assemble((finding.title, "bold"), f": {finding.sentence}"))
-    for words in finding.more:
-        print_sentence(screen, full_sentence(words), style="dim")
+    for words in map(full_sentence, finding.more):
+        if words not in said:
+            print_sentence(screen, words, style="dim")
     for table in finding.tables:
         print_table(screen, table, more=more)
 
 
 def print_steps(screen: Console, steps: list[Step], place: str = "") -> None:
     """Print what to do next, as commands with the questions that they answer."""
-    commands = [(step.command, step.question) for step in steps if step.command]
+    commands = [
+        (f"{program()}{step.command.removeprefix('brink')}", step.question) for step in steps if step.command
+    ]
     if not commands:
         return
     screen.print()

@@ -2,7 +2,7 @@
 
 from brink.report.campaign_sections import Section
 from brink.report.campaign_sections import Table as PageTable
-from brink.report.text import table_row
+from brink.report.text import markdown_text, table_row
 from brink.server.findings.finding import Finding
 from brink.server.findings.table import Table
 from brink.server.findings.words import full_sentence
@@ -44,11 +44,11 @@ def page_table(table: Table, command: str) -> PageTable:
 
 def finding_markdown(finding: Finding) -> str:
     """Return a finding as Markdown."""
-    lines = [f"## {finding.title}", "", full_sentence(finding.sentence), ""]
-    for words in finding.more:
-        lines += [full_sentence(words), ""]
+    lines = [f"## {markdown_text(finding.title)}", ""]
+    for words in (finding.sentence, *finding.more):
+        lines += [markdown_text(full_sentence(words)), ""]
     for table in finding.tables:
-        lines += [f"**{table.title}**", "", *markdown_rows(table), ""]
+        lines += [f"**{markdown_text(table.title)}**", "", *markdown_rows(table), ""]
     return "\n".join(lines)
 
 
@@ -58,5 +58,5 @@ def markdown_rows(table: Table) -> list[str]:
     return [
         table_row([column.heading for column in table.shown]),
         table_row(rules),
-        *(table_row([cell.replace("\n", " ") for cell in row]) for row in table.texts()),
+        *map(table_row, table.texts()),
     ]

@@ -1,8 +1,9 @@
 """The contract of a kind of finding, and the discovery of kinds.
 
 A kind is a folder of this package with a module `kind` that defines `KIND`, or a plug-in of the group
-``brink.findings``. Nothing lists them. Which campaigns have a kind follows from what their algorithm declares that it
-finds (`finds`), and from what their problem reports.
+``brink.findings``, which is called as all code of users is (`brink.server.user_code`): one that fails or hangs loses
+its own finding and no other. Nothing lists them. Which campaigns have a kind follows from what their algorithm
+declares that it finds (`finds`), and from what their problem reports.
 """
 
 import importlib
@@ -11,8 +12,8 @@ import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, ClassVar, Final, cast
+from functools import cache, partial
+from typing import Any, ClassVar, Final, TypeVar, cast
 
 from brink.server import findings
 from brink.server.campaigns.archives import Archives, ReadArchive
@@ -22,7 +23,10 @@ from brink.server.campaigns.store import Campaign
 from brink.server.findings.finding import Finding, Role, Step
 from brink.server.findings.sources import Sources
 from brink.server.problems.base import Problem
+from brink.server.user_code import CONSTRUCTION, USER_CODE, guarded, is_guarded
 from brink.sim.catalogue import load_plugin, plugin_ids
+
+T = TypeVar("T")
 
 FINDINGS: Final = "brink.findings"
 """Entry-point group of kinds: each loads a subclass of `Kind`."""
@@ -117,7 +121,8 @@ class Kind(ABC):
     async def find(self, subject: Subject) -> Finding:
         """Return what a campaign found, of which at least one solution has been evaluated.
 
-        By default, that is what `analyse` returns, which runs in a thread and under a time limit.
+        By default, that is what `analyse` returns, which runs in a thread and under a time limit. Plug-ins implement
+        `analyse` alone: this one runs in the event loop.
         """
         return await subject.sources.analyses.run(lambda: self.analyse(subject))
 
@@ -150,25 +155,65 @@ def _own_kinds() -> tuple[Kind, ...]:
     return tuple(importlib.import_module(f"{findings.__name__}.{name}.kind").KIND for name in names)
 
 
+@cache
+def _plugin_kind(name: str, factory: Callable[[], object]) -> Kind | None:
+    """Return the kind that a plug-in makes; None, which is logged once, if it makes none."""
+    try:
+        kind = USER_CODE.call(name, CONSTRUCTION, factory)
+    except Exception:
+        log.exception("plug-in cannot be loaded", extra={"plugin": name})
+        return None
+    if not isinstance(kind, Kind):
+        log.error("plug-in is no kind of finding", extra={"plugin": name})
+        return None
+    return guarded(name, kind)
+
+
 def all_kinds() -> list[Kind]:
     """Return all kinds, the first to be told first, without plug-ins that cannot be loaded."""
-    kinds = list(_own_kinds())
-    for name in plugin_ids(FINDINGS):
-        try:
-            kind = cast(Callable[[], object], load_plugin(FINDINGS, name))()
-        except Exception:
-            log.exception("plug-in cannot be loaded", extra={"plugin": name})
-        else:
-            if isinstance(kind, Kind):
-                kinds.append(kind)
-            else:
-                log.error("plug-in is no kind of finding", extra={"plugin": name})
+    found = [
+        _plugin_kind(name, cast(Callable[[], object], load_plugin(FINDINGS, name)))
+        for name in plugin_ids(FINDINGS)
+    ]
+    kinds = [*_own_kinds(), *(kind for kind in found if kind is not None)]
     return sorted(kinds, key=lambda kind: (kind.rank, kind.id))
+
+
+def asked(kind: Kind, question: Callable[[], T], otherwise: T) -> T:
+    """Return what a kind answers; something else if it is a plug-in's and fails, which is logged.
+
+    Args:
+        kind: The kind.
+        question: Asks it.
+        otherwise: The answer of one that fails.
+    """
+    try:
+        return question()
+    except Exception:
+        if not is_guarded(kind):
+            raise
+        log.exception("plug-in failed", extra={"plugin": kind.id})
+        return otherwise
+
+
+async def find_safely(kind: Kind, subject: Subject) -> Finding:
+    """Return what a campaign found; that it cannot be told, if the kind is a plug-in's and fails."""
+    if not is_guarded(kind):
+        return await kind.find(subject)
+    failed = Finding(
+        kind=kind.id,
+        title=kind.title,
+        role=subject.role,
+        sentence="the plug-in of this finding failed: the coordinator's log says why",
+        is_empty=True,
+    )
+    return await subject.sources.analyses.run(lambda: asked(kind, lambda: kind.analyse(subject), failed))
 
 
 def kinds_of(plan: Plan) -> dict[Kind, Role]:
     """Return the kinds of findings that a campaign has, those that it is for first, with why it has them."""
-    roles = {kind: role for kind in all_kinds() if (role := kind.role(plan)) is not None}
+    asked_of = {kind: asked(kind, partial(kind.role, plan), None) for kind in all_kinds()}
+    roles = {kind: role for kind, role in asked_of.items() if role is not None}
     exclusive = {kind: role for kind, role in roles.items() if kind.is_exclusive and role is Role.SOUGHT}
     order = list(Role)
     return dict(sorted((exclusive or roles).items(), key=lambda one: order.index(one[1])))

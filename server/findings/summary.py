@@ -1,8 +1,9 @@
 """Everything that a campaign found: its kinds of findings, the first of them in a sentence, and what to do next."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from sqlalchemy import Connection
@@ -15,7 +16,7 @@ from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.errors import NotFound
 from brink.server.findings.boundary.repeats import count_distinct, repeats_view
 from brink.server.findings.finding import Finding, Findings, FollowedView, Role, Step, StepRequest
-from brink.server.findings.kind import Kind, Subject, all_kinds, kinds_of
+from brink.server.findings.kind import Kind, Subject, all_kinds, asked, find_safely, kinds_of
 from brink.server.findings.sources import Sources
 from brink.server.findings.words import full_sentence, so_far
 from brink.server.problems.catalogue import takes_requirement
@@ -39,7 +40,9 @@ async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) ->
     found = []
     if len(known.read_archive.archive):
         subjects = known.subjects(rows)
-        found = list(await asyncio.gather(*(kind.find(subject) for kind, subject in subjects.items())))
+        found = list(
+            await asyncio.gather(*(find_safely(kind, subject) for kind, subject in subjects.items()))
+        )
     words, more = await _sentences(known, found)
     if campaign.failed and not _all_failed(campaign):  # otherwise the words say it already
         words = f"{words}; {_failures(campaign)}"
@@ -72,7 +75,7 @@ async def find_kind(sources: Sources, campaign: Campaign, kind_id: str) -> Findi
         )
     if not len(known.read_archive.archive):
         raise NotFound(f"campaign {campaign.id}: no solution has been evaluated yet")
-    return await kind.find(subjects[kind])
+    return await find_safely(kind, subjects[kind])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,6 +83,7 @@ class _Known:
     """What is known of a campaign before its findings.
 
     Attributes:
+        kinds: The kinds of findings that it has, those that it is for first, with why it has them.
         reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
         of: The campaign that it follows up, if any.
     """
@@ -87,6 +91,7 @@ class _Known:
     sources: Sources
     campaign: Campaign
     read_archive: ReadArchive
+    kinds: Mapping[Kind, Role]
     stored: Sequence[StoredRepeats]
     outcomes: CampaignOutcomes
     reported: tuple[int, int]
@@ -97,25 +102,31 @@ class _Known:
         """Read it."""
         archive = await sources.archives.get(campaign)
 
-        def look(connection: Connection) -> tuple[list[StoredRepeats], tuple[int, int], FollowedView | None]:
-            reported = sources.reported.read(connection, campaign)
-            stored = read_follow_ups(connection, campaign.id)
-            return stored, (len(reported.results), reported.unsafe), _followed(connection, campaign)
+        outcomes = await sources.outcomes.get(campaign.id, archive)
 
-        stored, reported, of = await sources.pages.read(sources.engines, look)
-        return cls(
-            sources=sources,
-            campaign=campaign,
-            read_archive=archive,
-            stored=stored,
-            outcomes=await sources.outcomes.get(campaign.id, archive),
-            reported=reported,
-            of=of,
-        )
+        def look(connection: Connection) -> "_Known":
+            reported = sources.reported.read(connection, campaign)
+            return cls(
+                sources=sources,
+                campaign=campaign,
+                read_archive=archive,
+                kinds=kinds_of(archive.plan),
+                stored=read_follow_ups(connection, campaign.id),
+                outcomes=outcomes,
+                reported=(len(reported.results), reported.unsafe),
+                of=_followed(connection, campaign),
+            )
+
+        return await sources.pages.read(sources.engines, look)
+
+    @property
+    def is_exclusive(self) -> bool:
+        """Whether its simulations say nothing but what it is for."""
+        return any(kind.is_exclusive for kind in self.kinds)
 
     def subjects(self, rows: int) -> dict[Kind, Subject]:
         """Return the kinds of findings that the campaign has, those that it is for first."""
-        return {kind: self.subject(role, rows) for kind, role in kinds_of(self.read_archive.plan).items()}
+        return {kind: self.subject(role, rows) for kind, role in self.kinds.items()}
 
     def subject(self, role: Role, rows: int = 0) -> Subject:
         """Return the campaign as the subject of a finding."""
@@ -150,14 +161,9 @@ async def _sentences(known: _Known, found: Sequence[Finding]) -> tuple[str, list
     if known.of is not None:
         return await _follow_up_words(known, known.of), [known.outcomes.sentence()]
     first = found[0]
-    told = "" if _is_exclusive(known) else known.outcomes.sentence()
+    told = "" if known.is_exclusive else known.outcomes.sentence()
     met = [one.sentence for one in found[1:] if one.role is Role.MET and not one.is_empty]
     return so_far(known.campaign, first.sentence), [told, *first.more, *met]
-
-
-def _is_exclusive(known: _Known) -> bool:
-    """Return whether the simulations of a campaign say nothing but what it is for."""
-    return any(kind.is_exclusive for kind in kinds_of(known.read_archive.plan))
 
 
 def _all_failed(campaign: Campaign) -> bool:
@@ -243,13 +249,13 @@ def _leading_on(known: _Known) -> list[Step]:
                 place=f"new?start_from={campaign.id}",
             )
         )
-    if _is_exclusive(known):
+    if known.is_exclusive:
         return steps
     steps += _other_requirement(known)
-    own = kinds_of(plan)
-    steps += [
-        step for kind in all_kinds() if kind not in own for step in kind.leads_to(known.subject(Role.SIDE))
-    ]
+    side = known.subject(Role.SIDE)
+    for kind in all_kinds():
+        if kind not in known.kinds:
+            steps += asked(kind, partial(kind.leads_to, side), list[Step]())
     if 0 < campaign.unsafe < campaign.evaluated:
         steps.append(
             Step(

@@ -187,7 +187,9 @@ def _evidence(view: PairsView, pair: PairView) -> str:
         case Confirmation.PENDING:
             return "being simulated again"
         case Confirmation.NOT_TRIED:
-            return "not simulated again yet"
+            return (
+                "checked with another seed during the search" if pair.checked else "not simulated again yet"
+            )
         case state:
             return f"{state}: unsafe in {counts} drives with other seeds"
 

@@ -16,7 +16,9 @@ from typer.testing import CliRunner
 
 import brink
 from brink.cli.commands import app
-from brink.server.findings.kind import FINDINGS, all_kinds
+from brink.server import user_code
+from brink.server.findings.finding import Finding, Step
+from brink.server.findings.kind import FINDINGS, Subject, all_kinds
 from brink.server.problems.catalogue import ALGORITHMS
 from brink.sim import catalogue
 
@@ -76,6 +78,9 @@ def test_the_toy_kind_is_shown_in_the_terminal_and_written_as_markdown(
     assert "most extreme of 40" in shown.stdout
     assert "robustness (m)" in shown.stdout
     assert f"brink findings {campaign} extremes" in shown.stdout
+    assert f"  brink replay {campaign}" in shown.stdout
+    sentences = [line for line in shown.stdout.splitlines() if line.endswith(".")]
+    assert len(sentences) == len(set(sentences)), "no sentence is told twice"
     out = tmp_path / "found.md"
     assert (
         CliRunner().invoke(app, ["findings", campaign, "extremes", "--out", str(out), *server]).exit_code == 0
@@ -96,6 +101,44 @@ def test_the_toy_kind_is_a_data_frame_and_a_section_of_the_report(
     page = result.report(tmp_path / "report.html").read_text()
     assert "<h2>Extremes</h2>" in page
     assert "Solutions by robustness" in page
+
+
+class _Broken(ExtremesKind):
+    id = "broken"
+    title = "Broken"
+
+    def analyse(self, subject: Subject) -> Finding:
+        raise ZeroDivisionError("a mistake in a plug-in")
+
+    def leads_to(self, subject: Subject) -> list[Step]:
+        raise ZeroDivisionError("another one")
+
+
+class _Hanging(_Broken):
+    id = "hanging"
+
+    def analyse(self, subject: Subject) -> Finding:
+        while True:
+            pass
+
+
+@pytest.mark.parametrize("kind", [_Broken, _Hanging])
+def test_a_kind_of_a_plug_in_that_fails_or_hangs_loses_no_finding_but_its_own(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch, kind: type[ExtremesKind]
+) -> None:
+    class Algorithm(ExtremesAlgorithm):
+        id = f"{kind.id}@1"
+        finds = ("extremes", kind.id)
+
+    monkeypatch.setattr(user_code, "VIEW_LIMIT_S", 0.3)
+    monkeypatch.setitem(catalogue._registered, FINDINGS, {ExtremesKind.id: ExtremesKind, kind.id: kind})
+    monkeypatch.setitem(catalogue._registered[ALGORITHMS], Algorithm.id, Algorithm)
+    made = finish(client, ball(simulations=40, algorithm={"id": Algorithm.id}))
+    found = {one["kind"]: one for one in expect(client.get(f"{API}/{made}/findings"))["findings"]}
+    assert found["extremes"]["tables"][0]["rows"]
+    assert "plug-in of this finding failed" in found[kind.id]["sentence"]
+    other = finish(client, ball(simulations=40))
+    assert expect(client.get(f"{API}/{other}/findings"))["steps"], "its step is left out"
 
 
 def test_a_kind_that_a_campaign_does_not_have_is_refused(client: httpx.Client, campaign: str) -> None:

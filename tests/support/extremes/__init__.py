@@ -17,7 +17,7 @@ class ExtremesAlgorithm(RandomSearch):
 
     id = "extremes@1"
     summary = "Draws solutions and tells the most extreme ones."
-    finds = ("extremes",)
+    finds: tuple[str, ...] = ("extremes",)
     is_baseline = False
 
 
