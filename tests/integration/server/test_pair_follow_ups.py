@@ -451,3 +451,36 @@ def test_a_repeated_campaign_with_ground_truth_keeps_it(client: httpx.Client) ->
     assert [spec["behaviour"]["mode"] for spec in specs] == ["oracle", "oracle"]
     refused = expect(client.post(API, json={**ball(), "ground_truth": True}), 422)
     assert refused["errors"][0]["pointer"] == "/ground_truth"
+
+
+@on_sqlite
+def test_few_drives_refute_a_pair_but_confirm_none(client: httpx.Client) -> None:
+    campaign = finished(client)
+    worked(client, ask(client, campaign, kind="confirm", repeats=10, d_th=0.01)["campaign"], by_chance)
+    view = pairs_of(client, campaign)
+    assert sorted(pair["confirmation"]["state"] for pair in view["pairs"]) == ["refuted", "undecided"]
+    assert "0 confirmed, 1 refuted and 1 undecided" in view["note"]
+    words = legend(PairsView.model_validate(view))
+    assert any(term.startswith("undecided: neither") for term in words)
+
+
+def test_intervals_of_pairs_are_exact_whatever_the_campaign_says(client: httpx.Client) -> None:
+    given = body(SAFE, UNSAFE, seed_numbers=[0, 0], z=1.0)
+    campaign = worked(client, submit(client, given))
+    worked(client, ask(client, campaign, kind="confirm")["campaign"])
+    [pair] = pairs_of(client, campaign)["pairs"]
+    unsafe = pair["confirmation"]["unsafe"]
+    assert (unsafe["low"], unsafe["high"]) == pytest.approx(exact_interval(15, 15))
+
+
+def test_pairs_say_what_they_do_not_say_of_a_detector_of_ones_own(client: httpx.Client) -> None:
+    campaign = finished(client)
+    view = pairs_of(client, campaign)
+    assert "not that yours does" in view["caveat"]
+    assert "urban-camera@1" in view["caveat"]
+    screen = Console(record=True, width=80)
+    print_pairs(screen, PairsView.model_validate(view))
+    assert view["caveat"] in screen.export_text()
+    asked = ask(client, campaign, kind="component", d_th=0.01)
+    worked(client, asked["campaign"])
+    assert pairs_of(client, asked["campaign"])["caveat"] == "", "there is no component in these drives"

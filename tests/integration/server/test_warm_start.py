@@ -371,3 +371,30 @@ def test_a_campaign_outlives_the_one_that_it_started_from(client: httpx.Client) 
     done = FakeWorker(client).work(campaign)
     assert (done["status"], done["known"]["results"]) == ("finished", 60)
     assert len(expect(client.get(f"/api/v1/campaigns/{campaign}/known"))["solutions"]) == 60
+
+
+def test_known_results_count_towards_the_boundary_only_where_the_answer_says_so(
+    client: httpx.Client, earlier: str
+) -> None:
+    campaign = finish(client, ball(start_from={"campaign": earlier}))
+    boundary = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"))
+    assert boundary["with_known"]["results"] == 60
+    assert "Together with the 60 known results that the campaign started from" in boundary["note"]
+    own = archive(client, campaign)
+    assert int(own["neighbours"].max()) <= len(own["numbers"])
+    cold = expect(client.get(f"/api/v1/campaigns/{earlier}/boundary"))
+    assert cold["with_known"] is None
+    assert "known results" not in cold["note"]
+
+
+def test_another_space_is_refused_with_what_differs(client: httpx.Client, earlier: str) -> None:
+    body = ball(problem={"id": "line@1"}, algorithm=RANDOM, start_from={"campaign": earlier})
+    error = error_of(client, body)
+    assert error["pointer"] == "/start_from/campaign"
+    assert "searches another space: it has what.y, this one none" in error["message"]
+
+
+def test_robustness_that_is_no_number_is_refused(client: httpx.Client) -> None:
+    content = json.dumps(ball(start_from={"solutions": [point(0, 0, 9.0)]})).replace("9.0", "NaN")
+    answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 422

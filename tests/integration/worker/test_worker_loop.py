@@ -350,3 +350,14 @@ def _wait_for_line(caplog: pytest.LogCaptureFixture, text: str) -> None:
         assert text in caplog.text or seen.wait(TIMEOUT_S), f"nothing was logged with {text!r}"
     finally:
         logging.getLogger().removeHandler(listener)
+
+
+def test_a_hanging_job_is_reported_as_a_timeout(coordinator: FakeCoordinator) -> None:
+    hanging = coordinator.add({"fault": "hang"}, timeout_s=0.3)
+    after = coordinator.add()
+    with running_worker(coordinator.url):
+        coordinator.wait_for_all()
+    outcome = coordinator.jobs[hanging].outcome
+    assert isinstance(outcome, JobFailed)
+    assert outcome.reason == "timeout"
+    assert isinstance(coordinator.jobs[after].outcome, Completed)

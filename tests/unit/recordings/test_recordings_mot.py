@@ -122,3 +122,13 @@ def test_a_sequence_that_does_not_fit_is_refused(
     sequence(tmp_path, "S", truth, found, info)
     with pytest.raises(RecordingError, match=words):
         read_recording(tmp_path)
+
+
+def test_a_box_that_reaches_beyond_the_image_is_refused_or_clipped(tmp_path: Path) -> None:
+    sequence(tmp_path, "S", "1,2,-19,51,40,100,1,1,1\n", "")
+    with pytest.raises(
+        RecordingError, match=r"gt\.txt:1: the box -20 to 20.* beyond the image of 640 x 480 px"
+    ):
+        read_recording(tmp_path)
+    (walker,) = read_recording(tmp_path, options=ReadOptions(clip=True)).drives["S"].images[0.0].road_users
+    assert (walker.sides, walker.truncation) == (Sides(0, 20, 50, 150), 0.5)

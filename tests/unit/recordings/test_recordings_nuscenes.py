@@ -12,7 +12,7 @@ from brink.recordings.camera import CameraModel
 from brink.recordings.formats import nuscenes
 from brink.recordings.measure import observe
 from brink.recordings.reading import read_recording
-from brink.recordings.recording import ReadOptions, Recording, RecordingError, RoadUser
+from brink.recordings.recording import ClassMeaning, ReadOptions, Recording, RecordingError, RoadUser
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.urban.detection_errors import ErrorType, Target
 
@@ -355,3 +355,15 @@ def test_folder_with_several_versions_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"several: v1\.0-mini, v1\.0-trainval"):
         read_recording(detections, truth)
     assert read_recording(detections, truth / "v1.0-mini").drives
+
+
+@pytest.mark.parametrize("name", ["bicycle", "vehicle.bicycle"])
+def test_user_says_what_cyclists_are(tmp_path: Path, name: str) -> None:
+    tables = _tables({"it": ("vehicle.bicycle", [20.0, 1.0], (1.0, 2.0, 1.5), 0.0)})
+    paths = _write(tmp_path, tables, _results(tables, {"it": "bicycle"}))
+    recording = read_recording(*paths)
+    assert recording.dropped == {"detections of the class bicycle, which is ignored": IMAGES}
+    options = ReadOptions(classes={**ReadOptions().classes, name: ClassMeaning.PERSON})
+    image = read_recording(*paths, options=options).drives["scene-0001"].images[0.0]
+    assert [one.label for one in image.road_users] == [ObstacleLabel.PERSON]
+    assert [one.label for one in image.detections] == [ObstacleLabel.PERSON] * (name == "bicycle")

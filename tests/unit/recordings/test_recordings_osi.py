@@ -14,7 +14,7 @@ from brink.recordings import osi_traces
 from brink.recordings.camera import CameraModel
 from brink.recordings.formats import osi
 from brink.recordings.reading import read_recording
-from brink.recordings.recording import ReadOptions, RecordedDrive, Recording, RecordingError
+from brink.recordings.recording import ClassMeaning, ReadOptions, RecordedDrive, Recording, RecordingError
 from brink.search.errors import MissingExtra
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.urban.detection_errors import Target
@@ -501,3 +501,15 @@ def test_objects_of_a_trace_are_bounded(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(osi, "MAX_BOXES", 50)
     with pytest.raises(RecordingError, match=r"expected at most 50 objects in a trace"):
         read_recording(*_traces(tmp_path))
+
+
+def test_cyclists_are_ignored_unless_the_user_says_what_they_are(tmp_path: Path) -> None:
+    paths = _traces(tmp_path, things={1: _Thing(20.0, 1.0, kind=(VEHICLE, BICYCLE))})
+    recording = read_recording(*paths)
+    image = _drive(recording).images[0.0]
+    assert (image.road_users, len(image.ignored), image.detections) == ([], 1, [])
+    assert recording.dropped == {"detections of the class bicycle, which is ignored": IMAGES}
+    options = ReadOptions(classes={**ReadOptions().classes, "bicycle": ClassMeaning.PERSON})
+    image = _drive(read_recording(*paths, options=options)).images[0.0]
+    assert [one.label for one in image.road_users] == [ObstacleLabel.PERSON]
+    assert [one.label for one in image.detections] == [ObstacleLabel.PERSON]

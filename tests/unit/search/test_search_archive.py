@@ -388,3 +388,14 @@ def test_any_difference_changes_the_digest() -> None:
         archive_digest(line_archive([], [])),
     }
     assert len(digests) == 6
+
+
+def test_all_safe_neighbourhood_approaches_one_ninth() -> None:
+    fitness = boundary_fitness(np.array([0]), np.array([10**7]), 0.1)
+    assert fitness[0] == pytest.approx(1 / 9, abs=1e-6)
+
+
+def test_first_solutions_are_scored_without_later_ones() -> None:
+    rows, unsafe = solutions(60)
+    steps = grown_in_steps(rows, unsafe, [25])
+    assert np.array_equal(steps[-1].first(25).fitness, steps[1].fitness)

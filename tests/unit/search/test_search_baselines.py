@@ -1,5 +1,6 @@
 """Random search, the genetic algorithm, and the benchmark problems with known boundaries."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -16,6 +17,7 @@ from brink.search.problems import (
     MTQ_RADIUS,
     MTQ_SAFE_RADIUS,
     MTQ_SPACE,
+    ONEMAX_RADIUS,
     ONEMAX_SPACE,
     evaluate_mtq,
     evaluate_onemax,
@@ -136,3 +138,38 @@ def test_mlcshe_finds_the_boundary_of_mtq() -> None:
         # A tenth of a neighbourhood (|dx| + |dy| <= 0.1) is unsafe where its centre lies about 0.05 inside.
         assert max(gaps) < 0.08
         assert dbs_grid(mtq_archive(RandomSearch(), seed), (0.10,), (0.05,)).dbs[0, 0] == 0
+
+
+def test_random_search_spends_its_budget_exactly() -> None:
+    run = play(RandomSearch(), SPACE, RandomSearchConfig(), synthetic_verdicts(SPACE), seed=1, budget=130)
+    assert [len(generation) for generation in run.generations] == [60, 60, 10]
+
+
+def test_random_search_draws_from_the_distribution_of_the_space() -> None:
+    run = play(RandomSearch(), SPACE, RandomSearchConfig(), synthetic_verdicts(SPACE), seed=1, budget=600)
+    drawn = np.array([SPACE.join(c.vectors) for c in run.candidates])
+    rng = np.random.default_rng(0)
+    sampled = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(600)])
+    assert drawn.mean(axis=0) / SPACE.ranges == pytest.approx(sampled.mean(axis=0) / SPACE.ranges, abs=0.15)
+
+
+def test_genetic_algorithm_restarts_when_it_has_converged() -> None:
+    # With almost no mutation a population of bits soon breeds nothing new; the budget is still spent.
+    algorithm = GeneticAlgorithm()
+    config = GeneticAlgorithmConfig(
+        radius=ONEMAX_RADIUS, population_size=10, mutation_probability=1e-9, tournament_size=10
+    )
+    run = play(algorithm, ONEMAX_SPACE, config, lambda c: evaluate_onemax(c.vectors), seed=1, budget=300)
+    assert len(run.candidates) >= 300
+
+
+def test_defaults_of_the_genetic_algorithm_are_those_of_the_paper_or_of_the_authors_code() -> None:
+    config = GeneticAlgorithmConfig()
+    assert (config.population_size, config.mutation_probability, config.crossover_probability) == (
+        60,
+        0.01,
+        0.85,
+    )
+    assert config.tournament_size == 3
+    with pytest.raises(ConfigError, match="mutation_probability"):
+        dataclasses.replace(config, mutation_probability=0.0)

@@ -292,3 +292,14 @@ def test_scenario_risk_is_estimated_from_the_archive() -> None:
     assert np.corrcoef(estimate, truth)[0, 1] > 0.85
     assert np.abs(estimate - truth).mean() < 0.08
     assert estimate.mean() == pytest.approx(archive.unsafe.mean(), abs=0.01)
+
+
+def test_solutions_beyond_the_budget_are_not_counted() -> None:
+    points = list(dbs_by_budget(random_archive(300, missing=(3,)), 200, (0.5, 1.0)))
+    assert [(point.simulations, point.evaluated) for point in points] == [(100, 99), (200, 199)]
+
+
+def test_empty_archive_has_no_boundary() -> None:
+    empty = Archive.empty(SPACE, Neighbourhood(radius=0.3, p_th=0.1))
+    assert distinct_boundary(empty, 1.0, 0.1).size == 0
+    assert dbs_grid(empty).dbs.sum() == 0

@@ -160,3 +160,17 @@ def test_methods_that_find_nothing_have_no_lead() -> None:
     lead = leads(repeats_of(a=growing(0.0), b=growing(0.0)), "gap", Measure.DBS, 0.2)[0]
     assert lead.found_nothing
     assert lead_words(lead) == "neither finds anything at any share of the budget"
+
+
+def test_solutions_that_are_left_out_are_named() -> None:
+    (sentence,) = control_summaries([row(7, beyond=12), row(2, repeats=6.0, beyond=12)], 0.1, 0.2)
+    assert "strict DBS 7 within the budget, without the 12 solutions beyond it;" in sentence
+    (sentence,) = control_summaries([row(7), row(2, repeats=6.0)], 0.1, 0.2)
+    assert "beyond" not in sentence
+
+
+def test_campaigns_without_a_control_are_skipped() -> None:
+    assert control_summaries([row(3), row(4), row(1, repeats=5.0)], 0.1, 0.2)[0].startswith(
+        "night: strict DBS 4"
+    )
+    assert control_summaries([row(3)], 0.1, 0.2) == []

@@ -262,3 +262,15 @@ def test_a_partner_that_is_known_already_is_no_miss() -> None:
     partners = sum(purpose is Purpose.PARTNER for _, (purpose, _, _) in asked)
     assert sum(state.tries.values()) > partners > 0, "else this shows nothing"
     assert _hits(state) == pytest.approx((0.8 * 20 + len(state.brackets)) / (20 + partners))
+
+
+def test_the_budget_is_spent_exactly_and_few_brackets_are_left_open(mtq: EdgeState) -> None:
+    assert len(mtq.archive) == 600
+    assert len(with_status(mtq, Status.OPEN)) <= 0.15 * len(mtq.brackets)
+
+
+def test_settings_are_those_of_the_documented_defaults() -> None:
+    given = dataclasses.asdict(EdgeConfig())
+    assert {name: given[name] for name in ("eps", "d_th", "explore", "margin", "checks", "vary")} == {
+        "eps": 0.02, "d_th": 0.2, "explore": 0.4, "margin": 0.2, "checks": 1, "vary": "all",
+    }  # fmt: skip

@@ -178,3 +178,12 @@ def test_document_of_another_kind_or_version_is_rejected() -> None:
         document().expect("ga@1", 3)
     with pytest.raises(DocumentError, match="version 4"):
         document().expect("mlcshe@1", 4)
+
+
+def test_episode_seeds_of_a_campaign_are_unique() -> None:
+    assert len({episode_seed(5, number) for number in range(5000)}) == 5000
+
+
+def test_stream_numbers_are_unique() -> None:
+    assert len(Stream) == len(set(Stream))
+    assert np.all(np.array(list(Stream)) < 1000)

@@ -110,3 +110,10 @@ def test_figures_of_a_part_are_those_of_its_drives_alone() -> None:
 def test_no_drives_are_refused() -> None:
     with pytest.raises(ValueError, match="at least one drive"):
         guard_worth(drives([], []))
+
+
+def test_a_single_drive_has_no_interval() -> None:
+    worth = guard_worth(drives([1, 0], [0, 0]))
+
+    assert (worth.reduction.low, worth.reduction.high) == (None, None), "one violation"
+    assert worth.distance_lost.low is not None

@@ -163,3 +163,10 @@ def test_pairs_that_cannot_be_reduced_are_refused(config: MinimiseConfig, field:
     with pytest.raises(ConfigError) as caught:
         Minimise().check(SPACE, config, budget=10)
     assert caught.value.field == field
+
+
+def test_a_spent_budget_claims_nothing() -> None:
+    state, asked = run(by_cars_and_delay, (SAFE, UNSAFE), budget=2)
+    assert len(asked) == 2
+    assert not state.reductions.is_minimal(0)
+    assert not state.reductions.is_undecided(0)

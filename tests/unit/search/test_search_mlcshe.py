@@ -16,7 +16,7 @@ from brink.search.algorithms.mlcshe import (
     population_archive,
 )
 from brink.search.archive import archive_digest
-from brink.search.errors import ConfigError, DocumentError, UnsupportedSpace
+from brink.search.errors import ConfigError, DocumentError, OrderError, UnsupportedSpace
 from brink.search.metric import Metric
 from brink.search.operators import offspring
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
@@ -315,3 +315,68 @@ def test_unknown_strategies_are_named_by_field() -> None:
         with pytest.raises(ConfigError) as caught:
             MlcsheConfig(**{field: "other"})  # type: ignore[arg-type]
         assert caught.value.field == field
+
+
+def test_failures_count_towards_the_budget() -> None:
+    state = started(budget=150)
+    while not MLCSHE.finished(state):
+        state, _ = told(state, failing=1.0)
+    assert state.ledger.spent >= 150
+    assert len(state.archive) == 0
+
+
+def test_budget_is_checked_after_each_generation() -> None:
+    state = started(budget=110)
+    sizes = []
+    while not MLCSHE.finished(state):
+        state, candidates = told(state)
+        sizes.append(len(candidates))
+    assert sum(sizes[:-1]) < 110 <= sum(sizes)
+    with pytest.raises(OrderError, match="finished"):
+        MLCSHE.ask(state)
+
+
+def test_exhausted_space_ends_the_search() -> None:
+    tiny = SearchSpace(
+        (
+            Component("u", (Categorical("a", ("0", "1", "2")), Categorical("b", ("0", "1")))),
+            Component("v", (Categorical("c", ("0", "1", "2", "3")),)),
+        )
+    )
+    state = MLCSHE.start(tiny, CONFIG, seed=0, budget=1000)
+    while not MLCSHE.finished(state):
+        state, candidates = MLCSHE.ask(state)
+        state = MLCSHE.tell(state, {c.number: Scored(unsafe=False, robustness=1.0) for c in candidates})
+    assert len(state.archive) == 24
+
+
+def test_later_generations_leave_earlier_states_unchanged() -> None:
+    state, _ = told(started())
+    stored = MLCSHE.dump(state).to_bytes()
+    later = state
+    for _ in range(3):
+        later, _ = told(later)
+    assert MLCSHE.dump(state).to_bytes() == stored
+    assert len(later.archive) > len(state.archive)
+
+
+def test_defaults_are_those_of_the_paper_or_of_the_authors_code() -> None:
+    assert (CONFIG.population_size, CONFIG.archive_size, CONFIG.archive_distance) == (10, 3, 0.4)
+    assert CONFIG.partners == 1
+    assert (CONFIG.gene_swap_probability, CONFIG.mutation_probability) == (0.5, 1.0)
+    assert (CONFIG.p_th, CONFIG.z) == (0.1, 1.96)
+    assert (CONFIG.archive_strategy, CONFIG.fitness_aggregate) == ("diverse", "best")
+    assert (CONFIG.radius, CONFIG.tournament_size) == (0.3, 3), "not in the paper, but in the authors' code"
+
+
+def test_genes_with_rate_zero_only_come_from_the_first_population() -> None:
+    start = started(scenario_mutation_factor=0.0)
+    first = {tuple(row) for row in start.populations[0].individuals.tolist()}
+    weathers, cars = ({row[place] for row in first} for place in (0, 1))
+    state = start
+    for _ in range(3):  # before a converged population is replaced by a random one
+        state, candidates = told(state)
+        for candidate in candidates:
+            weather, count = candidate.vectors[0].tolist()
+            assert weather in weathers
+            assert count in cars

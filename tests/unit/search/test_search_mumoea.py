@@ -33,15 +33,15 @@ from brink.search.algorithms.mumoea import (
     scalar_fitness,
     scaled,
 )
-from brink.search.algorithms.nsga2 import Mosat, Nsga2, Nsga2Config
+from brink.search.algorithms.nsga2 import Breeding, Mosat, Nsga2, Nsga2Config
 from brink.search.document import Document
 from brink.search.errors import ConfigError, OrderError, OtherVersion
 from brink.search.pareto import dominates
-from brink.search.space import Categorical, Component, SearchSpace
+from brink.search.space import Categorical, Component, FloatArray, SearchSpace
 from brink.search.testing import check_algorithm
 from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.motion import Distance, encounter_distances, matched_distances, roll_out
-from brink.search.traffic.participants import RoadLimits
+from brink.search.traffic.participants import Action, Gene, RoadLimits
 from brink.search.traffic.variation import (
     MOTIFS,
     PATTERNS,
@@ -50,6 +50,7 @@ from brink.search.traffic.variation import (
     crossed_uniformly,
     hostile_solution,
     major_change,
+    person_crosses,
     small_change,
 )
 
@@ -442,3 +443,44 @@ def test_critical_and_diverse_solutions_are_fit() -> None:
     assert scalar_fitness(criticality, diversity, 1.0).tolist() == [1.0, 0.0, 0.5]
     assert scaled(np.array([-1.0, 2.0, 9.0]), 0.0, 4.0).tolist() == [0.0, 0.5, 1.0]
     assert scaled(np.array([3.0, 3.0]), 3.0, 3.0).tolist() == [0.0, 0.0]
+
+
+def test_crossed_participants_are_of_like_kind_if_the_other_parent_has_one() -> None:
+    rng = np.random.default_rng(1)
+    changes = Gene(action=Action.CHANGE_LEFT, duration_s=2.0, magnitude=0.5)
+    crosses = Gene(action=Action.CROSS, duration_s=2.0, magnitude=1.5)
+    seeds = []
+    for number in range(12):
+        (car,), (walker,) = PATTERNS[0](ROAD, rng), person_crosses(ROAD, rng)
+        pair = (replace(car, genes=(changes,) * (2 + number % 6)), replace(walker, genes=(crosses,) * 3))
+        seeds.append(Proposal(solution=GENOME.repaired(pair, rng), origin=Origin.LLM))
+    state = run(replace(SMALL, seeder="llm", differential="never"), 1, seeds)
+    assert Origin.CROSSOVER in state.queue_origins
+    for candidate, origin in zip(state.ledger.queue, state.queue_origins, strict=True):
+        if origin is Origin.CROSSOVER:
+            # Repair turns a vehicle's `cross` into `keep`, and a pedestrian's `change_left` into `cross`.
+            kept = {gene.action for one in GENOME.rule.decode(candidate.vectors[1]) for gene in one.genes}
+            assert kept == {Action.CHANGE_LEFT, Action.CROSS}
+
+
+def test_uncrossed_children_mutate_at_the_configured_rate() -> None:
+    for rate in (0.0, 0.3, 1.0):
+        state, children = _bred(400, crossover_probability=0.0, mutation_probability=rate)
+        assert {origin for _, origin in children} == {Origin.MUTATION}
+        # Some mutations change nothing that repair leaves.
+        assert _changed(state, children) == pytest.approx(400 * rate, abs=40)
+    assert _changed(*_bred(400, crossover_probability=0.0, mutation_probability=0.0)) == 0
+
+
+def _bred(children: int, **changes: Any) -> tuple[MultiObjectiveState, list[tuple[FloatArray, Origin]]]:
+    """Return a state, and children that NSGA-II breeds from its population with other probabilities."""
+    config = Nsga2Config(population_size=12, **changes)
+    state = told(Nsga2(), Nsga2().start(SPACE, config, seed=1, budget=1_000))
+    breeding = Breeding(state, GENOME, lambda config, genome, rng: genome.sample(rng)[0])
+    return state, breeding.children(children, np.random.default_rng(3))
+
+
+def _changed(state: MultiObjectiveState, children: Sequence[tuple[FloatArray, Origin]]) -> int:
+    """Return how many children have other participants than every solution of the population."""
+    known = {GENOME.solution(state.history.rows[number]) for number in state.population}
+    return sum(GENOME.solution(row) not in known for row, _ in children)

@@ -254,3 +254,43 @@ def test_elites_that_were_never_archived_are_refused() -> None:
     broken = replace(stored, arrays={**stored.arrays, "elites": elites})
     with pytest.raises(DocumentError, match="archived"):
         QD.load(SPACE, SMALL, broken, state.archive)
+
+
+def test_elites_only_improve() -> None:
+    state = QD.start(SPACE, SMALL, seed=2, budget=150)
+    while not QD.finished(state):
+        state, _ = ask_all(QD, state)
+        before = {one.niche.name: (one.niche.rank, one.niche.value) for one in state.elites}
+        state = QD.tell(state, {one.number: behaved(one) for one in state.pending})
+        after = {one.niche.name: (one.niche.rank, one.niche.value) for one in state.elites}
+        assert all(after[name] <= value for name, value in before.items())
+
+
+@pytest.mark.parametrize("budget", [1, 7, 33])
+def test_budget_is_spent_and_not_exceeded(budget: int) -> None:
+    assert len(played(QD, SMALL, budget=budget)[1]) == budget
+
+
+def test_major_changes_apply_to_one_participant_of_an_elite() -> None:
+    for child, state in children_of(only(Operator.MAJOR)):
+        rows = [state.archive.vectors[state.archive.numbers == elite.number][0] for elite in state.elites]
+        parents = [parent for row in rows if len(parent := GENOME.solution(row)) == len(child)]
+        assert 1 in {differing(parent, child) for parent in parents}
+
+
+def children_of(config: QdConfig) -> list[tuple[Solution, QdState]]:
+    """Return the first variants of elites, each with the state that it was bred from."""
+    state = QD.start(SPACE, replace(config, in_flight=1), seed=3, budget=60)
+    children: list[tuple[Solution, QdState]] = []
+    while not QD.finished(state):
+        bred_from = state
+        state, candidates = QD.ask(state)
+        if candidates[0].number >= config.initial:
+            new = [one for one in candidates if one.number not in bred_from.again]
+            children += [(solution_of(one), bred_from) for one in new]
+        state = QD.tell(state, {one.number: behaved(one) for one in candidates})
+    return children
+
+
+def differing(parent: Solution, child: Solution) -> int:
+    return sum(one != other for one, other in zip(parent, child, strict=True))

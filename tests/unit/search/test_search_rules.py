@@ -133,3 +133,13 @@ def test_too_few_scenarios_are_not_cross_validated() -> None:
     rules = found(rows, rows[:, 2] > 5)
     assert (rules.accuracy, rules.balanced, rules.rules) == (None, None, ())
     assert "Too few" in rules_markdown([rules])
+
+
+def test_best_rule_covers_exactly_the_region() -> None:
+    rows = drawn(300)
+    inside = (rows[:, 3] <= 4) & (rows[:, 1] == 1)
+    rules = found(rows, inside)
+    best = rules.rules[0]
+    assert set(best.conditions) == {"scenario.night is yes", "behaviour.misses at most 4"}
+    assert best.share == 1.0
+    assert best.inside == rules.held_out_inside

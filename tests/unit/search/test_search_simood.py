@@ -459,3 +459,33 @@ def test_a_document_with_too_few_values_is_refused(name: str) -> None:
     damaged = dataclasses.replace(document, arrays={**document.arrays, name: document.arrays[name][:-1]})
     with pytest.raises(DocumentError, match=f"^{name}: expected [0-9]+ values, got [0-9]+$"):
         SIMOOD.load(SPACE, state.config, damaged, state.archive)
+
+
+def test_every_individual_is_valid() -> None:
+    _, generations = run_to_end(generations=60, mutation_probability=0.9)
+    for candidate in (c for generation in generations for c in generation):
+        SPACE.check(candidate.vectors)
+
+
+def test_budget_is_reserved_for_the_finalists() -> None:
+    state, generations = run_to_end(budget=20 + 7 + 15, explained=0, interaction="none")
+    assert sum(map(len, generations)) == 42
+    assert len(generations[-1]) == 15
+    assert len(state.archive) == 15
+
+
+def test_where_nothing_interacts_breeding_is_as_good_as_with_the_papers_fitness() -> None:
+    def best(seed: int, **changes: Any) -> float:
+        state, _ = run_to_end(one_after_another, seed=seed, generations=60, **changes)
+        return float(paper_fitness(state)[list(state.population)].mean())
+
+    for seed in range(4):
+        assert best(seed) == best(seed, interaction="none") < best(seed, propose="random")
+
+
+def test_parts_stay_within_the_budget() -> None:
+    for interaction, least in (("finalists", 105), ("fitness", 135), ("added_harm", 135)):
+        state, generations = run_to_end(interacting, interaction=interaction, budget=least)
+        assert sum(map(len, generations)) <= least
+        assert len({c.vectors[1].tobytes() for c in generations[-1]}) >= 1
+        assert len(finalists_of(state)) == 5

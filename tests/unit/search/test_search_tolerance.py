@@ -538,3 +538,27 @@ def test_an_interval_is_no_narrower_than_its_curves_support() -> None:
         assert 0.005 < known.tolerated.width < 0.08
         true = float(severity_at(curve[None], 0.05)[0])
         assert known.tolerated.value == pytest.approx(true, abs=known.tolerated.width)
+
+
+def test_an_error_without_effect_is_tolerated_throughout() -> None:
+    counts = Counts.empty(1)
+    counts.drives[0, -1] = 200
+    (known,) = rated(counts)
+    assert np.isinf(known.tolerated.low)
+    assert known.high[-1] < 0.05
+
+
+def test_few_vulnerable_drives_of_few_screened_leave_the_answer_open() -> None:
+    few = screening_of(3, 40, audits={LEVELS: (100, 0)})
+    (curve,) = curves_of(Counts.empty(1), [few], [False], limit=0.05, confidence=0.9)
+    assert np.isfinite(curve.tolerated.low)
+
+
+def test_all_vulnerable_drives_violate_with_the_grossest_error(screened: Played) -> None:
+    for cell, curve in zip(screened.layout.cells, screened.curves, strict=True):
+        if screened.layout.is_grossest(cell):
+            share = screened.tally.screenings[cell.group or 0]
+            vulnerable = share.vulnerable / share.screened
+            leaking = (1.0 - vulnerable) * share.leak(np.array([0.5]))[0]
+            assert curve.median[-1] == pytest.approx(vulnerable + leaking, abs=0.03)
+            assert curve.drives[-1] == 0

@@ -400,3 +400,18 @@ def _by_hand(first: Rollouts, second: Rollouts) -> float:
             costs.append(float(np.linalg.norm(a[:shared] - b[:shared], axis=1).mean()))
         totals.append(sum(costs) + UNMATCHED_M * (len(many) - len(few)))
     return min(totals) / len(many)
+
+
+def test_cut_in_ends_in_the_egos_lane_at_a_lower_speed() -> None:
+    stretches = roll_out(vehicle(timed(Action.CUT_IN, 2.0, 1.0), ds_m=10.0, dd_m=0.6), ROAD)
+    s_m, d_m, speed = stretches[-1].end
+    assert (s_m, d_m, speed) == pytest.approx((24.0, 0.0, 6.0))
+
+
+def test_vehicle_keeps_its_top_speed_and_the_carriageway() -> None:
+    stretches = roll_out(
+        vehicle(timed(Action.ACCELERATE, 6.0, 3.0), timed(Action.CHANGE_RIGHT, 2.0, 1.0), speed_mps=14.0),
+        ROAD,
+    )
+    assert stretches[-1].end[2] == MAX_SPEEDS_MPS[Kind.CAR]
+    assert stretches[-1].end[1] == pytest.approx(-0.85)  # half of 3.5 m less half of 1.8 m

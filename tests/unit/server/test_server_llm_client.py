@@ -31,11 +31,12 @@ from support.llm_endpoint import (
     unencrypted,
 )
 
-from brink.server.llm.client import Completion, LlmClient
+from brink.server.llm.client import MAX_REPLY_BYTES, Completion, LlmClient
 from brink.server.llm.protocol import (
     AccessRefused,
     Effort,
     EndpointUnavailable,
+    KeyMissing,
     LlmError,
     LlmFinal,
     Message,
@@ -484,3 +485,32 @@ def test_what_the_operator_does_not_allow_is_not_sent(endpoint: Endpoint) -> Non
         with pytest.raises(NotAllowed, match="may not send the key in OTHER_SECRET"):
             using(settings, task, environ={"OTHER_SECRET": KEY})
     assert endpoint.asked == []
+
+
+@pytest.mark.parametrize("stated", ["31", "1e9", "Sun, 01 Mar 2026 12:00:31 GMT"])
+def test_a_retry_after_beyond_the_limit_ends_the_call(endpoint: Endpoint, stated: str) -> None:
+    pauses: list[float] = []
+    endpoint.then(refuses(429, "slow down", Retry_After=stated))
+    with pytest.raises(EndpointUnavailable, match=r"longer than max_wait_s \(30 s\)"):
+        using(llm_settings(endpoint, max_wait_s=30), ask, pauses)
+    assert pauses == []
+    assert len(endpoint.asked) == 1
+
+
+def test_a_stalled_server_times_out(endpoint: Endpoint) -> None:
+    error = failing(endpoint, EndpointUnavailable, *[endpoint.stalls()] * 2, timeout_s=0.2, retries=1)
+    assert "timed out after 0.2 s (2 tries)" in str(error)
+    assert (error.effort.requests, error.effort.lost) == (2, 2)
+    assert 0.4 <= error.effort.elapsed_s < 5
+
+
+def test_an_oversized_body_is_rejected(endpoint: Endpoint) -> None:
+    error = failing(endpoint, UnusableReply, huge(8 * MAX_REPLY_BYTES))
+    assert f"at most {MAX_REPLY_BYTES} bytes" in str(error)
+
+
+def test_nothing_is_sent_while_the_key_is_missing(endpoint: Endpoint) -> None:
+    error = failing(endpoint, KeyMissing, api_key_env="MY_KEY")
+    assert "MY_KEY is not set" in str(error)
+    assert endpoint.asked == []
+    assert error.effort.requests == 0

@@ -621,3 +621,17 @@ def test_the_key_is_never_stored_or_shown(endpoint: Endpoint, caplog: pytest.Log
     for shown in (caplog.text, repr(answers), repr(stored), *(f"{call.raw} {call.error}" for call in stored)):
         assert KEY not in shown
     assert all(KEY not in asked.prompt for asked in endpoint.asked)
+
+
+def test_limits_apply_to_the_whole_campaign(endpoint: Endpoint) -> None:
+    endpoint.then(GOOD, GOOD)
+    settings, log = llm_settings(endpoint, max_calls=1), MemoryLog()
+    assert len(asking(settings, log).proposals) == WANTED
+    later = SeedRequest(number=4, count=WANTED)
+
+    async def run() -> Answer:
+        async with LlmClient(settings, access=access_to(settings)) as client:
+            return await ask(later, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
+
+    assert asyncio.run(run()).words == "language model not asked: all 1 requests of max_calls are used up"
+    assert len(endpoint.asked) == 1

@@ -207,3 +207,27 @@ def test_an_outage_is_logged_at_growing_intervals_and_its_end_once(caplog: pytes
 def test_an_outage_waits_as_long_as_the_coordinator_asks() -> None:
     outage = Outage("http://c", Backoff(first_s=0.5, cap_s=10.0), Random(1), clock=lambda: 0.0)
     assert outage.record_failure(CoordinatorUnavailable("busy", retry_after_s=42.0), unsent=0) == 42.0
+
+
+def test_without_a_token_no_authorization_header_is_sent() -> None:
+    script = Script(httpx.Response(200, json=GRANT))
+    with client(script) as c:
+        c.lease(LEASE)
+    assert "Authorization" not in script.requests[0].headers
+
+
+def test_a_lasting_failure_is_raised_after_the_last_attempt() -> None:
+    script = Script(*[httpx.ConnectError("refused")] * 4)
+    with (
+        client(script) as c,
+        pytest.raises(CoordinatorUnavailable, match=r"http://coordinator: no answer \(refused\)"),
+    ):
+        c.lease(LEASE)
+    assert len(script.requests) == 4
+
+
+def test_a_timeout_is_raised_without_a_retry() -> None:
+    script = Script(httpx.ReadTimeout("slow"))
+    with client(script) as c, pytest.raises(CoordinatorUnavailable):
+        c.lease(LEASE)
+    assert len(script.requests) == 1

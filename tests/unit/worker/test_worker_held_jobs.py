@@ -349,3 +349,28 @@ def test_the_prefetch_policy_stays_in_its_bounds(
 )
 def test_a_worker_holds_a_set_time_of_work(episode_s: float | None, capacity: int) -> None:
     assert PrefetchPolicy(max_jobs=8, prefetch_s=0.25, episode_s=episode_s).capacity == capacity
+
+
+def test_an_outcome_is_kept_until_it_is_acknowledged() -> None:
+    clock = Clock()
+    held = held_jobs(clock)
+    held.add(grant(1))
+    finish(held, take(held))
+    first = report(held)
+    held.postpone(2.0)
+    clock.now_s += 2.0
+    assert report(held).outcomes == first.outcomes
+    accept(held, first)
+    assert isinstance(held.next_request(), Poll)
+
+
+def test_a_waiting_job_without_a_lease_is_dropped_and_a_running_one_has_no_outcome() -> None:
+    held = held_jobs(Clock())
+    held.add(grant(1, 2, 3))
+    running = take(held)
+    held.apply_renewal(held.leases(), [3])
+    assert [lease.job for lease in held.leases()] == [1, 3]
+    assert held.lost_running_job() == (running, 0.0)
+    finish(held, running)
+    assert held.unsent == 0
+    assert [lease.job for lease in held.leases()] == [3]

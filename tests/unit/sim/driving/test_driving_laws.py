@@ -125,3 +125,7 @@ def test_the_profile_brakes_before_curves() -> None:
 def test_the_profile_is_positive_everywhere(station: float) -> None:
     profile = SpeedProfile(road(Piece(60.0), Piece(20.0, -1 / 4), Piece(60.0)), SpeedSettings())
     assert 0.0 < profile.speed_at(station) <= SpeedSettings().cruise_mps
+
+
+def test_an_oncoming_obstacle_is_braked_for_earlier_than_a_standing_one() -> None:
+    assert follow_accel(FOLLOW, 8.0, 25.0, -8.0) < follow_accel(FOLLOW, 8.0, 25.0, 0.0)

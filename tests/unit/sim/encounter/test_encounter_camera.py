@@ -8,6 +8,7 @@ import pytest
 from support.marks import mostly_long
 from test_encounter_simulator import BRAKES, KEEPS, spec, stretch, user
 
+from brink.server.problems.npc_actions import NpcActionsParams
 from brink.sim.driving.camera import Camera
 from brink.sim.encounter.camera import BrinkEncounterCamera, EncounterCamera
 from brink.sim.encounter.simulator import BrinkEncounter
@@ -108,3 +109,14 @@ def test_each_simulator_runs_only_its_own_episodes() -> None:
         BrinkEncounter().run(seen())
     with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter-camera@2, got"):
         BrinkEncounterCamera().run(spec())
+
+
+@pytest.mark.parametrize("curve", mostly_long(RoadCurve, [], "drives with a camera"))
+def test_an_empty_road_causes_no_violation_at_the_default_threshold(curve: RoadCurve) -> None:
+    away = user("pedestrian", {**KEEPS, "d_m": 45.0})
+    told = seen(away, duration_s=20.0)
+    place: dict[str, Json] = {"road_curve": curve.value, "road_id": 1, "road_length": 0}
+    threshold = NpcActionsParams().threshold
+    there = replace(told, scenario={**told.scenario, **place}, behaviour={**DETECTOR, "threshold": threshold})
+    verdicts = BrinkEncounterCamera().run(there).verdicts
+    assert [name for name, verdict in verdicts.items() if verdict.robustness < 0] == []

@@ -703,3 +703,19 @@ def test_late_withholds_nobody_who_was_reported_before() -> None:
     true = [len(trace.seen_boxes.at(step)) for step in range(len(trace.time_s))]
     assert shown[:15] != true[:15]
     assert shown[77:95] == true[77:95]
+
+
+def test_everybody_is_missed(drive: Callable[..., Drive]) -> None:
+    found = drive(error("miss", 2.0, "everybody"))
+    assert_hidden(found, lambda step, name, row: BEGINS <= step < ENDS)
+
+
+def test_late_withholds_the_kind_that_it_names(drive: Callable[..., Drive]) -> None:
+    found = drive(error("late", 2.0, "oncoming"))
+    first: dict[str, int] = {}
+
+    def is_hidden(step: int, name: str, row: FloatArray) -> bool:
+        return found.kind(name, step) == "oncoming" and step - first.setdefault(name, step) < 20
+
+    assert_hidden(found, is_hidden)
+    assert first["oncoming-1"] == 0 < first["oncoming-2"]

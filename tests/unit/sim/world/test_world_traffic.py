@@ -11,7 +11,7 @@ from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.pedestrians import KERB_SETBACK_M, WALKER_STEP_S, Phase, Walker
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.traffic import lane_is_free
-from brink.sim.world.vehicle import CAR, DrivingStyle, Mover, StopPoint, Vehicle
+from brink.sim.world.vehicle import CAR, CORNERING_MPS2, DrivingStyle, Mover, StopPoint, Vehicle
 from brink.sim.world.world import UrbanWorld, make_world
 
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
@@ -275,3 +275,22 @@ def test_a_car_joins_a_lane_only_in_a_gap() -> None:
 def test_a_lane_is_free_unless_somebody_on_it_is_about_to_arrive(other: Vehicle, free: bool) -> None:
     asking = parked(0.0, -6.0)
     assert lane_is_free([other, asking], asking, 0.0, 0.0, 0.0) is free
+
+
+def test_a_vehicle_starts_slowly_in_a_bend_and_close_before_one() -> None:
+    bend = ReferenceLine(0.0, 0.0, 0.0, [Piece(60.0), Piece(10.0, 1 / 7), Piece(60.0)])
+    speeds = [
+        Vehicle(name="t", size=CAR, path=bend, station_m=at_m, speed_mps=8.0, style=STYLE).speed_mps
+        for at_m in (20.0, 55.0, 62.0, 75.0)
+    ]
+    in_bend_mps = math.sqrt(CORNERING_MPS2 * 7.0)
+    assert speeds == [8.0, pytest.approx(math.hypot(in_bend_mps, 4.0)), pytest.approx(in_bend_mps), 8.0]
+
+
+def test_a_walker_stays_on_the_pavement() -> None:
+    on_foot = walker(None)
+    for _ in range(300):
+        on_foot.look(0.0, [])
+        on_foot.move()
+    assert on_foot.offset_m == 5.0
+    assert on_foot.station_m == pytest.approx(40.0 + 300 * 0.13)
