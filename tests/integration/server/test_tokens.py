@@ -1,5 +1,6 @@
 """Tokens: made and ended by command, kept as digests, each good for its scope and for so many requests."""
 
+import itertools
 import json
 import subprocess
 import sys
@@ -10,8 +11,8 @@ import httpx
 import pytest
 import yaml
 from sqlalchemy import text
-from support.api import FakeWorker, ball, eventually, expect, listening_coordinator, submit
-from support.databases import Databases
+from support.api import FakeWorker, ball, coordinator, eventually, expect, listening_coordinator, submit
+from support.databases import Databases, on_sqlite
 from typer.testing import CliRunner
 
 import brink.server.access.authentication
@@ -25,6 +26,21 @@ from brink.server.settings import Settings
 from brink.server.states import Scope
 
 BRINK = Path(sys.executable).with_name("brink")
+UNKNOWN = "brink_admin_00000000_" + "0" * 48
+NO_TOKENS = (
+    None,
+    "",
+    "Bearer",
+    "Basic {admin}",
+    "bearer {admin}",
+    "Bearer {admin}x",
+    "Bearer {admin} x",
+    "{admin}",
+    f"Bearer {UNKNOWN}",
+    "Bearer {forged}",
+    "Bearer \u00fc",
+    "Bearer " + "x" * 8000,
+)
 SMALL = {
     "name": "small",
     "problem": {"id": "onemax@1"},
@@ -203,3 +219,48 @@ def test_a_run_works_on_a_database_with_tokens(engines: Engines, database_url: s
     ran = subprocess.run([BRINK, "run", *given], capture_output=True, text=True, timeout=100, check=False)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "boundary.csv" in ran.stdout
+
+
+def test_what_is_no_token_opens_nothing(web: httpx.Client, tokens: dict[str, str]) -> None:
+    forged = tokens["read"][:-1] + ("0" if tokens["read"][-1] != "0" else "1")
+    for given in NO_TOKENS:
+        header = None if given is None else given.format(admin=tokens["admin"], forged=forged).encode()
+        answer = web.get(
+            "/api/v1/campaigns", headers={b"Authorization": header} if header is not None else {}
+        )
+        assert answer.status_code == 401, f"{given}: {answer.text}"
+        assert answer.headers["WWW-Authenticate"] == "Bearer"
+
+
+@on_sqlite
+def test_no_spelling_of_a_path_evades_scopes(web: httpx.Client, tokens: dict[str, str]) -> None:
+    body = {"worker": {"id": "w"}, "capabilities": ["x"], "wait_s": 0}
+    for path, after, scope in itertools.product(
+        ("lease", "heartbeat", "results"),
+        ("%0A", "%0D", "%00", "%E2%80%A8", "/", "%2F", "//"),
+        ("read", "user"),
+    ):
+        answer = web.post(f"/api/v1/jobs/{path}{after}", json=body, headers=bearer(tokens[scope]))
+        said = f"{scope}, {path}{after}: {answer.status_code} {answer.text}"
+        assert answer.status_code in (403, 404, 405), said
+
+
+def test_a_scope_cannot_be_changed_by_changing_the_token(web: httpx.Client, tokens: dict[str, str]) -> None:
+    widened = tokens["read"].replace("_read_", "_admin_")
+    assert web.get("/api/v1/campaigns", headers=bearer(widened)).status_code == 401
+
+
+def test_too_many_requests_get_a_retry_time(
+    database_url: str, engines: Engines, small_problems: None
+) -> None:
+    token = made(engines, "read")
+    with coordinator(database_url, rate_limit=3.0) as client:
+        answers = [client.get("/api/v1/campaigns", headers=bearer(token)) for _ in range(12)]
+        codes = [answer.status_code for answer in answers]
+        assert codes[:3] == [200] * 3
+        assert 429 in codes
+        late = next(answer for answer in answers if answer.status_code == 429)
+        assert int(late.headers["Retry-After"]) >= 1
+        guesses = [client.get("/api/v1/campaigns", headers=bearer(UNKNOWN)).status_code for _ in range(60)]
+        assert guesses[0] == 401
+        assert 429 in guesses, "tokens cannot be guessed fast"

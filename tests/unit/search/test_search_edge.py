@@ -272,5 +272,10 @@ def test_the_budget_is_spent_exactly_and_few_brackets_are_left_open(mtq: EdgeSta
 def test_settings_are_those_of_the_documented_defaults() -> None:
     given = dataclasses.asdict(EdgeConfig())
     assert {name: given[name] for name in ("eps", "d_th", "explore", "margin", "checks", "vary")} == {
-        "eps": 0.02, "d_th": 0.2, "explore": 0.4, "margin": 0.2, "checks": 1, "vary": "all",
-    }  # fmt: skip
+        "eps": 0.02,
+        "d_th": 0.2,
+        "explore": 0.4,
+        "margin": 0.2,
+        "checks": 1,
+        "vary": "all",
+    }
