@@ -5,8 +5,9 @@ detector; this process keeps only boxes and computes all figures from them. Aver
 `brink.sim.aeb.labels` decides which boxes count. Training uses none of the images: they have other seeds and looks.
 """
 
+import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -16,6 +17,7 @@ from typing import Any, Final, NamedTuple
 import cv2
 
 from benchmarks.measurement import Progress, Row, at_least
+from benchmarks.trials import mapped
 from brink.server.errors import InvalidInput
 from brink.sim.aeb.dataset import FRAMES_A_STREET, Split, labelled_frames
 from brink.sim.perception.boxes import (
@@ -29,7 +31,6 @@ from brink.sim.perception.boxes import (
 )
 from brink.sim.perception.detector import LABELS, Detector, find_detector
 from brink.sim.perturbations import CATALOGUE, Gene, Perturbation, Pipeline
-from brink.worker.pool import process_pool, single_threaded
 
 PERSON: Final = "person"
 
@@ -301,10 +302,8 @@ def measure_detector(
         Job(detector_id, seed, start // FRAMES_A_STREET, min(FRAMES_A_STREET, images - start), perturbations)
         for start in range(0, images, FRAMES_A_STREET)
     ]
-    observed: list[Observation] = []
-    for street in _observe_streets(jobs, processes):
-        observed += street
-        progress("images", len(observed), images)
+    streets = mapped(observe_street, jobs, processes=processes, part="streets", progress=progress)
+    observed = list(itertools.chain.from_iterable(streets))
     return evaluate(detector_id, observed, seed=seed, threshold=threshold, genes=genes)
 
 
@@ -321,14 +320,6 @@ class Job(NamedTuple):
     street: int
     images: int
     perturbations: tuple[Perturbation, ...]
-
-
-def _observe_streets(jobs: Sequence[Job], processes: int) -> Iterator[list[Observation]]:
-    if processes <= 1:
-        yield from map(observe_street, jobs)
-        return
-    with single_threaded(), process_pool(processes) as pool:
-        yield from pool.map(observe_street, jobs)
 
 
 @cache

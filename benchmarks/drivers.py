@@ -10,11 +10,10 @@ from typing import Final
 import numpy as np
 
 from benchmarks.measurement import Progress, Row, at_most
-from benchmarks.trials import run_record
+from benchmarks.trials import mapped, run_record
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.encounter.reference import COLLISION, Driver
 from brink.sim.episode import EpisodeSpec
-from brink.worker.pool import process_pool, single_threaded
 
 MAX_SHARE: Final[dict[Driver, float]] = {Driver.CAREFUL: 0.05, Driver.IDEAL: 0.0}
 """Largest share of drives with a collision among those that are safe for the system."""
@@ -75,11 +74,7 @@ def measure_drivers(
         progress: Progress callback.
     """
     wanted = specs(candidates, weathers, seed)
-    outcomes: list[Outcome] = []
-    with single_threaded(), process_pool(processes) as pool:
-        for outcome in pool.map(drive, wanted, chunksize=4):
-            outcomes.append(outcome)
-            progress("candidates", len(outcomes), len(wanted))
+    outcomes = mapped(drive, wanted, processes=processes, part="candidates", progress=progress, chunk=4)
     return rows_of(outcomes, weathers)
 
 

@@ -7,22 +7,21 @@ detector itself. Recorded drives are kept in a folder and not driven again.
 
 import gzip
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from benchmarks.measurement import Progress
+from benchmarks.trials import mapped, run_record
 from brink.recordings.fit_errors import fit_errors
 from brink.report.errors import Violations
 from brink.search.analysis.intervals import replicated_interval
 from brink.search.streams import Stream, episode_seed, generator
 from brink.server.problems.urban_camera import UrbanCamera, UrbanCameraParams, UrbanScenarios
 from brink.server.problems.urban_fitted import UrbanFitted, UrbanFittedParams
-from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.episode import EpisodeSpec
@@ -30,7 +29,6 @@ from brink.sim.urban.camera import BrinkDriveCamera, InTheLoop
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import ErrorMeter, Sample
 from brink.sim.urban.error_process import FittedErrors
-from brink.worker.pool import process_pool, single_threaded
 
 RECORDED_SEED: Final = 77
 """Seed of the recorded drives."""
@@ -107,13 +105,7 @@ class ErrorsBench:
         )
 
     def _mapped(self, part: str, run: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
-        with single_threaded(), process_pool(self.processes) as pool:
-            return list(self._counted(part, len(tasks), pool.map(run, tasks)))
-
-    def _counted(self, part: str, total: int, results: Iterator[Any]) -> Iterator[Any]:
-        for done, result in enumerate(results, 1):
-            self.progress(part, done, total)
-            yield result
+        return mapped(run, tasks, processes=self.processes, part=part, progress=self.progress)
 
 
 def random_specs(problem: UrbanScenarios, count: int, seed: int) -> list[EpisodeSpec]:
@@ -122,16 +114,11 @@ def random_specs(problem: UrbanScenarios, count: int, seed: int) -> list[Episode
     return [problem.episode(problem.space.sample(rng), episode_seed(seed, number)) for number in range(count)]
 
 
-@cache
-def _simulator(name: str) -> Simulator:
-    return make_simulator(name)
-
-
 def is_unsafe(task: tuple[Any, Sequence[str]]) -> bool:
     """Drive an episode and return whether it violates one of some requirements."""
     spec = EpisodeSpec.from_json(task[0])
-    verdicts = _simulator(spec.simulator).run(spec).verdicts
-    return any(verdicts[name].violated for name in task[1])
+    robustness = run_record(spec).robustness
+    return any(robustness[name] < 0 for name in task[1])
 
 
 class _Recorded(BrinkDriveCamera):

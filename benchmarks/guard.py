@@ -12,14 +12,14 @@ if its digests are those of the episodes that are wanted: a search that has chan
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.measurement import Progress, Row, at_least, at_most
+from benchmarks.measurement import Progress, Row, at_least, at_most, silent, untargeted
 from benchmarks.trials import code_fingerprint
 from brink.guard.drives import Drive, Recorders, load_drives, random_specs, save_drives
 from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, GuardEvaluation, evaluate
@@ -106,13 +106,10 @@ class Measured:
         for one in self.judged:
             compared, note = one.evaluation.guard.compared, _note(one.evaluation)
             what = f"predicted {LEAD_S:g} s ahead: {one.trained_on}, {one.sensor}"
-            if one.trained_on == RANDOM:
-                yield at_least(what, compared.recall, RECALL_TARGET, note)
-            else:
-                yield Row(what=what, value=compared.recall, target="", met=None, note=note)
+            yield at_least(what, compared.recall, RECALL_TARGET if one.trained_on == RANDOM else None, note)
             own = one.evaluation.own.point
             note = f"threshold {own.threshold:.3f}, set in fitting; alarms in {own.false_alarms:.1%} of safe drives"
-            yield Row(what="  with its own threshold", value=own.recall, target="", met=None, note=note)
+            yield untargeted("  with its own threshold", own.recall, note)
         for sensor, step_ms in self.step_ms.items():
             note = "CPU time of features and model"
             yield at_most(f"ms a step: {sensor}", step_ms, STEP_TARGET_MS, note)
@@ -161,7 +158,7 @@ class GuardBench:
         requirement: str = "front-gap@1",
         sets: Sequence[str] = SETS,
         processes: int = 2,
-        progress: Progress | None = None,
+        progress: Progress = silent,
     ) -> None:
         self._problem = UrbanInjected(UrbanInjectedParams(requirement=requirement))
         self._folder = folder / f"drives-{code_fingerprint(CODE)}"
@@ -179,26 +176,19 @@ class GuardBench:
         step_ms: dict[Sensor, float] = {}
         tasks = [(name, sensor) for name in training for sensor in Sensor]
         for done, (name, sensor) in enumerate(tasks):
-            self._report("fitting and judging", done, len(tasks))
+            self._progress("fitting and judging", done, len(tasks))
             model, fit_s = self._fitted(training[name], sensor)
             judged.append(_judged(model, name, "all", fresh, fit_s))
             if name == RANDOM:
                 unseen += self._unseen(training[name], fresh, sensor)
                 step_ms[sensor] = self._step_ms(model)
-        self._report("fitting and judging", len(tasks), len(tasks))
+        self._progress("fitting and judging", len(tasks), len(tasks))
         return Measured(
             judged=tuple(judged),
             unseen=tuple(unseen),
             step_ms=step_ms,
             bytes_per_drive=self._bytes_per_drive(),
         )
-
-    def _report(self, part: str, done: int, total: int) -> None:
-        if self._progress is not None:
-            self._progress(part, done, total)
-
-    def _reporter(self, part: str, before: int, total: int) -> Callable[[int, int], None]:
-        return lambda done, _: self._report(part, before + done, total)
 
     def _training_sets(self, recorders: Recorders) -> dict[str, list[Drive]]:
         """Return the drives of each training set."""
@@ -275,10 +265,10 @@ class GuardBench:
             file = self._folder / f"{stem}-{done}-{len(chunk)}.npz"
             found = load_drives(file)
             if found is None or [one.digest for one in found] != [spec.digest() for spec in chunk]:
-                found = recorders.record(chunk, on_progress=self._reporter(part, done, total))
+                found = recorders.record(chunk)
                 save_drives(file, found)
             drives += found
-            self._report(part, before + len(drives), total)
+            self._progress(part, before + len(drives), total)
         return drives
 
     def _scored(self, drive: Drive) -> Scored:

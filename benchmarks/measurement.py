@@ -11,6 +11,11 @@ import numpy as np
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with the name of a part of a measurement, its completed steps and its total steps."""
 
+
+def silent(part: str, done: int, total: int) -> None:
+    """Report no progress."""
+
+
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.measurement import Progress, Row, at_least, at_most
+from benchmarks.measurement import Progress, Row, at_least, at_most, silent
 from benchmarks.trials import Records, code_fingerprint
 from brink.search.analysis.monitor import Answer, Model, Monitor
 from brink.search.analysis.monitor_evaluation import (
@@ -98,7 +98,7 @@ class MonitorAccuracy:
         seeds: Sequence[int],
         requirement: str = "front-gap@1",
         processes: int = 2,
-        progress: Progress | None = None,
+        progress: Progress = silent,
     ) -> None:
         self._problem = UrbanInjected(UrbanInjectedParams(requirement=requirement))
         self._file = folder / f"drives-{code_fingerprint(CODE)}.jsonl"
@@ -126,7 +126,7 @@ class MonitorAccuracy:
                     )
                 )
                 fit_s.append(time.process_time() - start_s)
-                self._report(f"fitting {model}", done, len(training))
+                self._progress(f"fitting {model}", done, len(training))
             found += _judged(fitted[model], self._seeds, fit_s, fresh)
         return found, evaluate_monitor(fitted[Model.TREES][0], fresh.vectors, fresh.unsafe)
 
@@ -134,15 +134,10 @@ class MonitorAccuracy:
         space = self._problem.space
         rows = np.array([space.join(space.sample(generator(seed, Stream.START, i))) for i in range(count)])
         specs = [self._problem.episode(space.split(row), episode_seed(seed, i)) for i, row in enumerate(rows)]
-        part = f"drives with seed {seed}"
-        outcomes = records.run(specs, lambda done, total: self._report(part, done, total))
+        outcomes = records.run(specs, f"drives with seed {seed}", self._progress)
         (requirement,) = self._problem.requirements
         robustness = np.array([one.robustness[requirement] for one in outcomes])
         return Drives(vectors=rows, unsafe=robustness < 0)
-
-    def _report(self, part: str, done: int, total: int) -> None:
-        if self._progress is not None:
-            self._progress(part, done, total)
 
 
 def _judged(
@@ -198,8 +193,5 @@ def mean_rows(found: Sequence[Accuracy]) -> list[Row]:
         )
         for what, values, bound, target in figures:
             mean = float(np.mean(values))
-            if model is Model.TREES:
-                rows.append(bound(f"{model}: {what}", mean, target, note))
-            else:
-                rows.append(Row(what=f"{model}: {what}", value=mean, target="", met=None, note=note))
+            rows.append(bound(f"{model}: {what}", mean, target if model is Model.TREES else None, note))
     return rows

@@ -76,7 +76,7 @@ class Criteria:
         self._places = Places(params)
 
     def _run(self, part: str, specs: Sequence[EpisodeSpec]) -> list[Record]:
-        return self._records.run(specs, lambda done, total: self._progress(part, done, total))
+        return self._records.run(specs, part, self._progress)
 
     def _run_chains(
         self, part: str, chains: Sequence[NamedChain], places: Sequence[int]

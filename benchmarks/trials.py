@@ -11,27 +11,16 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 from benchmarks.lifeline import start_tied
-from benchmarks.measurement import memory_mib
+from benchmarks.measurement import Progress, memory_mib, silent
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeSpec, Json
 from brink.worker.pool import process_pool, single_threaded
 
-_CHUNK = 8
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
-    """The verdict on the first requirement of an episode.
-
-    Attributes:
-        unsafe: Whether the requirement is violated.
-        robustness: Its robustness.
-    """
-
-    unsafe: bool
-    robustness: float
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,25 +52,35 @@ def _simulator(simulator_id: str) -> Simulator:
     return make_simulator(simulator_id)
 
 
-def run_trial(spec: EpisodeSpec) -> Trial:
-    """Run one episode in this process."""
-    result = _simulator(spec.simulator).run(spec)
-    verdict = result.verdicts[spec.requirements[0]]
-    return Trial(unsafe=verdict.violated, robustness=verdict.robustness)
-
-
-def run_trials(specs: Sequence[EpisodeSpec], *, processes: int = 2) -> Iterator[Trial]:
-    """Run episodes and yield their verdicts in order.
+def mapped(
+    run: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    *,
+    processes: int,
+    part: str,
+    progress: Progress = silent,
+    chunk: int = 1,
+) -> list[Result]:
+    """Return the results of tasks, in order.
 
     Args:
-        specs: Episodes to run.
-        processes: Number of processes; 1 runs the episodes in this process.
+        run: What runs a task; a function of a module.
+        tasks: The tasks.
+        processes: Number of processes; 1 runs the tasks in this process.
+        part: Name of the part, for the progress callback.
+        progress: Progress callback, called after each task.
+        chunk: Tasks that a process is given at a time.
     """
-    if processes <= 1:
-        yield from map(run_trial, specs)
-        return
-    with single_threaded(), process_pool(processes) as pool:
-        yield from pool.map(run_trial, specs, chunksize=_CHUNK)
+    results: list[Result] = []
+    with contextlib.ExitStack() as stack:
+        found: Iterator[Result] = map(run, tasks)
+        if processes > 1:
+            stack.enter_context(single_threaded())
+            found = stack.enter_context(process_pool(processes)).map(run, tasks, chunksize=chunk)
+        for result in found:
+            results.append(result)
+            progress(part, len(results), len(tasks))
+    return results
 
 
 def process_memory_mb(specs: Sequence[EpisodeSpec], settle: int = 20) -> tuple[float, float]:
@@ -105,7 +104,7 @@ def process_memory_mb(specs: Sequence[EpisodeSpec], settle: int = 20) -> tuple[f
 def _memory_after(specs: Iterable[EpisodeSpec], settle: int) -> tuple[float, float]:
     first_mb = 0.0
     for index, spec in enumerate(specs, 1):
-        run_trial(spec)
+        run_record(spec)
         if index == settle:
             first_mb = memory_mib("self")
     return first_mb, memory_mib("self")
@@ -171,14 +170,13 @@ class Records:
                 with file.open("a", encoding="utf-8") as out:
                     out.write("\n")
 
-    def run(
-        self, specs: Sequence[EpisodeSpec], on_progress: Callable[[int, int], None] | None = None
-    ) -> list[Record]:
+    def run(self, specs: Sequence[EpisodeSpec], part: str = "", progress: Progress = silent) -> list[Record]:
         """Return the outcomes of episodes, in order.
 
         Args:
             specs: Episodes; only those without a stored outcome are run.
-            on_progress: Called with the number of completed episodes and the total after each run.
+            part: Name of the part, for the progress callback.
+            progress: Progress callback, called after each episode.
         """
         missing = {spec.digest(): spec for spec in specs if spec.digest() not in self._known}
         done = len(specs) - len(missing)
@@ -194,8 +192,7 @@ class Records:
                     out.write(json.dumps({"spec": waiting[future], **asdict(record)}) + "\n")
                     out.flush()
                     done += 1
-                    if on_progress is not None:
-                        on_progress(done, len(specs))
+                    progress(part, done, len(specs))
         return [self._known[spec.digest()] for spec in specs]
 
     def close(self) -> None:

@@ -7,18 +7,20 @@ Candidates are drawn from the search space of `urban-injected@1`, as in campaign
 2023.
 """
 
+import math
 import statistics
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 
-from benchmarks.measurement import Progress, Row, at_least, at_most, under, untargeted
-from benchmarks.trials import Trial, process_memory_mb, run_trials
+from benchmarks.measurement import Progress, Row, at_least, at_most, silent, under, untargeted
+from benchmarks.trials import mapped, process_memory_mb, run_record
 from brink.search.metric import Metric
-from brink.search.space import Categorical, FloatArray
+from brink.search.space import BoolArray, Categorical, FloatArray
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
@@ -123,7 +125,7 @@ class Sizes:
 
 
 def measure_difficulty(
-    sizes: Sizes | None = None, *, seed: int = 0, processes: int = 2, progress: Progress | None = None
+    sizes: Sizes | None = None, *, seed: int = 0, processes: int = 2, progress: Progress = silent
 ) -> Iterator[Row]:
     """Measure the difficulty of the urban problem; yield each figure as soon as it is measured.
 
@@ -143,14 +145,12 @@ def measure_difficulty(
         yield difficulty.effect(place)
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(kw_only=True)
 class _Difficulty:
     sizes: Sizes
     seed: int
     processes: int
-    progress: Progress | None
-    _candidates: list[Candidate] | None = None
-    _trials: list[Trial] | None = None
+    progress: Progress
 
     def _rng(self, part: int, index: int = 0) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(part, index)))
@@ -158,32 +158,29 @@ class _Difficulty:
     def _spec(self, candidate: Candidate, episode: int, *, oracle: bool = False) -> EpisodeSpec:
         return spec_of(candidate, self.seed * 1_000_003 + episode, oracle=oracle)
 
-    def _run(self, part: str, specs: Sequence[EpisodeSpec]) -> list[Trial]:
-        trials = []
-        for trial in run_trials(specs, processes=self.processes):
-            trials.append(trial)
-            if self.progress is not None:
-                self.progress(part, len(trials), len(specs))
-        return trials
+    def _run(self, part: str, specs: Sequence[EpisodeSpec]) -> FloatArray:
+        """Return the robustness of episodes, shape ``(n,)``; negative if the requirement is violated."""
+        records = mapped(
+            run_record, specs, processes=self.processes, part=part, progress=self.progress, chunk=8
+        )
+        return np.array([record.robustness[FRONT_GAP] for record in records])
 
-    def _sample(self) -> tuple[list[Candidate], list[Trial]]:
-        if self._candidates is None or self._trials is None:
-            count = self.sizes.candidates
-            self._candidates = [draw_candidate(self._rng(0, i)) for i in range(count)]
-            specs = [self._spec(candidate, i) for i, candidate in enumerate(self._candidates)]
-            self._trials = self._run("random candidates", specs)
-        return self._candidates, self._trials
+    @cached_property
+    def _sample(self) -> tuple[list[Candidate], BoolArray]:
+        """Random candidates, and which of them are unsafe."""
+        candidates = [draw_candidate(self._rng(0, index)) for index in range(self.sizes.candidates)]
+        specs = [self._spec(candidate, index) for index, candidate in enumerate(candidates)]
+        return candidates, self._run("random candidates", specs) < 0
 
     def unsafe_shares(self) -> Iterator[Row]:
         """Yield the unsafe share of random candidates, overall and for each road curve."""
-        candidates, trials = self._sample()
-        share = _share(trial.unsafe for trial in trials)
-        yield _between("unsafe share", share, 0.30, 0.45, f"{len(trials)} random candidates")
-        curves = [SPACE.decode(candidate)["scenario"]["road_curve"] for candidate in candidates]
+        candidates, unsafe = self._sample
+        yield _between("unsafe share", _mean(unsafe), 0.30, 0.45, f"{len(unsafe)} random candidates")
+        curves = np.array([SPACE.decode(candidate)["scenario"]["road_curve"] for candidate in candidates])
         for curve in RoadCurve:
-            flags = [trial.unsafe for one, trial in zip(curves, trials, strict=True) if one == curve]
+            flags = unsafe[curves == curve.value]
             yield _between(
-                f"unsafe share, {curve.value}", _share(flags), 0.05, 0.95, f"{len(flags)} candidates"
+                f"unsafe share, {curve.value}", _mean(flags), 0.05, 0.95, f"{len(flags)} candidates"
             )
 
     def behaviour_matters(self) -> Row:
@@ -196,24 +193,22 @@ class _Difficulty:
                 self._spec((scenario[0], draw_candidate(behaviours)[1]), 10_000_000 + index)
                 for _ in range(BEHAVIOURS_PER_SCENARIO)
             ]
-        trials = self._run("behaviours", specs)
-        unsafe = np.array([trial.unsafe for trial in trials]).reshape(-1, BEHAVIOURS_PER_SCENARIO).sum(axis=1)
-        share = float(np.mean((unsafe > 0) & (unsafe < BEHAVIOURS_PER_SCENARIO)))
+        unsafe = (self._run("behaviours", specs) < 0).reshape(-1, BEHAVIOURS_PER_SCENARIO).sum(axis=1)
+        share = _mean((unsafe > 0) & (unsafe < BEHAVIOURS_PER_SCENARIO))
         note = f"{self.sizes.scenarios} scenarios, {BEHAVIOURS_PER_SCENARIO} behaviours each, same seed"
         return at_least("scenarios whose verdict depends on behaviour", share, 0.40, note)
 
     def chance_matters(self) -> Row:
         """Return the share of candidates whose verdict changes with the seed."""
-        candidates, trials = self._sample()
+        candidates, unsafe = self._sample
         count = min(self.sizes.reruns, len(candidates))
         specs = [self._spec(candidates[i], 20_000_000 + i) for i in range(count)]
-        again = self._run("other seeds", specs)
-        share = _share(a.unsafe != b.unsafe for a, b in zip(trials, again, strict=False))
+        share = _mean(unsafe[:count] != (self._run("other seeds", specs) < 0))
         return _between("verdicts that another seed flips", share, 0.03, 0.15, f"{count} candidates")
 
     def neighbours_agree(self) -> Row:
         """Return how much more often neighbours have the same verdict than random pairs do."""
-        candidates, trials = self._sample()
+        candidates, verdicts = self._sample
         rng, metric = self._rng(3), Metric.of_space(SPACE)
         specs, bases, apart = [], [], []
         for index in range(min(self.sizes.pairs, len(candidates))):
@@ -224,26 +219,25 @@ class _Difficulty:
                 bases.append(index)
                 apart.append(away)
                 specs.append(self._spec(near, 30_000_000 + index))
-        again = self._run("neighbours", specs)
-        near_share = _share(trials[i].unsafe == t.unsafe for i, t in zip(bases, again, strict=True))
-        unsafe = _share(trial.unsafe for trial in trials)
+        near_share = _mean(verdicts[bases] == (self._run("neighbours", specs) < 0))
+        unsafe = _mean(verdicts)
         far_share = unsafe * unsafe + (1.0 - unsafe) * (1.0 - unsafe)
         return at_least(
             "verdict agreement of neighbours minus that of random pairs",
             near_share - far_share,
             0.15,
-            f"{near_share:.3f} in {len(again)} pairs {np.mean(apart):.3f} apart, {far_share:.3f} at random",
+            f"{near_share:.3f} in {len(bases)} pairs {np.mean(apart):.3f} apart, {far_share:.3f} at random",
         )
 
     def extremes(self) -> Iterator[Row]:
         """Yield the unsafe shares with a perfect detector and without any detection."""
         scenarios = [draw_candidate(self._rng(4, i)) for i in range(self.sizes.ends)]
         oracle = [self._spec(s, 40_000_000 + i, oracle=True) for i, s in enumerate(scenarios)]
-        share = _share(trial.unsafe for trial in self._run("oracle", oracle))
+        share = _mean(self._run("oracle", oracle) < 0)
         note = f"{len(scenarios)} scenarios"
         yield under("unsafe share with a perfect detector", share, 0.05, note)
         blind = [replace(spec, behaviour={"mode": "injected", "trajectories": []}) for spec in oracle]
-        share = _share(trial.unsafe for trial in self._run("no detections", blind))
+        share = _mean(self._run("no detections", blind) < 0)
         yield untargeted("unsafe share without any detection", share, note)
 
     def effect(self, place: int) -> Row:
@@ -259,12 +253,11 @@ class _Difficulty:
             for again in (0, 1):
                 episode = 50_000_000 + 2 * index + again
                 specs += [self._spec(base, episode), self._spec(other, episode)]
-        trials = self._run(name, specs)
-        robustness = np.array([trial.robustness for trial in trials]).reshape(-1, 2, 2)
-        unsafe = np.array([trial.unsafe for trial in trials]).reshape(-1, 2)
+        robustness = self._run(name, specs).reshape(-1, 2, 2)
+        unsafe = robustness < 0
         change = robustness[:, :, 1] - robustness[:, :, 0]
         p_value = consistent_effect_p(change, rng, self.sizes.permutations)
-        moved, flipped = np.mean(np.abs(change) > MOVED_M), np.mean(unsafe[:, 0] != unsafe[:, 1])
+        moved, flipped = np.mean(np.abs(change) > MOVED_M), np.mean(unsafe[:, :, 0] != unsafe[:, :, 1])
         return Row(
             what=f"effect of {name}",
             value=float(np.mean(np.abs(change))),
@@ -303,9 +296,8 @@ def _between(what: str, value: float, low: float, high: float, note: str) -> Row
     return Row(what=what, value=value, target=f"{low:.2f} to {high:.2f}", met=low <= value <= high, note=note)
 
 
-def _share(flags: Iterable[bool]) -> float:
-    listed = list(flags)
-    return sum(listed) / len(listed) if listed else float("nan")
+def _mean(flags: BoolArray) -> float:
+    return float(flags.mean()) if len(flags) else math.nan
 
 
 _BUSY = UrbanScenario(

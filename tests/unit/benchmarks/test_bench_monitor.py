@@ -15,7 +15,7 @@ def test_both_models_are_judged_on_the_same_fresh_drives(
 ) -> None:
     asked: list[str] = []
 
-    def run(self: Records, specs: list[EpisodeSpec], on_progress: object = None) -> list[Record]:
+    def run(self: Records, specs: list[EpisodeSpec], part: str, progress: object) -> list[Record]:
         asked.extend(spec.digest() for spec in specs)
         curved = [spec.scenario["road_curve"] != "straight" for spec in specs]
         assert len({spec.seed for spec in specs}) == len(specs)

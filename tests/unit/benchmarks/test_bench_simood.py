@@ -1,11 +1,12 @@
 """The SiMOOD criteria: what is counted, the unit of the test, the times, and whole campaigns on made-up outcomes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from benchmarks.measurement import Progress, silent
 from benchmarks.simood_places import CONFIRMATION_PLACES
 from benchmarks.simood_searches import (
     PAPER,
@@ -60,9 +61,7 @@ class MadeUp(Records):
         super().__init__(folder / "records.jsonl", processes=1)
         self.asked: list[EpisodeSpec] = []
 
-    def run(
-        self, specs: Sequence[EpisodeSpec], on_progress: Callable[[int, int], None] | None = None
-    ) -> list[Record]:
+    def run(self, specs: Sequence[EpisodeSpec], part: str = "", progress: Progress = silent) -> list[Record]:
         self.asked += specs
         return [outcome_of(spec) for spec in specs]
 

@@ -37,10 +37,10 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_known_outcomes_are_not_rerun_and_keep_order(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    progress: list[tuple[int, int]] = []
+    progress: list[tuple[str, int, int]] = []
     with closing(Records(file, processes=2)) as records:
-        first = records.run(SPECS[:3], lambda *done: progress.append(done))
-    assert progress == [(1, 3), (2, 3), (3, 3)]
+        first = records.run(SPECS[:3], "drives", lambda *done: progress.append(done))
+    assert progress == [("drives", 1, 3), ("drives", 2, 3), ("drives", 3, 3)]
     file.write_text(file.read_text() + '{"spec": "cut off')
     with closing(Records(file, processes=1)) as records:
         again = records.run([*SPECS[::-1], SPECS[0]])

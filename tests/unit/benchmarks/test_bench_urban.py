@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.trials import process_memory_mb, run_trials
+from benchmarks.trials import mapped, process_memory_mb, run_record
 from benchmarks.urban import (
     PARAMETERS,
     SPACE,
@@ -64,6 +64,9 @@ def test_the_permutation_test_detects_effects_that_cancel_on_average_and_only_re
 
 def test_trials_keep_their_order_and_do_not_depend_on_the_number_of_processes() -> None:
     specs = [spec_of(draw_candidate(np.random.default_rng(i)), i) for i in range(6)]
-    alone = list(run_trials(specs, processes=1))
-    assert list(run_trials(specs, processes=2)) == alone
-    assert len({trial.robustness for trial in alone}) > 1
+    alone, pooled = (
+        [one.robustness for one in mapped(run_record, specs, processes=processes, part="", chunk=2)]
+        for processes in (1, 2)
+    )
+    assert pooled == alone
+    assert len({one["front-gap@1"] for one in alone}) > 1
